@@ -1,0 +1,85 @@
+"""A field of cumulus without dynamics: shapes from noise, extinction on a grid.
+
+Model
+-----
+A column is cloudy where a smooth random field c(x, y) exceeds the quantile that leaves the wanted cover. The excess
+sets how high its cauliflower rises over the flat condensation level; billows are eroded from its surface by folded
+noise; extinction grows with height over the base as adiabatic liquid water does, sigma ~ (z - base)^(2/3) (liquid water
+grows linearly with height and the droplet radius with its cube root), up to `extinction_per_m` at the top.
+
+The field is periodic in x and y, centred on the site.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.atmosphere.grid import CloudGrid
+
+
+def _spectral_noise(
+    shape: tuple[int, ...],
+    cell_m: tuple[float, ...],
+    longest_m: float,
+    shortest_m: float,
+    slope: float,
+    rng: np.random.Generator,
+) -> NDArray[np.float32]:
+    """Periodic Gaussian noise of unit variance with power ~ k^-slope between two wavelengths."""
+    import scipy.fft
+
+    white = rng.standard_normal(shape, dtype=np.float32)
+    axes = [scipy.fft.fftfreq(n, d) for n, d in zip(shape[:-1], cell_m[:-1], strict=True)]
+    axes.append(scipy.fft.rfftfreq(shape[-1], cell_m[-1]))
+    k = np.sqrt(sum(np.square(axis) for axis in np.meshgrid(*axes, indexing="ij", sparse=True)))
+    low, high = 1.0 / longest_m, 1.0 / shortest_m
+    amplitude = np.where((k >= low) & (k <= high), np.maximum(k, low) ** (-slope / 2.0), 0.0).astype(np.float32)
+    field = scipy.fft.irfftn(scipy.fft.rfftn(white) * amplitude, s=shape).astype(np.float32)
+    return np.asarray((field - field.mean()) / field.std(), dtype=np.float32)
+
+
+def cumulus_field(
+    *,
+    centre_m: tuple[float, float],
+    extent_m: float,
+    base_m: float,
+    thickness_m: float,
+    cover: float,
+    extinction_per_m: float,
+    rng: np.random.Generator,
+    cell_m: float = 40.0,
+) -> CloudGrid:
+    """A field of cumulus over a square of side `extent_m`.
+
+    Parameters
+    ----------
+    centre_m : world x and y of the field's middle.
+    base_m, thickness_m : height of the flat base, and of the tallest cloud over it.
+    cover : share of the sky's area under cloud, as seen straight from below, in (0, 1].
+    extinction_per_m : at the top of the tallest cloud.
+    cell_m : side of a cell; the grid has (thickness / (cell / 2), extent / cell, extent / cell) cells.
+    """
+    across = max(16, round(extent_m / cell_m))
+    up = max(8, round(thickness_m / (cell_m / 2.0)))
+    cell = extent_m / across
+    dz = thickness_m / up
+    base_field = _spectral_noise((across, across), (cell, cell), min(1600.0, extent_m / 2), 3 * cell, 3.4, rng)
+    threshold = np.quantile(base_field, 1.0 - cover)
+    excess = np.clip((base_field - threshold) / (base_field.max() - threshold), 0.0, None)
+    tops = thickness_m * np.minimum(1.0, 1.25 * excess**0.6)
+
+    billow = np.abs(_spectral_noise((up, across, across), (dz, cell, cell), 420.0, 2 * dz, 3.2, rng))
+    z = (np.arange(up, dtype=np.float32) + 0.5) * dz
+    # Billows bite deeper into the sides and tops than into the base, which condensation keeps flat.
+    bite = thickness_m * 0.22 * billow * (0.25 + 0.75 * z / thickness_m)[:, None, None]
+    depth = tops[None] - z[:, None, None] - bite
+    rise = np.clip(depth / (1.5 * dz), 0.0, 1.0)
+    profile = ((z + 0.5 * dz) / thickness_m) ** (2.0 / 3.0)
+    extinction = (extinction_per_m * rise * profile[:, None, None]).astype(np.float32)
+    half = extent_m / 2.0
+    return CloudGrid(
+        extinction_per_m=extinction,
+        low_m=(centre_m[0] - half, centre_m[1] - half, base_m),
+        high_m=(centre_m[0] + half, centre_m[1] + half, base_m + thickness_m),
+    )

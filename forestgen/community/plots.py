@@ -1,0 +1,137 @@
+"""Pictures of a community: the map of its circles (Lane 2002, Figure 4.5, left) and its curves in time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.community.model import Site
+from forestgen.community.population import Population, Status
+from forestgen.community.statistics import count_by_species, cover_by_species
+from forestgen.core.errors import OutputError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+HERB, DECIDUOUS, CONIFER = "#D6409F", "#F08C00", "#14532D"  # apart in lightness too, for the colour-blind and in grey
+_OTHERS = ("#0072B2", "#56B4E9", "#7A5195", "#8C564B", "#666666")
+_DPI = 160
+
+
+def _colour(species_colours: Mapping[str, str], names: Sequence[str]) -> dict[str, str]:
+    """A colour for each species: the given one, else the next of a palette."""
+    rest = iter(_OTHERS * (1 + len(names) // len(_OTHERS)))
+    return {name: species_colours[name] if name in species_colours else next(rest) for name in names}
+
+
+def _figure(width_in: float, height_in: float) -> Figure:
+    # Late, for matplotlib takes half a second; a Figure without pyplot keeps no global state and draws with Agg.
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width_in, height_in), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def _save(figure: Figure, path: Path) -> None:
+    try:
+        # Without the name of the library's version the same picture has the same bytes.
+        figure.savefig(path, format="png", dpi=_DPI, metadata={"Software": None})
+    except OSError as error:
+        raise OutputError("the picture cannot be written", where=str(path), got=str(error)) from error
+
+
+def _draw_circles(axes: Axes, population: Population, site: Site, colours: Mapping[str, str], repeat: bool) -> None:
+    """Small circles above large ones, so that none is hidden; with `repeat`, also those that reach over an edge."""
+    from matplotlib.collections import EllipseCollection
+    from matplotlib.colors import to_rgba
+
+    alive = np.flatnonzero(population.status != Status.DEAD)
+    order = alive[np.argsort(-population.radius_m[alive], kind="stable")]
+    xy, r = population.position_m[order, :2], population.radius_m[order]
+    rgba = np.array([to_rgba(colours[name]) for name in population.species_names]).reshape(-1, 4)
+    fill, edge = rgba[population.species[order]], rgba[population.species[order]]
+    fill[:, 3] = 0.55
+    edge[:, :3] *= 0.7
+    shifts = [(a, b) for a in (-1, 0, 1) for b in (-1, 0, 1)] if repeat else [(0, 0)]
+    width, height = site.size_m
+    index, offsets = [], []
+    for a, b in shifts:
+        moved = xy + np.array([a * width, b * height])
+        seen = np.all((moved + r[:, None] > 0) & (moved - r[:, None] < (width, height)), axis=1)
+        index.append(np.flatnonzero(seen))
+        offsets.append(moved[seen])
+    pick, where = np.concatenate(index), np.concatenate(offsets)
+    drawn = np.argsort(pick, kind="stable")
+    pick, where = pick[drawn], where[drawn]
+    axes.add_collection(
+        EllipseCollection(
+            2 * r[pick], 2 * r[pick], np.zeros(len(pick)), units="xy", offsets=where, offset_transform=axes.transData,
+            facecolors=fill[pick], edgecolors=edge[pick], linewidths=0.4,
+        )
+    )  # fmt: skip
+
+
+def plot_map(
+    population: Population,
+    site: Site,
+    species_colours: Mapping[str, str],
+    path: Path,
+    *,
+    periodic: bool = True,
+) -> None:
+    """Circles of all living plants to scale, as a PNG; `periodic` repeats those that reach over an edge."""
+    from matplotlib.lines import Line2D
+
+    colours = _colour(species_colours, population.species_names)
+    width, height = site.size_m
+    longest = max(width, height)
+    figure = _figure(1.2 + 6.3 * max(width / longest, 0.4), 1.7 + 6.3 * max(height / longest, 0.1))
+    axes = figure.add_subplot(aspect="equal", xlim=(0, width), ylim=(0, height), facecolor="#FAF8F3")
+    axes.set(xlabel="x, east (m)", ylabel="y, north (m)")
+    axes.set_title(f"{population.time_yr:g} years, {len(population):,} plants", fontsize=12)
+    _draw_circles(axes, population, site, colours, periodic)
+    counts = count_by_species(population)
+    handles = [
+        Line2D([], [], ls="", marker="o", ms=9, mfc=(colour, 0.55), mec=colour, label=f"{name} ({counts[name]:,})")
+        for name, colour in colours.items()
+    ]
+    figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False, fontsize=11)
+    _save(figure, path)
+
+
+def _draw_curves(
+    axes: Axes, time_yr: NDArray[np.float64], values: Mapping[str, NDArray[np.float64]], colours: Mapping[str, str]
+) -> None:
+    styles = ("-", "--", "-.", ":")  # a second cue beside colour
+    for k, (name, colour) in enumerate(colours.items()):
+        axes.plot(time_yr, values[name], color=colour, ls=styles[k % len(styles)], lw=1.8, label=name)
+    if len(time_yr) > 1 and time_yr[-1] > time_yr[0]:
+        axes.set_xlim(time_yr[0], time_yr[-1])
+    axes.set_ylim(bottom=0)
+    axes.grid(color="#DDDDDD", lw=0.6)
+    axes.spines[["top", "right"]].set_visible(False)
+
+
+def plot_curves(history: Sequence[Population], site: Site, species_colours: Mapping[str, str], path: Path) -> None:
+    """Number of plants, and share of the ground, of each species in time, as a PNG."""
+    if not history:
+        raise ValueError("curves need at least one snapshot")
+    names = history[0].species_names
+    colours = _colour(species_colours, names)
+    time_yr = np.array([one.time_yr for one in history])
+    counts, cover = ([count_by_species(one) for one in history], [cover_by_species(one, site) for one in history])
+    figure = _figure(7.5, 6.5)
+    above, below = figure.subplots(2, 1, sharex=True)
+    _draw_curves(above, time_yr, {name: np.array([one[name] for one in counts], float) for name in names}, colours)
+    _draw_curves(below, time_yr, {name: np.array([100 * one[name] for one in cover]) for name in names}, colours)
+    above.set(ylabel="plants")
+    below.set(ylabel="ground under undominated plants (%)", xlabel="time (years)")
+    above.legend(frameon=False, fontsize=10, ncols=3, loc="lower right", bbox_to_anchor=(1, 1))
+    _save(figure, path)

@@ -1,0 +1,58 @@
+"""The contract between a community model and everything after it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class Status(IntEnum):
+    """State of a plant in its community. The numbers are written to files: never renumber."""
+
+    GROWING = 0
+    DOMINATED = 1
+    MATURE = 2
+    DEAD = 3
+
+
+@dataclass(frozen=True)
+class Population:
+    """A snapshot of a community: one row a plant, sorted by plant_id.
+
+    A plant_id is stable for the plant's life, never reused, never 0.
+    """
+
+    time_yr: float
+    species_names: tuple[str, ...]  # species index -> name in the recipe
+    plant_id: NDArray[np.uint32]  # (N,)
+    species: NDArray[np.uint16]  # (N,) index into species_names
+    position_m: NDArray[np.float64]  # (N, 3) metres, world; z is 0 until the scene puts plants on its terrain
+    radius_m: NDArray[np.float64]  # (N,) radius of the ecological neighbourhood
+    height_m: NDArray[np.float64]  # (N,)
+    age_yr: NDArray[np.float64]  # (N,)
+    status: NDArray[np.uint8]  # (N,) Status
+    columns: Mapping[str, NDArray[Any]] = field(default_factory=dict)  # (N,) each, a model's own
+
+    def __post_init__(self) -> None:
+        n = len(self.plant_id)
+        shapes = {
+            "species": (n,),
+            "position_m": (n, 3),
+            "radius_m": (n,),
+            "height_m": (n,),
+            "age_yr": (n,),
+            "status": (n,),
+        }
+        for name, shape in shapes.items():
+            if getattr(self, name).shape != shape:
+                raise ValueError(f"{name} must have shape {shape}, got {getattr(self, name).shape}")
+        if n and (self.plant_id[0] == 0 or np.any(np.diff(self.plant_id.astype(np.int64)) <= 0)):
+            raise ValueError("plant_id must be positive, unique and sorted")
+
+    def __len__(self) -> int:
+        return len(self.plant_id)

@@ -1,0 +1,79 @@
+"""Errors meant for people.
+
+    ForestgenError            exit code 1
+    ├── RecipeError           2   the recipe or a command's argument is wrong
+    ├── AssetError            2   a file that the recipe names is missing or unreadable
+    ├── ResourceError         3   this machine lacks memory or a library for the task
+    ├── OutputError           4   a result cannot be written
+    └── RenderError           5   the renderer failed
+
+Every message says where, what was expected, what was got, and what to do. A KeyboardInterrupt is not an error of
+ours: the command line turns it into exit code 130.
+"""
+
+from __future__ import annotations
+
+
+class ForestgenError(Exception):
+    """Base of all errors that a user can cause and mend.
+
+    Parameters
+    ----------
+    problem : one sentence: what is wrong.
+    where : file, line and key, such as ``stand.yaml:12: site.size_m``.
+    expected, got : what a valid value looks like, and the value found.
+    hint : what to do about it.
+    """
+
+    exit_code = 1
+
+    def __init__(
+        self,
+        problem: str,
+        *,
+        where: str | None = None,
+        expected: str | None = None,
+        got: str | None = None,
+        hint: str | None = None,
+    ) -> None:
+        self.problem = problem
+        self.where = where
+        self.expected = expected
+        self.got = got
+        self.hint = hint
+        super().__init__(str(self))
+
+    def __str__(self) -> str:
+        head = f"{self.where}: {self.problem}" if self.where else self.problem
+        rows = [("expected", self.expected), ("got", self.got), ("try", self.hint)]
+        return "\n".join([head, *(f"  {name:<9} {text}" for name, text in rows if text)])
+
+
+class RecipeError(ForestgenError):
+    """The recipe, an override or a command's argument is wrong."""
+
+    exit_code = 2
+
+
+class AssetError(ForestgenError):
+    """A file that the recipe names is missing or unreadable."""
+
+    exit_code = 2
+
+
+class ResourceError(ForestgenError):
+    """This machine lacks the memory or the library that the task needs."""
+
+    exit_code = 3
+
+
+class OutputError(ForestgenError):
+    """A result cannot be written."""
+
+    exit_code = 4
+
+
+class RenderError(ForestgenError):
+    """The renderer failed."""
+
+    exit_code = 5

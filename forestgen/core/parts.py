@@ -1,0 +1,21 @@
+"""Parts of the world that a label can name. The numbers are written to files: never renumber."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+
+class Part(IntEnum):
+    """What a surface is. 0 is nothing: the sky."""
+
+    NOTHING = 0
+    GROUND = 1
+    TRUNK = 2
+    BRANCH = 3
+    LEAF = 4
+    FLOWER = 5
+    FRUIT = 6
+    DEAD_WOOD = 7
+    LITTER = 8
+    ROCK = 9
+    WATER = 10

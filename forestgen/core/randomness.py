@@ -1,0 +1,32 @@
+"""Randomness derived from identity.
+
+A stream of random numbers belongs to a thing (a simulation step, a plant, an image), not to a moment: it is derived
+from the root seed and the thing's name, so the order of calls and the number of workers cannot change a result.
+"""
+
+from __future__ import annotations
+
+import hashlib
+
+import numpy as np
+
+
+def _digest(root_seed: int, identity: tuple[str | int, ...]) -> bytes:
+    # repr() keeps 1 and "1", and ("a", "b") and ("ab",), apart.
+    text = repr((int(root_seed), *identity))
+    return hashlib.blake2b(text.encode(), digest_size=16).digest()
+
+
+def child_rng(root_seed: int, *identity: str | int) -> np.random.Generator:
+    """Generator of the thing named by `identity`, such as ``child_rng(7, "plant", 1234)``.
+
+    NumPy integers count as Python integers of the same value.
+    """
+    plain = tuple(part if isinstance(part, str) else int(part) for part in identity)
+    return np.random.Generator(np.random.PCG64(int.from_bytes(_digest(root_seed, plain), "little")))
+
+
+def child_seed(root_seed: int, *identity: str | int) -> int:
+    """Seed in [0, 2^31) for a library that takes an integer (the renderer's samplers, k-means)."""
+    plain = tuple(part if isinstance(part, str) else int(part) for part in identity)
+    return int.from_bytes(_digest(root_seed, plain)[:4], "little") >> 1

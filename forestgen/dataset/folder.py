@@ -1,0 +1,220 @@
+"""The folder of a run: it appears whole, or not at all.
+
+Files are staged in a hidden folder beside the target, ``.NAME.partial-HOST-PID-RANDOM``, and renamed into place when
+all are written. On any failure, Ctrl-C included, the staging folder goes and what was there before stays. A process
+that was killed leaves its staging folder behind; the next run to the same target clears it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+import secrets
+import shutil
+from pathlib import Path
+from types import TracebackType
+
+from forestgen.core.errors import OutputError
+from forestgen.dataset.files import STORAGE_ERRNOS, output_error
+from forestgen.dataset.manifest import is_run_folder
+
+_LONGEST_STEM = 160  # bytes: leaves room for the suffix in a file system's usual 255
+
+
+class OutputFolder:
+    """Context manager that gives the path of a staging folder and puts it in place on success.
+
+    Parameters
+    ----------
+    target : the run's folder, absent, empty, or a previous run's.
+    overwrite : replace a previous run's folder. No other folder is ever replaced.
+    required_bytes : an estimate of what will be written, checked against the disk's free space.
+
+    Raises
+    ------
+    OutputError
+        On entry, before anything is computed, when the target cannot be used; later when writing fails.
+    """
+
+    def __init__(self, target: Path | str, *, overwrite: bool = False, required_bytes: int = 0) -> None:
+        self.target = Path(target)
+        self.overwrite = overwrite
+        self.required_bytes = required_bytes
+        self._final = self.target
+        self._staging: Path | None = None
+        self._made_parents: list[Path] = []
+
+    def __enter__(self) -> Path:
+        try:
+            self._final = self.target.resolve()  # a link to a folder stays a link: what it points at is replaced
+            _clear_leftovers(self._final)
+            self._check_target()
+            self._make_parents()
+            self._check_space()
+            staging = self._final.parent / _hidden_name(self._final, "partial")
+            self._staging = staging
+            staging.mkdir()
+        except BaseException as error:
+            self._discard()
+            if isinstance(error, OSError | RuntimeError):  # resolve() of looping links raises RuntimeError
+                raise self._as_output_error(error) from error
+            raise
+        return staging
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        if error is None:
+            try:
+                self._commit()
+            except BaseException as failure:
+                self._discard()
+                if isinstance(failure, OSError):
+                    raise self._as_output_error(failure) from failure
+                raise
+            return
+        self._discard()
+        if isinstance(error, OSError) and self._is_about_output(error):
+            raise self._as_output_error(error) from error
+        if isinstance(error, OutputError) and error.where is not None and self._staging is not None:
+            known = error.where.replace(str(self._staging), str(self.target))
+            if known != error.where:  # name the folder that the user asked for, not the hidden one
+                raise OutputError(
+                    error.problem, where=known, expected=error.expected, got=error.got, hint=error.hint
+                ) from error
+
+    def _check_target(self) -> None:
+        target = self._final
+        if not _exists(target):
+            return
+        if not target.is_dir():
+            raise OutputError(
+                "the output is a file", where=str(self.target), expected="a folder", hint="choose another name"
+            )
+        if not any(target.iterdir()):
+            return
+        if not is_run_folder(target):
+            raise OutputError(
+                "the folder is not empty and holds no forestgen output",
+                where=str(self.target),
+                expected="a new or empty folder, or a previous forestgen output",
+                hint="choose another folder; forestgen replaces only its own, with --overwrite",
+            )
+        if not self.overwrite:
+            raise OutputError(
+                "the folder already holds a forestgen output",
+                where=str(self.target),
+                hint="choose another folder, or --overwrite to replace it",
+            )
+
+    def _make_parents(self) -> None:
+        missing = []
+        parent = self._final.parent
+        while not _exists(parent):
+            missing.append(parent)
+            parent = parent.parent
+        for folder in reversed(missing):
+            folder.mkdir()
+            self._made_parents.append(folder)
+
+    def _check_space(self) -> None:
+        free = shutil.disk_usage(self._final.parent).free
+        if free < self.required_bytes:
+            raise OutputError(
+                "too little free disk space",
+                where=str(self._final.parent),
+                expected=f"{self.required_bytes / 1e6:,.0f} MB",
+                got=f"{free / 1e6:,.0f} MB",
+                hint="free some space, choose a folder on another disk, or make fewer or smaller images",
+            )
+
+    def _commit(self) -> None:
+        """Rename the staging folder into place; a folder that was there steps aside until that has worked."""
+        assert self._staging is not None
+        self._check_target()  # another process may have written there meanwhile
+        if not self._final.exists():
+            self._staging.rename(self._final)
+            return
+        aside = self._final.parent / _hidden_name(self._final, "replaced")
+        try:
+            self._final.rename(aside)
+            self._staging.rename(self._final)
+        except BaseException:
+            if aside.exists() and not self._final.exists():
+                aside.rename(self._final)
+            raise
+        shutil.rmtree(aside, ignore_errors=True)  # what stays is cleared by the next run
+
+    def _discard(self) -> None:
+        """Remove the staging folder, and the parents that were made for it and are empty."""
+        if self._staging is not None:
+            shutil.rmtree(self._staging, ignore_errors=True)
+        for folder in reversed(self._made_parents):
+            try:
+                folder.rmdir()
+            except OSError:
+                break
+
+    def _is_about_output(self, error: OSError) -> bool:
+        """An error on a path is ours if the path is in the staging folder; one without a path if storage failed."""
+        if isinstance(error.filename, str | os.PathLike) and self._staging is not None:
+            return Path(error.filename).is_relative_to(self._staging)
+        return error.errno in STORAGE_ERRNOS
+
+    def _as_output_error(self, error: OSError | RuntimeError) -> OutputError:
+        if not isinstance(error, OSError):
+            return OutputError(f"cannot write: {error}", where=str(self.target), hint="choose another folder")
+        staging = self._staging
+        if staging is not None and isinstance(error.filename, str | os.PathLike):
+            path = Path(error.filename)
+            if path.is_relative_to(staging):  # the name that the user knows
+                return output_error(error, self.target / path.relative_to(staging))
+        return output_error(error, self.target)
+
+
+def _exists(path: Path) -> bool:
+    """Whether there is anything, a broken link included; a path that cannot be asked for raises `OSError`."""
+    try:
+        os.lstat(path)
+    except FileNotFoundError:
+        return False
+    return True
+
+
+def _stem(target: Path) -> str:
+    """Start of the hidden names beside `target`, the same in every process, within a file name's length."""
+    name = target.name
+    if len(os.fsencode(name)) > _LONGEST_STEM:
+        name = f"{name[:32]}~{hashlib.sha256(os.fsencode(name)).hexdigest()[:16]}"
+    return f".{name}."
+
+
+def _host() -> str:
+    """A token of this machine: a process id means something only there."""
+    return hashlib.sha256(platform.node().encode()).hexdigest()[:8]
+
+
+def _hidden_name(target: Path, kind: str) -> str:
+    return f"{_stem(target)}{kind}-{_host()}-{os.getpid()}-{secrets.token_hex(4)}"
+
+
+def _clear_leftovers(target: Path) -> None:
+    """Remove staging folders of dead processes, and finish what a process killed while replacing had begun."""
+    import psutil
+
+    if not _exists(target.parent):
+        return
+    stem = _stem(target)
+    for path in sorted(target.parent.iterdir()):
+        kind, _, rest = path.name.removeprefix(stem).partition("-")
+        host, _, rest = rest.partition("-")
+        pid = rest.partition("-")[0]
+        if not path.name.startswith(stem) or kind not in ("partial", "replaced") or host != _host():
+            continue
+        if not pid.isdecimal() or psutil.pid_exists(int(pid)):
+            continue
+        if kind == "replaced" and not target.exists():
+            path.rename(target)
+        else:
+            shutil.rmtree(path, ignore_errors=True)

@@ -1,0 +1,120 @@
+"""The PNG files of a frame: preview, overlay, instance and semantic masks. No dates in them."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.core.errors import OutputError
+from forestgen.dataset.files import write_bytes
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+COMPRESS_LEVEL = 4
+MAX_PNG_ID = (1 << 24) - 1
+_TINT = 0.42  # share of a plant's own colour inside its mask
+_SKY_RGB, _GROUND_RGB = (110, 160, 220), (122, 96, 70)
+
+
+def write_rgb(path: Path, picture: NDArray[np.uint8]) -> None:
+    """Write an (H, W, 3) uint8 sRGB picture."""
+    from PIL import Image
+
+    _save(path, Image.fromarray(np.ascontiguousarray(picture)))
+
+
+def write_instance(path: Path, instance: NDArray[np.uint32]) -> None:
+    """Write plant ids as colours, id = R + 256 G + 65536 B, as COCO panoptic does.
+
+    Raises
+    ------
+    OutputError
+        When an id does not fit 24 bits.
+    """
+    largest = int(instance.max(initial=0))
+    if largest > MAX_PNG_ID:
+        raise OutputError(
+            "a plant_id does not fit the 24 bits of an instance PNG",
+            where=str(path),
+            expected=f"ids up to {MAX_PNG_ID}",
+            got=str(largest),
+            hint="read ids from frame.exr, which holds 32 bits, and leave the PNG out",
+        )
+    write_rgb(path, np.stack([(instance >> shift) & 0xFF for shift in (0, 8, 16)], axis=-1).astype(np.uint8))
+
+
+def read_instance(path: Path) -> NDArray[np.uint32]:
+    """(H, W) uint32 plant ids of an instance PNG."""
+    from PIL import Image
+
+    with Image.open(path) as image:
+        rgb = np.asarray(image.convert("RGB")).astype(np.uint32)
+    return np.asarray(rgb[..., 0] | (rgb[..., 1] << 8) | (rgb[..., 2] << 16), dtype=np.uint32)
+
+
+def write_semantic(path: Path, semantic: NDArray[np.uint8], class_names: Sequence[str]) -> None:
+    """Write (H, W) uint8 classes as a palette PNG: pixel values are class numbers, shown in `class_palette`."""
+    from PIL import Image
+
+    image = Image.fromarray(np.ascontiguousarray(semantic))
+    image.putpalette(class_palette(len(class_names)).tobytes())
+    _save(path, image)
+
+
+def class_palette(classes: int) -> NDArray[np.uint8]:
+    """(classes, 3) uint8 sRGB: sky blue, ground brown, then a colour a species, far apart in hue."""
+    species = np.arange(max(0, classes - 2))
+    hue = (0.28 + species * 0.61803398875) % 1.0
+    colours = _rgb_from_hsv(hue, 0.75 - 0.15 * (species % 3), 0.95 - 0.2 * (species % 2))
+    return np.concatenate([np.array([_SKY_RGB, _GROUND_RGB], dtype=np.uint8), colours])[:classes]
+
+
+def plant_colours(plant_id: NDArray[np.uint32]) -> NDArray[np.uint8]:
+    """(..., 3) uint8 colour of each id: the same in every image, distinct for neighbouring ids."""
+    mixed = plant_id.astype(np.uint32) * np.uint32(2654435769)  # 2^32 / golden ratio: equidistributed hues
+    hue = mixed.astype(np.float64) / 2.0**32
+    return _rgb_from_hsv(hue, 0.6 + 0.1 * (plant_id % 4), 1.0 - 0.12 * ((plant_id >> 2) % 3))
+
+
+def overlay(preview: NDArray[np.uint8], instance: NDArray[np.uint32]) -> NDArray[np.uint8]:
+    """(H, W, 3) uint8: the preview with each plant tinted in its colour and thinly outlined."""
+    ids, index = np.unique(instance, return_inverse=True)
+    colour = plant_colours(ids)[index.reshape(instance.shape)].astype(np.float32)
+    tinted = preview * np.float32(1.0 - _TINT) + colour * np.float32(_TINT)
+    edge = _outline(instance)
+    tinted[edge] = colour[edge]
+    return np.where((instance != 0)[..., None], np.rint(tinted), preview).astype(np.uint8)
+
+
+def _outline(instance: NDArray[np.uint32]) -> NDArray[np.bool_]:
+    """Pixels whose right or lower neighbour, or for plants against no plant any neighbour, is another's."""
+    edge = np.zeros(instance.shape, dtype=bool)
+    for axis in (0, 1):
+        a = instance[:-1] if axis == 0 else instance[:, :-1]
+        b = instance[1:] if axis == 0 else instance[:, 1:]
+        differs = a != b
+        first, second = (edge[:-1], edge[1:]) if axis == 0 else (edge[:, :-1], edge[:, 1:])
+        first |= differs & (a != 0)
+        second |= differs & (a == 0)
+    return edge
+
+
+def _rgb_from_hsv(
+    hue: NDArray[np.floating], saturation: NDArray[np.floating], value: NDArray[np.floating]
+) -> NDArray[np.uint8]:
+    phase = (hue[..., None] * 6.0 + np.array([5.0, 3.0, 1.0])) % 6.0
+    drop = np.minimum(phase, 4.0 - phase).clip(0.0, 1.0)
+    rgb = value[..., None] * (1.0 - saturation[..., None] * drop)
+    return np.asarray(np.rint(rgb * 255.0), dtype=np.uint8)
+
+
+def _save(path: Path, image: Image) -> None:
+    buffer = io.BytesIO()
+    image.save(buffer, format="PNG", compress_level=COMPRESS_LEVEL)
+    write_bytes(path, buffer.getvalue())

@@ -1,0 +1,150 @@
+"""The stages, one after another.
+
+    recipe -> community -> plants -> scene -> render -> labels -> dataset
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from forestgen.community.population import Population
+from forestgen.core.progress import Progress
+from forestgen.core.timing import Timings
+from forestgen.dataset.coco import FrameRecord
+from forestgen.dataset.folder import OutputFolder
+from forestgen.dataset.manifest import build_manifest, write_manifest
+from forestgen.dataset.writer import frame_bytes, frame_folder_name, write_dataset, write_frame
+from forestgen.recipe.load import LoadedRecipe, dump_yaml
+from forestgen.scene.exemplars import SizeError
+from forestgen.stages.community import final_population, snapshots
+from forestgen.stages.frames import render_frame
+from forestgen.stages.plan import Plan, check_memory, check_plan, make_plan
+from forestgen.stages.scene import BuiltScene, build_scene
+
+_GUESSED_PLANTS = 5000  # a frame's rows, for the disk space to ask for
+
+
+@dataclass
+class RunSummary:
+    """What a run made, for people."""
+
+    folder: Path
+    frames: int = 0
+    plants: int = 0
+    visible_plants: int = 0
+    size_errors: list[SizeError] = field(default_factory=list)
+    counts: dict[str, int] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+    timings_s: dict[str, float] = field(default_factory=dict)
+    total_s: float = 0.0
+
+
+def render(
+    loaded: LoadedRecipe, target: Path, *, overwrite: bool = False, progress: Progress, timings: Timings
+) -> RunSummary:
+    """Make all images of a recipe and write them, with their labels, into the folder `target`.
+
+    The folder appears when everything in it is complete, or not at all.
+    """
+    plan = check_plan(loaded)
+    summary = RunSummary(target)
+    frames: list[FrameRecord] = []
+    seeds: list[int] = []
+    with OutputFolder(target, overwrite=overwrite, required_bytes=_disk_bytes(loaded, plan)) as folder:
+        for index in range(loaded.images):
+            plan = make_plan(loaded.draw(index))
+            check_memory(plan)
+            seeds.append(plan.drawn.image_seed)
+            frames += _render_image(plan, loaded, folder, summary, progress, timings)
+        with timings("write"):
+            write_dataset(folder, frames, list(plan.drawn.species))
+        summary.timings_s, summary.total_s = dict(timings.seconds), timings.total()
+        write_manifest(folder, _manifest(folder, loaded, seeds, summary))
+    return summary
+
+
+def _render_image(
+    plan: Plan, loaded: LoadedRecipe, folder: Path, summary: RunSummary, progress: Progress, timings: Timings
+) -> list[FrameRecord]:
+    """One drawn recipe: its community, its scene, and a frame of each camera."""
+    with timings("community"):
+        population = final_population(plan, progress)
+    built = build_scene(plan, population, progress, timings)
+    records = []
+    for camera in built.spec.cameras:
+        frame = render_frame(built.spec, camera, plan.drawn.recipe, plan.drawn.image_seed, progress, timings)
+        with timings("write"):
+            record = write_frame(
+                folder / frame_folder_name(plan.drawn.image_index, camera.name),
+                frame,
+                built.population,
+                list(plan.drawn.species),
+                dump_yaml(plan.drawn),
+                {"recipe_hash": loaded.hash, "seed": str(loaded.seed), "image_seed": str(plan.drawn.image_seed)},
+            )
+        records.append(record)
+        _account(summary, record, built)
+    return records
+
+
+def simulate(
+    loaded: LoadedRecipe,
+    target: Path,
+    *,
+    map_steps: Sequence[int] = (),
+    overwrite: bool = False,
+    progress: Progress,
+    timings: Timings,
+) -> RunSummary:
+    """Simulate the community of a recipe's first image: its history, maps at some steps (by default the last), curves."""
+    from forestgen.stages.history import write_community
+
+    plan = check_plan(loaded, simulate_only=True)
+    summary = RunSummary(target)
+    with OutputFolder(target, overwrite=overwrite) as folder:
+        with timings("community"):
+            last = write_community(folder, plan, snapshots(plan, progress), map_steps)
+        summary.plants, summary.counts = len(last), _counts(last)
+        summary.timings_s, summary.total_s = dict(timings.seconds), timings.total()
+        write_manifest(folder, _manifest(folder, loaded, [plan.drawn.image_seed], summary))
+    return summary
+
+
+def _disk_bytes(loaded: LoadedRecipe, plan: Plan) -> int:
+    sizes = [frame_bytes(camera.size_px, _GUESSED_PLANTS) for camera in plan.drawn.recipe.cameras]
+    return loaded.images * sum(sizes)
+
+
+def _counts(population: Population) -> dict[str, int]:
+    return {name: int((population.species == index).sum()) for index, name in enumerate(population.species_names)}
+
+
+def _account(summary: RunSummary, record: FrameRecord, built: BuiltScene) -> None:
+    summary.frames += 1
+    summary.plants, summary.counts = len(built.population), _counts(built.population)
+    summary.visible_plants = len(record.annotations)
+    summary.size_errors = built.size_errors
+    if not len(built.population):
+        summary.notes.append(f"{record.folder_name}: no plant grows on the site; the image shows bare ground")
+    elif not record.annotations:
+        summary.notes.append(f"{record.folder_name}: the camera sees no plant")
+
+
+def _manifest(folder: Path, loaded: LoadedRecipe, seeds: list[int], summary: RunSummary) -> dict[str, Any]:
+    extra = {
+        "size_errors": [asdict(error) for error in summary.size_errors],
+        "counts": summary.counts,
+        "notes": summary.notes,
+        "total_s": summary.total_s,
+    }
+    return build_manifest(
+        folder,
+        recipe_hash=loaded.hash,
+        root_seed=loaded.seed,
+        image_seeds=seeds,
+        timings_s=summary.timings_s,
+        extra=extra,
+    )

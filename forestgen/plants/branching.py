@@ -1,0 +1,176 @@
+"""Axes of one order, grown side by side: Lane's L-system 6.1 as a loop over internodes, not over branches."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.geometry.vectors import any_perpendicular, rotate, unit
+from forestgen.plants.curves import Points, evaluate
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+_UP = np.array([0.0, 0.0, 1.0])
+_LAST_INTERNODE = 0.4  # a rest shorter than this share of an internode joins the one before it
+_WANDER_MEMORY = 0.6  # correlation of one internode's turn with the turn before
+
+
+class OrderRules(Protocol):
+    """The functions of one branch order; `Order` in generators/silhouette.py documents each."""
+
+    @property
+    def longest_m(self) -> float: ...
+    @property
+    def internode_m(self) -> Points: ...
+    @property
+    def internode_jitter(self) -> float: ...
+    @property
+    def upturn_deg_per_m(self) -> Points: ...
+    @property
+    def wander_deg(self) -> float: ...
+    @property
+    def branch_angle_deg(self) -> Points: ...
+    @property
+    def branch_angle_jitter_deg(self) -> float: ...
+    @property
+    def branches_per_node(self) -> int: ...
+    @property
+    def nodes_per_whorl(self) -> int: ...
+    @property
+    def phyllotaxis_deg(self) -> float: ...
+    @property
+    def phyllotaxis_jitter_deg(self) -> float: ...
+    @property
+    def planar(self) -> bool: ...
+
+
+@dataclass(frozen=True)
+class Shoots:
+    """A axes that are about to grow."""
+
+    start_m: Floats  # (A, 3)
+    direction: Floats  # (A, 3) unit
+    length_m: Floats  # (A,)
+    parent: Ints  # (A,) skeleton node that bears the axis
+
+
+@dataclass(frozen=True)
+class Grown:
+    """N nodes of A axes, axis after axis, base to tip. A node's internode is the one that ends in it."""
+
+    axis: Ints  # (N,) axis, 0 .. A-1
+    step: Ints  # (N,) internodes before this one on its axis
+    position_m: Floats  # (N, 3)
+    direction: Floats  # (N, 3) unit, of the internode
+    remaining_m: Floats  # (N,) length from the node to the axis' tip
+    relative: Floats  # (N,) s / max_len[o] at the node: branch mapping's coordinate
+    first: Ints  # (A,) each axis' first node
+
+
+def grow(shoots: Shoots, rules: OrderRules, rng: np.random.Generator) -> Grown:
+    """Production 1 of L-system 6.1, applied to all axes of an order at once.
+
+    An axis of length l starts at s = longest - l, so a short axis is the top of a longer one.
+    """
+    count = len(shoots.length_m)
+    s = rules.longest_m - shoots.length_m
+    position, direction = shoots.start_m.copy(), shoots.direction.copy()
+    turn = np.zeros((count, 3))
+    active = np.arange(count)
+    rows: list[tuple[Ints, int, Floats, Floats, Floats]] = []
+    while len(active):
+        step = _internodes(s[active], rules, rng)
+        turn[active] = _WANDER_MEMORY * turn[active] + rng.normal(size=(len(active), 3))
+        direction[active] = _bend(direction[active], turn[active], step, s[active], rules)
+        position[active] += direction[active] * step[:, None]
+        s[active] += step
+        rows.append((active, len(rows), position[active], direction[active], s[active]))
+        active = active[s[active] < rules.longest_m - 1e-9]
+    return _by_axis(rows, count, rules.longest_m)
+
+
+def _internodes(s: Floats, rules: OrderRules, rng: np.random.Generator) -> Floats:
+    length = evaluate(rules.internode_m, np.clip(s / rules.longest_m, 0.0, 1.0))
+    length = length * np.exp(rules.internode_jitter * rng.normal(size=len(s)))
+    rest = rules.longest_m - s
+    return np.where(rest - length < _LAST_INTERNODE * length, rest, length)
+
+
+def _bend(direction: Floats, turn: Floats, step: Floats, s: Floats, rules: OrderRules) -> Floats:
+    """Turn towards the sky (or, for a negative upturn, the ground) as a torque does, and wander."""
+    rate = evaluate(rules.upturn_deg_per_m, np.clip(s / rules.longest_m, 0.0, 1.0))
+    lever = np.cross(direction, _UP)
+    sine = np.linalg.norm(lever, axis=1)
+    angle = np.clip(np.radians(rate) * step * sine, -0.5, 0.5)
+    bent = rotate(direction, unit(lever), angle)
+    side = turn - np.sum(turn * bent, axis=1, keepdims=True) * bent
+    return unit(bent + np.radians(rules.wander_deg) * np.sqrt(step)[:, None] * side)
+
+
+def _by_axis(rows: list[tuple[Ints, int, Floats, Floats, Floats]], count: int, longest_m: float) -> Grown:
+    if not rows:
+        none = np.zeros(0, dtype=np.int64)
+        return Grown(none, none, np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0), none)
+    axis = np.concatenate([row[0] for row in rows])
+    step = np.concatenate([np.full(len(row[0]), row[1]) for row in rows])
+    order = np.lexsort((step, axis))
+    s = np.concatenate([row[4] for row in rows])[order]
+    return Grown(
+        axis=axis[order],
+        step=step[order],
+        position_m=np.concatenate([row[2] for row in rows])[order],
+        direction=np.concatenate([row[3] for row in rows])[order],
+        remaining_m=np.maximum(longest_m - s, 0.0),
+        relative=np.clip(s / longest_m, 0.0, 1.0),
+        first=np.searchsorted(axis[order], np.arange(count)),
+    )
+
+
+@dataclass(frozen=True)
+class Sites:
+    """M places where lateral branches may start."""
+
+    node: Ints  # (M,) node of `Grown`
+    direction: Floats  # (M, 3) unit
+    angle_rad: Floats  # (M,) from the bearing axis
+    in_whorl: NDArray[np.bool_]  # (M,) False for the single branches between whorls
+
+
+def lateral_sites(grown: Grown, rules: OrderRules, rng: np.random.Generator) -> Sites:
+    """Directions of the branches of every node but the tips: branch_ang(o, rel) and phyllo_ang[o]."""
+    axes = len(grown.first)
+    phase = rng.uniform(0.0, 2.0 * np.pi, axes)
+    if rules.planar:
+        phase = np.where(phase > np.pi, np.pi, 0.0)
+    whorl = grown.step % rules.nodes_per_whorl == 0
+    inner = grown.remaining_m > 1e-9
+    per_node = np.where(inner, np.where(whorl, rules.branches_per_node, 1), 0)
+    node = np.repeat(np.arange(len(grown.axis)), per_node)
+    rank = np.arange(len(node)) - np.repeat(np.cumsum(per_node) - per_node, per_node)
+    azimuth = (
+        phase[grown.axis[node]]
+        + np.radians(rules.phyllotaxis_deg) * grown.step[node]
+        + 2.0 * np.pi * rank / np.maximum(per_node[node], 1)
+        + np.radians(rules.phyllotaxis_jitter_deg) * rng.normal(size=len(node))
+    )
+    angle = np.radians(
+        evaluate(rules.branch_angle_deg, grown.relative[node])
+        + rules.branch_angle_jitter_deg * rng.normal(size=len(node))
+    )
+    direction = around(grown.direction[node], azimuth, angle)
+    return Sites(node, direction, angle, whorl[node])
+
+
+def around(axis: Floats, azimuth_rad: Floats, angle_rad: Floats) -> Floats:
+    """(M, 3) unit directions at `angle_rad` from `axis`, turned about it from the horizontal by `azimuth_rad`."""
+    side = np.cross(axis, _UP)
+    steep = np.linalg.norm(side, axis=1) < 0.2
+    side[steep] = np.cross(axis[steep], [0.0, 1.0, 0.0])
+    side = np.where(np.linalg.norm(side, axis=1, keepdims=True) > 1e-9, unit(side), any_perpendicular(axis))
+    other = np.cross(axis, side)
+    radial = np.cos(azimuth_rad)[:, None] * side + np.sin(azimuth_rad)[:, None] * other
+    return unit(np.cos(angle_rad)[:, None] * axis + np.sin(angle_rad)[:, None] * radial)

@@ -1,0 +1,83 @@
+"""One exemplar: a plant of a species at a community radius, grown and meshed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Protocol
+
+import numpy as np
+
+from forestgen.core.errors import RecipeError
+from forestgen.plants.exemplar import Exemplar, OrganMesh
+from forestgen.plants.meshing import organ_meshes
+from forestgen.plants.registry import GENERATORS
+
+
+class Power(Protocol):
+    """y = scale * r^exponent."""
+
+    @property
+    def scale(self) -> float: ...
+    @property
+    def exponent(self) -> float: ...
+
+
+class Allometry(Protocol):
+    """Height and width of a plant from its community radius."""
+
+    @property
+    def height_m(self) -> Power: ...
+    @property
+    def width_m(self) -> Power: ...
+
+
+class Species(Protocol):
+    """What this module needs of a species' file."""
+
+    @property
+    def allometry(self) -> Allometry: ...
+    @property
+    def materials(self) -> Mapping[str, object]: ...
+
+
+def size_m(species: Species, radius_m: float) -> tuple[float, float]:
+    """Height and width of a plant of a species: H = A_H r^c_H, W = A_W r^c_W (Lane 2002, chapter 6)."""
+    height, width = species.allometry.height_m, species.allometry.width_m
+    return height.scale * radius_m**height.exponent, width.scale * radius_m**width.exponent
+
+
+def build_exemplar(
+    species_name: str, species: Species, generator_parameters: Any, radius_m: float, rng: np.random.Generator
+) -> Exemplar:
+    """Grow and mesh one plant.
+
+    Parameters
+    ----------
+    generator_parameters : the generator's own `Parameters`; their `generator` names it in `GENERATORS`.
+    radius_m : community radius.
+    """
+    height_m, width_m = size_m(species, radius_m)
+    skeleton = GENERATORS.load(generator_parameters.generator).grow(generator_parameters, height_m, width_m, rng)
+    trunk = generator_parameters.trunk
+    organs = organ_meshes(
+        skeleton, generator_parameters.shapes, trunk.material, trunk.branch_material or trunk.material, trunk.flare
+    )
+    _check_materials(species_name, organs, species.materials)
+    low, high = _box(organs)
+    return Exemplar(species_name, organs, radius_m, float(high[2]), float(np.mean((high - low)[:2])))
+
+
+def _box(organs: tuple[OrganMesh, ...]) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
+    low = np.min([organ.mesh.vertices_m.min(axis=0) for organ in organs], axis=0)
+    return low, np.max([organ.mesh.vertices_m.max(axis=0) for organ in organs], axis=0)
+
+
+def _check_materials(species_name: str, organs: tuple[OrganMesh, ...], materials: Mapping[str, object]) -> None:
+    for organ in organs:
+        if organ.material not in materials:
+            raise RecipeError(
+                "the plant names a material that the species does not have",
+                where=f"species {species_name}: plant",
+                expected="one of " + ", ".join(materials),
+                got=repr(organ.material),
+            )

@@ -1,0 +1,42 @@
+"""The contract between plants and scene: one plant's geometry, ready to be instanced."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.core.parts import Part
+from forestgen.geometry.mesh import Mesh
+
+
+@dataclass(frozen=True)
+class OrganMesh:
+    """All surfaces of one part and one material."""
+
+    part: Part
+    material: str  # key into the species' materials
+    mesh: Mesh
+
+
+@dataclass(frozen=True)
+class Exemplar:
+    """Geometry of one plant in its own frame: origin at the stem base, z up, metres."""
+
+    species: str
+    organs: tuple[OrganMesh, ...]
+    radius_m: float  # community radius that it was grown for
+    height_m: float  # top of its geometry
+    crown_width_m: float  # mean of its geometry's extents in x and y
+
+    @property
+    def triangles(self) -> int:
+        return sum(organ.mesh.triangles for organ in self.organs)
+
+    def bounds_m(self) -> NDArray[np.float64]:
+        """(2, 3) lowest and highest corner."""
+        corners = [organ.mesh.vertices_m for organ in self.organs if len(organ.mesh.vertices_m)]
+        low = np.min([c.min(axis=0) for c in corners], axis=0)
+        high = np.max([c.max(axis=0) for c in corners], axis=0)
+        return np.stack([low, high]).astype(np.float64)

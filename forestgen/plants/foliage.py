@@ -1,0 +1,185 @@
+"""Leaves, needles and flowers: what they look like and where they sit on a skeleton."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from forestgen.core.parts import Part
+from forestgen.geometry import blades
+from forestgen.geometry.mesh import Mesh
+from forestgen.geometry.vectors import rotate, unit
+from forestgen.plants.branching import around
+from forestgen.plants.curves import Curve, evaluate, evaluate_one
+from forestgen.plants.skeleton import OrganPlacements, Skeleton
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+_UP = np.array([0.0, 0.0, 1.0])
+_DEEPEST_SEAT_M = 0.008  # an organ's foot sits on the bark, but no further than this from the axis
+_PARTS = {"leaf": Part.LEAF, "flower": Part.FLOWER, "fruit": Part.FRUIT}
+
+
+class OrganShape(BaseModel):
+    """The form of one kind of organ."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    form: Literal["round_deltoid", "lanceolate", "needle_shoot", "four_petals", "bud"] = Field(
+        description="outline, see geometry/blades.py"
+    )
+    part: Literal["leaf", "flower", "fruit"] = Field("leaf", description="the label of its surface")
+    material: str = Field(description="name of one of the species' materials")
+    length_m: float = Field(gt=0, description="length of the blade, petal or bud without its stalk, metres")
+    width_m: float = Field(gt=0, description="greatest width, metres")
+    stalk_m: float = Field(0.0, ge=0, description="length of the stalk, metres")
+    fold_deg: float = Field(0.0, ge=0, lt=80, description="rise of each half above the midrib, degrees")
+    curl_deg: float = Field(0.0, description="bend of the tip below the foot's direction, degrees")
+    opening_deg: float = Field(60.0, description="petals' angle from the stalk, degrees")
+    pairs: int = Field(4, ge=1, description="needle tufts on each side of a shoot")
+
+    def template(self) -> Mesh:
+        """The organ in its own frame: foot at the origin, y along it, z its upper side, metres."""
+        size = (self.length_m, self.width_m)
+        match self.form:
+            case "round_deltoid":
+                return blades.round_deltoid(*size, self.stalk_m, self.fold_deg, self.curl_deg)
+            case "lanceolate":
+                return blades.lanceolate(*size, self.stalk_m, self.fold_deg, self.curl_deg)
+            case "needle_shoot":
+                return blades.needle_shoot(*size, self.pairs)
+            case "four_petals":
+                return blades.four_petals(*size, self.stalk_m, self.opening_deg)
+            case "bud":
+                return blades.bud(*size, self.stalk_m)
+
+    @property
+    def label(self) -> Part:
+        return _PARTS[self.part]
+
+
+class Foliage(BaseModel):
+    """Where organs of one shape sit: at even steps along the axes, from each axis' tip towards its base."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    shape: str = Field(description="name of an organ shape")
+    orders: tuple[int, ...] = Field(description="branch orders that bear it; 0 is the stem")
+    spacing_m: float = Field(gt=0, description="distance between neighbours along the axis, metres")
+    within_m: float = Field(1e3, gt=0, description="no further than this from the axis' tip, metres")
+    zone: tuple[float, float] = Field((0.0, 1.0), description="part of the axis that bears it: 0 base, 1 tip")
+    divergence_deg: float = Field(137.5, description="turn about the axis from one organ to the next, degrees")
+    turn_jitter_deg: float = Field(12.0, ge=0, description="standard deviation of that turn, degrees")
+    planar: bool = Field(False, description="the first organ stands out horizontally, not at a random turn")
+    angle_deg: Curve = Field(((0.0, 60.0),), description="angle from the axis over the zone, degrees")
+    angle_jitter_deg: float = Field(0.0, ge=0, description="standard deviation of that angle, degrees")
+    droop_deg: Curve = Field(((0.0, 0.0),), description="turn towards the ground over the zone, degrees")
+    roll_jitter_deg: float = Field(0.0, ge=0, description="standard deviation of the turn about its midrib, degrees")
+    facing: Literal["up", "axis"] = Field("up", description="upper side turned to the sky or along the axis")
+    size: Curve = Field(((0.0, 1.0),), description="factor on the shape's size over the zone")
+    size_jitter: float = Field(0.0, ge=0, lt=0.5, description="standard deviation of the size, as a share")
+    size_by_height: Curve = Field(
+        ((0.0, 1.0),), description="factor on size and spacing over the plant's height in metres"
+    )
+    spacing_by_height: Curve = Field(
+        ((0.0, 1.0),), description="one more factor on the spacing, over the plant's height in metres"
+    )
+    terminal: bool = Field(False, description="one more at the very tip, along the axis")
+    missing: float = Field(0.0, ge=0, lt=1, description="share of places left empty")
+
+
+def place(rule: Foliage, skeleton: Skeleton, height_m: float, rng: np.random.Generator) -> OrganPlacements:
+    """Frames of all organs of one rule on a skeleton."""
+    growth = evaluate_one(rule.size_by_height, height_m)
+    axes = _Axes(skeleton, rule.orders)
+    spacing_m = rule.spacing_m * growth * evaluate_one(rule.spacing_by_height, height_m)
+    axis, distance, share, rank = _stations(rule, axes, spacing_m)
+    keep = rng.random(len(axis)) >= rule.missing
+    axis, distance, share, rank = axis[keep], distance[keep], share[keep], rank[keep]
+    node, foot, tangent = axes.at(axis, distance)
+    phase = rng.uniform(0.0, 2.0 * np.pi, len(axes.length))[axis]
+    azimuth = np.where(rule.planar, np.round(phase / (2.0 * np.pi)) * np.pi, phase)
+    azimuth = (
+        azimuth + np.radians(rule.divergence_deg) * rank + np.radians(rule.turn_jitter_deg) * rng.normal(size=len(axis))
+    )
+    angle = np.radians(evaluate(rule.angle_deg, share) + rule.angle_jitter_deg * rng.normal(size=len(axis)))
+    angle = np.where(rank < 0, 0.0, angle)
+    along = _droop(around(tangent, azimuth, angle), np.radians(evaluate(rule.droop_deg, share)))
+    radius = np.minimum(skeleton.radius_m[node].astype(np.float64), _DEEPEST_SEAT_M)
+    seat = along - np.sum(along * tangent, axis=1, keepdims=True) * tangent
+    foot = foot + 0.7 * radius[:, None] * unit(seat)
+    size = growth * evaluate(rule.size, share) * np.clip(1 + rule.size_jitter * rng.normal(size=len(axis)), 0.4, 1.6)
+    roll = np.radians(rule.roll_jitter_deg) * rng.normal(size=len(axis))
+    upper = np.broadcast_to(_UP, tangent.shape) if rule.facing == "up" else tangent
+    frame = _frames(foot, along, upper, roll, size)
+    return OrganPlacements(rule.shape, frame.astype(np.float32), node.astype(np.int32))
+
+
+class _Axes:
+    """Arc length along the axes of some orders of a skeleton."""
+
+    def __init__(self, skeleton: Skeleton, orders: tuple[int, ...]) -> None:
+        parent = np.maximum(skeleton.parent, 0)
+        self.end = skeleton.position_m.astype(np.float64)
+        self.start = self.end[parent]
+        segment = np.linalg.norm(self.end - self.start, axis=1)
+        total = np.cumsum(segment)
+        first = np.flatnonzero(np.diff(skeleton.axis, prepend=-1))
+        last = np.append(first[1:], len(parent)) - 1
+        chosen = np.isin(skeleton.order[first], orders)
+        self.segment, self.total = segment, total
+        self.begin = (total[first] - segment[first])[chosen]
+        self.length = total[last][chosen] - self.begin
+        self.hidden = np.where(parent[first] == first, 0.0, skeleton.radius_m[parent[first]])[chosen]
+        self.first, self.last = first[chosen], last[chosen]
+
+    def at(self, axis: Ints, distance_m: Floats) -> tuple[Ints, Floats, Floats]:
+        """Node whose segment holds the point `distance_m` from the base of `axis`, the point, the unit tangent."""
+        place = self.begin[axis] + distance_m
+        node = np.clip(np.searchsorted(self.total, place), self.first[axis], self.last[axis])
+        node = np.where(self.segment[node] > 0.0, node, np.minimum(node + 1, self.last[axis]))
+        way = self.end[node] - self.start[node]
+        share = (place - self.total[node] + self.segment[node]) / np.maximum(self.segment[node], 1e-12)
+        return node, self.start[node] + np.clip(share, 0.0, 1.0)[:, None] * way, unit(way)
+
+
+def _stations(rule: Foliage, axes: _Axes, spacing_m: float) -> tuple[Ints, Floats, Floats, Ints]:
+    """Axis, distance from its base, position within the zone, rank from the tip (-1: terminal) of every organ."""
+    top = axes.length * rule.zone[1]
+    bottom = np.maximum(axes.length * rule.zone[0], axes.length - rule.within_m)
+    bottom = np.maximum(bottom, axes.hidden)
+    room = top - bottom
+    count = np.where(room > 0.0, np.floor(room / spacing_m + 0.5).astype(np.int64), 0)
+    axis = np.repeat(np.arange(len(room)), count)
+    rank = np.arange(len(axis)) - np.repeat(np.cumsum(count) - count, count)
+    distance = top[axis] - (rank + 0.35) * spacing_m
+    distance = np.maximum(distance, bottom[axis])
+    share = (distance - bottom[axis]) / np.maximum(room[axis], 1e-12)
+    if rule.terminal:
+        every = np.flatnonzero(axes.length > axes.hidden)
+        axis = np.concatenate([axis, every])
+        rank = np.concatenate([rank, np.full(len(every), -1)])
+        distance = np.concatenate([distance, axes.length[every]])
+        share = np.concatenate([share, np.ones(len(every))])
+    return axis, distance, share, rank
+
+
+def _droop(along: Floats, angle_rad: Floats) -> Floats:
+    lever = np.cross(along, -_UP)
+    return rotate(along, unit(lever), angle_rad * np.linalg.norm(lever, axis=1))
+
+
+def _frames(foot: Floats, along: Floats, upper: Floats, roll_rad: Floats, size: Floats) -> Floats:
+    """(M, 3, 4) right-handed frames: y = along, z = upper made perpendicular and rolled about y."""
+    across = np.cross(along, upper)
+    weak = np.linalg.norm(across, axis=1) < 1e-3
+    across[weak] = np.cross(along[weak], [0.6, 0.8, 0.0])
+    weak = np.linalg.norm(across, axis=1) < 1e-3
+    across[weak] = np.cross(along[weak], [0.8, -0.6, 0.0])
+    across = rotate(unit(across), along, roll_rad)
+    linear = np.stack([across, along, np.cross(across, along)], axis=-1) * size[:, None, None]
+    return np.concatenate([linear, foot[:, :, None]], axis=2)

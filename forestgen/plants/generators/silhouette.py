@@ -1,0 +1,303 @@
+"""Silhouette plants: Lane's L-system 6.1 with branch mapping.
+
+Reference
+---------
+Lane, B. (2002). Models of plant communities for image synthesis. MSc thesis, University of Calgary, chapter 6,
+L-system 6.1; after Prusinkiewicz, P., Mündermann, L., Karwowski, R., Lane, B. (2001). The use of positional
+information in the modeling of plants. SIGGRAPH 2001, 289-300.
+
+Equations
+---------
+::
+
+    Axiom: A(0, 0)
+    A(o, s) : o < MAX_ORDER and s < max_len[o] { rel = s / max_len[o] }
+        -> #(int_width(o, rel)) F(int_len(o, rel))
+           [ +(branch_ang(o, rel)) A(o+1, max_len[o+1] - branch_len(o, rel)) ]
+           /(phyllo_ang[o]) A(o, s + int_len(o, rel))
+    A(o, s) : s >= max_len[o] -> ~K
+
+A(o, s) is a branch of order o and length max_len[o] - s, so that short branches are the tops of longer ones. Height
+H = A_H r^c_H and width W = A_W r^c_W come from the caller.
+
+Parameters
+----------
+================== =========================== ====== =========== ========================================
+name               symbol                      unit   default     meaning
+================== =========================== ====== =========== ========================================
+silhouette         shape of branch_len(0, .)   -      ellipsoid   ellipsoid, ovoid, cone or column
+crown_base         -                           share  0.3         crown's lower end over the plant's height
+trunk              int_width(0, .), stems      -      -           see `Trunk`
+orders[o]          the functions below         -      -           see `Order`; MAX_ORDER is their number
+.longest_m         max_len[o]                  m      -           length of the longest branch
+.internode_m       int_len(o, rel)             m      -           internode
+.diameter_m        int_width(o, rel)           m      0.01        diameter, orders 1 and up
+.branch_angle_deg  branch_ang(o, rel)          degree 50          angle of a branch from the bearing axis
+.branch_length     branch_len(o, rel)          share  0.5         of max_len[o+1]; order 0: of the silhouette's
+.phyllotaxis_deg   phyllo_ang[o]               degree 137.5       turn from one node to the next
+shapes, foliage    K                           -      -           what organs look like, where they sit
+================== =========================== ====== =========== ========================================
+
+Recipe
+------
+::
+
+    plant:
+      generator: silhouette
+      silhouette: ovoid
+      crown_base: [[1, 0.1], [20, 0.38]]           # position: height of the plant in metres
+      trunk: {diameter_ratio: 0.013, material: bark}
+      orders:
+        - {longest_m: 24, internode_m: [[0, 0.3], [1, 0.08]], branch_angle_deg: [[0, 75], [1, 40]]}
+        - {longest_m: 2.6, internode_m: 0.2, diameter_m: [[0, 0.05], [1, 0.003]]}
+      shapes: {leaf: {form: round_deltoid, material: leaf, length_m: 0.07, width_m: 0.07}}
+      foliage: [{shape: leaf, orders: [0, 1], spacing_m: 0.05, within_m: 0.4}]
+
+Decisions
+---------
+- max_len[0] in rel is the species' tallest stem, not this plant's height: branch mapping holds for the stem too, so
+  a sapling is the top of a tree and not its miniature. Only the silhouette is relative to the plant's own height.
+- branch_len(0, rel) is the length at which a branch that leaves under branch_ang meets the silhouette.
+- Real branches bend: `upturn_deg_per_m` turns an axis to the sky (or the ground) as a torque, `wander_deg` bends it
+  at random with memory. The grown plant is then stretched, height and width apart, to fit H and W.
+- The tip carries organs by rules of spacing (`Foliage`) rather than one K, since K grows on several internodes.
+"""
+
+from __future__ import annotations
+
+from typing import Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from forestgen.plants.branching import Grown, Shoots, Sites, grow, lateral_sites
+from forestgen.plants.curves import Curve, FallingCurve, evaluate, evaluate_one
+from forestgen.plants.fitting import fit
+from forestgen.plants.foliage import Foliage, OrganShape, place
+from forestgen.plants.skeleton import Skeleton
+
+Floats = NDArray[np.float64]
+
+_STRICT = ConfigDict(frozen=True, extra="forbid")
+_PARENT_SHARE = 0.7  # a branch is at most this share of the radius of the axis that bears it
+Silhouette = Literal["ellipsoid", "ovoid", "cone", "column"]
+
+
+class Trunk(BaseModel):
+    """Stems: axes of order 0, from the ground up."""
+
+    model_config = _STRICT
+
+    diameter_ratio: Curve = Field(((0.0, 0.014),), description="base diameter by height, over the height in metres")
+    taper: FallingCurve = Field(
+        ((0.0, 1.0), (0.9, 0.18), (1.0, 0.02)), description="share of the base diameter over the stem, 0 base, 1 tip"
+    )
+    flare: float = Field(0.35, ge=0, description="widening at the root collar, as a share of the radius")
+    lean_deg: float = Field(1.5, ge=0, description="standard deviation of a single stem's lean at its foot, degrees")
+    stems: Curve = Field(((0.0, 1.0),), description="number of stems over the plant's height in metres")
+    stem_spread_deg: float = Field(8.0, ge=0, description="lean of the further stems of a clump, degrees")
+    material: str = Field(description="name of one of the species' materials")
+    branch_material: str | None = Field(None, description="the same for branches; the trunk's if not given")
+
+
+class Order(BaseModel):
+    """One branch order. Curves run over rel, from 0 at the base of the longest branch to 1 at the tip."""
+
+    model_config = _STRICT
+
+    longest_m: float = Field(gt=0, description="max_len[o]: length of the longest branch, metres")
+    internode_m: Curve = Field(description="int_len(o, rel), metres")
+    internode_jitter: float = Field(0.0, ge=0, description="standard deviation of the internodes' logarithm")
+    diameter_m: FallingCurve = Field(((0.0, 0.01),), description="int_width(o, rel), metres; order 0 has `trunk`")
+    upturn_deg_per_m: Curve = Field(((0.0, 0.0),), description="bend to the sky, of a horizontal axis, degrees/metre")
+    wander_deg: float = Field(0.0, ge=0, description="random bend, degrees per square root of a metre")
+    branch_angle_deg: Curve = Field(((0.0, 50.0),), description="branch_ang(o, rel), degrees from the bearing axis")
+    branch_angle_jitter_deg: float = Field(0.0, ge=0, description="standard deviation of that angle, degrees")
+    branch_length: Curve = Field(
+        ((0.0, 1.0),), description="branch_len(o, rel): share of max_len[o+1]; order 0: of the silhouette's length"
+    )
+    branch_length_jitter: float = Field(0.0, ge=0, lt=0.5, description="standard deviation of that length, as a share")
+    shortest_m: float = Field(0.05, gt=0, description="a branch on this axis that would be shorter does not grow")
+    branches_per_node: int = Field(1, ge=0, description="branches of a whorl")
+    nodes_per_whorl: int = Field(1, ge=1, description="a whorl every so many nodes; one branch on those between")
+    between_length: float = Field(1.0, gt=0, le=1, description="length of the branches between whorls, as a share")
+    missing: float = Field(0.0, ge=0, lt=1, description="share of branches that failed")
+    phyllotaxis_deg: float = Field(137.5, description="phyllo_ang[o]: turn from one node to the next, degrees")
+    phyllotaxis_jitter_deg: float = Field(0.0, ge=0, description="standard deviation of that turn, degrees")
+    planar: bool = Field(False, description="the first branch stands out horizontally: with 180 degrees, flat sprays")
+
+
+class Parameters(BaseModel):
+    """The `plant:` block of a species' file."""
+
+    model_config = _STRICT
+
+    generator: Literal["silhouette"] = "silhouette"
+    silhouette: Silhouette = Field("ellipsoid", description="form of the crown")
+    crown_base: Curve = Field(
+        ((0.0, 0.3),), description="crown's lower end, share of height, over the height in metres"
+    )
+    trunk: Trunk
+    orders: tuple[Order, ...] = Field(min_length=1, max_length=4, description="the stem, its branches, and so on")
+    shapes: dict[str, OrganShape] = Field(description="forms of the organs, by name")
+    foliage: tuple[Foliage, ...] = Field(description="where organs sit")
+
+    @model_validator(mode="after")
+    def _names(self) -> Self:
+        for rule in self.foliage:
+            if rule.shape not in self.shapes:
+                raise ValueError(f"foliage names the shape {rule.shape!r}; there are: {', '.join(self.shapes)}")
+        return self
+
+
+def envelope(silhouette: Silhouette, height: Floats) -> Floats:
+    """Crown radius as a share of the greatest, at a height within the crown, 0 its base and 1 its top; 0 outside."""
+    u = np.clip(height, 0.0, 1.0)
+    match silhouette:
+        case "ellipsoid":
+            form = np.sqrt(np.maximum(1.0 - (2.0 * u - 1.0) ** 2, 0.0))
+        case "ovoid":  # an ellipsoid with its widest part at 38% and a blunter foot
+            form = np.sqrt(np.maximum(1.0 - (2.0 * u**0.716 - 1.0) ** 2, 0.0)) ** 0.85
+        case "cone":
+            form = np.minimum(1.0, 0.7 + 3.0 * u) * (1.0 - u) ** 0.92 / 0.907
+        case "column":
+            form = np.minimum(1.0, np.minimum(0.6 + 4.0 * u, np.sqrt(np.maximum(1.0 - u, 0.0) * 5.0)))
+    return np.asarray(np.where((height < 0.0) | (height > 1.0), 0.0, form), dtype=np.float64)
+
+
+def silhouette_length(
+    silhouette: Silhouette, foot: Floats, angle_rad: Floats, crown_m: float, width_m: float
+) -> Floats:
+    """(M,) length of straight branches from the axis of the crown to its silhouette, metres.
+
+    Parameters
+    ----------
+    foot : (M,) height of the branch's foot within the crown, 0 its base and 1 its top.
+    angle_rad : (M,) from the vertical.
+    crown_m, width_m : height and width of the crown.
+    """
+    sine, cosine = np.maximum(np.sin(angle_rad), 0.15), np.cos(angle_rad)
+    share = np.linspace(0.0, 1.0, 65)[1:]
+    farthest = 0.5 * width_m / sine
+    outward = share * (0.5 * width_m)
+    height = foot[:, None] + share * (farthest * cosine / crown_m)[:, None]
+    inside = outward <= 0.5 * width_m * envelope(silhouette, height)
+    reached = np.where(np.all(inside, axis=1), len(share), np.argmin(inside, axis=1))
+    return np.asarray(np.where(foot < 0.0, 0.0, farthest * (reached / len(share))), dtype=np.float64)
+
+
+_Parameters = Parameters  # the generator's attribute hides the name
+
+
+class _Assembly:
+    """Nodes of a skeleton, collected order by order."""
+
+    def __init__(self) -> None:
+        self.size = 1
+        self.axes = 0
+        self.parent = [np.array([-1])]
+        self.position = [np.zeros((1, 3))]
+        self.radius = [np.zeros(1)]
+        self.order = [np.zeros(1, np.int64)]
+        self.axis = [np.zeros(1, np.int64)]
+
+    def add(self, order: int, grown: Grown, shoots: Shoots, radius_m: Floats) -> Floats:
+        """Append the axes of an order; returns the (N,) skeleton indices of their nodes."""
+        index = self.size + np.arange(len(grown.axis))
+        parent = index - 1
+        parent[grown.first] = shoots.parent
+        self.parent.append(parent)
+        self.position.append(grown.position_m)
+        self.radius.append(radius_m)
+        self.order.append(np.full(len(index), order))
+        self.axis.append(self.axes + grown.axis)
+        self.size += len(index)
+        self.axes += len(grown.first)
+        return index
+
+    def skeleton(self) -> Skeleton:
+        return Skeleton(
+            parent=np.concatenate(self.parent).astype(np.int32),
+            position_m=np.concatenate(self.position).astype(np.float32),
+            radius_m=np.concatenate(self.radius).astype(np.float32),
+            order=np.concatenate(self.order).astype(np.uint8),
+            axis=np.concatenate(self.axis).astype(np.int32),
+        )
+
+
+class SilhouetteGenerator:
+    """Grows plants by L-system 6.1."""
+
+    Parameters = Parameters  # the class that a recipe's `plant` block is checked against
+
+    def grow(self, parameters: _Parameters, height_m: float, width_m: float, rng: np.random.Generator) -> Skeleton:
+        """One plant, its top at `height_m` and its mean horizontal extent `width_m`, organs placed."""
+        skeleton = grow_wood(parameters, height_m, width_m, rng)
+        organs = tuple(place(rule, skeleton, height_m, rng) for rule in parameters.foliage)
+        templates = {name: shape.template() for name, shape in parameters.shapes.items()}
+        return fit(skeleton, organs, templates, height_m, width_m)
+
+
+def grow_wood(parameters: Parameters, height_m: float, width_m: float, rng: np.random.Generator) -> Skeleton:
+    """Stems and branches, before the fit."""
+    assembly = _Assembly()
+    trunk, orders = parameters.trunk, parameters.orders
+    shoots = _stems(trunk, height_m, rng)
+    grown = grow(shoots, orders[0], rng)
+    base = 0.5 * height_m * evaluate_one(trunk.diameter_ratio, height_m) * (shoots.length_m / height_m)
+    radius = base[grown.axis] * evaluate(trunk.taper, 1.0 - grown.remaining_m / shoots.length_m[grown.axis])
+    assembly.radius[0][:] = base[0]
+    index = assembly.add(0, grown, shoots, radius)
+    for order in range(1, len(orders)):
+        rules = orders[order - 1]
+        sites = lateral_sites(grown, rules, rng)
+        if order == 1:
+            full = _crown_length(parameters, grown, shoots, sites, height_m, width_m)
+        else:
+            full = np.full(len(sites.node), orders[order].longest_m)
+        length = _branch_length(rules, grown, sites, full, rng)
+        chosen = (length >= rules.shortest_m) & (rng.random(len(length)) >= rules.missing)
+        node = sites.node[chosen]
+        shoots = Shoots(grown.position_m[node], sites.direction[chosen], length[chosen], index[node])
+        cap = _PARENT_SHARE * radius[node]
+        grown = grow(shoots, orders[order], rng)
+        radius = _branch_radius(orders[order], grown, shoots, cap)
+        index = assembly.add(order, grown, shoots, radius)
+    return assembly.skeleton()
+
+
+def _stems(trunk: Trunk, height_m: float, rng: np.random.Generator) -> Shoots:
+    count = max(1, round(evaluate_one(trunk.stems, height_m)))
+    azimuth = rng.uniform(0.0, 2.0 * np.pi) + 2.0 * np.pi * (np.arange(count) + 0.25 * rng.normal(size=count)) / count
+    lean = np.radians(np.abs(trunk.lean_deg * rng.normal(size=count)))
+    lean[1:] += np.radians(trunk.stem_spread_deg) * rng.uniform(0.6, 1.3, count - 1)
+    direction = np.stack([np.sin(lean) * np.cos(azimuth), np.sin(lean) * np.sin(azimuth), np.cos(lean)], axis=1)
+    length = height_m * np.concatenate([[1.0], rng.uniform(0.7, 0.95, count - 1)])
+    return Shoots(np.zeros((count, 3)), direction, length, np.zeros(count, np.int64))
+
+
+def _crown_length(
+    parameters: Parameters, grown: Grown, stems: Shoots, sites: Sites, height_m: float, width_m: float
+) -> Floats:
+    base = evaluate_one(parameters.crown_base, height_m)
+    height = 1.0 - grown.remaining_m[sites.node] / stems.length_m[grown.axis[sites.node]]
+    foot = (height - base) / (1.0 - base)
+    crown_m = (1.0 - base) * height_m
+    return silhouette_length(parameters.silhouette, foot, sites.angle_rad, crown_m, width_m)
+
+
+def _branch_length(rules: Order, grown: Grown, sites: Sites, full: Floats, rng: np.random.Generator) -> Floats:
+    share = evaluate(rules.branch_length, grown.relative[sites.node])
+    jitter = np.clip(1.0 + rules.branch_length_jitter * rng.normal(size=len(share)), 0.3, 1.4)
+    between = np.where(sites.in_whorl, 1.0, rules.between_length * rng.uniform(0.6, 1.0, len(share)))
+    return full * share * jitter * between
+
+
+def _branch_radius(rules: Order, grown: Grown, shoots: Shoots, cap_m: Floats) -> Floats:
+    radius = 0.5 * evaluate(rules.diameter_m, grown.relative)
+    foot = 0.5 * evaluate(rules.diameter_m, np.clip(1.0 - shoots.length_m / rules.longest_m, 0.0, 1.0))
+    return radius * np.minimum(1.0, cap_m / np.maximum(foot, 1e-9))[grown.axis]
+
+
+GENERATOR = SilhouetteGenerator()

@@ -1,0 +1,37 @@
+"""The contract between a plant generator and the mesher."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class OrganPlacements:
+    """Leaves, needles or flowers of one shape, placed on a skeleton."""
+
+    shape: str  # name of an organ shape in the species' file
+    frame: NDArray[np.float32]  # (M, 3, 4) organ frame -> plant frame: y along the blade, z its upper side, metres
+    node: NDArray[np.int32]  # (M,) the node that bears it
+
+
+@dataclass(frozen=True)
+class Skeleton:
+    """A plant as polylines with thickness: node i ends the segment from parent[i] to i. Parents precede children."""
+
+    parent: NDArray[np.int32]  # (N,) index, -1 for the root
+    position_m: NDArray[np.float32]  # (N, 3) metres, plant frame: origin at the stem base, z up
+    radius_m: NDArray[np.float32]  # (N,)
+    order: NDArray[np.uint8]  # (N,) 0 trunk, 1 its branches, ...
+    axis: NDArray[np.int32]  # (N,) nodes of one axis share its number; consecutive nodes of an axis are chained
+    organs: tuple[OrganPlacements, ...] = ()
+
+    def __post_init__(self) -> None:
+        n = len(self.parent)
+        for name, shape in {"position_m": (n, 3), "radius_m": (n,), "order": (n,), "axis": (n,)}.items():
+            if getattr(self, name).shape != shape:
+                raise ValueError(f"{name} must have shape {shape}, got {getattr(self, name).shape}")
+        if n and (self.parent[0] != -1 or np.any(self.parent >= np.arange(n))):
+            raise ValueError("parents must precede children, and node 0 must be the root")

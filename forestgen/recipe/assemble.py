@@ -1,0 +1,137 @@
+"""From what a recipe's author wrote to one plain, complete-but-for-defaults mapping: shorthands, overrides, species."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+from forestgen.core.errors import AssetError, RecipeError
+from forestgen.recipe.assets import find_asset
+from forestgen.recipe.distributions import is_distribution
+from forestgen.recipe.sources import Keys, Place, SourceMap, dotted
+from forestgen.recipe.yaml_source import parse_yaml, read_yaml
+
+SHORTHANDS: dict[Keys, str] = {("site", "terrain"): "kind", ("sky", "clouds"): "type"}
+OPTIONAL: tuple[Keys, ...] = (("site",), ("plants",), ("sky",), ("cameras",), ("render",), ("labels",), ("sky", "sun"))
+
+
+def spell_out(data: dict[str, Any]) -> None:
+    """Replace shorthands in place: ``terrain: flat``, ``spruce:``; an optional section left empty is left out."""
+    for keys in (*OPTIONAL, *SHORTHANDS):
+        parent = data if len(keys) == 1 else data.get(str(keys[0]))
+        key = str(keys[-1])
+        if not isinstance(parent, dict) or key not in parent:
+            continue
+        if parent[key] is None:
+            del parent[key]
+        elif keys in SHORTHANDS and isinstance(parent[key], str):
+            parent[key] = {SHORTHANDS[keys]: parent[key]}
+    species = data.get("species")
+    if isinstance(species, dict) and not is_distribution(species):
+        for name, entry in species.items():
+            if entry is None or isinstance(entry, str):
+                species[name] = {"from": name if entry is None else entry}
+
+
+def apply_override(data: dict[str, Any], sources: SourceMap, text: str) -> None:
+    """Set one ``key.path=value`` of the command line in place; the value is YAML, a list's entry goes by its number."""
+    path, equals, written = text.partition("=")
+    place = Place(f"--set {text}" if len(text) <= 100 else f"--set {text[:97]}...")
+    parts = path.strip().split(".")
+    if not equals or not all(parts):
+        raise RecipeError(
+            "not an override", where=str(place), expected="key.path=value", hint="--set site.size_m=[80,80]"
+        )
+    value, value_sources = parse_yaml(written, str(place), lines=False)
+    container: Any = data
+    keys: Keys = ()
+    for part, following in pairwise(parts):
+        key = _step(container, part, keys, place)
+        keys = (*keys, key)
+        if container[key] is None:
+            container[key] = [] if following == "0" else {}
+            sources.set(keys, place)
+        container = container[key]
+    key = _step(container, parts[-1], keys, place)
+    keys = (*keys, key)
+    container[key] = value
+    sources.drop(keys)
+    sources.take(value_sources, (), keys)
+
+
+def _step(container: Any, part: str, keys: Keys, place: Place) -> str | int:
+    """The key or index that `part` means in `container`; a new one is made, holding None."""
+    if isinstance(container, dict):
+        container.setdefault(part, None)
+        return part
+    if not isinstance(container, list):
+        got = f"{dotted(keys)} is {container!r:.60}"
+        raise RecipeError(f"there is no key {part!r} here", where=str(place), expected="a key of a mapping", got=got)
+    if not (part.isascii() and part.isdigit() and len(part) < 7 and int(part) <= len(container)):
+        expected = f"a number from 0 to {len(container)}, the next free one"
+        raise RecipeError(f"no such entry of the list {dotted(keys)}", where=str(place), expected=expected, got=part)
+    if int(part) == len(container):
+        container.append(None)
+    return int(part)
+
+
+def merge_species(data: dict[str, Any], sources: SourceMap, folder: Path) -> None:
+    """Replace each ``{from: NAME, ...}`` of the species in place by the file's content under the recipe's overrides."""
+    species = data.get("species")
+    if not isinstance(species, dict) or is_distribution(species):
+        return
+    for name, entry in species.items():
+        if not isinstance(entry, dict) or "from" not in entry:
+            continue
+        keys: Keys = ("species", name)
+        where = sources.where((*keys, "from"))
+        source = entry.pop("from")
+        if not isinstance(source, str):
+            raise RecipeError(
+                "bad value", where=where, expected="the name or path of a species file", got=f"{source!r:.60}"
+            )
+        path = find_asset("species", source, folder=folder, where=where)
+        base, base_sources = read_yaml(path, error=AssetError)
+        recipe_sources = SourceMap()
+        recipe_sources.take(sources, keys, keys)
+        sources.take(base_sources, (), keys)
+        sources.set(keys, recipe_sources.place(keys))
+        species[name] = _merged(
+            _without_other_generator(base, entry, sources, keys), entry, sources, recipe_sources, keys
+        )
+
+
+def _without_other_generator(
+    base: dict[str, Any], override: Mapping[str, Any], sources: SourceMap, keys: Keys
+) -> dict[str, Any]:
+    """`base` less its ``plant`` section if the override chooses another generator: the keys would not fit."""
+    old, new = base.get("plant"), override.get("plant")
+    if not (isinstance(old, dict) and isinstance(new, dict) and "generator" in new):
+        return base
+    if new["generator"] == old.get("generator"):
+        return base
+    sources.drop((*keys, "plant"))
+    return {key: value for key, value in base.items() if key != "plant"}
+
+
+def _merged(base: Any, override: Any, sources: SourceMap, override_sources: SourceMap, keys: Keys) -> Any:
+    """Mappings merge key by key; anything else, a distribution too, is replaced as a whole."""
+    mergeable = isinstance(base, dict) and isinstance(override, dict)
+    if not mergeable or is_distribution(base) or is_distribution(override):
+        sources.drop(keys)
+        sources.take(override_sources, keys, keys)
+        return override
+    result = dict(base)
+    for key, value in override.items():
+        inner = (*keys, key)
+        if key in base:
+            result[key] = _merged(base[key], value, sources, override_sources, inner)
+        else:
+            result[key] = value
+        if inner in override_sources.places:
+            sources.set(inner, override_sources.places[inner])
+        if key not in base:
+            sources.take(override_sources, inner, inner)
+    return result

@@ -1,0 +1,88 @@
+"""Named parts of a recipe: the files under ``scenes/`` and ``recipes/``.
+
+In an installed wheel they lie in ``forestgen/_data``; in a checkout at the repository's root.
+"""
+
+from __future__ import annotations
+
+import difflib
+from pathlib import Path
+
+from forestgen.core.errors import AssetError
+
+PACKAGE = Path(__file__).resolve().parents[1]
+SUFFIX = {"species": ".yaml", "recipes": ".yaml", "terrain": ".yaml", "climate": ".yaml", "lsystems": ".lsys"}
+
+
+def _data_dir(name: str) -> Path:
+    for root in (PACKAGE / "_data", PACKAGE.parent):
+        if (root / name).is_dir():
+            return root / name
+    raise AssetError(
+        f"this installation has no folder {name!r}",
+        expected=f"{PACKAGE / '_data' / name} or {PACKAGE.parent / name}",
+        hint="install forestgen again",
+    )
+
+
+def scenes_dir() -> Path:
+    """Folder of the parts that recipes refer to by name."""
+    return _data_dir("scenes")
+
+
+def recipes_dir() -> Path:
+    """Folder of the complete examples."""
+    return _data_dir("recipes")
+
+
+def _kind_dir(kind: str) -> Path:
+    return recipes_dir() if kind == "recipes" else scenes_dir() / kind
+
+
+def list_assets(kind: str) -> list[str]:
+    """Names of the shipped parts of a kind ("species", "lsystems", ..., "recipes"), sorted."""
+    folder, suffix = _kind_dir(kind), SUFFIX.get(kind)
+    if not folder.is_dir():
+        return []
+    return sorted(p.stem for p in folder.iterdir() if p.is_file() and suffix in (None, p.suffix))
+
+
+def find_asset(kind: str, name: str, *, folder: Path | None = None, where: str | None = None) -> Path:
+    """The file of a named part.
+
+    Parameters
+    ----------
+    kind : "species", "lsystems", "terrain", "climate" or "recipes".
+    name : a shipped part's name; or, with a slash or the kind's suffix, a path relative to `folder`.
+    folder : the recipe's folder; the working directory if None.
+    where : place in the recipe that names the part, for messages.
+
+    Raises
+    ------
+    AssetError : there is no such file; the message lists the parts that exist.
+    """
+    suffix = SUFFIX.get(kind, ".yaml")
+    if "/" in name or "\\" in name or name.endswith((suffix, ".yaml", ".yml")):
+        path = (folder or Path()) / name
+        if not _is_file(path):
+            raise AssetError(f"no such {kind} file", where=where, expected="an existing file", got=str(path))
+        return path
+    names = list_assets(kind)
+    if name not in names:
+        near = difflib.get_close_matches(name, names, n=1)
+        raise AssetError(
+            f"nothing in {kind} has this name",
+            where=where,
+            expected=f"one of {', '.join(names) or '(there are none)'}, or a path such as ./{name or 'name'}{suffix}",
+            got=repr(name),
+            hint=f"did you mean {near[0]!r}?" if near else None,
+        )
+    found = (p for p in sorted(_kind_dir(kind).iterdir()) if p.stem == name and SUFFIX.get(kind) in (None, p.suffix))
+    return next(found)
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except (OSError, ValueError, RuntimeError):  # a name that no file system takes: too long, NUL, unknown ~user
+        return False

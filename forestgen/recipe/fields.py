@@ -1,0 +1,63 @@
+"""Types of the recipe's fields, shared by every section and free for models and generators to use."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, Strict
+from pydantic_core import PydanticCustomError
+
+NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"
+
+
+class Section(BaseModel):
+    """A section of the recipe: frozen, and a key that it does not know is an error."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class OpenSection(BaseModel):
+    """A section that also carries the keys of a model or generator, which checks them itself."""
+
+    model_config = ConfigDict(frozen=True, extra="allow", allow_inf_nan=False)
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """The keys beyond the section's own, as the recipe gives them."""
+        return dict(self.model_extra or {})
+
+
+def mistake(
+    expected: str,
+    *,
+    problem: str = "bad value",
+    got: str | None = None,
+    hint: str | None = None,
+    at: tuple[str | int, ...] = (),
+) -> PydanticCustomError:
+    """Error for a validator to raise; `forestgen.recipe.messages` turns it into a `RecipeError`.
+
+    `at` is the path from the validated value to the one at fault.
+    """
+    context = {"problem": problem, "expected": expected, "got": got, "hint": hint, "at": at}
+    return PydanticCustomError("mistake", "{problem}: expected {expected}", context)
+
+
+def _no_text_for_whole_number(value: Any) -> Any:
+    # Lax integers also take "16" and true; 16.0 is welcome because YAML writes 1e3 as a float.
+    if isinstance(value, bool | str | bytes):
+        raise PydanticCustomError("int_type", "a whole number")
+    return value
+
+
+Number = Annotated[float, Strict(), Field(allow_inf_nan=False)]
+Whole = Annotated[int, BeforeValidator(_no_text_for_whole_number)]
+Flag = Annotated[bool, Strict()]
+Text = Annotated[str, Strict()]
+Name = Annotated[str, Strict(), Field(pattern=NAME_PATTERN)]
+Positive = Annotated[Number, Field(gt=0)]
+NonNegative = Annotated[Number, Field(ge=0)]
+Fraction = Annotated[Number, Field(ge=0, le=1)]
+Coordinate = Annotated[Number, Field(ge=-1e5, le=1e5)]
+Point = tuple[Coordinate, Coordinate, Coordinate]
+Colour = tuple[Fraction, Fraction, Fraction]

@@ -1,0 +1,270 @@
+"""Turns the schema library's complaints into messages for people: where, expected, got, what to do."""
+
+from __future__ import annotations
+
+import difflib
+import types
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, Union, get_args, get_origin
+
+from pydantic import BaseModel, ValidationError
+
+from forestgen.core.errors import RecipeError
+from forestgen.recipe.distributions import KINDS, is_distribution
+from forestgen.recipe.fields import NAME_PATTERN
+from forestgen.recipe.sources import Keys, SourceMap
+
+MOST_SHOWN = 10
+UNDRAWN: tuple[Keys, ...] = (("forestgen",), ("seed",), ("images",), ("first_image",))
+
+_SIMPLE = {
+    "float_type": "a number",
+    "float_parsing": "a number",
+    "int_type": "a whole number",
+    "int_parsing": "a whole number",
+    "int_parsing_size": "a whole number of reasonable size",
+    "int_from_float": "a whole number",
+    "finite_number": "a finite number",
+    "bool_type": "true or false",
+    "bool_parsing": "true or false",
+    "string_type": "text",
+    "list_type": "a list",
+    "tuple_type": "a list",
+    "dict_type": "a mapping of names to values",
+    "model_type": "a mapping of keys to values",
+    "model_attributes_type": "a mapping of keys to values",
+    "none_required": "null",
+}
+_WITH_CONTEXT: dict[str, Callable[[Mapping[str, Any]], str]] = {
+    "greater_than": lambda c: f"a number greater than {c['gt']:g}",
+    "greater_than_equal": lambda c: f"a number of at least {c['ge']:g}",
+    "less_than": lambda c: f"a number less than {c['lt']:g}",
+    "less_than_equal": lambda c: f"a number of at most {c['le']:g}",
+    "multiple_of": lambda c: f"a multiple of {c['multiple_of']:g}",
+    "literal_error": lambda c: f"{c['expected']}",
+    "enum": lambda c: f"{c['expected']}",
+    "too_short": lambda c: f"at least {c['min_length']} {'entry' if c['min_length'] == 1 else 'entries'}",
+    "too_long": lambda c: f"at most {c['max_length']} entries",
+    "string_too_short": lambda c: f"text of at least {c['min_length']} characters",
+    "string_too_long": lambda c: f"text of at most {c['max_length']} characters",
+    "value_error": lambda c: f"{c['error']}",
+    "assertion_error": lambda c: f"{c['error']}",
+}
+_NUMBER_TYPES = {"float_type", "float_parsing", "int_type", "int_parsing", "finite_number"}
+
+
+def show(value: object) -> str:
+    """A value as YAML would have it, on one short line."""
+    text = _yaml(value, 0)
+    return text if len(text) <= 80 else text[:77] + "..."
+
+
+def _yaml(value: object, depth: int) -> str:
+    if value is None:
+        return "null"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, Mapping):
+        inside = ", ".join(f"{k}: {_yaml(v, depth + 1)}" for k, v in list(value.items())[:9]) if depth < 3 else "..."
+        return f"{{{inside}}}"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(_yaml(v, depth + 1) for v in value[:9])}]" if depth < 3 else "[...]"
+    if isinstance(value, int) and abs(value) >= 10**60:
+        return "a whole number of more than 60 digits"
+    return repr(value)[:200]
+
+
+@dataclass(frozen=True)
+class _Finding:
+    where: str
+    problem: str
+    expected: str | None = None
+    got: str | None = None
+    hint: str | None = None
+
+    def error(self) -> RecipeError:
+        return RecipeError(self.problem, where=self.where, expected=self.expected, got=self.got, hint=self.hint)
+
+
+@dataclass(frozen=True)
+class Explainer:
+    """Explains what a model found wrong with data.
+
+    Parameters
+    ----------
+    model : the class that rejected the data.
+    data : what it rejected.
+    sources : where the recipe's keys are.
+    prefix : key path of `data` in the recipe.
+    written : distribution, as written, by key path, of those values that were drawn.
+    """
+
+    model: type[BaseModel]
+    data: Mapping[str, Any]
+    sources: SourceMap
+    prefix: Keys = ()
+    written: Mapping[Keys, Any] | None = None
+
+    def error(self, failure: ValidationError) -> RecipeError:
+        """One error that tells all findings, up to ten."""
+        by_place: dict[tuple[str, str], _Finding] = {}
+        for details in failure.errors(include_url=False):
+            finding = self._finding(details)
+            by_place.setdefault((finding.where, finding.problem), finding)
+        findings = list(by_place.values())
+        if len(findings) == 1:
+            return findings[0].error()
+        texts = [str(finding.error()) for finding in findings[:MOST_SHOWN]]
+        if len(findings) > MOST_SHOWN:
+            texts.append(f"... and {len(findings) - MOST_SHOWN} more")
+        indented = ["\n".join("  " + line for line in text.splitlines()) for text in texts]
+        return RecipeError("\n".join([f"the recipe has {len(findings)} mistakes:", *indented]))
+
+    def _finding(self, details: Any) -> _Finding:
+        kind, value, context = details["type"], details["input"], details.get("ctx", {})
+        keys: Keys = tuple(k for k in details["loc"] if k != "[key]")
+        if kind == "extra_forbidden":
+            return self._unknown_key(keys)
+        if kind in ("missing", "too_long") and self._tuple_length(keys, kind):
+            keys = keys[:-1] if kind == "missing" else keys
+            expected = f"a list of {self._tuple_length(keys, 'too_long')} entries"
+            return self._at(keys, "bad value", expected, show(value))
+        if kind == "missing":
+            return self._missing(keys)
+        keys = self._real(keys)
+        if kind == "mistake":
+            got = context["got"] or show(value)
+            keys += tuple(context["at"])
+            return self._at(keys, context["problem"], context["expected"], got, context["hint"])
+        hint = self._number_hint(keys, value) if kind in _NUMBER_TYPES else None
+        return self._at(keys, "bad value", _expected(kind, context, details["msg"]), show(value), hint)
+
+    def _at(self, keys: Keys, problem: str, expected: str | None, got: str | None, hint: str | None = None) -> _Finding:
+        full = self.prefix + keys
+        for n in range(len(full), 0, -1):
+            written = (self.written or {}).get(full[:n])
+            if written is not None:
+                got, hint = f"{got}, from {show(written)}", hint or _bound_hint(written, expected or "")
+                break
+        return _Finding(self.sources.where(full), problem, expected, got, hint)
+
+    def _missing(self, keys: Keys) -> _Finding:
+        description = None
+        owner = _class_at(self.model, keys[:-1])
+        if owner is not None and str(keys[-1]) in owner.model_fields:
+            description = owner.model_fields[str(keys[-1])].description
+        hint = None
+        if not self.prefix and len(keys) == 3 and keys[0] == "species":
+            hint = "write the whole species, or take it from a file: from: NAME"
+        where = self.sources.where(self.prefix + keys)
+        return _Finding(where, f"the key {keys[-1]!r} is missing", description, None, hint)
+
+    def _unknown_key(self, keys: Keys) -> _Finding:
+        owner = _class_at(self.model, keys[:-1])
+        names = list(owner.model_fields) if owner is not None else []
+        if not self.prefix and len(keys) == 3 and keys[0] == "species":
+            names.append("from")
+        near = difflib.get_close_matches(str(keys[-1]), names, n=1, cutoff=0.5)
+        return _Finding(
+            self.sources.where(self.prefix + keys),
+            f"unknown key {str(keys[-1])!r}",
+            f"one of {', '.join(names)}" if names else "no further key",
+            None,
+            f"did you mean {near[0]!r}?" if near else None,
+        )
+
+    def _tuple_length(self, keys: Keys, kind: str) -> int | None:
+        """Length of the tuple that `keys` names, or names an entry of."""
+        arms = _arms(_annotation_at(self.model, keys[:-1] if kind == "missing" else keys))
+        for arm in arms:
+            arguments = get_args(arm)
+            if get_origin(arm) is tuple and Ellipsis not in arguments:
+                return len(arguments)
+        return None
+
+    def _real(self, keys: Keys) -> Keys:
+        """`keys` without the union's arms that the schema library appends."""
+        value: Any = self.data
+        for n, key in enumerate(keys):
+            inside = isinstance(value, Mapping) and key in value
+            if not inside and not (isinstance(value, list | tuple) and isinstance(key, int) and key < len(value)):
+                # A filled-in default has no data of its own, but its key is still one of the schema's.
+                return keys if _annotation_at(self.model, keys) is not None else keys[:n]
+            value = value[key]
+        return keys
+
+    def _number_hint(self, keys: Keys, value: object) -> str | None:
+        if not isinstance(value, Mapping):
+            return "remove the quotes" if isinstance(value, str) and _is_number(value) else None
+        if self.prefix + keys in UNDRAWN and is_distribution(value):
+            return "this key may not be a distribution"
+        near = [m for key in value for m in difflib.get_close_matches(str(key), KINDS, n=1)]
+        return f"did you mean {{{near[0]}: ...}}?" if near else "a distribution is {uniform: [a, b]}"
+
+
+def _expected(kind: str, context: Mapping[str, Any], message: str) -> str:
+    if kind == "string_pattern_mismatch":
+        if context["pattern"] == NAME_PATTERN:
+            return "a name of 1 to 64 letters, digits, - or _, not beginning with - or _"
+        return f"text that matches {context['pattern']}"
+    if kind in _WITH_CONTEXT:
+        return _WITH_CONTEXT[kind](context)
+    return _SIMPLE.get(kind, message.removeprefix("Input should be "))
+
+
+def _bound_hint(written: Mapping[str, Any], expected: str) -> str | None:
+    kind = next(iter(written))
+    if kind in ("normal", "lognormal"):
+        centre, spread = ("mean", "sd") if kind == "normal" else ("median", "sigma")
+        return f"truncate the distribution: {{{kind}: {{{centre}: , {spread}: , low: , high: }}}}"
+    if kind == "uniform" and "whole number" in expected:
+        return "{integers: [a, b]} draws whole numbers"
+    return None
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _arms(annotation: Any) -> list[Any]:
+    """The types that an annotation admits, without Annotated and None."""
+    if get_origin(annotation) is Annotated:
+        return _arms(get_args(annotation)[0])
+    if get_origin(annotation) in (Union, types.UnionType):
+        return [inner for arm in get_args(annotation) for inner in _arms(arm)]
+    return [] if annotation in (None, types.NoneType) else [annotation]
+
+
+def _annotation_at(model: type[BaseModel], keys: Keys) -> Any:
+    """Type of the value at `keys`, or None where the schema has no such key."""
+    current: Any = model
+    for key in keys:
+        found = [step for arm in _arms(current) if (step := _inside(arm, key)) is not None]
+        if not found:
+            return None
+        current = found[0]
+    return current
+
+
+def _inside(arm: Any, key: str | int) -> Any:
+    origin, arguments = get_origin(arm), get_args(arm)
+    if isinstance(arm, type) and issubclass(arm, BaseModel):
+        field = arm.model_fields.get(str(key))
+        return None if field is None else field.annotation
+    if origin is tuple and isinstance(key, int):
+        return arguments[0] if Ellipsis in arguments else arguments[key] if key < len(arguments) else None
+    if origin in (list, dict) and arguments:
+        return arguments[-1]
+    return None
+
+
+def _class_at(model: type[BaseModel], keys: Keys) -> type[BaseModel] | None:
+    for arm in _arms(_annotation_at(model, keys)):
+        if isinstance(arm, type) and issubclass(arm, BaseModel):
+            return arm
+    return None

@@ -1,0 +1,145 @@
+"""A species: its ecology, its shape's scaling, its geometry's generator and its materials.
+
+One file a species, ``scenes/species/NAME.yaml``; a recipe's ``species`` section names the file and overrides its keys,
+or holds the whole species itself.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from forestgen.recipe.fields import (
+    Colour,
+    Fraction,
+    Name,
+    NonNegative,
+    Number,
+    OpenSection,
+    Positive,
+    Section,
+    Text,
+    mistake,
+)
+
+TALLEST_M = 200.0
+
+
+class Ecology(Section):
+    """How a species grows, competes and spreads."""
+
+    growth_m_per_yr: Annotated[Positive, Field(le=10, description="Growth of the radius, metres per year.")]
+    max_radius_m: Annotated[Positive, Field(le=100, description="Radius at which a plant is mature, metres.")]
+    shade_tolerance: Annotated[
+        Fraction, Field(description="Probability that a dominated plant survives a step, 0 to 1.")
+    ]
+    old_age_survival: Annotated[
+        Number, Field(ge=0, lt=1, description="Probability that a mature plant survives a step, 0 to below 1.")
+    ]
+    seedlings_per_ha_per_yr: Annotated[
+        NonNegative, Field(le=1e6, description="New plants per hectare (10,000 m²) and year.")
+    ]
+    seedling_radius_m: Annotated[Positive, Field(le=10, description="Radius of a new plant, metres.")] = 0.05
+
+
+class PowerLaw(Section):
+    """``scale * radius^exponent``, metres; the radius in metres."""
+
+    scale: Annotated[Positive, Field(description="Value at a radius of 1 m, metres.")]
+    exponent: Annotated[Number, Field(ge=0, le=5, description="Power of the radius, no unit.")]
+
+    def __call__(self, radius_m: float | NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray(self.scale * np.asarray(radius_m, dtype=np.float64) ** self.exponent, dtype=np.float64)
+
+
+class Allometry(Section):
+    """Size of a plant from its radius in the community (Lane 2002, chapter 6)."""
+
+    height_m: Annotated[PowerLaw, Field(description="Height of the plant, metres, from its radius.")]
+    width_m: Annotated[PowerLaw, Field(description="Width of the crown, metres, from its radius.")]
+
+    def height(self, radius_m: float | NDArray[np.float64]) -> NDArray[np.float64]:
+        """Height in metres of plants of `radius_m`, metres, any shape."""
+        return self.height_m(radius_m)
+
+    def width(self, radius_m: float | NDArray[np.float64]) -> NDArray[np.float64]:
+        """Crown width in metres of plants of `radius_m`, metres, any shape."""
+        return self.width_m(radius_m)
+
+
+class Plant(OpenSection):
+    """What makes a species' geometry: a generator, and keys that the generator checks itself."""
+
+    generator: Annotated[Text, Field(min_length=1, max_length=100, description="Id of the plant generator.")]
+
+
+class Material(Section):
+    """Colour of an organ, linear Rec. 709; reflectance and transmittance together stay within 1."""
+
+    reflectance: Annotated[Colour, Field(description="Reflected fraction of red, green, blue; linear Rec. 709.")]
+    transmittance: Annotated[
+        Colour, Field(description="Fraction let through of red, green, blue; linear Rec. 709.")
+    ] = (0.0, 0.0, 0.0)
+    roughness: Annotated[Fraction, Field(description="Roughness of the gloss, 0 to 1.")] = 0.5
+
+    @model_validator(mode="after")
+    def _conserves_energy(self) -> Self:
+        for channel, r, t in zip(("red", "green", "blue"), self.reflectance, self.transmittance, strict=True):
+            if r + t > 1.0 + 1e-9:
+                raise mistake(
+                    "reflectance + transmittance of at most 1 in every channel",
+                    problem="more light leaves than arrives",
+                    got=f"{r:g} + {t:g} in {channel}",
+                )
+        return self
+
+
+class Species(Section):
+    """One species of the recipe, complete: its file and the recipe's overrides merged."""
+
+    description: Annotated[Text, Field(max_length=2000, description="What the species is, for people.")] = ""
+    height_m: Annotated[
+        Positive | None,
+        Field(
+            le=TALLEST_M,
+            description="Mature height, metres: sets allometry.height_m.scale so that a plant of ecology.max_radius_m "
+            "is this tall. Null leaves the allometry as it is.",
+        ),
+    ] = None
+    map_colour: Annotated[
+        Text | None, Field(pattern="^#[0-9A-Fa-f]{6}$", description="Colour on maps, #RRGGBB; null: chosen.")
+    ] = None
+    ecology: Annotated[Ecology, Field(description="How the species grows, competes and spreads.")]
+    allometry: Annotated[Allometry, Field(description="Size of a plant from its radius.")]
+    plant: Annotated[Plant, Field(description="What makes its geometry.")]
+    materials: Annotated[
+        dict[Name, Material], Field(default_factory=dict, description="Materials of the plant's organs, by name.")
+    ]
+
+    @model_validator(mode="after")
+    def _height_is_a_plants(self) -> Self:
+        height_m = self.mature_height_m
+        if not 0 < height_m <= TALLEST_M:
+            raise mistake(
+                f"a mature height of at most {TALLEST_M:g} m",
+                problem="the allometry gives no plant's height",
+                got=f"{height_m:g} m = allometry.height_m at ecology.max_radius_m",
+            )
+        return self
+
+    @property
+    def mature_height_m(self) -> float:
+        """Height at ``ecology.max_radius_m``, metres."""
+        return self.height_m or float(self.allometry.height(self.ecology.max_radius_m))
+
+    def settled(self) -> Species:
+        """The same species with `height_m` moved into the allometry's scale."""
+        if self.height_m is None:
+            return self
+        law = self.allometry.height_m
+        scale = self.height_m / self.ecology.max_radius_m**law.exponent
+        allometry = self.allometry.model_copy(update={"height_m": law.model_copy(update={"scale": scale})})
+        return self.model_copy(update={"height_m": None, "allometry": allometry})

@@ -1,0 +1,206 @@
+"""YAML text to plain data and the line of each key. All that can be wrong with a file becomes an error for people."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from ruamel.yaml import YAML
+from ruamel.yaml.constructor import ConstructorError
+from ruamel.yaml.error import MarkedYAMLError, YAMLError
+from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
+
+from forestgen.core.errors import AssetError, ForestgenError, RecipeError
+from forestgen.recipe.sources import Keys, Place, SourceMap, dotted
+
+MAX_BYTES = 1_000_000  # more than any hand writes; ruamel reads some 20 kB a second
+MAX_DEPTH = 40
+LARGEST = 1e100
+MAX_ALIAS_NODES = 100_000  # values that aliases (*name) may add: a few lines of nested aliases can mean billions
+_TAG = "tag:yaml.org,2002:"
+_NUMBERS_AND_FLAGS = {_TAG + kind for kind in ("int", "float", "bool", "null")}
+_TEXTS = {_TAG + "str", _TAG + "timestamp", "!"}
+
+
+def read_yaml(path: Path, *, error: type[ForestgenError] = RecipeError) -> tuple[dict[str, Any], SourceMap]:
+    """The mapping in a YAML file and where its keys are.
+
+    Raises
+    ------
+    AssetError : the file is missing or unreadable.
+    ForestgenError : of type `error`; the text is not a YAML mapping.
+    """
+    data, sources = parse_yaml(_read_text(path), str(path), error=error)
+    if data is None:
+        raise error("the file says nothing", where=str(path), expected="a mapping of keys to values", got="no content")
+    if not isinstance(data, dict):
+        raise error("not a mapping", where=f"{path}:1", expected="lines such as 'seed: 7'", got=_kind(data))
+    return data, sources
+
+
+def parse_yaml(
+    text: str, origin: str, *, error: type[ForestgenError] = RecipeError, lines: bool = True
+) -> tuple[Any, SourceMap]:
+    """Plain data of YAML text; `origin` names the text in messages. No content is None."""
+    reader = _Reader(origin, error, lines)
+    try:
+        node = reader.yaml.compose(text)
+        data = None if node is None else reader.value(node, (), 0)
+    except MarkedYAMLError as cause:
+        line = None if cause.problem_mark is None else cause.problem_mark.line + 1
+        where = f"{origin}:{line}" if line and lines else origin
+        detail = " ".join(str(part) for part in (cause.context, cause.problem) if part)
+        raise error("not valid YAML", where=where, got=detail, hint="check indentation, brackets, quotes") from cause
+    except (YAMLError, ValueError, OverflowError) as cause:
+        detail = str(cause).splitlines()[0][:200]
+        raise error("not valid YAML", where=origin, expected="readable text", got=detail) from cause
+    except RecursionError as cause:
+        raise reader.too_deep(origin) from cause
+    return data, reader.sources
+
+
+def _read_text(path: Path) -> str:
+    where = str(path)
+    try:
+        if path.is_dir():
+            raise AssetError("this is a folder", where=where, expected="a YAML file", got="a folder")
+        with path.open("rb") as file:
+            raw = file.read(MAX_BYTES + 1)
+    except FileNotFoundError as cause:
+        raise AssetError("no such file", where=where, expected="a YAML file") from cause
+    except (OSError, ValueError) as cause:
+        raise AssetError("the file cannot be read", where=where, got=str(cause)) from cause
+    if len(raw) > MAX_BYTES:
+        raise AssetError("the file is too large", where=where, expected=f"at most {MAX_BYTES // 10**6} MB", got="more")
+    try:
+        return raw.decode("utf-8-sig")
+    except UnicodeDecodeError as cause:
+        line = raw[: cause.start].count(b"\n") + 1
+        got = f"byte 0x{raw[cause.start]:02x} at offset {cause.start}"
+        hint = "save the file as UTF-8"
+        raise AssetError(
+            "not a text file", where=f"{path}:{line}", expected="UTF-8 text", got=got, hint=hint
+        ) from cause
+
+
+def _kind(value: object) -> str:
+    if isinstance(value, list):
+        return "a list"
+    return f"{str(value)[:60]!r}"
+
+
+class _Reader:
+    """Walks YAML nodes once: values, lines, and limits."""
+
+    def __init__(self, origin: str, error: type[ForestgenError], lines: bool) -> None:
+        self.yaml = YAML(typ="safe", pure=True)
+        self.sources = SourceMap({(): self._place(origin, 1, lines)})
+        self._origin, self._error, self._lines = origin, error, lines
+        self._seen: set[int] = set()
+        self._aliased = 0
+
+    @staticmethod
+    def _place(origin: str, line: int, lines: bool) -> Place:
+        return Place(origin, line if lines else None)
+
+    def _at(self, node: Node) -> Place:
+        return self._place(self._origin, node.start_mark.line + 1, self._lines)
+
+    def too_deep(self, where: str) -> ForestgenError:
+        return self._error("nested too deeply", where=where, expected=f"at most {MAX_DEPTH} levels")
+
+    def value(self, node: Node, keys: Keys, depth: int) -> Any:
+        if depth > MAX_DEPTH:
+            raise self.too_deep(str(self._at(node)))
+        self._count_aliases(node)
+        if isinstance(node, MappingNode):
+            return self._mapping(node, keys, depth)
+        if isinstance(node, SequenceNode):
+            for i, item in enumerate(node.value):
+                self.sources.set((*keys, i), self._at(item))
+            return [self.value(item, (*keys, i), depth + 1) for i, item in enumerate(node.value)]
+        return self._scalar(node, keys)
+
+    def _count_aliases(self, node: Node) -> None:
+        # A node met again is an alias; every value below it is met again too.
+        self._aliased += id(node) in self._seen
+        self._seen.add(id(node))
+        if self._aliased > MAX_ALIAS_NODES:
+            raise self._error(
+                "the file's aliases (*name) multiply beyond reason",
+                where=str(self._at(node)),
+                expected=f"at most {MAX_ALIAS_NODES} aliased values",
+            )
+
+    def _mapping(self, node: MappingNode, keys: Keys, depth: int) -> dict[str, Any]:
+        result: dict[str, Any] = {}
+        merged: dict[str, Any] = {}
+        first: dict[str, Place] = {}
+        for key_node, value_node in node.value:
+            if key_node.tag == _TAG + "merge":
+                merged = {**self._merge(value_node, keys, depth), **merged}
+                continue
+            key = self._key(key_node)
+            if key in first:
+                raise self._error(
+                    f"the key {key!r} stands twice",
+                    where=str(self._at(key_node)),
+                    expected="each key once",
+                    got=f"{key!r} here and at {first[key]}",
+                )
+            first[key] = self._at(key_node)
+            if key in merged:
+                self.sources.drop((*keys, key))
+            self.sources.set((*keys, key), first[key])
+            result[key] = self.value(value_node, (*keys, key), depth + 1)
+        return {**merged, **result}
+
+    def _merge(self, node: Node, keys: Keys, depth: int) -> dict[str, Any]:
+        """``<<: *name`` or a list of such; the earlier wins."""
+        parts = node.value if isinstance(node, SequenceNode) else [node]
+        merged: dict[str, Any] = {}
+        for part in parts:
+            if not isinstance(part, MappingNode):
+                raise self._error("'<<' takes a mapping", where=str(self._at(node)), expected="<<: *name")
+            merged = {**self.value(part, keys, depth + 1), **merged}
+        return merged
+
+    def _key(self, node: Node) -> str:
+        if isinstance(node, ScalarNode) and node.tag in _TEXTS:
+            return self._text(node, ())
+        got = node.value if isinstance(node, ScalarNode) else "a list or mapping"
+        raise self._error(
+            "a key must be text", where=str(self._at(node)), expected="a name", got=str(got)[:60], hint="quote it"
+        )
+
+    def _text(self, node: ScalarNode, keys: Keys) -> str:
+        text = str(node.value)
+        if any("\ud800" <= character <= "\udfff" for character in text):
+            got = ascii(text)[:60]
+            raise self._error("not a text", where=self._where(node, keys), expected="no half of a character", got=got)
+        return text
+
+    def _scalar(self, node: Node, keys: Keys) -> Any:
+        if node.tag in _TEXTS and isinstance(node, ScalarNode):
+            return self._text(node, keys)
+        if node.tag in _NUMBERS_AND_FLAGS:
+            try:
+                value = self.yaml.constructor.construct_object(node)
+            except (ValueError, OverflowError, ConstructorError) as cause:
+                got = str(node.value)[:60]
+                raise self._error("not a number", where=self._where(node, keys), got=got) from cause
+            if isinstance(value, int | float) and not abs(value) <= LARGEST:
+                got = str(node.value)[:60]
+                raise self._error(
+                    "bad value", where=self._where(node, keys), expected="a finite number of reasonable size", got=got
+                )
+            return value
+        raise self._error(
+            "this YAML tag is not allowed",
+            where=self._where(node, keys),
+            expected="numbers, texts, true, false, null, lists and mappings",
+            got=str(node.tag).replace(_TAG, "!!")[:60],
+        )
+
+    def _where(self, node: Node, keys: Keys) -> str:
+        return f"{self._at(node)}: {dotted(keys)}" if keys else str(self._at(node))

@@ -1,0 +1,217 @@
+"""Radiance of one camera, with its variance.
+
+Independent slices of samples are rendered and averaged. Their scatter gives the variance of the mean without assuming
+independent samples inside a slice (a stratified sampler's are not), progress can be told between slices, and each
+slice is repeatable on its own.
+
+Three estimators add up: light of the sky on the scene, light of the sun on the scene, and the sky itself in the share of
+each pixel that the scene leaves open (see render/sky.py). Under a clear sky one pass does all three.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.core.errors import RenderError
+from forestgen.core.progress import Progress
+from forestgen.core.randomness import child_seed
+from forestgen.render import sky
+from forestgen.render.build import FilmWindow, ground_bsdf, load, origin_of, plants_dict, sensor_of, sky_emitter, to_mesh
+from forestgen.render.frame import Radiance
+from forestgen.render.variant import SCALAR, mitsuba
+from forestgen.scene.spec import Camera, SceneSpec
+
+_SLICES = 8
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Mean of slices and the variance of that mean; the variance is NaN for a single slice."""
+
+    mean: NDArray[np.float64]
+    variance: NDArray[np.float64]
+
+
+class SliceSum:
+    """Weighted running mean and variance of slices of different length (West 1979)."""
+
+    def __init__(self) -> None:
+        self._weight = 0
+        self._slices = 0
+        self._mean: Any = 0.0
+        self._scatter: Any = 0.0
+
+    def add(self, image: NDArray[np.float64], samples: int) -> None:
+        self._weight += samples
+        self._slices += 1
+        difference = image - self._mean
+        self._mean = self._mean + difference * (samples / self._weight)
+        self._scatter = self._scatter + samples * difference * (image - self._mean)
+
+    def estimate(self) -> Estimate:
+        if self._slices < 2:
+            return Estimate(self._mean, np.full_like(self._mean, np.nan))
+        return Estimate(self._mean, self._scatter / (self._weight * (self._slices - 1)))
+
+
+def slice_sizes(samples: int) -> list[int]:
+    """Samples of each slice: eight nearly equal slices, fewer if there are fewer samples."""
+    count = min(_SLICES, samples)
+    return [samples // count + (1 if k < samples % count else 0) for k in range(count)]
+
+
+def interruptible(integrator: Any, scene: Any, sensor: Any, seed: int, samples: int) -> NDArray[np.float32]:
+    """Render so that Ctrl-C stops it within a fraction of a second."""
+    mi = mitsuba()
+    result: list[NDArray[np.float32]] = []
+    failure: list[Exception] = []
+
+    def work() -> None:
+        try:
+            mi.set_variant(SCALAR)
+            result.append(np.array(integrator.render(scene, sensor=sensor, seed=seed, spp=samples)))
+        except RuntimeError as error:
+            failure.append(error)
+
+    thread = threading.Thread(target=work, name="forestgen-render")
+    thread.start()
+    try:
+        while thread.is_alive():
+            thread.join(0.05)
+    except BaseException:
+        integrator.cancel()
+        thread.join()
+        raise
+    if failure:
+        raise RenderError(f"Mitsuba stopped: {failure[0]}") from failure[0]
+    return result[0]
+
+
+def scene_dict(spec: SceneSpec, origin_m: NDArray[np.float64]) -> dict[str, Any]:
+    """Plants on their terrain, without light."""
+    scene = plants_dict(spec, origin_m, shaded=True)
+    scene["terrain"] = to_mesh(spec.terrain.mesh, mitsuba().load_dict(ground_bsdf(spec)), origin_m, "terrain")
+    return scene
+
+
+def render_radiance(
+    spec: SceneSpec,
+    camera: Camera,
+    *,
+    samples: int,
+    max_depth: int,
+    seed: int,
+    progress: Progress,
+    sky_share: NDArray[np.bool_],
+    timer: Callable[[str], Any],
+) -> Radiance:
+    """Radiance of `camera`, not yet denoised.
+
+    Parameters
+    ----------
+    samples : a pixel.
+    max_depth : longest path through the canopy; clouds have their own.
+    seed : of the frame.
+    sky_share : (H, W) pixels that may see the sky; the others skip the cloud pass.
+    timer : context manager that books time under a name; "mitsuba" is time inside the renderer's own calls.
+    """
+    mi = mitsuba()
+    with mi.variant_context(SCALAR):
+        if spec.clouds is None:
+            return _clear(spec, camera, samples, max_depth, seed, progress, timer)
+        return _cloudy(spec, camera, samples, max_depth, seed, progress, sky_share, timer)
+
+
+def _clear(
+    spec: SceneSpec, camera: Camera, samples: int, max_depth: int, seed: int, progress: Progress, timer: Callable[[str], Any]
+) -> Radiance:
+    mi = mitsuba()
+    origin = origin_of(camera)
+    with timer("radiance: build"):
+        scene = load({**scene_dict(spec, origin), "light": sky_emitter(spec, sun=True, sky=True)})
+        integrator = mi.load_dict({"type": "path", "max_depth": max_depth, "rr_depth": 2})
+    total = SliceSum()
+    sizes = slice_sizes(samples)
+    with progress.stage("radiance", len(sizes)) as advance:
+        for number, size in enumerate(sizes):
+            sensor = sensor_of(camera, size)
+            with timer("mitsuba"):
+                image = interruptible(integrator, scene, sensor, child_seed(seed, "clear", number), size)
+            total.add(image[..., :3].astype(np.float64), size)
+            advance(1)
+    return _radiance(total, samples)
+
+
+def _cloudy(
+    spec: SceneSpec,
+    camera: Camera,
+    samples: int,
+    max_depth: int,
+    seed: int,
+    progress: Progress,
+    sky_share: NDArray[np.bool_],
+    timer: Callable[[str], Any],
+) -> Radiance:
+    mi = mitsuba()
+    origin = origin_of(camera)
+    with progress.stage("light of the sky", 1) as advance:
+        with timer("mitsuba"):
+            environment = sky.bake_sky(spec, origin, seed=child_seed(seed, "bake") >> 1)
+        advance(1)
+    with timer("radiance: build"):
+        plants = scene_dict(spec, origin)  # meshes are shared; instances belong to one scene each
+        by_sky = load({**plants, "light": environment})
+        by_sun = load({**plants, "light": sky_emitter(spec, sun=True, sky=False), "sheet": sky.sun_sheet(spec, origin)})
+        clouds = load(sky.clouds_over_ground(spec, origin, sky_emitter(spec, sun=True, sky=True)))
+        hidden = mi.load_dict({"type": "volpath", "max_depth": max_depth, "rr_depth": 2, "hide_emitters": True})
+        through = mi.load_dict(sky.CLOUD_INTEGRATOR)
+    window = _window(sky_share)
+    total = SliceSum()
+    sizes = slice_sizes(samples)
+    with progress.stage("radiance", len(sizes) * 3) as advance:
+        for number, size in enumerate(sizes):
+            sensor = sensor_of(camera, size)
+            with timer("mitsuba"):
+                few = (size + 1) // 2  # the sky's light is smooth and a small part: it needs fewer samples than the sun's
+                a = interruptible(hidden, by_sky, sensor_of(camera, few), child_seed(seed, "sky", number), few)
+            advance(1)
+            with timer("mitsuba"):
+                b = interruptible(hidden, by_sun, sensor, child_seed(seed, "sun", number), size).astype(np.float64)
+            advance(1)
+            image = a[..., :3].astype(np.float64) + b[..., :3]
+            if window is not None:
+                with timer("mitsuba"):
+                    c = interruptible(
+                        through, clouds, sensor_of(camera, size, window), child_seed(seed, "clouds", number), size
+                    ).astype(np.float64)
+                rows, columns = slice(window.y, window.y + window.height), slice(window.x, window.x + window.width)
+                image[rows, columns] += (1.0 - a[rows, columns, 3:4]) * c[..., :3]
+            advance(1)
+            total.add(image, size)
+    return _radiance(total, samples)
+
+
+def _window(sky_share: NDArray[np.bool_]) -> FilmWindow | None:
+    """Smallest window that holds every pixel that may see the sky."""
+    rows, columns = np.flatnonzero(sky_share.any(axis=1)), np.flatnonzero(sky_share.any(axis=0))
+    if not len(rows):
+        return None
+    return FilmWindow(
+        int(columns[0]), int(rows[0]), int(columns[-1] - columns[0] + 1), int(rows[-1] - rows[0] + 1)
+    )
+
+
+def _radiance(total: SliceSum, samples: int) -> Radiance:
+    estimate = total.estimate()
+    return Radiance(
+        mean=estimate.mean.astype(np.float32),
+        variance=estimate.variance.astype(np.float32),
+        denoised=None,
+        samples=samples,
+    )

@@ -1,0 +1,81 @@
+"""SceneSpec: everything the renderer needs, as arrays. No renderer's type in it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.atmosphere.grid import CloudGrid
+from forestgen.geometry.mesh import Mesh
+from forestgen.plants.exemplar import Exemplar
+
+
+@dataclass(frozen=True)
+class Material:
+    """A surface's colour, linear Rec. 709 RGB in [0, 1]; a thin leaf also lets light through."""
+
+    reflectance: tuple[float, float, float]
+    transmittance: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    roughness: float = 0.5  # of a leaf's gloss; ignored for opaque surfaces
+
+
+@dataclass(frozen=True)
+class Instances:
+    """Where exemplars stand: one row a plant."""
+
+    exemplar: NDArray[np.uint32]  # (N,) index into SceneSpec.exemplars
+    transform: NDArray[np.float64]  # (N, 3, 4) exemplar frame -> world, metres
+    plant_id: NDArray[np.uint32]  # (N,)
+
+    def __len__(self) -> int:
+        return len(self.plant_id)
+
+
+@dataclass(frozen=True)
+class Terrain:
+    """The ground: a mesh with a colour texture over its uv."""
+
+    mesh: Mesh  # world frame, metres
+    texture: NDArray[np.float32]  # (H, W, 3) linear Rec. 709 reflectance; row 0 is v = 0
+
+
+@dataclass(frozen=True)
+class Sky:
+    """Sun and clear sky by direction and turbidity."""
+
+    sun_elevation_deg: float
+    sun_azimuth_deg: float  # clockwise from north (y), so east (x) is 90
+    turbidity: float
+    ground_albedo: float = 0.2
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole camera. OpenCV axes: x right, y down, z forward; pixel centres at +0.5."""
+
+    name: str
+    position_m: tuple[float, float, float]
+    world_from_camera: NDArray[np.float64]  # (3, 3) rotation; columns are the camera's axes in the world
+    size_px: tuple[int, int]  # width, height
+    hfov_deg: float
+
+    @property
+    def focal_px(self) -> float:
+        """Focal length in pixels, the same along x and y: pixels are square."""
+        return self.size_px[0] / 2.0 / float(np.tan(np.radians(self.hfov_deg) / 2.0))
+
+
+@dataclass(frozen=True)
+class SceneSpec:
+    """A scene that can be rendered, counted, written to disk or exported."""
+
+    exemplars: tuple[Exemplar, ...]
+    materials: Mapping[tuple[str, str], Material]  # (species, material key of its organ meshes) -> material
+    instances: Instances
+    terrain: Terrain
+    sky: Sky
+    clouds: CloudGrid | None
+    cameras: tuple[Camera, ...]

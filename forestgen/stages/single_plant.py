@@ -1,0 +1,155 @@
+"""One plant on its own: mesh, picture, numbers."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from forestgen.core.errors import OutputError, RecipeError
+from forestgen.core.frames import look_at
+from forestgen.core.parts import Part
+from forestgen.core.progress import Progress
+from forestgen.core.randomness import child_rng
+from forestgen.core.timing import Timings
+from forestgen.dataset.files import output_error
+from forestgen.dataset.png import write_rgb
+from forestgen.dataset.tonemap import tone_map
+from forestgen.geometry.export import FORMATS, mesh_file, surface_area_m2
+from forestgen.plants.build import build_exemplar
+from forestgen.plants.exemplar import Exemplar
+from forestgen.recipe.load import load_recipe_data
+from forestgen.recipe.schema import Recipe
+from forestgen.recipe.species import TALLEST_M, Species
+from forestgen.scene.spec import Camera, Instances, SceneSpec, Sky
+from forestgen.scene.terrain import build_terrain, flat
+from forestgen.stages.frames import render_frame
+from forestgen.stages.plan import make_plan
+from forestgen.stages.scene import materials_of
+
+_PICTURE_PX = (540, 720)
+
+
+@dataclass(frozen=True)
+class SinglePlant:
+    """What was made."""
+
+    species: str
+    height_m: float
+    crown_width_m: float
+    triangles: int
+    by_part: dict[str, int]
+    leaf_area_m2: float
+    mesh_path: Path
+    picture_path: Path
+
+
+def grow_single_plant(
+    species: str, height_m: float | None, seed: int, mesh_path: Path, *, overwrite: bool, progress: Progress
+) -> SinglePlant:
+    """Grow a plant of a species (a shipped name or a file), write its mesh, and a picture beside it.
+
+    Raises
+    ------
+    RecipeError, AssetError : unknown species, a height that is none, an unknown mesh format.
+    OutputError : a file exists and may not be replaced, or cannot be written.
+    """
+    picture_path = mesh_path.with_suffix(".png")
+    _check_paths(mesh_path, picture_path, overwrite)
+    name = Path(species).stem
+    loaded = load_recipe_data(
+        {"forestgen": 1, "seed": seed, "species": {name: {"from": species}}, "community": {"model": "multiset_lsystem"}},
+        "forestgen plant",
+    )
+    plan = make_plan(loaded.draw(0))
+    kind = plan.drawn.species[name]
+    with progress.stage("plant", 1) as advance:
+        rng = child_rng(seed, "exemplar", name)
+        exemplar = build_exemplar(name, kind, plan.generator_parameters[name], _radius_m(kind, height_m), rng)
+        advance(1)
+    colours = {key: material.reflectance for key, material in kind.materials.items()}
+    data = mesh_file(
+        {f"{organ.part.name.lower()}-{organ.material}": (organ.mesh, colours[organ.material]) for organ in exemplar.organs},
+        mesh_path.suffix.lower(),
+    )
+    spec = _studio(exemplar, plan.drawn.recipe)
+    frame = render_frame(spec, spec.cameras[0], plan.drawn.recipe, seed, progress, Timings())
+    light = frame.radiance.mean if frame.radiance.denoised is None else frame.radiance.denoised
+    _write(mesh_path, data)
+    write_rgb(picture_path, tone_map(light))
+    return _described(exemplar, mesh_path, picture_path)
+
+
+def _check_paths(mesh_path: Path, picture_path: Path, overwrite: bool) -> None:
+    if mesh_path.suffix.lower() not in FORMATS:
+        raise RecipeError(
+            "unknown mesh format", where="--output", expected=" or ".join(FORMATS), got=repr(mesh_path.suffix)
+        )
+    for path in (mesh_path, picture_path):
+        if path.exists() and not overwrite:
+            raise OutputError("the file exists", where=str(path), hint="choose another name, or --overwrite")
+
+
+def _radius_m(species: Species, height_m: float | None) -> float:
+    """Community radius of a plant of that height: the allometry's inverse."""
+    if height_m is None:
+        return species.ecology.max_radius_m
+    if not (math.isfinite(height_m) and 0.02 <= height_m <= TALLEST_M):
+        raise RecipeError("no such plant", where="--height", expected=f"0.02 to {TALLEST_M:g} m", got=f"{height_m:g}")
+    law = species.allometry.height_m
+    return float((height_m / law.scale) ** (1 / law.exponent)) if law.exponent else species.ecology.max_radius_m
+
+
+def _studio(exemplar: Exemplar, recipe: Recipe) -> SceneSpec:
+    """The plant alone on flat ground, filling an upright picture."""
+    low, high = exemplar.bounds_m()
+    size = max(high[2], 1.25 * float((high - low)[:2].max()))
+    distance, middle = 1.9 * size, 0.5 * float(high[2])
+    position = (0.0, -distance, 0.55 * float(high[2]))
+    width, height = _PICTURE_PX
+    hfov = 2 * math.degrees(math.atan(0.58 * size / distance * width / height))
+    camera = Camera("plant", position, look_at(position, (0.0, 0.0, middle)), _PICTURE_PX, hfov)
+    transform = np.eye(4)[None, :3]
+    terrain = build_terrain(flat(), (10.0, 10.0), child_rng(0, "studio"))
+    sun = recipe.sky.sun
+    return SceneSpec(
+        exemplars=(exemplar,),
+        materials=materials_of(recipe.species),
+        instances=Instances(np.zeros(1, np.uint32), transform, np.ones(1, np.uint32)),
+        terrain=terrain,
+        sky=Sky(sun.elevation_deg, sun.azimuth_deg, recipe.sky.turbidity, float(terrain.texture.mean())),
+        clouds=None,
+        cameras=(camera,),
+    )
+
+
+def _write(path: Path, data: bytes) -> None:
+    partial = path.with_name(f".{path.name}.partial")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        partial.write_bytes(data)
+        partial.replace(path)
+    except OSError as error:
+        raise output_error(error, path) from error
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def _described(exemplar: Exemplar, mesh_path: Path, picture_path: Path) -> SinglePlant:
+    by_part: dict[str, int] = {}
+    for organ in exemplar.organs:
+        part = organ.part.name.lower()
+        by_part[part] = by_part.get(part, 0) + organ.mesh.triangles
+    leaves = sum(surface_area_m2(organ.mesh) for organ in exemplar.organs if organ.part == Part.LEAF)
+    return SinglePlant(
+        species=exemplar.species,
+        height_m=exemplar.height_m,
+        crown_width_m=exemplar.crown_width_m,
+        triangles=exemplar.triangles,
+        by_part=by_part,
+        leaf_area_m2=leaves,
+        mesh_path=mesh_path,
+        picture_path=picture_path,
+    )

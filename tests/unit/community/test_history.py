@@ -1,0 +1,59 @@
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from forestgen.community.history import read_history, write_history
+from forestgen.community.model import simulate
+from forestgen.community.models.multiset_lsystem import MODEL
+from forestgen.core.errors import AssetError, OutputError
+
+
+@pytest.fixture
+def history(tree, site):
+    snapshots = list(simulate(MODEL, MODEL.Parameters(), site, [tree(), tree(name="Πεύκη")], 3, steps=12))
+    return [dataclasses.replace(p, columns={"vigour": np.arange(len(p), dtype=np.float32)}) for p in snapshots]
+
+
+def test_round_trip(history, tmp_path, columns_equal):
+    write_history(tmp_path / "a.parquet", iter(history))
+    again = read_history(tmp_path / "a.parquet")
+    assert len(again) == 13
+    assert len(again[0]) == 0
+    for one, other in zip(history, again, strict=True):
+        assert columns_equal(dataclasses.replace(one, columns={}), dataclasses.replace(other, columns={}))
+        assert one.columns["vigour"].tobytes() == other.columns["vigour"].tobytes()
+        assert all(getattr(one, f).dtype == getattr(other, f).dtype for f in ("plant_id", "species", "status"))
+
+
+def test_same_snapshots_same_bytes(history, tmp_path):
+    write_history(tmp_path / "a.parquet", history)
+    write_history(tmp_path / "b.parquet", history)
+    assert (tmp_path / "a.parquet").read_bytes() == (tmp_path / "b.parquet").read_bytes()
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.parquet", "b.parquet"]
+
+
+def test_only_empty_snapshots(history, tmp_path):
+    write_history(tmp_path / "a.parquet", history[:1])
+    assert [len(p) for p in read_history(tmp_path / "a.parquet")] == [0]
+
+
+def test_snapshots_of_different_communities_are_refused(history, tmp_path):
+    strange = dataclasses.replace(history[3], species_names=("a", "b"))
+    with pytest.raises(ValueError, match="same species"):
+        write_history(tmp_path / "a.parquet", [history[2], strange])
+    with pytest.raises(ValueError, match="at least one"):
+        write_history(tmp_path / "a.parquet", [])
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_files_that_cannot_be(history, tmp_path):
+    with pytest.raises(OutputError, match=r"nowhere.*a\.parquet"):
+        write_history(tmp_path / "nowhere" / "a.parquet", history)
+    with pytest.raises(AssetError, match=r"b\.parquet"):
+        read_history(tmp_path / "b.parquet")
+    (tmp_path / "c.parquet").write_bytes(b"not a table")
+    with pytest.raises(AssetError, match=r"c\.parquet"):
+        read_history(tmp_path / "c.parquet")

@@ -1,0 +1,44 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from forestgen.core.errors import AssetError
+from forestgen.recipe import assets
+
+
+def test_shipped_species_are_found_and_listed() -> None:
+    names = assets.list_assets("species")
+    assert "poplar" in names
+    assert names == sorted(names)
+    assert assets.find_asset("species", "poplar") == assets.scenes_dir() / "species" / "poplar.yaml"
+    assert assets.list_assets("nothing of the kind") == []
+
+
+def test_a_path_is_relative_to_the_recipe(tmp_path: Path) -> None:
+    (tmp_path / "own.yaml").write_text("a: 1\n")
+    assert assets.find_asset("species", "own.yaml", folder=tmp_path) == tmp_path / "own.yaml"
+    assert assets.find_asset("species", "./own.yaml", folder=tmp_path) == tmp_path / "./own.yaml"
+    assert assets.find_asset("species", str(tmp_path / "own.yaml")) == tmp_path / "own.yaml"
+    for missing in ("./other.yaml", "other.yaml", "a/b", "nul\0/x"):
+        with pytest.raises(AssetError, match="no such species file"):
+            assets.find_asset("species", missing, folder=tmp_path)
+
+
+def test_a_missing_name_lists_what_exists() -> None:
+    with pytest.raises(AssetError) as caught:
+        assets.find_asset("species", "popler", where="a.yaml:3: species.x.from")
+    assert "a.yaml:3: species.x.from" in str(caught.value)
+    assert "did you mean 'poplar'?" in str(caught.value)
+    assert "spruce" in str(caught.value)
+
+
+def test_an_installed_wheel_has_its_own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(assets, "PACKAGE", tmp_path / "forestgen")
+    with pytest.raises(AssetError, match="no folder 'scenes'"):
+        assets.scenes_dir()
+    installed = tmp_path / "forestgen" / "_data" / "scenes"
+    installed.mkdir(parents=True)
+    assert assets.scenes_dir() == installed
+    assert assets.list_assets("species") == []
