@@ -18,6 +18,10 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 _ROUND_DELTOID = np.array([[0.68, 0.01], [1.00, 0.33], [0.80, 0.69]])
+_ROUND_DELTOID_FINE = np.array(
+    [[0.40, -0.02], [0.76, 0.04], [0.97, 0.21], [0.99, 0.41], [0.84, 0.62], [0.55, 0.81], [0.17, 0.94]]
+)
+_LANCEOLATE_FINE = np.array([[0.62, 0.10], [1.00, 0.30], [0.90, 0.50], [0.52, 0.78]])
 _LANCEOLATE = np.array([[1.00, 0.30], [0.62, 0.72]])
 _STALK_WIDTH = 0.018  # of the blade's length
 
@@ -48,14 +52,20 @@ def leaf(outline: Floats, length_m: float, width_m: float, *, stalk_m: float, fo
     return _sheet(vertices, faces)
 
 
-def round_deltoid(length_m: float, width_m: float, stalk_m: float, fold_deg: float, curl_deg: float) -> Mesh:
-    """The nearly round, short-pointed leaf of a poplar: 7 triangles."""
-    return leaf(_ROUND_DELTOID, length_m, width_m, stalk_m=stalk_m, fold_deg=fold_deg, curl_deg=curl_deg)
+def round_deltoid(
+    length_m: float, width_m: float, stalk_m: float, fold_deg: float, curl_deg: float, *, fine: bool = False
+) -> Mesh:
+    """The nearly round, short-pointed leaf of a poplar: 6 triangles, 14 if fine, and 1 for the stalk."""
+    outline = _ROUND_DELTOID_FINE if fine else _ROUND_DELTOID
+    return leaf(outline, length_m, width_m, stalk_m=stalk_m, fold_deg=fold_deg, curl_deg=curl_deg)
 
 
-def lanceolate(length_m: float, width_m: float, stalk_m: float, fold_deg: float, curl_deg: float) -> Mesh:
-    """A narrow leaf, widest at a third of its length: 4 triangles, 5 with a stalk."""
-    return leaf(_LANCEOLATE, length_m, width_m, stalk_m=stalk_m, fold_deg=fold_deg, curl_deg=curl_deg)
+def lanceolate(
+    length_m: float, width_m: float, stalk_m: float, fold_deg: float, curl_deg: float, *, fine: bool = False
+) -> Mesh:
+    """A narrow leaf, widest at a third of its length: 4 triangles, 8 if fine, and 1 for a stalk."""
+    outline = _LANCEOLATE_FINE if fine else _LANCEOLATE
+    return leaf(outline, length_m, width_m, stalk_m=stalk_m, fold_deg=fold_deg, curl_deg=curl_deg)
 
 
 def needle_shoot(length_m: float, width_m: float, pairs: int) -> Mesh:

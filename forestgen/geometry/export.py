@@ -32,7 +32,11 @@ def mesh_file(meshes: Mapping[str, tuple[Mesh, tuple[float, float, float]]], suf
             )
             body.visual = trimesh.visual.TextureVisuals(material=material)
         else:
-            srgb = np.where(np.array(rgba[:3]) <= 0.0031308, np.array(rgba[:3]) * 12.92, 1.055 * np.array(rgba[:3]) ** (1 / 2.4) - 0.055)
+            srgb = np.where(
+                np.array(rgba[:3]) <= 0.0031308,
+                np.array(rgba[:3]) * 12.92,
+                1.055 * np.array(rgba[:3]) ** (1 / 2.4) - 0.055,
+            )
             body.visual.face_colors = [*np.round(255 * srgb).astype(int), 255]
         scene.add_geometry(body, node_name=name, geom_name=name)
     if suffix == ".glb":

@@ -40,6 +40,7 @@ class OrganShape(BaseModel):
     fold_deg: float = Field(0.0, ge=0, lt=80, description="rise of each half above the midrib, degrees")
     curl_deg: float = Field(0.0, description="bend of the tip below the foot's direction, degrees")
     opening_deg: float = Field(60.0, description="petals' angle from the stalk, degrees")
+    fine: bool = Field(False, description="twice the points in the outline of a leaf, for plants seen close by")
     pairs: int = Field(4, ge=1, description="needle tufts on each side of a shoot")
 
     def template(self) -> Mesh:
@@ -47,9 +48,9 @@ class OrganShape(BaseModel):
         size = (self.length_m, self.width_m)
         match self.form:
             case "round_deltoid":
-                return blades.round_deltoid(*size, self.stalk_m, self.fold_deg, self.curl_deg)
+                return blades.round_deltoid(*size, self.stalk_m, self.fold_deg, self.curl_deg, fine=self.fine)
             case "lanceolate":
-                return blades.lanceolate(*size, self.stalk_m, self.fold_deg, self.curl_deg)
+                return blades.lanceolate(*size, self.stalk_m, self.fold_deg, self.curl_deg, fine=self.fine)
             case "needle_shoot":
                 return blades.needle_shoot(*size, self.pairs)
             case "four_petals":
@@ -68,6 +69,9 @@ class Foliage(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     shape: str = Field(description="name of an organ shape")
+    heights_m: tuple[float, float] = Field(
+        (0.0, 1e3), description="heights of the plants that this rule serves, metres; the upper end is excluded"
+    )
     orders: tuple[int, ...] = Field(description="branch orders that bear it; 0 is the stem")
     spacing_m: float = Field(gt=0, description="distance between neighbours along the axis, metres")
     within_m: float = Field(1e3, gt=0, description="no further than this from the axis' tip, metres")
@@ -90,6 +94,10 @@ class Foliage(BaseModel):
     )
     terminal: bool = Field(False, description="one more at the very tip, along the axis")
     missing: float = Field(0.0, ge=0, lt=1, description="share of places left empty")
+
+    def suits(self, height_m: float) -> bool:
+        """Whether a plant of this height follows the rule."""
+        return self.heights_m[0] <= height_m < self.heights_m[1]
 
 
 def place(rule: Foliage, skeleton: Skeleton, height_m: float, rng: np.random.Generator) -> OrganPlacements:

@@ -78,6 +78,7 @@ from forestgen.plants.foliage import Foliage, OrganShape, place
 from forestgen.plants.skeleton import Skeleton
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 _STRICT = ConfigDict(frozen=True, extra="forbid")
 _PARENT_SHARE = 0.7  # a branch is at most this share of the radius of the axis that bears it
@@ -202,7 +203,7 @@ class _Assembly:
         self.order = [np.zeros(1, np.int64)]
         self.axis = [np.zeros(1, np.int64)]
 
-    def add(self, order: int, grown: Grown, shoots: Shoots, radius_m: Floats) -> Floats:
+    def add(self, order: int, grown: Grown, shoots: Shoots, radius_m: Floats) -> Ints:
         """Append the axes of an order; returns the (N,) skeleton indices of their nodes."""
         index = self.size + np.arange(len(grown.axis))
         parent = index - 1
@@ -234,7 +235,7 @@ class SilhouetteGenerator:
     def grow(self, parameters: _Parameters, height_m: float, width_m: float, rng: np.random.Generator) -> Skeleton:
         """One plant, its top at `height_m` and its mean horizontal extent `width_m`, organs placed."""
         skeleton = grow_wood(parameters, height_m, width_m, rng)
-        organs = tuple(place(rule, skeleton, height_m, rng) for rule in parameters.foliage)
+        organs = tuple(place(rule, skeleton, height_m, rng) for rule in parameters.foliage if rule.suits(height_m))
         templates = {name: shape.template() for name, shape in parameters.shapes.items()}
         return fit(skeleton, organs, templates, height_m, width_m)
 

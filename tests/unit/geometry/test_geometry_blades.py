@@ -12,6 +12,8 @@ from forestgen.geometry.mesh import Mesh
 TEMPLATES = {
     "round_deltoid": (blades.round_deltoid(0.08, 0.09, 0.04, 14, 20), 7),
     "lanceolate": (blades.lanceolate(0.12, 0.02, 0.0, 15, 30), 4),
+    "round_deltoid_fine": (blades.round_deltoid(0.08, 0.09, 0.04, 14, 20, fine=True), 15),
+    "lanceolate_fine": (blades.lanceolate(0.12, 0.02, 0.003, 15, 30, fine=True), 9),
     "needle_shoot": (blades.needle_shoot(0.3, 0.2, 5), 16),
     "four_petals": (blades.four_petals(0.02, 0.015, 0.02, 65), 13),
     "bud": (blades.bud(0.02, 0.006, 0.01), 6),
@@ -33,7 +35,7 @@ def test_template_is_sound(name: str) -> None:
     assert np.linalg.norm(mesh.vertices_m, axis=1).min() < 0.003, "the foot is in the origin"
 
 
-@pytest.mark.parametrize("name", ["round_deltoid", "lanceolate"])
+@pytest.mark.parametrize("name", ["round_deltoid", "lanceolate", "round_deltoid_fine", "lanceolate_fine"])
 def test_leaf_shows_its_upper_side(name: str) -> None:
     mesh, _ = TEMPLATES[name]
     assert np.all(face_normals(mesh)[:, 2] >= -1e-12)
