@@ -18,6 +18,7 @@ from forestgen.dataset.folder import OutputFolder
 from forestgen.dataset.manifest import build_manifest, write_manifest
 from forestgen.dataset.writer import frame_bytes, frame_folder_name, write_dataset, write_frame
 from forestgen.recipe.load import LoadedRecipe, dump_yaml
+from forestgen.render.variant import mitsuba
 from forestgen.scene.exemplars import SizeError
 from forestgen.stages.community import final_population, snapshots
 from forestgen.stages.frames import render_frame
@@ -43,13 +44,22 @@ class RunSummary:
 
 
 def render(
-    loaded: LoadedRecipe, target: Path, *, overwrite: bool = False, progress: Progress, timings: Timings
+    loaded: LoadedRecipe,
+    target: Path,
+    *,
+    overwrite: bool = False,
+    threads: int | None = None,
+    progress: Progress,
+    timings: Timings,
 ) -> RunSummary:
     """Make all images of a recipe and write them, with their labels, into the folder `target`.
 
-    The folder appears when everything in it is complete, or not at all.
+    The folder appears when everything in it is complete, or not at all. `threads` limits the renderer's worker
+    threads (None: all cores); no result depends on it.
     """
     plan = check_plan(loaded)
+    with timings("load Mitsuba"):
+        mitsuba(threads)
     summary = RunSummary(target)
     frames: list[FrameRecord] = []
     seeds: list[int] = []

@@ -48,7 +48,7 @@ def cumulus_field(
     cover: float,
     extinction_per_m: float,
     rng: np.random.Generator,
-    cell_m: float = 40.0,
+    cell_m: float = 26.0,
 ) -> CloudGrid:
     """A field of cumulus over a square of side `extent_m`.
 
@@ -69,12 +69,12 @@ def cumulus_field(
     excess = np.clip((base_field - threshold) / (base_field.max() - threshold), 0.0, None)
     tops = thickness_m * np.minimum(1.0, 1.25 * excess**0.6)
 
-    billow = np.abs(_spectral_noise((up, across, across), (dz, cell, cell), 420.0, 2 * dz, 3.2, rng))
+    billow = np.abs(_spectral_noise((up, across, across), (dz, cell, cell), 420.0, 2 * dz, 2.8, rng))
     z = (np.arange(up, dtype=np.float32) + 0.5) * dz
     # Billows bite deeper into the sides and tops than into the base, which condensation keeps flat.
     bite = thickness_m * 0.22 * billow * (0.25 + 0.75 * z / thickness_m)[:, None, None]
     depth = tops[None] - z[:, None, None] - bite
-    rise = np.clip(depth / (1.5 * dz), 0.0, 1.0)
+    rise = np.clip(depth / (1.2 * dz), 0.0, 1.0)
     profile = ((z + 0.5 * dz) / thickness_m) ** (2.0 / 3.0)
     extinction = (extinction_per_m * rise * profile[:, None, None]).astype(np.float32)
     half = extent_m / 2.0

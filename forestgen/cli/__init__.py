@@ -56,13 +56,23 @@ def render(
         Optional[int],  # noqa: UP045
         typer.Option("--images", min=1, help="How many images, each drawn anew; like --set images=N.", show_default=False),
     ] = None,
+    threads: Annotated[
+        Optional[int],  # noqa: UP045
+        typer.Option(
+            "--threads",
+            min=1,
+            max=4096,
+            help="Worker threads; by default all cores. Results do not depend on it.",
+            show_default=False,
+        ),
+    ] = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Render a recipe: images, masks, tables."""
     from forestgen.cli import commands
 
     extra = [f"images={images}"] if images is not None else []
-    commands.render(recipe, [*(overrides or []), *extra], output, overwrite, Bars())
+    commands.render(recipe, [*(overrides or []), *extra], output, overwrite, threads, Bars())
 
 
 @app.command(epilog="Example: forestgen simulate recipes/quickstart.yaml --map-step 20 --map-step 300")

@@ -39,13 +39,15 @@ def _out() -> Console:
     return Console(highlight=False, soft_wrap=True)
 
 
-def render(recipe: Path, overrides: Sequence[str], output: Path | None, overwrite: bool, bars: Bars) -> None:
+def render(
+    recipe: Path, overrides: Sequence[str], output: Path | None, overwrite: bool, threads: int | None, bars: Bars
+) -> None:
     timings = Timings()
     with timings("recipe"):
         loaded = load_recipe(recipe, overrides)
     with bars.running():
         summary = pipeline.render(
-            loaded, _target(output, recipe), overwrite=overwrite, progress=bars, timings=timings
+            loaded, _target(output, recipe), overwrite=overwrite, threads=threads, progress=bars, timings=timings
         )
     out = _out()
     _print_counts(out, summary)

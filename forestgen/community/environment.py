@@ -34,35 +34,50 @@ def _compile(function: Callable[..., Any]) -> Callable[..., Any]:
     return compiled
 
 
-def _blocks(i, x, y, r, periodic, width, height, nx, ny, offset, cell_start, cell_rank):  # type: ignore[no-untyped-def]
-    """Whether a circle of smaller rank in one level's grid intersects circle `i`."""
-    cx = min(max(int(x[i] * nx / width), 0), nx - 1)
-    cy = min(max(int(y[i] * ny / height), 0), ny - 1)
-    for a in range(9):  # 0, +1, -1 in each direction: the circle's own cell, the likeliest, comes first
-        ax, ay = a % 3, a // 3
-        if periodic and (ax >= nx or ay >= ny):
-            continue  # a grid one or two cells wide wraps onto cells that were already searched
-        gx = cx + (-1 if ax == 2 else ax)
-        gy = cy + (-1 if ay == 2 else ay)
-        if periodic:
-            gx, gy = gx % nx, gy % ny
-        elif gx < 0 or gy < 0 or gx >= nx or gy >= ny:
-            continue
-        cell = offset + gy * nx + gx
-        for k in range(cell_start[cell], cell_start[cell + 1]):
-            j = cell_rank[k]
-            if j >= i:
-                break
-            dx, dy = abs(x[i] - x[j]), abs(y[i] - y[j])
-            if periodic:
-                dx, dy = min(dx, width - dx), min(dy, height - dy)
-            reach = r[i] + r[j]
-            if dx * dx + dy * dy <= reach * reach:
-                return True
+def _near(at, cell, n, reach, periodic, step):  # type: ignore[no-untyped-def]
+    """Index of the cell `step` away along one axis, or -1 where it does not exist or is out of reach.
+
+    `at` and `reach` are in cells. A periodic axis of one or two cells wraps onto cells already searched.
+    """
+    if step == 0:
+        return cell
+    if periodic and n < 3:
+        return (cell + 1) % n if step == 1 and n == 2 else -1
+    if (step == 1 and at + reach < cell + 1) or (step == -1 and at - reach > cell):
+        return -1
+    other = cell + step
+    if periodic:
+        return other + n if other < 0 else (0 if other == n else other)
+    return -1 if other == n else other
+
+
+_near_compiled = _compile(_near)
+
+
+def _blocked(i, x, y, r, periodic, width, height, reach, nx, ny, offset, cell_start, cell_rank):  # type: ignore[no-untyped-def]
+    """Whether a circle of smaller rank in one level's grid intersects circle `i`; `reach` bounds both radii."""
+    across, along = x[i] * nx / width, y[i] * ny / height
+    cx, cy = min(max(int(across), 0), nx - 1), min(max(int(along), 0), ny - 1)
+    for b in range(3):  # 0, +1, -1: the circle's own cell, the likeliest, comes first
+        gy = _near_compiled(along, cy, ny, reach * ny / height, periodic, (b + 1) % 3 - 1)
+        for a in range(3):
+            gx = _near_compiled(across, cx, nx, reach * nx / width, periodic, (a + 1) % 3 - 1)
+            if gx < 0 or gy < 0:
+                continue
+            cell = offset + gy * nx + gx
+            for k in range(cell_start[cell], cell_start[cell + 1]):
+                j = cell_rank[k]
+                if j >= i:
+                    break
+                dx, dy = abs(x[i] - x[j]), abs(y[i] - y[j])
+                if periodic:
+                    dx, dy = min(dx, width - dx), min(dy, height - dy)
+                if dx * dx + dy * dy <= (r[i] + r[j]) ** 2:
+                    return True
     return False
 
 
-_blocks_compiled = _compile(_blocks)
+_blocked_compiled = _compile(_blocked)
 
 
 def _search(x, y, r, periodic, width, height, first, nx, ny, offset, cell_start, cell_rank, out):  # type: ignore[no-untyped-def]
@@ -71,8 +86,9 @@ def _search(x, y, r, periodic, width, height, first, nx, ny, offset, cell_start,
         for level in range(len(nx)):
             if first[level] >= i:
                 break
-            if _blocks_compiled(
-                i, x, y, r, periodic, width, height, nx[level], ny[level], offset[level], cell_start, cell_rank
+            reach = (r[i] + r[first[level]]) * (1 + 1e-9)
+            if _blocked_compiled(
+                i, x, y, r, periodic, width, height, reach, nx[level], ny[level], offset[level], cell_start, cell_rank
             ):
                 out[i] = True
                 break

@@ -95,9 +95,9 @@ def plot_map(
     figure = _figure(1.2 + 6.3 * max(width / longest, 0.4), 1.7 + 6.3 * max(height / longest, 0.1))
     axes = figure.add_subplot(aspect="equal", xlim=(0, width), ylim=(0, height), facecolor="#FAF8F3")
     axes.set(xlabel="x, east (m)", ylabel="y, north (m)")
-    axes.set_title(f"{population.time_yr:g} years, {len(population):,} plants", fontsize=12)
-    _draw_circles(axes, population, site, colours, periodic)
     counts = count_by_species(population)
+    axes.set_title(f"{population.time_yr:g} years, {sum(counts.values()):,} plants", fontsize=12)
+    _draw_circles(axes, population, site, colours, periodic)
     handles = [
         Line2D([], [], ls="", marker="o", ms=9, mfc=(colour, 0.55), mec=colour, label=f"{name} ({counts[name]:,})")
         for name, colour in colours.items()

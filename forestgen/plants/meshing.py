@@ -21,7 +21,7 @@ Ints = NDArray[np.int64]
 
 _FOOT_M = 0.3  # stems reach this far below the ground, so that none hangs over a slope
 _MESHED_FLARE_RADIUS_M = 0.012  # thinner stems get no flare and no bark relief
-_COLLAR = np.array([0.0, 0.12, 0.3, 0.6, 1.0])  # extra rings of the flare, shares of its height
+_COLLAR = np.array([0.0, 0.05, 0.12, 0.22, 0.36, 0.55, 0.77, 1.0])  # extra rings of the flare, shares of its height
 
 
 def wood_mesh(skeleton: Skeleton, trunk: bool, flare: float) -> Mesh:
@@ -87,9 +87,10 @@ def _stem_line(skeleton: Skeleton, first: int, last: int) -> Polylines:
         radius[0] = radius[1]
     arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     stops = (
-        np.union1d(arc, _COLLAR * min(8.0 * radius[0], 0.5 * arc[-1])) if radius[0] > _MESHED_FLARE_RADIUS_M else arc
+        np.union1d(arc, _COLLAR * min(14.0 * radius[0], 0.5 * arc[-1])) if radius[0] > _MESHED_FLARE_RADIUS_M else arc
     )
-    stops = stops[np.diff(stops, prepend=-1.0) > 1e-4]
+    stops = stops[np.diff(stops, prepend=-1.0) > 0.3 * radius[0]]  # slivers would show in the shading
+    stops = np.append(stops[stops < arc[-1]], arc[-1])
     line = np.stack([np.interp(stops, arc, points[:, k]) for k in range(3)], axis=1)
     foot = line[0] - _FOOT_M * unit(line[1] - line[0] + [0.0, 0.0, 1e-9])
     line = np.concatenate([[foot], line])
@@ -108,7 +109,7 @@ def _stem(line: Polylines, flare: float) -> Mesh:
     count = int(sides[0])
     angle = np.arange(count) * (2.0 * np.pi / count)
     phase = 40.0 * line.points_m[min(8, len(height) - 1), :2]  # differs from tree to tree, needs no random number
-    near_ground = np.exp(-np.maximum(height, 0.0) / (3.0 * base))[:, None]
+    near_ground = np.exp(-np.maximum(height, 0.0) / (3.5 * base))[:, None]
     ridges = 1.0 + 0.55 * np.cos(5.0 * angle + phase[0]) + 0.35 * np.cos(3.0 * angle + phase[1])
     relief = 0.03 * np.sin(3.0 * angle + 1.7 * height[:, None]) + 0.025 * np.sin(2.0 * angle - 2.9 * height[:, None])
     return sweep(line, sides, radial_factor=1.0 + flare * near_ground * ridges + relief)

@@ -43,11 +43,11 @@ class Terrain(Section):
 
     kind: Annotated[Literal["flat", "rolling"], Field(description="Shape of the ground.")] = "flat"
     amplitude_m: Annotated[
-        Number, Field(ge=0, le=500, description="Height of rolling ground's waves above and below the mean, metres.")
-    ] = 1.5
+        Number, Field(ge=0, le=500, description="Standard deviation of rolling ground's height, metres.")
+    ] = 0.8
     wavelength_m: Annotated[
-        Positive, Field(ge=1, le=10000, description="Distance between rolling ground's crests, metres.")
-    ] = 45.0
+        Positive, Field(ge=1, le=10000, description="Longest distance between rolling ground's crests, metres.")
+    ] = 70.0
 
 
 class Site(Section):
@@ -93,10 +93,10 @@ class Clouds(Section):
 
     type: Annotated[Literal["cumulus", "none"], Field(description="Kind of cloud.")] = "none"
     cover: Annotated[Fraction, Field(description="Fraction of the sky's area under cloud, 0 to 1.")] = 0.35
-    base_m: Annotated[Positive, Field(le=20000, description="Height of the clouds' base above ground, metres.")] = 600.0
+    base_m: Annotated[Positive, Field(le=20000, description="Height of the clouds' base above ground, metres.")] = 900.0
     thickness_m: Annotated[Positive, Field(le=20000, description="Height of the cloud layer, metres.")] = 350.0
-    extinction_per_m: Annotated[Positive, Field(le=1, description="Extinction inside a cloud, per metre.")] = 0.04
-    extent_m: Annotated[Positive, Field(le=20000, description="Side of the square of clouds, metres.")] = 3000.0
+    extinction_per_m: Annotated[Positive, Field(le=1, description="Extinction inside a cloud, per metre.")] = 0.05
+    extent_m: Annotated[Positive, Field(le=20000, description="Side of the square of clouds, metres.")] = 8000.0
 
 
 class SkySection(Section):
@@ -149,7 +149,6 @@ class Render(Section):
     samples: Annotated[Whole, Field(ge=1, le=65536, description="Light paths a pixel.")] = 16
     denoise: Annotated[Flag, Field(description="Whether to remove the noise that remains.")] = True
     max_depth: Annotated[Whole, Field(ge=1, le=4096, description="Most scatterings of a path.")] = 64
-    threads: Annotated[Whole | None, Field(ge=1, le=4096, description="CPU threads; null takes all.")] = None
 
 
 class Labels(Section):

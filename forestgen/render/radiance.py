@@ -24,7 +24,7 @@ from forestgen.core.randomness import child_seed
 from forestgen.render import sky
 from forestgen.render.build import FilmWindow, ground_bsdf, load, origin_of, plants_dict, sensor_of, sky_emitter, to_mesh
 from forestgen.render.frame import Radiance
-from forestgen.render.variant import SCALAR, mitsuba
+from forestgen.render.variant import BLOCK_PX, SCALAR, mitsuba
 from forestgen.scene.spec import Camera, SceneSpec
 
 _SLICES = 8
@@ -135,7 +135,7 @@ def _clear(
     origin = origin_of(camera)
     with timer("radiance: build"):
         scene = load({**scene_dict(spec, origin), "light": sky_emitter(spec, sun=True, sky=True)})
-        integrator = mi.load_dict({"type": "path", "max_depth": max_depth, "rr_depth": 2})
+        integrator = mi.load_dict({"type": "path", "max_depth": max_depth, "rr_depth": 2, "block_size": BLOCK_PX})
     total = SliceSum()
     sizes = slice_sizes(samples)
     with progress.stage("radiance", len(sizes)) as advance:
@@ -169,7 +169,9 @@ def _cloudy(
         by_sky = load({**plants, "light": environment})
         by_sun = load({**plants, "light": sky_emitter(spec, sun=True, sky=False), "sheet": sky.sun_sheet(spec, origin)})
         clouds = load(sky.clouds_over_ground(spec, origin, sky_emitter(spec, sun=True, sky=True)))
-        hidden = mi.load_dict({"type": "volpath", "max_depth": max_depth, "rr_depth": 2, "hide_emitters": True})
+        hidden = mi.load_dict(
+            {"type": "volpath", "max_depth": max_depth, "rr_depth": 2, "hide_emitters": True, "block_size": BLOCK_PX}
+        )
         through = mi.load_dict(sky.CLOUD_INTEGRATOR)
     window = _window(sky_share)
     total = SliceSum()
@@ -177,8 +179,9 @@ def _cloudy(
     with progress.stage("radiance", len(sizes) * 3) as advance:
         for number, size in enumerate(sizes):
             sensor = sensor_of(camera, size)
+            # The sky's light is smooth, and the sky itself easily denoised: they need fewer samples than the sun's light.
+            few = (size + 1) // 2
             with timer("mitsuba"):
-                few = (size + 1) // 2  # the sky's light is smooth and a small part: it needs fewer samples than the sun's
                 a = interruptible(hidden, by_sky, sensor_of(camera, few), child_seed(seed, "sky", number), few)
             advance(1)
             with timer("mitsuba"):
@@ -188,8 +191,8 @@ def _cloudy(
             if window is not None:
                 with timer("mitsuba"):
                     c = interruptible(
-                        through, clouds, sensor_of(camera, size, window), child_seed(seed, "clouds", number), size
-                    ).astype(np.float64)
+                        through, clouds, sensor_of(camera, few, window), child_seed(seed, "clouds", number), few
+                    )
                 rows, columns = slice(window.y, window.y + window.height), slice(window.x, window.x + window.width)
                 image[rows, columns] += (1.0 - a[rows, columns, 3:4]) * c[..., :3]
             advance(1)

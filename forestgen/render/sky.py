@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 from forestgen.render.denoise import denoise
 from forestgen.render.build import sky_emitter, sun_direction
-from forestgen.render.variant import mitsuba
+from forestgen.render.variant import BLOCK_PX, mitsuba
 from forestgen.atmosphere.grid import CloudGrid
 from forestgen.scene.spec import SceneSpec
 
-CLOUD_INTEGRATOR: dict[str, Any] = {"type": "volpath", "max_depth": 128, "rr_depth": 128}
+CLOUD_INTEGRATOR: dict[str, Any] = {"type": "volpath", "max_depth": 64, "rr_depth": 64, "block_size": BLOCK_PX}
 _GROUND_HALF_M = 20_000.0
 
 
@@ -60,7 +60,7 @@ def clouds_over_ground(spec: SceneSpec, origin_m: NDArray[np.float64], emitter: 
     return scene
 
 
-def bake_sky(spec: SceneSpec, origin_m: NDArray[np.float64], *, seed: int, size: int = 48, samples: int = 64) -> Any:
+def bake_sky(spec: SceneSpec, origin_m: NDArray[np.float64], *, seed: int, size: int = 32, samples: int = 16) -> Any:
     """The sky without the sun's disc, seen from the origin, as an `envmap` dictionary.
 
     Five faces of a cube (all but the ground) are traced, denoised and looked up by direction. Below the horizon the

@@ -18,6 +18,9 @@ from forestgen.core.errors import ResourceError
 
 SCALAR = "scalar_rgb"
 LLVM = "llvm_ad_rgb"
+# Pixels along a render block's side, for every integrator. Each block has a random stream of its own, and unless it is
+# told a size Mitsuba halves it until every thread has a block: the image would depend on the number of cores.
+BLOCK_PX = 16
 _ready: dict[str, Any] = {}
 
 

@@ -16,8 +16,9 @@ from forestgen.scene.spec import Terrain
 
 HORIZON_M = 12_000.0
 _SITE_CELL_M = 0.75
-TEXTURE_TILE_M = 48.0
-_TEXTURE_PX = 1024
+TEXTURE_TILE_M = 24.0
+_TEXTURE_PX = 1536
+_LEAVES_PER_M2 = 260
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,7 @@ def rolling(amplitude_m: float, wavelength_m: float, rng: np.random.Generator) -
     wavelength = wavelength_m * 0.5 ** (3.0 * rng.random(waves))
     angle = rng.random(waves) * 2 * np.pi
     k = 2 * np.pi / wavelength
-    weight = wavelength**1.2  # long waves carry most of the height, as eroded land does
+    weight = wavelength**2  # long waves carry most of the height, as on eroded land
     amplitude = amplitude_m * np.sqrt(2.0) * weight / np.sqrt(np.sum(weight**2))
     return HeightField(
         np.stack([k * np.cos(angle), k * np.sin(angle)], axis=1), amplitude, rng.random(waves) * 2 * np.pi
@@ -101,21 +102,54 @@ def _tile_noise(longest_m: float, shortest_m: float, slope: float, rng: np.rando
     return np.asarray((field - field.mean()) / field.std())
 
 
+_DRY_LEAVES = np.array(  # linear Rec. 709: russet, tan, straw, grey-brown, dark and half-rotten
+    [[0.135, 0.078, 0.038], [0.190, 0.125, 0.062], [0.255, 0.190, 0.100], [0.150, 0.118, 0.082], [0.060, 0.042, 0.028]]
+)
+_HUMUS = np.array([0.040, 0.030, 0.021])
+_MOSS = np.array([0.046, 0.066, 0.019])
+
+
+def _scattered_leaves(rng: np.random.Generator) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+    """(P, P) index of the uppermost leaf or -1; each leaf's colour (L, 3); (P, P) shade of a leaf's folded halves."""
+    leaves = int(_LEAVES_PER_M2 * TEXTURE_TILE_M**2)
+    cell = TEXTURE_TILE_M / _TEXTURE_PX
+    centre = rng.random((leaves, 2)) * _TEXTURE_PX
+    angle = rng.random(leaves) * 2 * np.pi
+    half_length = (0.018 + 0.026 * rng.random(leaves)) / cell
+    half_width = half_length * (0.45 + 0.35 * rng.random(leaves))
+    reach = int(np.ceil(half_length.max()))
+    step = np.arange(-reach, reach + 1)
+    dx, dy = (one.ravel() for one in np.meshgrid(step, step))
+    pixel = np.floor(centre).astype(np.int64)
+    x = pixel[:, :1] + dx + 0.5 - centre[:, :1]
+    y = pixel[:, 1:] + dy + 0.5 - centre[:, 1:]
+    along = (x * np.cos(angle)[:, None] + y * np.sin(angle)[:, None]) / half_length[:, None]
+    across = (y * np.cos(angle)[:, None] - x * np.sin(angle)[:, None]) / half_width[:, None]
+    leaf, spot = np.nonzero(across**2 < (1 - along**2) * (1 - 0.45 * along))
+    row = (pixel[leaf, 1] + dy[spot]) % _TEXTURE_PX
+    column = (pixel[leaf, 0] + dx[spot]) % _TEXTURE_PX
+    upper = np.full(_TEXTURE_PX * _TEXTURE_PX, -1, dtype=np.int64)
+    np.maximum.at(upper, row * _TEXTURE_PX + column, leaf)
+    seen = leaf == upper[row * _TEXTURE_PX + column]
+    shade = np.ones(_TEXTURE_PX * _TEXTURE_PX)
+    shade[(row * _TEXTURE_PX + column)[seen]] = 1 + 0.16 * np.sign(across[leaf, spot][seen])
+    kind = rng.choice(len(_DRY_LEAVES), leaves, p=[0.30, 0.26, 0.10, 0.20, 0.14])
+    colour = _DRY_LEAVES[kind] * (0.75 + 0.5 * rng.random((leaves, 1)))
+    return upper.reshape(_TEXTURE_PX, -1), colour, shade.reshape(_TEXTURE_PX, -1)
+
+
 def litter_texture(rng: np.random.Generator) -> NDArray[np.float32]:
-    """(P, P, 3) reflectance of a forest floor: leaf litter with moss, dark humus and straw, in patches and flecks."""
-    patches = _tile_noise(16.0, 1.0, 3.0, rng)
-    flecks = _tile_noise(0.6, 0.1, 1.0, rng)
-    straw = _tile_noise(3.0, 0.1, 1.6, rng)
-    litter, humus = np.array([0.118, 0.080, 0.046]), np.array([0.048, 0.036, 0.025])
-    moss, dry = np.array([0.060, 0.088, 0.024]), np.array([0.200, 0.158, 0.088])
-
-    def share(field: NDArray[np.float64], middle: float, width: float) -> NDArray[np.float64]:
-        return np.asarray(1 / (1 + np.exp(-(field - middle) / width)))[..., None]
-
-    colour = litter + share(-flecks, 0.6, 0.35) * (humus - litter)
-    colour = colour + share(patches + 0.35 * straw, 0.25, 0.3) * 0.85 * (moss - colour)
-    colour = colour + share(flecks + 0.6 * straw, 1.5, 0.3) * (dry - colour)
-    return np.clip(colour * (1 + 0.10 * flecks[..., None]), 0.01, 0.6).astype(np.float32)
+    """(P, P, 3) reflectance of a forest floor, periodic: fallen leaves on dark humus, moss in patches."""
+    upper, leaf_colour, shade = _scattered_leaves(rng)
+    patches = _tile_noise(9.0, 0.25, 2.6, rng)
+    grain = _tile_noise(0.25, 0.032, 0.5, rng)[..., None]
+    humus = _HUMUS * (1 + 0.25 * grain)
+    litter = np.where(upper[..., None] >= 0, leaf_colour[upper] * shade[..., None], humus)
+    moss = _MOSS * (1 + 0.3 * grain) * (1 + 0.25 * patches[..., None])
+    # Moss spreads under the leaves first: where it is thin, leaves still lie on it.
+    cover = 1 / (1 + np.exp(-(patches - 0.55) / 0.22))[..., None]
+    bare = np.where(upper[..., None] >= 0, np.clip(2.2 * cover - 1.2, 0, 1), cover)
+    return np.clip(litter + bare * (moss - litter), 0.012, 0.6).astype(np.float32)
 
 
 def build_terrain(height: HeightField, size_m: tuple[float, float], rng: np.random.Generator) -> Terrain:

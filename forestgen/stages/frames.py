@@ -15,7 +15,6 @@ from forestgen.render.denoise import denoise
 from forestgen.render.frame import Frame
 from forestgen.render.identity import trace_identity
 from forestgen.render.radiance import render_radiance
-from forestgen.render.variant import mitsuba
 from forestgen.scene.spec import Camera, SceneSpec
 
 
@@ -23,8 +22,6 @@ def render_frame(
     spec: SceneSpec, camera: Camera, recipe: Recipe, seed: int, progress: Progress, timings: Timings
 ) -> Frame:
     """Identity first (it tells where the sky is and guides the denoiser), then radiance, then the denoised copy."""
-    with timings("load Mitsuba"):
-        mitsuba(recipe.render.threads)
     with progress.stage(f"identity {camera.name}", camera.size_px[1]) as advance:
         identity = trace_identity(spec, camera, samples=recipe.labels.samples, timer=timings, advance=advance)
     # A sliver of sky may lie between samples: neighbours of pixels that see the sky may see it too.

@@ -113,7 +113,7 @@ def estimate_bytes(plan: Plan, *, simulate_only: bool = False) -> dict[str, int]
     pixels = max(camera.size_px[0] * camera.size_px[1] for camera in recipe.cameras)
     exemplars = recipe.plants.exemplars_per_species * len(plan.drawn.species)
     clouds = recipe.sky.clouds
-    cells = 0.0 if clouds.type == "none" else (clouds.extent_m / 40) ** 2 * max(8, clouds.thickness_m / 20)
+    cells = 0.0 if clouds.type == "none" else (clouds.extent_m / 26) ** 2 * max(8, clouds.thickness_m / 13)
     return {
         "community": community,
         "renderer": _LOADED_RENDERER_BYTES,

@@ -59,6 +59,12 @@ Decided where the thesis is silent or contradicts itself:
 - The cohort of 4.4 has round(n x area) plants; with several species, each is of any of them with equal probability.
 - The site is by default a torus: a plant at the left edge competes with those at the right. Otherwise plants at an edge
   have fewer rivals and a small site is a biased sample. ``periodic: false`` gives the bounded site, with that edge.
+- The thesis prints neither the parameters of its species nor the size of its site. Those that come with forestgen were
+  chosen for 120 m x 120 m. Means of ten seeds at steps 20, 150, 300, 1000 (Table 7.1 and section 4.5 in brackets):
+  2124, 1686, 1613, 1472 plants (2688, 1593, 1409, 834), H 0.87, 0.85, 0.85, 0.85 (0.6, 0.7, 0.7, 0.6). So the order of
+  dominance is that of the thesis, and the first three numbers within 25%; the old stand has too many plants, three
+  fifths of them herbs in gaps, and is less regular. A search over the parameters with herbs of at most 0.5 m and trees
+  of at most 3.2 m found none that does much better; herbs of 0.6 to 0.8 m lowered H to 0.76 to 0.8 at some steps.
 - Words have no order, so rows are kept in order of plant_id; X is no row: it is always there in 4.5, never in 4.4.
 """
 
@@ -270,7 +276,7 @@ class MultisetLSystem:
         )
 
     def estimate_bytes(self, parameters: MultisetParameters, site: Site, species: Sequence[SpeciesEcology]) -> int:
-        """Bytes of the largest table that is likely (more plants than this in fewer than one of 1e9 runs)."""
+        """Bytes for the bound of the mean number of plants and six standard deviations of a Poisson number more."""
         plants = _expected_plants_at_most(parameters, site, species)
         plants = min(plants + 6 * math.sqrt(plants), 1e30)
         return _BYTES_AT_LEAST + math.ceil(plants * _BYTES_PER_PLANT)

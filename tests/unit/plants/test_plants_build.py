@@ -15,7 +15,7 @@ from forestgen.plants.build import build_exemplar, size_m
 from forestgen.plants.exemplar import Exemplar
 from forestgen.plants.generators.silhouette import Parameters
 
-RADII = {"poplar": (0.05, 0.3, 1.0, 2.6), "spruce": (0.05, 0.3, 1.0, 2.8), "fireweed": (0.05, 0.12, 0.2, 0.3)}
+RADII = {"poplar": (0.05, 0.3, 1.0, 2.9), "spruce": (0.05, 0.3, 1.0, 3.2), "fireweed": (0.05, 0.13, 0.3, 0.5)}
 BUDGET = {"poplar": 115_000, "spruce": 145_000, "fireweed": 3_600}
 _BUILT: dict[tuple[str, float], Exemplar] = {}
 
@@ -67,8 +67,8 @@ def test_parts_and_materials() -> None:
         for colour in materials.values():
             total = np.array(colour["reflectance"]) + np.array(colour.get("transmittance", [0, 0, 0]))
             assert np.all(total <= 1)
-    assert Part.FLOWER in {organ.part for organ in built("fireweed", 0.3).organs}
-    assert Part.BRANCH in {organ.part for organ in built("poplar", 2.6).organs}
+    assert Part.FLOWER in {organ.part for organ in built("fireweed", 0.5).organs}
+    assert Part.BRANCH in {organ.part for organ in built("poplar", 2.9).organs}
 
 
 def test_branches_start_inside_their_bearer() -> None:
