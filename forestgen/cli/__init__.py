@@ -2,19 +2,28 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
-from typing import Annotated, Optional
+from typing import Annotated, Any, Optional
 
 import typer
 
 from forestgen import __version__
 from forestgen.cli.console import Bars, errors_for_people
 
+
+class _Commands(typer.core.TyperGroup):
+    """Runs commands inside our own error handling: typer's would meet Ctrl-C and a closed pipe first."""
+
+    def invoke(self, ctx: Any) -> Any:
+        with errors_for_people():
+            return super().invoke(ctx)
+
+
 app = typer.Typer(
     name="forestgen",
-    help="Labelled, physically based images of forests and meadows, from a recipe.\n\n"
-    "Example: forestgen render recipes/quickstart.yaml",
+    cls=_Commands,
+    help="Labelled, physically based images of forests and meadows, from a recipe.",
+    epilog="Example: forestgen render recipes/quickstart.yaml",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -25,11 +34,17 @@ app = typer.Typer(
 RecipePath = Annotated[Path, typer.Argument(metavar="RECIPE", help="The recipe, a YAML file.", show_default=False)]
 Overrides = Annotated[
     Optional[list[str]],  # noqa: UP045 - typer reads annotations at run time
-    typer.Option("--set", metavar="KEY=VALUE", help="Override a value of the recipe: --set sky.turbidity=5"),
+    typer.Option("--set", metavar="KEY=VALUE", help="Override a value of the recipe, such as sky.turbidity=5. May be repeated."),
 ]
 Output = Annotated[
     Optional[Path],  # noqa: UP045
-    typer.Option("--output", "-o", help="Folder for the results; by default outputs/NAME, NAME-2, ...", show_default=False),
+    typer.Option(
+        "--output",
+        "-o",
+        metavar="FOLDER",
+        help="Folder for the results; by default outputs/NAME, outputs/NAME-2, ...",
+        show_default=False,
+    ),
 ]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace a previous forestgen output in that folder.")]
 
@@ -54,12 +69,13 @@ def render(
     overrides: Overrides = None,
     images: Annotated[
         Optional[int],  # noqa: UP045
-        typer.Option("--images", min=1, help="How many images, each drawn anew; like --set images=N.", show_default=False),
+        typer.Option("--images", metavar="N", help="How many images, each drawn anew; short for --set images=N.", show_default=False),
     ] = None,
     threads: Annotated[
         Optional[int],  # noqa: UP045
         typer.Option(
             "--threads",
+            metavar="N",
             min=1,
             max=4096,
             help="Worker threads; by default all cores. Results do not depend on it.",
@@ -75,18 +91,20 @@ def render(
     commands.render(recipe, [*(overrides or []), *extra], output, overwrite, threads, Bars())
 
 
-@app.command(epilog="Example: forestgen simulate recipes/quickstart.yaml --map-step 20 --map-step 300")
+@app.command(epilog="Example: forestgen simulate recipes/quickstart.yaml --map-step 20 --map-step 150")
 def simulate(
     recipe: RecipePath,
     output: Output = None,
     overrides: Overrides = None,
     map_steps: Annotated[
         Optional[list[int]],  # noqa: UP045
-        typer.Option("--map-step", help="Draw a map of this step; by default of the last. May be repeated."),
+        typer.Option(
+            "--map-step", metavar="N", help="Draw a map of this step; by default of the last. May be repeated.", show_default=False
+        ),
     ] = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Simulate a recipe's community only."""
+    """Simulate a recipe's community only: history, maps, curves."""
     from forestgen.cli import commands
 
     commands.simulate(recipe, overrides or [], map_steps or [], output, overwrite, Bars())
@@ -94,15 +112,25 @@ def simulate(
 
 @app.command(epilog="Example: forestgen plant spruce --height 12 --seed 3 -o spruce.glb")
 def plant(
-    species: Annotated[str, typer.Argument(help="A species' name (see `forestgen models`) or its YAML file.")],
+    species: Annotated[
+        str, typer.Argument(metavar="SPECIES", help="A species' name (`forestgen models` lists them) or its YAML file.")
+    ],
     height_m: Annotated[
         Optional[float],  # noqa: UP045
-        typer.Option("--height", help="Height in metres; by default that of a mature plant.", show_default=False),
+        typer.Option(
+            "--height", metavar="METRES", help="Height in metres; by default that of a mature plant.", show_default=False
+        ),
     ] = None,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Another seed is another plant.")] = 0,
+    seed: Annotated[int, typer.Option("--seed", metavar="N", help="Another seed is another plant.")] = 0,
     output: Annotated[
         Optional[Path],  # noqa: UP045
-        typer.Option("--output", "-o", help="Mesh file: .glb, .ply or .obj; a picture is put beside it.", show_default=False),
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="FILE",
+            help="Mesh file: .glb, .ply or .obj; by default outputs/SPECIES.glb. A picture, .png, goes beside it.",
+            show_default=False,
+        ),
     ] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace existing files.")] = False,
 ) -> None:
@@ -132,7 +160,9 @@ def schema() -> None:
 def models(
     name: Annotated[
         Optional[str],  # noqa: UP045
-        typer.Argument(help="Show the manual page of this model or generator.", show_default=False),
+        typer.Argument(
+            metavar="NAME", help="Show the manual page of this model or generator, or this species' file.", show_default=False
+        ),
     ] = None,
 ) -> None:
     """List models, generators, species and recipes."""
@@ -141,16 +171,14 @@ def models(
     commands.models(name)
 
 
-@app.command(epilog="Example: forestgen doctor")
-def doctor() -> None:
+@app.command("doctor", epilog="Example: forestgen doctor")
+def check_machine() -> None:
     """Check this machine, and say what to mend."""
-    from forestgen.cli import doctor as doctor_module
+    from forestgen.cli import doctor
 
-    raise typer.Exit(doctor_module.report())
+    raise typer.Exit(doctor.report())
 
 
 def main() -> None:
     """Entry point."""
-    with errors_for_people():
-        app(prog_name="forestgen")
-    sys.exit(0)
+    app(prog_name="forestgen")

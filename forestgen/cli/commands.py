@@ -2,31 +2,40 @@
 
 from __future__ import annotations
 
+import difflib
+import inspect
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from forestgen import pipeline
-from forestgen.cli.console import Bars, seconds
+from forestgen.cli.console import Bars, count, output, seconds
 from forestgen.community.registry import COMMUNITY_MODELS
 from forestgen.core.errors import RecipeError
 from forestgen.core.registry import Registry
 from forestgen.core.timing import Timings
 from forestgen.plants.registry import GENERATORS
-from forestgen.recipe.assets import find_asset, list_assets, recipes_dir
+from forestgen.recipe.assets import find_asset, list_assets, recipes_dir, scenes_dir
 from forestgen.recipe.json_schema import recipe_json_schema
-from forestgen.recipe.load import load_recipe
-from forestgen.stages.plan import check_plan, estimate_bytes
+from forestgen.recipe.load import LoadedRecipe, load_recipe
+from forestgen.recipe.sources import dotted
+from forestgen.scene.exemplars import SizeError
+from forestgen.stages.plan import Plan, check_plan, estimate_bytes, why_barren
 
 
-def _target(output: Path | None, recipe: Path) -> Path:
+_MOST_NOTES = 5
+_REGISTRIES = (COMMUNITY_MODELS, GENERATORS)
+
+
+def _target(chosen: Path | None, recipe: Path) -> Path:
     """The folder asked for; else the first of outputs/NAME, outputs/NAME-2, ... that is free."""
-    if output is not None:
-        return output
+    if chosen is not None:
+        return chosen
     stem, number = Path("outputs") / recipe.stem, 1
     target = stem
     while target.exists():
@@ -35,77 +44,100 @@ def _target(output: Path | None, recipe: Path) -> Path:
     return target
 
 
-def _out() -> Console:
-    return Console(highlight=False, soft_wrap=True)
-
-
 def render(
-    recipe: Path, overrides: Sequence[str], output: Path | None, overwrite: bool, threads: int | None, bars: Bars
+    recipe: Path, overrides: Sequence[str], target: Path | None, overwrite: bool, threads: int | None, bars: Bars
 ) -> None:
     timings = Timings()
     with timings("recipe"):
         loaded = load_recipe(recipe, overrides)
     with bars.running():
         summary = pipeline.render(
-            loaded, _target(output, recipe), overwrite=overwrite, threads=threads, progress=bars, timings=timings
+            loaded, _target(target, recipe), overwrite=overwrite, threads=threads, progress=bars, timings=timings
         )
-    out = _out()
-    _print_counts(out, summary)
+    out = output()
+    if loaded.images > 1:
+        _say(out, "The last image:")
+    _say_counts(out, summary)
     if summary.size_errors:
-        table = Table("species", "plants", "exemplars", "size error (rms)", "crown width error (rms)", box=None)
-        for error in summary.size_errors:
-            table.add_row(
-                error.species,
-                f"{error.plants:,}",
-                str(error.exemplars),
-                f"{100 * error.radius_rms:.1f}%",
-                f"{100 * error.crown_width_rms:.1f}%",
-            )
-        out.print(table)
-    for note in summary.notes:
-        out.print(f"note: {note}")
-    frames = "1 frame" if summary.frames == 1 else f"{summary.frames} frames"
-    inside = summary.timings_s.get("mitsuba", 0.0)
-    out.print(f"{frames} in {seconds(summary.total_s)}, {100 * inside / summary.total_s:.0f}% of it inside the renderer")
-    out.print(f"files: {summary.folder}/")
-    first = sorted(path for path in summary.folder.iterdir() if path.is_dir())[0]
-    out.print(f"look at {first / 'preview.png'} and {first / 'overlay.png'}")
+        _say_size_errors(out, summary.size_errors)
+    _say_notes(out, summary.notes)
+    inside = summary.timings_s.get("mitsuba", 0.0) / summary.total_s
+    frames = count(summary.frames, "frame")
+    _say(out, f"{frames} in {seconds(summary.total_s)}, {100 * inside:.0f}% of it inside the renderer")
+    _say(out, f"files: {summary.folder}/")
+    first = min(path for path in summary.folder.iterdir() if path.is_dir())
+    _say(out, f"look at {first / 'preview.png'} and {first / 'overlay.png'}")
 
 
-def _print_counts(out: Console, summary: pipeline.RunSummary) -> None:
-    kinds = ", ".join(f"{count:,} {name}" for name, count in summary.counts.items())
-    seen = f", {summary.visible_plants:,} of them visible" if summary.frames else ""
-    out.print(f"{summary.plants:,} plants ({kinds}){seen}")
+def _say(out: Console, text: str) -> None:
+    out.print(Text(text))  # names may hold brackets, which are no markup
+
+
+def _say_notes(out: Console, notes: Sequence[str]) -> None:
+    for note in notes[:_MOST_NOTES]:
+        _say(out, f"note: {note}")
+    if len(notes) > _MOST_NOTES:
+        _say(out, f"note: {len(notes) - _MOST_NOTES} more notes are in manifest.json")
+
+
+def _say_counts(out: Console, summary: pipeline.RunSummary) -> None:
+    kinds = ", ".join(f"{number:,} {name}" for name, number in summary.counts.items())
+    seen = f"; {summary.visible_plants:,} of them in view" if summary.frames else ""
+    _say(out, f"{count(summary.plants, 'plant')} ({kinds}){seen}")
+
+
+def _say_size_errors(out: Console, errors: Sequence[SizeError]) -> None:
+    """How well the exemplars stand for the plants: root mean squares of relative errors."""
+    table = Table("species", box=None, pad_edge=False, header_style="")
+    for title in ("plants", "exemplars", "rms size error", "rms crown width error"):
+        table.add_column(title, justify="right")
+    for error in errors:
+        rms = (f"{100 * value:.1f} %" for value in (error.radius_rms, error.crown_width_rms))
+        table.add_row(Text(error.species), f"{error.plants:,}", f"{error.exemplars:,}", *rms)
+    out.print(table)
 
 
 def simulate(
-    recipe: Path, overrides: Sequence[str], map_steps: Sequence[int], output: Path | None, overwrite: bool, bars: Bars
+    recipe: Path, overrides: Sequence[str], map_steps: Sequence[int], target: Path | None, overwrite: bool, bars: Bars
 ) -> None:
     timings = Timings()
     loaded = load_recipe(recipe, overrides)
-    target = _target(output, recipe.with_name(f"{recipe.stem}-community"))
+    folder = _target(target, recipe.with_name(f"{recipe.stem}-community"))
     with bars.running():
         summary = pipeline.simulate(
-            loaded, target, map_steps=map_steps, overwrite=overwrite, progress=bars, timings=timings
+            loaded, folder, map_steps=map_steps, overwrite=overwrite, progress=bars, timings=timings
         )
-    out = _out()
-    _print_counts(out, summary)
-    out.print(f"simulated in {seconds(summary.timings_s['community'])}")
-    out.print(f"files: {summary.folder}/ (history.parquet, map-*.png, curves.png)")
+    out = output()
+    _say_counts(out, summary)
+    _say_notes(out, summary.notes)
+    _say(out, f"simulated in {seconds(summary.timings_s['community'])}")
+    _say(out, f"files: {summary.folder}/ ({', '.join(sorted(path.name for path in summary.folder.iterdir()))})")
 
 
 def validate(recipe: Path, overrides: Sequence[str]) -> None:
     loaded = load_recipe(recipe, overrides)
     plan = check_plan(loaded)
-    out = _out()
-    cameras = plan.drawn.recipe.cameras
-    sizes = ", ".join(f"{camera.name} {camera.size_px[0]} x {camera.size_px[1]}" for camera in cameras)
-    out.print(f"{recipe}: valid")
-    out.print(f"  makes      {loaded.images * len(cameras)} frames: {loaded.images} images x {len(cameras)} cameras ({sizes})")
-    out.print(f"  community  {plan.drawn.recipe.community.model}, {plan.steps} steps, species {', '.join(plan.drawn.species)}")
-    out.print(f"  drawn      {len(loaded.distributions)} values anew for each image")
-    out.print(f"  memory     up to about {sum(estimate_bytes(plan).values()) / 1e9:.1f} GB")
-    out.print(f"  hash       {loaded.hash}")
+    out = output()
+    _say(out, f"{recipe}: valid")
+    for name, text in _described(loaded, plan):
+        _say(out, f"  {name:<10} {text}")
+    reason = why_barren(plan)
+    _say_notes(out, [reason] if reason else [])
+
+
+def _described(loaded: LoadedRecipe, plan: Plan) -> Iterator[tuple[str, str]]:
+    drawn = plan.drawn.recipe
+    cameras, width, height = drawn.cameras, drawn.site.size_m[0], drawn.site.size_m[1]
+    images = count(loaded.images, "image")
+    yield "makes", f"{count(loaded.images * len(cameras), 'frame')}: {images} x {count(len(cameras), 'camera')}"
+    for camera in cameras:
+        yield "", f"{camera.name}, {camera.size_px[0]} x {camera.size_px[1]} px"
+    yield "site", f"{width:g} x {height:g} m, {drawn.site.terrain.kind}"
+    yield "community", f"{drawn.community.model}, {count(plan.steps, 'step')}"
+    yield "species", ", ".join(drawn.species)
+    yield "drawn anew", ", ".join(dotted(keys) for keys in loaded.distributions) or "nothing but the random numbers"
+    yield "memory", f"up to about {sum(estimate_bytes(plan).values()) / 1e9:.1f} GB"
+    yield "hash", loaded.hash
 
 
 def schema() -> None:
@@ -120,39 +152,58 @@ def schema() -> None:
 
 
 def models(name: str | None) -> None:
-    out = _out()
-    registries = (COMMUNITY_MODELS, GENERATORS)
+    out = output()
     if name is not None:
-        for registry in registries:
-            if name in registry.ids():
-                module = sys.modules[type(registry.load(name)).__module__]
-                out.print((module.__doc__ or "").strip(), markup=False)
-                return
-        known = [one for registry in registries for one in registry.ids()]
-        raise RecipeError("no such model or generator", expected="one of " + ", ".join(known), got=repr(name))
-    for registry in registries:
-        out.print(f"{registry.kind}s", style="bold")
-        for one in registry.ids():
-            out.print(f"  {one:<18} {registry.describe(one)}", markup=False)
-    out.print("species", style="bold")
-    for one in list_assets("species"):
-        first = find_asset("species", one).read_text(encoding="utf-8").splitlines()[0].lstrip("# ")
-        out.print(f"  {one:<18} {first}", markup=False)
-    out.print(f"recipes in {recipes_dir()}", style="bold")
-    for one in list_assets("recipes"):
-        out.print(f"  {one}", markup=False)
+        _say(out, _page(name))
+        return
+    for registry in _REGISTRIES:
+        _say_list(out, f"{registry.kind}s", {one: registry.describe(one) for one in registry.ids()})
+    for kind in ("species", "recipes"):
+        _say_list(out, kind, {one: _first_comment(find_asset(kind, one)) for one in list_assets(kind)})
+    _say(out, f"species lie in {scenes_dir() / 'species'}, recipes in {recipes_dir()}")
 
 
-def plant(
-    species: str, height_m: float | None, seed: int, output: Path | None, overwrite: bool, bars: Bars
-) -> None:
+def _say_list(out: Console, title: str, entries: Mapping[str, str]) -> None:
+    _say(out, title)
+    width = max((len(name) for name in entries), default=0)
+    for name, text in entries.items():
+        _say(out, f"  {name:<{width}}  {text}".rstrip())
+
+
+def _first_comment(path: Path) -> str:
+    first = path.read_text(encoding="utf-8").partition("\n")[0]
+    return first.removeprefix("#").strip() if first.startswith("#") else ""
+
+
+def _page(name: str) -> str:
+    """A model's or generator's manual page; a species' or recipe's file."""
+    for registry in _REGISTRIES:
+        if name in registry.ids():
+            module = sys.modules[type(registry.load(name)).__module__]
+            return inspect.cleandoc(module.__doc__ or f"{name} has no manual page")
+    for kind in ("species", "recipes"):
+        if name in list_assets(kind):
+            path = find_asset(kind, name)
+            return f"{path}\n\n{path.read_text(encoding='utf-8').rstrip()}"
+    known = [*(one for registry in _REGISTRIES for one in registry.ids()), *list_assets("species"), *list_assets("recipes")]
+    near = difflib.get_close_matches(name, known, n=1)
+    raise RecipeError(
+        "there is no page of this name",
+        expected="one of " + ", ".join(known),
+        got=repr(name),
+        hint=f"did you mean {near[0]!r}?" if near else None,
+    )
+
+
+def plant(species: str, height_m: float | None, seed: int, chosen: Path | None, overwrite: bool, bars: Bars) -> None:
     from forestgen.stages.single_plant import grow_single_plant
 
-    target = output or Path("outputs") / f"{Path(species).stem}.glb"
+    target = chosen or Path("outputs") / f"{Path(species).stem}.glb"
     with bars.running():
         made = grow_single_plant(species, height_m, seed, target, overwrite=overwrite, progress=bars)
-    out = _out()
-    out.print(f"{made.species}: {made.height_m:.2f} m tall, crown {made.crown_width_m:.2f} m wide")
-    out.print(f"  {made.triangles:,} triangles: " + ", ".join(f"{count:,} {part}" for part, count in made.by_part.items()))
-    out.print(f"  leaf area {made.leaf_area_m2:.2f} m2 (one side)")
-    out.print(f"files: {made.mesh_path}, {made.picture_path}")
+    out = output()
+    _say(out, f"{made.species}: {made.height_m:.2f} m tall, crown {made.crown_width_m:.2f} m wide")
+    parts = ", ".join(f"{number:,} {part}" for part, number in made.by_part.items())
+    _say(out, f"  {made.triangles:,} triangles: {parts}")
+    _say(out, f"  leaf area {made.leaf_area_m2:.2f} m² (one side)")
+    _say(out, f"files: {made.mesh_path}, {made.picture_path}")

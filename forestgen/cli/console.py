@@ -7,21 +7,32 @@
     4    a result cannot be written
     5    the renderer failed
     70   a bug in forestgen
-    130  interrupted (Ctrl-C); 143: terminated. Nothing is left half-written.
+    129  the terminal was closed; 130: interrupted (Ctrl-C); 143: terminated. Nothing is left half-written.
+    141  the reader of the output has left, as `head` does
 """
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import sys
+import threading
+import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from typing import Any, NoReturn
+from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING, Any, NoReturn
+
+import typer
 
 from forestgen.core.errors import ForestgenError, ResourceError
 
+if TYPE_CHECKING:
+    from rich.console import Console
+
 INTERNAL_ERROR = 70
+_MOST_BARS = 12  # more would not fit into a terminal's usual height
+_UsageError = typer.BadParameter.__mro__[1]  # typer does not export the base of all errors of the command line's syntax
 
 
 class Bars:
@@ -29,45 +40,105 @@ class Bars:
 
     def __init__(self) -> None:
         self._progress: Any = None
+        self._tasks: dict[str, Any] = {}  # by title, oldest first
 
     @contextmanager
     def running(self) -> Iterator[Bars]:
+        from rich import progress as bars
         from rich.console import Console
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
         columns = (
-            TextColumn("{task.description:<18}"),
-            BarColumn(bar_width=30),
-            MofNCompleteColumn(),
-            TimeElapsedColumn(),
-            TextColumn("left"),
-            TimeRemainingColumn(),
+            bars.TextColumn("{task.description:<18}", markup=False),
+            bars.BarColumn(bar_width=24),
+            bars.MofNCompleteColumn(),
+            bars.TimeElapsedColumn(),
+            bars.TextColumn("left"),
+            bars.TimeRemainingColumn(),
         )
         console = Console(stderr=True)
-        with Progress(*columns, console=console, disable=not console.is_terminal, refresh_per_second=5) as progress:
-            self._progress = progress
+        with bars.Progress(*columns, console=console, disable=not console.is_terminal, refresh_per_second=5) as shown:
+            self._progress = shown
             yield self
 
     @contextmanager
     def stage(self, title: str, total: int) -> Iterator[Callable[[int], None]]:
-        task = self._progress.add_task(title, total=total)
+        """A bar for one piece of work; the next image's work of the same title takes the same bar."""
+        if title in self._tasks:
+            task = self._tasks[title]
+            self._progress.reset(task, total=total)
+        else:
+            task = self._tasks[title] = self._progress.add_task(title, total=total)
+            if len(self._tasks) > _MOST_BARS:
+                oldest = next(iter(self._tasks))
+                self._progress.remove_task(self._tasks.pop(oldest))
         try:
             yield lambda steps: self._progress.advance(task, steps)
         finally:
             self._progress.stop_task(task)
 
 
-class _TerminatedError(BaseException):
-    """SIGTERM, raised so that every `finally` runs."""
+def output() -> Console:
+    """Where results are told: standard output, without colours of its own choosing, without wrapping."""
+    from rich.console import Console
+
+    class Output(Console):
+        def on_broken_pipe(self) -> NoReturn:
+            raise  # rich calls this while it handles the BrokenPipeError, which is ours to answer
+
+    return Output(highlight=False, soft_wrap=True)
 
 
-def _terminate(*_: object) -> None:
-    raise _TerminatedError
+class _StoppedError(BaseException):
+    """A signal that asks the process to end, raised so that every `finally` runs."""
+
+    def __init__(self, number: int) -> None:
+        self.number = number
+
+
+_STOPPED = {
+    name: f"{word}: nothing was written"
+    for name, word in (("SIGINT", "interrupted"), ("SIGTERM", "terminated"), ("SIGHUP", "the terminal was closed"))
+}
+_PATIENCE_S = 1.0  # a repeated Ctrl-C within this time does not disturb the cleaning up
+
+
+@contextmanager
+def _stopping_cleanly() -> Iterator[None]:
+    """Raise `_StoppedError` on Ctrl-C and on requests to end."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    last = -math.inf
+
+    def stop(number: int, _: object) -> None:
+        nonlocal last
+        now = time.monotonic()
+        if now - last > _PATIENCE_S:
+            last = now
+            raise _StoppedError(number)
+
+    before = {}
+    for name in _STOPPED:
+        number = getattr(signal, name, None)  # Windows has no SIGHUP
+        # A signal that the caller has switched off, as nohup does, stays off.
+        if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
+            before[number] = signal.signal(number, stop)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _say(message: str) -> None:
+    with suppress(OSError):  # a closed terminal takes no message
+        sys.stderr.write(message.rstrip() + "\n")
+        sys.stderr.flush()
 
 
 def fail(message: str, code: int) -> NoReturn:
     """Print an error and leave."""
-    sys.stderr.write(message.rstrip() + "\n")
+    _say(message)
     raise SystemExit(code)
 
 
@@ -77,22 +148,23 @@ def errors_for_people() -> Iterator[None]:
     if os.environ.get("FORESTGEN_DEBUG"):
         yield
         return
-    signal.signal(signal.SIGTERM, _terminate)
     try:
-        yield
+        with _stopping_cleanly():
+            yield
+            sys.stdout.flush()  # while a closed pipe can still be told from a bug
+    except (typer.Exit, typer.Abort, _UsageError):
+        raise  # typer's own way out: --version, a misspelt option
     except ForestgenError as error:
         fail(f"error: {error}", error.exit_code)
     except MemoryError:
-        fail(
-            f"error: {ResourceError('memory ran out', hint='smaller images, a smaller site or fewer plants')}",
-            ResourceError.exit_code,
-        )
+        hint = "make images or the site smaller, or take fewer species or exemplars"
+        fail(f"error: {ResourceError('memory ran out', hint=hint)}", ResourceError.exit_code)
+    except _StoppedError as stopped:
+        fail(_STOPPED[signal.Signals(stopped.number).name], 128 + stopped.number)
     except KeyboardInterrupt:
-        fail("interrupted: nothing was written", 130)
-    except _TerminatedError:
-        fail("terminated: nothing was written", 143)
+        fail(_STOPPED["SIGINT"], 130)
     except BrokenPipeError:
-        # The reader of our output has left, as `head` does. Python would complain again when it flushes at exit.
+        # Python would complain again when it flushes at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         raise SystemExit(141) from None
     except Exception as error:  # noqa: BLE001 - the one place where a bug is caught, named as such, and reported
@@ -106,3 +178,8 @@ def errors_for_people() -> Iterator[None]:
 def seconds(value: float) -> str:
     """A duration for people."""
     return f"{value:.1f} s" if value < 60 else f"{int(value) // 60} min {int(value) % 60:02d} s"
+
+
+def count(number: int, one: str, many: str | None = None) -> str:
+    """A number with its noun: 1 image, 2 images."""
+    return f"{number:,} {one if number == 1 else many or one + 's'}"

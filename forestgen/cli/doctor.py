@@ -8,9 +8,8 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from rich.console import Console
-
 from forestgen import __version__
+from forestgen.cli.console import output
 from forestgen.dataset.manifest import package_versions
 from forestgen.render.check import check_cuda, check_llvm, check_scalar
 
@@ -30,7 +29,7 @@ class Finding:
 
 def report() -> int:
     """Print the findings; exit code 0 if forestgen can render here, 3 if not."""
-    out = Console(highlight=False, soft_wrap=True)
+    out = output()
     out.print(f"forestgen {__version__}, Python {platform.python_version()}, {platform.system()} {platform.machine()}")
     blocked = False
     for find in (_python, _cores, _memory, _disk, _packages, _scalar, _llvm, _cuda):

@@ -88,6 +88,19 @@ def check_plan(loaded: LoadedRecipe, *, simulate_only: bool = False) -> Plan:
     return plans[0]
 
 
+def why_barren(plan: Plan) -> str | None:
+    """Why no plant can ever grow from this recipe, or None if some may: an empty site is no error, but never a surprise."""
+    parameters = plan.model_parameters
+    if getattr(parameters, "program", None) == "self_thinning":
+        empty = getattr(parameters, "initial_plants_per_ha", None) == 0
+        return "no plant can grow: community.initial_plants_per_ha is 0" if empty else None
+    if plan.steps == 0:
+        return "no plant can grow: community.steps is 0, and succession begins on bare ground"
+    if not any(one.seedlings_per_ha_per_yr for one in plan.ecologies):
+        return "no plant can grow: ecology.seedlings_per_ha_per_yr is 0 for every species"
+    return None
+
+
 def _check_cameras(drawn: DrawnRecipe) -> None:
     """Clouds are traced apart from the plants, which a camera inside or above them would see through."""
     clouds = drawn.recipe.sky.clouds
