@@ -1,6 +1,6 @@
 """The stages, one after another.
 
-    recipe -> community -> plants -> scene -> render -> labels -> dataset
+recipe -> community -> plants -> scene -> render -> labels -> dataset
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from forestgen.render.variant import mitsuba
 from forestgen.scene.exemplars import SizeError
 from forestgen.stages.community import final_population, snapshots
 from forestgen.stages.frames import render_frame
-from forestgen.stages.plan import Plan, check_memory, check_plan, make_plan
+from forestgen.stages.plan import Plan, check_memory, check_plan, make_plan, views_below_ground, why_barren
 from forestgen.stages.scene import BuiltScene, build_scene
 
 _GUESSED_PLANTS = 5000  # a frame's rows, for the disk space to ask for
@@ -82,6 +82,7 @@ def _render_image(
     """One drawn recipe: its community, its scene, and a frame of each camera."""
     with timings("community"):
         population = final_population(plan, progress)
+    check_memory(plan, plants=len(population))
     built = build_scene(plan, population, progress, timings)
     records = []
     for camera in built.spec.cameras:
@@ -96,7 +97,7 @@ def _render_image(
                 {"recipe_hash": loaded.hash, "seed": str(loaded.seed), "image_seed": str(plan.drawn.image_seed)},
             )
         records.append(record)
-        _account(summary, record, built)
+        _account(summary, record, built, plan)
     return records
 
 
@@ -110,14 +111,17 @@ def simulate(
     timings: Timings,
 ) -> RunSummary:
     """Simulate the community of a recipe's first image: its history, maps at some steps (by default the last), curves."""
-    from forestgen.stages.history import write_community
+    from forestgen.stages.history import check_map_steps, write_community
 
     plan = check_plan(loaded, simulate_only=True)
+    check_map_steps(plan, map_steps)
     summary = RunSummary(target)
     with OutputFolder(target, overwrite=overwrite) as folder:
         with timings("community"):
             last = write_community(folder, plan, snapshots(plan, progress), map_steps)
         summary.plants, summary.counts = len(last), _counts(last)
+        if not len(last):
+            summary.notes.append(_empty_site(plan))
         summary.timings_s, summary.total_s = dict(timings.seconds), timings.total()
         write_manifest(folder, _manifest(folder, loaded, [plan.drawn.image_seed], summary))
     return summary
@@ -132,15 +136,21 @@ def _counts(population: Population) -> dict[str, int]:
     return {name: int((population.species == index).sum()) for index, name in enumerate(population.species_names)}
 
 
-def _account(summary: RunSummary, record: FrameRecord, built: BuiltScene) -> None:
+def _empty_site(plan: Plan) -> str:
+    return why_barren(plan) or f"no plant lives on the site at step {plan.steps}"
+
+
+def _account(summary: RunSummary, record: FrameRecord, built: BuiltScene, plan: Plan) -> None:
     summary.frames += 1
     summary.plants, summary.counts = len(built.population), _counts(built.population)
     summary.visible_plants = len(record.annotations)
     summary.size_errors = built.size_errors
     if not len(built.population):
-        summary.notes.append(f"{record.folder_name}: no plant grows on the site; the image shows bare ground")
+        summary.notes.append(f"{record.folder_name} shows bare ground: {_empty_site(plan)}")
     elif not record.annotations:
-        summary.notes.append(f"{record.folder_name}: the camera sees no plant")
+        below = any(record.folder_name.endswith(f"-{name}") for name in views_below_ground(plan))
+        reason = "stands below the ground" if below else "sees no plant"
+        summary.notes.append(f"{record.folder_name}: the camera {reason}")
 
 
 def _manifest(folder: Path, loaded: LoadedRecipe, seeds: list[int], summary: RunSummary) -> dict[str, Any]:

@@ -34,7 +34,9 @@ app = typer.Typer(
 RecipePath = Annotated[Path, typer.Argument(metavar="RECIPE", help="The recipe, a YAML file.", show_default=False)]
 Overrides = Annotated[
     Optional[list[str]],  # noqa: UP045 - typer reads annotations at run time
-    typer.Option("--set", metavar="KEY=VALUE", help="Override a value of the recipe, such as sky.turbidity=5. May be repeated."),
+    typer.Option(
+        "--set", metavar="KEY=VALUE", help="Override a value of the recipe, such as sky.turbidity=5. May be repeated."
+    ),
 ]
 Output = Annotated[
     Optional[Path],  # noqa: UP045
@@ -57,7 +59,9 @@ def _version(wanted: bool) -> None:
 
 @app.callback()
 def options(
-    version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")] = False,
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")
+    ] = False,
 ) -> None:
     pass
 
@@ -69,7 +73,12 @@ def render(
     overrides: Overrides = None,
     images: Annotated[
         Optional[int],  # noqa: UP045
-        typer.Option("--images", metavar="N", help="How many images, each drawn anew; short for --set images=N.", show_default=False),
+        typer.Option(
+            "--images",
+            metavar="N",
+            help="How many images, each drawn anew; short for --set images=N.",
+            show_default=False,
+        ),
     ] = None,
     threads: Annotated[
         Optional[int],  # noqa: UP045
@@ -99,7 +108,10 @@ def simulate(
     map_steps: Annotated[
         Optional[list[int]],  # noqa: UP045
         typer.Option(
-            "--map-step", metavar="N", help="Draw a map of this step; by default of the last. May be repeated.", show_default=False
+            "--map-step",
+            metavar="N",
+            help="Draw a map of this step; by default of the last. May be repeated.",
+            show_default=False,
         ),
     ] = None,
     overwrite: Overwrite = False,
@@ -118,7 +130,10 @@ def plant(
     height_m: Annotated[
         Optional[float],  # noqa: UP045
         typer.Option(
-            "--height", metavar="METRES", help="Height in metres; by default that of a mature plant.", show_default=False
+            "--height",
+            metavar="METRES",
+            help="Height in metres; by default that of a mature plant.",
+            show_default=False,
         ),
     ] = None,
     seed: Annotated[int, typer.Option("--seed", metavar="N", help="Another seed is another plant.")] = 0,
@@ -161,7 +176,9 @@ def models(
     name: Annotated[
         Optional[str],  # noqa: UP045
         typer.Argument(
-            metavar="NAME", help="Show the manual page of this model or generator, or this species' file.", show_default=False
+            metavar="NAME",
+            help="Show the manual page of this model or generator, or this species' or recipe's file.",
+            show_default=False,
         ),
     ] = None,
 ) -> None:

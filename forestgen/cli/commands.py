@@ -25,8 +25,7 @@ from forestgen.recipe.json_schema import recipe_json_schema
 from forestgen.recipe.load import LoadedRecipe, load_recipe
 from forestgen.recipe.sources import dotted
 from forestgen.scene.exemplars import SizeError
-from forestgen.stages.plan import Plan, check_plan, estimate_bytes, why_barren
-
+from forestgen.stages.plan import Plan, check_plan, estimate_bytes, views_below_ground, why_barren
 
 _MOST_NOTES = 5
 _REGISTRIES = (COMMUNITY_MODELS, GENERATORS)
@@ -122,7 +121,8 @@ def validate(recipe: Path, overrides: Sequence[str]) -> None:
     for name, text in _described(loaded, plan):
         _say(out, f"  {name:<10} {text}")
     reason = why_barren(plan)
-    _say_notes(out, [reason] if reason else [])
+    below = [f"the camera {name} stands below the ground" for name in views_below_ground(plan)]
+    _say_notes(out, [*([reason] if reason else []), *below])
 
 
 def _described(loaded: LoadedRecipe, plan: Plan) -> Iterator[tuple[str, str]]:
@@ -185,7 +185,8 @@ def _page(name: str) -> str:
         if name in list_assets(kind):
             path = find_asset(kind, name)
             return f"{path}\n\n{path.read_text(encoding='utf-8').rstrip()}"
-    known = [*(one for registry in _REGISTRIES for one in registry.ids()), *list_assets("species"), *list_assets("recipes")]
+    known = [one for registry in _REGISTRIES for one in registry.ids()]
+    known += [*list_assets("species"), *list_assets("recipes")]
     near = difflib.get_close_matches(name, known, n=1)
     raise RecipeError(
         "there is no page of this name",

@@ -1,27 +1,25 @@
 """What the command line shows: bars while it works, errors in plain words, exit codes for scripts.
 
-    0    done
-    1    a forestgen error of no other kind
-    2    the recipe or an argument is wrong, or a file is missing
-    3    this machine lacks memory or a library
-    4    a result cannot be written
-    5    the renderer failed
-    70   a bug in forestgen
-    129  the terminal was closed; 130: interrupted (Ctrl-C); 143: terminated. Nothing is left half-written.
-    141  the reader of the output has left, as `head` does
+0    done
+1    a forestgen error of no other kind
+2    the recipe or an argument is wrong, or a file is missing
+3    this machine lacks memory or a library
+4    a result cannot be written
+5    the renderer failed
+70   a bug in forestgen
+129  the terminal was closed; 130: interrupted (Ctrl-C); 143: terminated. Nothing is left half-written.
+141  the reader of the output has left, as `head` does
 """
 
 from __future__ import annotations
 
-import math
 import os
 import signal
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn, cast
 
 import typer
 
@@ -32,7 +30,8 @@ if TYPE_CHECKING:
 
 INTERNAL_ERROR = 70
 _MOST_BARS = 12  # more would not fit into a terminal's usual height
-_UsageError = typer.BadParameter.__mro__[1]  # typer does not export the base of all errors of the command line's syntax
+# The base of all errors of the command line's syntax, which typer does not export.
+_UsageError: type[Exception] = cast("type[Exception]", typer.BadParameter.__base__)
 
 
 class Bars:
@@ -99,35 +98,54 @@ _STOPPED = {
     name: f"{word}: nothing was written"
     for name, word in (("SIGINT", "interrupted"), ("SIGTERM", "terminated"), ("SIGHUP", "the terminal was closed"))
 }
-_PATIENCE_S = 1.0  # a repeated Ctrl-C within this time does not disturb the cleaning up
+_AGAIN_S = 0.25
 
 
 @contextmanager
 def _stopping_cleanly() -> Iterator[None]:
-    """Raise `_StoppedError` on Ctrl-C and on requests to end."""
+    """Raise `_StoppedError` on Ctrl-C and on requests to end, again and again until it has taken hold.
+
+    Compiled code may swallow an exception that a signal's handler raises (Numba's compiler and Dr.Jit do), and the work
+    would go on. While the exception is on its way, which cleans up, nothing disturbs it: neither the timer nor a second
+    Ctrl-C.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    last = -math.inf
+    stopped: list[int] = []
 
     def stop(number: int, _: object) -> None:
-        nonlocal last
-        now = time.monotonic()
-        if now - last > _PATIENCE_S:
-            last = now
-            raise _StoppedError(number)
+        if _on_its_way(sys.exception()):
+            return
+        stopped[:] = stopped or [number]
+        if hasattr(signal, "setitimer"):
+            signal.setitimer(signal.ITIMER_REAL, _AGAIN_S, _AGAIN_S)
+        raise _StoppedError(stopped[0])
 
     before = {}
-    for name in _STOPPED:
-        number = getattr(signal, name, None)  # Windows has no SIGHUP
+    for name in (*_STOPPED, "SIGALRM"):
+        number = getattr(signal, name, None)  # Windows has no SIGHUP and no SIGALRM
         # A signal that the caller has switched off, as nohup does, stays off.
         if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
             before[number] = signal.signal(number, stop)
     try:
         yield
+    except Exception as error:
+        if stopped:  # an import that was cut short fails in its own words
+            raise _StoppedError(stopped[0]) from error
+        raise
     finally:
+        if stopped and hasattr(signal, "setitimer"):
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def _on_its_way(error: BaseException | None) -> bool:
+    """Whether a `_StoppedError` is being handled."""
+    while error is not None and not isinstance(error, _StoppedError):
+        error = error.__context__
+    return error is not None
 
 
 def _say(message: str) -> None:

@@ -3,20 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from typing import Protocol
 
 
 class Progress(Protocol):
     """A listener. `stage` opens a piece of work of `total` steps and yields a function that advances it."""
 
-    def stage(self, title: str, total: int) -> _Stage: ...
-
-
-class _Stage(Protocol):
-    def __enter__(self) -> Callable[[int], None]: ...
-
-    def __exit__(self, *exception: object) -> bool | None: ...
+    def stage(self, title: str, total: int) -> AbstractContextManager[Callable[[int], None]]: ...
 
 
 class Silent:

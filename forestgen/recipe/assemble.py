@@ -94,10 +94,10 @@ def merge_species(data: dict[str, Any], sources: SourceMap, folder: Path) -> Non
             )
         path = find_asset("species", source, folder=folder, where=where)
         base, base_sources = read_yaml(path, error=AssetError)
-        recipe_sources = SourceMap()
+        recipe_sources, place = SourceMap(), sources.place(keys)
         recipe_sources.take(sources, keys, keys)
         sources.take(base_sources, (), keys)
-        sources.set(keys, recipe_sources.place(keys))
+        sources.set(keys, place)
         species[name] = _merged(
             _without_other_generator(base, entry, sources, keys), entry, sources, recipe_sources, keys
         )

@@ -25,7 +25,9 @@ def origin_of(camera: Camera) -> NDArray[np.float64]:
     return np.asarray(camera.position_m, dtype=np.float64)
 
 
-def to_mesh(mesh: Mesh, bsdf: Any | None = None, offset_m: NDArray[np.float64] | None = None, name: str = "mesh") -> Any:
+def to_mesh(
+    mesh: Mesh, bsdf: Any | None = None, offset_m: NDArray[np.float64] | None = None, name: str = "mesh"
+) -> Any:
     """A Mitsuba mesh of the current variant; without a `bsdf` it has geometry only."""
     mi = mitsuba()
     properties = mi.Properties()
@@ -54,23 +56,31 @@ def to_mesh(mesh: Mesh, bsdf: Any | None = None, offset_m: NDArray[np.float64] |
 
 
 def leaf_bsdf(material: Material) -> dict[str, Any]:
-    """A thin two-sided leaf: equal shares of a pure reflector and a pure transmitter, each of doubled colour.
+    """A thin two-sided leaf: a blend of a pure reflector and a pure transmitter.
 
-    `principledthin` without specular transmission is a nearly Lambertian reflector at diff_trans 0 and a nearly
-    Lambertian transmitter at diff_trans 2; R and T are proven by integration in tests/system/test_leaf.py.
+    `principledthin` without specular transmission is a nearly Lambertian reflector at diff_trans 0 and a Lambertian
+    transmitter at diff_trans 2. The transmitter's share is t / (r + t), by the largest channels, so that each lobe's
+    colour is at most r + t and is never clipped. Within 0.9% of the material up to 60 degrees, on both sides:
+    tests/system/test_leaf.py integrates R and T.
     """
+    r, t = max(material.reflectance), max(material.transmittance)
+    share = t / (r + t) if r + t > 0 else 0.5
 
-    def lobe(colour: tuple[float, float, float], diff_trans: float) -> dict[str, Any]:
-        doubled = [min(2.0 * channel, 1.0) for channel in colour]
+    def lobe(colour: tuple[float, float, float], weight: float, diff_trans: float) -> dict[str, Any]:
         return {
             "type": "principledthin",
-            "base_color": {"type": "rgb", "value": doubled},
+            "base_color": {"type": "rgb", "value": [min(c / weight, 1.0) if weight > 0 else 0.0 for c in colour]},
             "roughness": 0.5,
             "eta": 1.5,
             "diff_trans": diff_trans,
         }
 
-    return {"type": "blendbsdf", "weight": 0.5, "r": lobe(material.reflectance, 0.0), "t": lobe(material.transmittance, 2.0)}
+    return {
+        "type": "blendbsdf",
+        "weight": share,
+        "r": lobe(material.reflectance, 1.0 - share, 0.0),
+        "t": lobe(material.transmittance, share, 2.0),
+    }
 
 
 def surface_bsdf(part: Part, material: Material) -> dict[str, Any]:
@@ -84,11 +94,20 @@ def surface_bsdf(part: Part, material: Material) -> dict[str, Any]:
 
 
 def ground_bsdf(spec: SceneSpec) -> dict[str, Any]:
-    """Diffuse ground under the terrain's texture."""
+    """Diffuse ground: the terrain's texture on the site, one colour in the distance."""
     mi = mitsuba()
     bitmap = mi.Bitmap(np.ascontiguousarray(spec.terrain.texture))
     texture = {"type": "bitmap", "bitmap": bitmap, "raw": True, "wrap_mode": "repeat"}
-    return {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": texture}}
+    far = {"type": "rgb", "value": list(spec.terrain.far_reflectance)}
+    return {
+        "type": "twosided",
+        "bsdf": {
+            "type": "blendbsdf",
+            "weight": {"type": "mesh_attribute", "name": "vertex_far_share"},
+            "near": {"type": "diffuse", "reflectance": texture},
+            "far": {"type": "diffuse", "reflectance": far},
+        },
+    }
 
 
 def transform_of(matrix: NDArray[np.float64], shift_m: NDArray[np.float64]) -> Any:

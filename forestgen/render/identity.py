@@ -38,10 +38,13 @@ class HitTables:
 
 def face_normals(mesh: Mesh) -> NDArray[np.float32]:
     """(F, 3) unit geometric normals; a degenerate face has zero."""
-    a, b, c = (mesh.vertices_m[mesh.faces[:, k]].astype(np.float64) for k in range(3))
-    normal = np.cross(b - a, c - a)
-    length = np.linalg.norm(normal, axis=1, keepdims=True)
-    return np.divide(normal, length, out=np.zeros_like(normal), where=length > 0).astype(np.float32)
+    # By coordinates: three times as fast as np.cross on half a million faces.
+    a, b, c = (mesh.vertices_m.astype(np.float64).T[:, mesh.faces[:, k]] for k in range(3))
+    (x, y, z), (u, v, w) = b - a, c - a
+    normal = np.stack([y * w - z * v, z * u - x * w, x * v - y * u])
+    length = np.sqrt(np.einsum("kf,kf->f", normal, normal))
+    normal /= np.where(length > 0, length, 1.0)
+    return np.ascontiguousarray(normal.T, dtype=np.float32)
 
 
 def hit_tables(spec: SceneSpec) -> HitTables:
@@ -82,6 +85,21 @@ def sample_offsets(samples: int) -> NDArray[np.float64]:
     return np.stack([np.tile(steps, side), np.repeat(steps, side)], axis=1)
 
 
+def camera_rays(camera: Camera, offset: NDArray[np.float64], first_row: int, rows: int) -> tuple[Any, Any]:
+    """Unit directions through one sub-pixel position of `rows` rows: in the camera's axes, and in the world's."""
+    mi, dr = mitsuba(), drjit()
+    width, height = camera.size_px
+    index = dr.arange(mi.UInt32, rows * width)
+    row = index // width
+    # The offsets go in as opaque values, so that one compiled kernel serves all of them.
+    dx, dy, top = (dr.opaque(mi.Float, float(v)) for v in (offset[0], offset[1], first_row))
+    focal = camera.focal_px
+    u = (mi.Float(index - row * width) + dx - width / 2) / focal
+    v = (mi.Float(row) + top + dy - height / 2) / focal
+    along = dr.normalize(mi.Vector3f(u, v, 1.0))
+    return along, mi.Matrix3f(camera.world_from_camera) @ along
+
+
 class _Tracer:
     """One scene in the LLVM variant with its tables on the device."""
 
@@ -117,29 +135,23 @@ class _Tracer:
         return table
 
     def trace(self, offset: NDArray[np.float64], first_row: int, rows: int) -> dict[str, Any]:
-        """Hits of the rays at one sub-pixel position in `rows` rows from `first_row`, as device arrays of length rows * W."""
+        """Hits of the rays at one sub-pixel position in `rows` rows from `first_row`, as device arrays."""
         mi, dr = mitsuba(), drjit()
-        width, height = self.camera.size_px
-        index = dr.arange(mi.UInt32, rows * width)
-        row = index // width
-        # The offsets go in as opaque values, so that one compiled kernel serves all of them.
-        dx, dy, top = (dr.opaque(mi.Float, float(v)) for v in (offset[0], offset[1], first_row))
-        focal = self.camera.focal_px
-        u = (mi.Float(index - row * width) + dx - width / 2) / focal
-        v = (mi.Float(row) + top + dy - height / 2) / focal
-        axes = mi.Matrix3f(self.camera.world_from_camera)
-        along = dr.normalize(mi.Vector3f(u, v, 1.0))
-        direction = axes @ along
+        along, direction = camera_rays(self.camera, offset, first_row, rows)
         hit = self.scene.ray_intersect_preliminary(mi.Ray3f(mi.Point3f(0.0), direction), coherent=True)
         valid = hit.is_valid()
         registry = dr.reinterpret_array(mi.UInt32, hit.instance)
-        instance = dr.gather(mi.UInt32, self.row_of_registry, registry, valid & (registry < dr.width(self.row_of_registry)))
+        instance = dr.gather(
+            mi.UInt32, self.row_of_registry, registry, valid & (registry < dr.width(self.row_of_registry))
+        )
         in_plant = valid & (instance > 0)
         organ = dr.gather(mi.UInt32, self.first_organ, instance, valid) + dr.select(in_plant, hit.shape_index, 0)
         face = dr.gather(mi.UInt32, self.first_face, organ, valid) + hit.prim_index
         local = dr.gather(mi.Vector3f, self.normal, face, valid)
         matrix = [dr.gather(mi.Float, self.rotation, instance * 9 + k, valid) for k in range(9)]
-        normal = mi.Vector3f(*[matrix[3 * r] * local.x + matrix[3 * r + 1] * local.y + matrix[3 * r + 2] * local.z for r in range(3)])
+        normal = mi.Vector3f(
+            *[matrix[3 * r] * local.x + matrix[3 * r + 1] * local.y + matrix[3 * r + 2] * local.z for r in range(3)]
+        )
         normal *= dr.rcp(dr.maximum(dr.norm(normal), 1e-20))
         normal = dr.select(dr.dot(normal, direction) > 0, -normal, normal)
         return {

@@ -4,8 +4,8 @@ Independent slices of samples are rendered and averaged. Their scatter gives the
 independent samples inside a slice (a stratified sampler's are not), progress can be told between slices, and each
 slice is repeatable on its own.
 
-Three estimators add up: light of the sky on the scene, light of the sun on the scene, and the sky itself in the share of
-each pixel that the scene leaves open (see render/sky.py). Under a clear sky one pass does all three.
+Three estimators add up: light of the sky on the scene, light of the sun on the scene, and the sky itself in the share
+of each pixel that the scene leaves open (see render/sky.py). Under a clear sky one pass does all three.
 """
 
 from __future__ import annotations
@@ -22,7 +22,16 @@ from forestgen.core.errors import RenderError
 from forestgen.core.progress import Progress
 from forestgen.core.randomness import child_seed
 from forestgen.render import sky
-from forestgen.render.build import FilmWindow, ground_bsdf, load, origin_of, plants_dict, sensor_of, sky_emitter, to_mesh
+from forestgen.render.build import (
+    FilmWindow,
+    ground_bsdf,
+    load,
+    origin_of,
+    plants_dict,
+    sensor_of,
+    sky_emitter,
+    to_mesh,
+)
 from forestgen.render.frame import Radiance
 from forestgen.render.variant import BLOCK_PX, SCALAR, mitsuba
 from forestgen.scene.spec import Camera, SceneSpec
@@ -96,7 +105,9 @@ def interruptible(integrator: Any, scene: Any, sensor: Any, seed: int, samples: 
 def scene_dict(spec: SceneSpec, origin_m: NDArray[np.float64]) -> dict[str, Any]:
     """Plants on their terrain, without light."""
     scene = plants_dict(spec, origin_m, shaded=True)
-    scene["terrain"] = to_mesh(spec.terrain.mesh, mitsuba().load_dict(ground_bsdf(spec)), origin_m, "terrain")
+    terrain = to_mesh(spec.terrain.mesh, mitsuba().load_dict(ground_bsdf(spec)), origin_m, "terrain")
+    terrain.add_attribute("vertex_far_share", 1, spec.terrain.far_share)
+    scene["terrain"] = terrain
     return scene
 
 
@@ -129,13 +140,19 @@ def render_radiance(
 
 
 def _clear(
-    spec: SceneSpec, camera: Camera, samples: int, max_depth: int, seed: int, progress: Progress, timer: Callable[[str], Any]
+    spec: SceneSpec,
+    camera: Camera,
+    samples: int,
+    max_depth: int,
+    seed: int,
+    progress: Progress,
+    timer: Callable[[str], Any],
 ) -> Radiance:
     mi = mitsuba()
     origin = origin_of(camera)
     with timer("radiance: build"):
         scene = load({**scene_dict(spec, origin), "light": sky_emitter(spec, sun=True, sky=True)})
-        integrator = mi.load_dict({"type": "path", "max_depth": max_depth, "rr_depth": 2, "block_size": BLOCK_PX})
+        integrator = mi.load_dict({"type": "path", "max_depth": max_depth, "rr_depth": 1, "block_size": BLOCK_PX})
     total = SliceSum()
     sizes = slice_sizes(samples)
     with progress.stage("radiance", len(sizes)) as advance:
@@ -170,16 +187,17 @@ def _cloudy(
         by_sun = load({**plants, "light": sky_emitter(spec, sun=True, sky=False), "sheet": sky.sun_sheet(spec, origin)})
         clouds = load(sky.clouds_over_ground(spec, origin, sky_emitter(spec, sun=True, sky=True)))
         hidden = mi.load_dict(
-            {"type": "volpath", "max_depth": max_depth, "rr_depth": 2, "hide_emitters": True, "block_size": BLOCK_PX}
+            {"type": "volpath", "max_depth": max_depth, "rr_depth": 1, "hide_emitters": True, "block_size": BLOCK_PX}
         )
         through = mi.load_dict(sky.CLOUD_INTEGRATOR)
-    window = _window(sky_share)
+    horizon = horizon_row(camera)
+    window = _window(sky_share, horizon)
     total = SliceSum()
     sizes = slice_sizes(samples)
     with progress.stage("radiance", len(sizes) * 3) as advance:
         for number, size in enumerate(sizes):
             sensor = sensor_of(camera, size)
-            # The sky's light is smooth, and the sky itself easily denoised: they need fewer samples than the sun's light.
+            # The sky's light is smooth, and the sky itself easily denoised: they need fewer samples than the sun.
             few = (size + 1) // 2
             with timer("mitsuba"):
                 a = interruptible(hidden, by_sky, sensor_of(camera, few), child_seed(seed, "sky", number), few)
@@ -193,6 +211,8 @@ def _cloudy(
                     c = interruptible(
                         through, clouds, sensor_of(camera, few, window), child_seed(seed, "clouds", number), few
                     )
+                below = min(max(horizon - window.y, 1), window.height)
+                c[below:] = c[below - 1]
                 rows, columns = slice(window.y, window.y + window.height), slice(window.x, window.x + window.width)
                 image[rows, columns] += (1.0 - a[rows, columns, 3:4]) * c[..., :3]
             advance(1)
@@ -200,14 +220,27 @@ def _cloudy(
     return _radiance(total, samples)
 
 
-def _window(sky_share: NDArray[np.bool_]) -> FilmWindow | None:
-    """Smallest window that holds every pixel that may see the sky."""
+def horizon_row(camera: Camera) -> int:
+    """First row of pixels that reaches below a flat earth's horizon; the number of rows if none does.
+
+    The cloud pass shows its plain below the horizon. In a pixel that holds both, mean coverage times the pass' mean
+    would mix the plain into the sky (1% too dark along the horizon); so the row above the horizon stands for all below
+    it. The horizon is level: cameras do not roll.
+    """
+    height, forward, down = camera.size_px[1], camera.world_from_camera[2, 2], camera.world_from_camera[2, 1]
+    if abs(down) < 1e-9:
+        return height if forward > 0 else 0
+    row = height / 2 - forward / down * camera.focal_px
+    return int(np.clip(np.floor(row), 0, height))
+
+
+def _window(sky_share: NDArray[np.bool_], horizon: int) -> FilmWindow | None:
+    """Smallest window that holds every pixel that may see the sky, and the row above the horizon if there is one."""
     rows, columns = np.flatnonzero(sky_share.any(axis=1)), np.flatnonzero(sky_share.any(axis=0))
     if not len(rows):
         return None
-    return FilmWindow(
-        int(columns[0]), int(rows[0]), int(columns[-1] - columns[0] + 1), int(rows[-1] - rows[0] + 1)
-    )
+    top = min(int(rows[0]), max(horizon - 1, 0))
+    return FilmWindow(int(columns[0]), top, int(columns[-1] - columns[0] + 1), int(rows[-1] - top + 1))
 
 
 def _radiance(total: SliceSum, samples: int) -> Radiance:

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.render.denoise import denoise
-from forestgen.render.build import sky_emitter, sun_direction
-from forestgen.render.variant import BLOCK_PX, mitsuba
 from forestgen.atmosphere.grid import CloudGrid
+from forestgen.render.build import sky_emitter, sun_direction
+from forestgen.render.denoise import denoise
+from forestgen.render.variant import BLOCK_PX, mitsuba
 from forestgen.scene.spec import SceneSpec
 
 CLOUD_INTEGRATOR: dict[str, Any] = {"type": "volpath", "max_depth": 64, "rr_depth": 64, "block_size": BLOCK_PX}
@@ -46,7 +46,9 @@ def cloud_volume(clouds: CloudGrid, origin_m: NDArray[np.float64]) -> dict[str, 
 def clouds_over_ground(spec: SceneSpec, origin_m: NDArray[np.float64], emitter: dict[str, Any]) -> dict[str, Any]:
     """Clouds over a plain of the ground's mean albedo, without a plant."""
     mi = mitsuba()
-    ground = mi.ScalarTransform4f().translate([0.0, 0.0, -float(origin_m[2])]).scale([_GROUND_HALF_M, _GROUND_HALF_M, 1.0])
+    ground = (
+        mi.ScalarTransform4f().translate([0.0, 0.0, -float(origin_m[2])]).scale([_GROUND_HALF_M, _GROUND_HALF_M, 1.0])
+    )
     scene: dict[str, Any] = {
         "emitter": emitter,
         "ground": {
@@ -105,8 +107,11 @@ _FACES = {
 
 
 def _equirectangular(faces: dict[str, NDArray[np.float32]], width: int, height: int) -> NDArray[np.float32]:
-    """(height, width, 3) radiance by azimuth (columns, from x over y) and zenith angle (rows, from +z)."""
-    theta = (np.arange(height) + 0.5) / height * np.pi
+    """(height, width, 3) radiance by azimuth (columns, from x over y) and zenith angle (rows, from +z to -z).
+
+    As Mitsuba's `envmap` reads it: directions of columns' centres, but the first and last row are the poles themselves.
+    """
+    theta = np.arange(height) / (height - 1) * np.pi
     phi = (np.arange(width) + 0.5) / width * 2 * np.pi
     up_rows = theta < np.pi / 2
     theta_, phi_ = np.meshgrid(theta[up_rows], phi, indexing="ij")
@@ -133,9 +138,9 @@ def envmap(image: NDArray[np.float32]) -> dict[str, Any]:
     """An `envmap` dictionary of an equirectangular image by azimuth from x over y and zenith angle from z."""
     mi = mitsuba()
     # Mitsuba's map is y-up: its direction for (u, v) is (sin(2 pi u) sin(pi v), cos(pi v), -cos(2 pi u) sin(pi v)).
-    # Rotating y to z by 90 degrees about x turns that into azimuth 2 pi u - 90 degrees, measured from x over y.
+    # Rotating y to z by 90 degrees about x turns that into azimuth 90 degrees - 2 pi u, measured from x over y.
     columns = image.shape[1]
-    turned = np.roll(image, columns // 4, axis=1)
+    turned = np.roll(image[:, ::-1], columns // 4, axis=1)
     return {
         "type": "envmap",
         "bitmap": mi.Bitmap(np.ascontiguousarray(turned)),
@@ -144,7 +149,7 @@ def envmap(image: NDArray[np.float32]) -> dict[str, Any]:
 
 
 def sun_irradiance(spec: SceneSpec) -> NDArray[np.float64]:
-    """(3,) irradiance of the bare sun on a surface that faces it: the disc's radiance integrated over its solid angle."""
+    """(3,) irradiance of the bare sun on a surface that faces it: its radiance integrated over the disc."""
     mi = mitsuba()
     scene = mi.load_dict({"type": "scene", "sky": sky_emitter(spec, sun=True, sky=False)})
     axis = sun_direction(spec)
@@ -186,7 +191,7 @@ def sun_transmittance(clouds: CloudGrid, direction: NDArray[np.float64]) -> NDAr
         if abs(dx) >= columns or abs(dy) >= rows:
             break  # a sun so low that it shines under the field's far edge
         depth += shift(clouds.extinction_per_m[layer].astype(np.float64), (-dy, -dx), order=1, cval=0.0) * cell[2]
-    return np.exp(-depth / direction[2])
+    return np.asarray(np.exp(-depth / direction[2]))
 
 
 def sun_sheet(spec: SceneSpec, origin_m: NDArray[np.float64]) -> dict[str, Any]:

@@ -36,10 +36,12 @@ class Instances:
 
 @dataclass(frozen=True)
 class Terrain:
-    """The ground: a mesh with a colour texture over its uv."""
+    """The ground: a mesh with a colour texture over its uv, that gives way to one colour far from the site."""
 
     mesh: Mesh  # world frame, metres
     texture: NDArray[np.float32]  # (H, W, 3) linear Rec. 709 reflectance; row 0 is v = 0
+    far_share: NDArray[np.float32]  # (V,) by vertex: 0 on the site, 1 in the distance
+    far_reflectance: tuple[float, float, float] = (0.034, 0.050, 0.021)  # woods and meadows seen from afar
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,8 @@ from forestgen.geometry.mesh import Mesh
 from forestgen.scene.spec import Terrain
 
 HORIZON_M = 12_000.0
+HILLS_FROM_M = 250.0
+_MARGIN_M = 20.0
 _SITE_CELL_M = 0.75
 TEXTURE_TILE_M = 24.0
 _TEXTURE_PX = 1536
@@ -23,55 +25,82 @@ _LEAVES_PER_M2 = 260
 
 @dataclass(frozen=True)
 class HeightField:
-    """z(x, y) = sum of amplitude * sin(k . x + phase), in metres."""
+    """Height of the ground: waves on and near the site, hills in the distance.
 
+    z = sum of amplitude * fade * sin(k . x + phase). Near waves fade out over some wavelengths away from the site, where
+    the mesh is too coarse to carry them; hills fade in from `HILLS_FROM_M` on, so that the site keeps its own relief.
+    """
+
+    size_m: tuple[float, float]  # of the site
     wave_per_m: NDArray[np.float64]  # (M, 2) angular wave vectors
     amplitude_m: NDArray[np.float64]  # (M,)
     phase: NDArray[np.float64]  # (M,)
+    hill: NDArray[np.bool_]  # (M,) a hill of the distance, not a wave of the site
 
     def __call__(self, x_m: NDArray[np.float64], y_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Height at points of any shape; O(points x waves)."""
         z = np.zeros(np.broadcast(x_m, y_m).shape)
-        for (kx, ky), amplitude, phase in zip(self.wave_per_m, self.amplitude_m, self.phase, strict=True):
-            z += amplitude * np.sin(kx * x_m + ky * y_m + phase)
+        away = self.distance_m(x_m, y_m)
+        far = _smooth((away - HILLS_FROM_M) / (6 * HILLS_FROM_M))
+        for k, amplitude, phase, hill in zip(self.wave_per_m, self.amplitude_m, self.phase, self.hill, strict=True):
+            wavelength = 2 * np.pi / np.hypot(*k)
+            fade = far if hill else 1 - _smooth(away / wavelength - _MARGIN_M / wavelength)
+            z += amplitude * fade * np.sin(k[0] * x_m + k[1] * y_m + phase)
         return z
 
+    def distance_m(self, x_m: NDArray[np.float64], y_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Distance from the site's rectangle, 0 inside."""
+        dx = np.maximum(np.maximum(-x_m, x_m - self.size_m[0]), 0.0)
+        dy = np.maximum(np.maximum(-y_m, y_m - self.size_m[1]), 0.0)
+        return np.hypot(dx, dy)
 
-def rolling(amplitude_m: float, wavelength_m: float, rng: np.random.Generator) -> HeightField:
-    """Gently rolling ground: standard deviation `amplitude_m`, wavelengths from `wavelength_m` down to 1/8 of it."""
-    waves = 24
-    wavelength = wavelength_m * 0.5 ** (3.0 * rng.random(waves))
-    angle = rng.random(waves) * 2 * np.pi
+
+def _smooth(x: NDArray[np.float64]) -> NDArray[np.float64]:
+    """0 below 0, 1 above 1, with a continuous slope."""
+    t = np.clip(x, 0.0, 1.0)
+    return t * t * (3 - 2 * t)
+
+
+def rolling(
+    size_m: tuple[float, float], amplitude_m: float, wavelength_m: float, rng: np.random.Generator
+) -> HeightField:
+    """Gently rolling ground: standard deviation `amplitude_m`, wavelengths from `wavelength_m` down to 1/8 of it.
+
+    Around it, from some hundred metres on, hills of 900 to 3000 m and a standard deviation of 22 m.
+    """
+    waves, hills = 24, 10
+    wavelength = np.concatenate([wavelength_m * 0.5 ** (3.0 * rng.random(waves)), 900.0 + 2100.0 * rng.random(hills)])
+    angle = rng.random(waves + hills) * 2 * np.pi
     k = 2 * np.pi / wavelength
-    weight = wavelength**2  # long waves carry most of the height, as on eroded land
-    amplitude = amplitude_m * np.sqrt(2.0) * weight / np.sqrt(np.sum(weight**2))
-    return HeightField(
-        np.stack([k * np.cos(angle), k * np.sin(angle)], axis=1), amplitude, rng.random(waves) * 2 * np.pi
-    )
+    hill = np.arange(waves + hills) >= waves
+    weight = np.where(hill, wavelength, wavelength**2)  # long waves carry most of the height, as on eroded land
+    for group, deviation in ((~hill, amplitude_m), (hill, 22.0 if amplitude_m > 0 else 0.0)):
+        weight[group] *= deviation * np.sqrt(2.0 / np.sum(weight[group] ** 2))
+    direction = np.stack([k * np.cos(angle), k * np.sin(angle)], axis=1)
+    return HeightField(size_m, direction, weight, rng.random(waves + hills) * 2 * np.pi, hill)
 
 
-def flat() -> HeightField:
+def flat(size_m: tuple[float, float]) -> HeightField:
     """z = 0."""
-    return HeightField(np.zeros((0, 2)), np.zeros(0), np.zeros(0))
+    return HeightField(size_m, np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros(0, dtype=bool))
 
 
 def _graded_axis(length_m: float) -> NDArray[np.float64]:
-    """Coordinates: even cells over the site and a margin, then each cell 12% longer than the last, to the horizon."""
-    margin = 20.0
-    cells = int(min(np.ceil((length_m + 2 * margin) / _SITE_CELL_M), 1200))
-    inner = np.linspace(-margin, length_m + margin, cells + 1)
-    step, reach, outer = inner[1] - inner[0], margin, []
+    """Coordinates: even cells over the site and a margin, then each cell 8% longer than the last, to the horizon."""
+    cells = int(min(np.ceil((length_m + 2 * _MARGIN_M) / _SITE_CELL_M), 1200))
+    inner = np.linspace(-_MARGIN_M, length_m + _MARGIN_M, cells + 1)
+    step, reach, outer = inner[1] - inner[0], _MARGIN_M, []
     while reach < HORIZON_M:
-        step *= 1.12
+        step *= 1.08
         reach += step
         outer.append(reach)
     out = np.asarray(outer)
     return np.concatenate([-out[::-1], inner, length_m + out])
 
 
-def terrain_mesh(height: HeightField, size_m: tuple[float, float]) -> Mesh:
+def terrain_mesh(height: HeightField) -> Mesh:
     """Height field as triangles, smooth normals, uv in tiles of `TEXTURE_TILE_M`."""
-    xs, ys = _graded_axis(size_m[0]), _graded_axis(size_m[1])
+    xs, ys = _graded_axis(height.size_m[0]), _graded_axis(height.size_m[1])
     x, y = np.meshgrid(xs, ys)
     z = height(x, y)
     step = 0.1
@@ -152,6 +181,9 @@ def litter_texture(rng: np.random.Generator) -> NDArray[np.float32]:
     return np.clip(litter + bare * (moss - litter), 0.012, 0.6).astype(np.float32)
 
 
-def build_terrain(height: HeightField, size_m: tuple[float, float], rng: np.random.Generator) -> Terrain:
-    """Ground of a site."""
-    return Terrain(mesh=terrain_mesh(height, size_m), texture=litter_texture(rng))
+def build_terrain(height: HeightField, rng: np.random.Generator) -> Terrain:
+    """Ground of a site: litter on it and around it, woods and meadows beyond."""
+    mesh = terrain_mesh(height)
+    x, y = mesh.vertices_m[:, 0].astype(np.float64), mesh.vertices_m[:, 1].astype(np.float64)
+    far = _smooth((height.distance_m(x, y) - 30.0) / 120.0)
+    return Terrain(mesh=mesh, texture=litter_texture(rng), far_share=far.astype(np.float32))

@@ -6,6 +6,7 @@ machine's memory by estimate.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -19,12 +20,21 @@ from forestgen.plants.registry import GENERATORS
 from forestgen.recipe.load import DrawnRecipe, LoadedRecipe
 from forestgen.recipe.species import Species
 
+_MOST_OPTICAL_DEPTH = 1000
 # Kept free for the operating system and for what no estimate sees.
 _SHARE_OF_MEMORY = 0.8
-_LOADED_RENDERER_BYTES = 700_000_000
+# Measured by tests/system/test_memory.py as the peak resident memory of whole runs.
+_LOADED_SIMULATOR_BYTES = 350_000_000
+_LOADED_RENDERER_BYTES = 900_000_000  # libraries, kernels, the ground's texture and what it was made from
 _BYTES_PER_SAMPLE = 5 + 16  # an identity sample, and the sorting of it
-_BYTES_PER_PIXEL = 400  # radiance sums in double precision, buffers, channels on their way to files
+_BYTES_PER_PIXEL = 500  # radiance sums in double precision, buffers, channels on their way to files
 _BYTES_PER_TRIANGLE = 260  # mesh, two scenes with their trees, normals' table
+_TRIANGLES_PER_EXEMPLAR = 150_000  # a mature spruce
+_BYTES_PER_PLANT = 18_000  # an instance in two scenes; the renderer's objects are large
+_BYTES_PER_PLANT_UNDER_CLOUDS = 9_000  # a third scene
+_GROUND_CELL_M, _MOST_GROUND_CELLS, _GROUND_BEYOND = 0.75, 1200, 160  # see scene/terrain.py
+_BYTES_PER_CLOUD_CELL = 60
+_CURVES_BYTES = 500_000_000  # snapshots that stages/history.py keeps
 
 
 @dataclass(frozen=True)
@@ -70,7 +80,7 @@ def make_plan(drawn: DrawnRecipe) -> Plan:
         keys = ("species", name, "plant")
         generator = GENERATORS.load(species.plant.generator, where=drawn.where(*keys, "generator"))
         generators[name] = drawn.parse(generator.Parameters, species.plant.parameters, keys)
-    _check_cameras(drawn)
+    _check_clouds(drawn)
     return Plan(drawn, model, drawn.parse(model.Parameters, community.parameters, ("community",)), generators)
 
 
@@ -89,7 +99,7 @@ def check_plan(loaded: LoadedRecipe, *, simulate_only: bool = False) -> Plan:
 
 
 def why_barren(plan: Plan) -> str | None:
-    """Why no plant can ever grow from this recipe, or None if some may: an empty site is no error, but never a surprise."""
+    """Why no plant can ever grow from this recipe, or None if some may: an empty site is no error, and no surprise."""
     parameters = plan.model_parameters
     if getattr(parameters, "program", None) == "self_thinning":
         empty = getattr(parameters, "initial_plants_per_ha", None) == 0
@@ -101,11 +111,29 @@ def why_barren(plan: Plan) -> str | None:
     return None
 
 
-def _check_cameras(drawn: DrawnRecipe) -> None:
-    """Clouds are traced apart from the plants, which a camera inside or above them would see through."""
+def views_below_ground(plan: Plan) -> list[str]:
+    """Names of the cameras that stand below the ground, as far as the recipe alone tells."""
+    recipe = plan.drawn.recipe
+    flat = recipe.site.terrain.kind == "flat"
+    return [one.name for one in recipe.cameras if one.position_m[2] < 0 and (flat or one.height_above_ground)]
+
+
+def _check_clouds(drawn: DrawnRecipe) -> None:
+    """Clouds that light can cross, and cameras below them.
+
+    Clouds are traced apart from the plants, which a camera inside or above them would see through.
+    """
     clouds = drawn.recipe.sky.clouds
     if clouds.type == "none":
         return
+    depth = clouds.extinction_per_m * clouds.thickness_m
+    if depth > _MOST_OPTICAL_DEPTH:
+        raise RecipeError(
+            "the clouds are too thick to be traced in reasonable time",
+            where=drawn.where("sky", "clouds"),
+            expected=f"extinction_per_m x thickness_m of at most {_MOST_OPTICAL_DEPTH}; a thundercloud has some hundreds",
+            got=f"{clouds.extinction_per_m:g} x {clouds.thickness_m:g} = {depth:g}",
+        )
     for index, camera in enumerate(drawn.recipe.cameras):
         if camera.position_m[2] >= clouds.base_m:
             raise RecipeError(
@@ -117,41 +145,55 @@ def _check_cameras(drawn: DrawnRecipe) -> None:
             )
 
 
-def estimate_bytes(plan: Plan, *, simulate_only: bool = False) -> dict[str, int]:
-    """Peak memory by what takes it, estimated without simulating."""
+def estimate_bytes(plan: Plan, *, simulate_only: bool = False, plants: int = 0) -> dict[str, int]:
+    """Peak memory by what takes it: an upper estimate, without simulating.
+
+    Parameters
+    ----------
+    plants : how many the scene will hold; before the simulation nobody knows, and their share is left out.
+    """
     recipe = plan.drawn.recipe
     community = plan.model.estimate_bytes(plan.model_parameters, plan.site, plan.ecologies)
     if simulate_only:
-        return {"community": community}
+        return {"community": community + min(_CURVES_BYTES, 400 * community), "libraries": _LOADED_SIMULATOR_BYTES}
     pixels = max(camera.size_px[0] * camera.size_px[1] for camera in recipe.cameras)
     exemplars = recipe.plants.exemplars_per_species * len(plan.drawn.species)
     clouds = recipe.sky.clouds
-    cells = 0.0 if clouds.type == "none" else (clouds.extent_m / 26) ** 2 * max(8, clouds.thickness_m / 13)
+    cloudy = clouds.type != "none"
+    cells = (clouds.extent_m / 40) ** 2 * max(8, clouds.thickness_m / 20) if cloudy else 0.0
+    per_plant = _BYTES_PER_PLANT + cloudy * _BYTES_PER_PLANT_UNDER_CLOUDS
+    across, along = (
+        min(math.ceil((side + 40) / _GROUND_CELL_M), _MOST_GROUND_CELLS) + _GROUND_BEYOND for side in recipe.site.size_m
+    )
     return {
         "community": community,
-        "renderer": _LOADED_RENDERER_BYTES,
+        "libraries": _LOADED_RENDERER_BYTES,
+        "ground": 2 * across * along * _BYTES_PER_TRIANGLE,
         "images": pixels * (_BYTES_PER_PIXEL + recipe.labels.samples * _BYTES_PER_SAMPLE),
-        "plants": exemplars * 100_000 * _BYTES_PER_TRIANGLE,
-        "clouds": int(cells * 60),
+        "exemplars": exemplars * _TRIANGLES_PER_EXEMPLAR * _BYTES_PER_TRIANGLE,
+        "plants": plants * per_plant,
+        "clouds": int(cells * _BYTES_PER_CLOUD_CELL),
     }
 
 
-def check_memory(plan: Plan, *, simulate_only: bool = False) -> None:
-    """Raise `ResourceError` if the estimate does not fit into the memory that is free now."""
+def check_memory(plan: Plan, *, simulate_only: bool = False, plants: int = 0) -> None:
+    """Raise `ResourceError` if the estimate does not fit into the memory that is free now; see `estimate_bytes`."""
     import psutil
 
     free = int(psutil.virtual_memory().available * _SHARE_OF_MEMORY)
-    parts = estimate_bytes(plan, simulate_only=simulate_only)
+    parts = estimate_bytes(plan, simulate_only=simulate_only, plants=plants)
     need = sum(parts.values())
     if need <= free:
         return
     largest = max(parts, key=lambda name: parts[name])
     where, hint = {
         "community": (("community",), "make the site smaller, or lower species' seedlings_per_ha_per_yr"),
+        "ground": (("site", "size_m"), "make the site smaller"),
         "images": (("cameras",), "make the images smaller, or lower labels.samples"),
-        "plants": (("plants", "exemplars_per_species"), "lower plants.exemplars_per_species"),
+        "exemplars": (("plants", "exemplars_per_species"), "lower plants.exemplars_per_species"),
+        "plants": (("site", "size_m"), f"{plants:,} plants grew: make the site smaller, or stop after fewer steps"),
         "clouds": (("sky", "clouds"), "make sky.clouds.extent_m smaller"),
-        "renderer": (("render",), "free some memory"),
+        "libraries": ((), "close other programs"),
     }[largest]
     raise ResourceError(
         f"this would need more memory than is free, most of it for the {largest}",

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from forestgen.atmosphere.grid import CloudGrid
 from forestgen.atmosphere.procedural import cumulus_field
 from forestgen.community.population import Population
 from forestgen.core.frames import look_at
@@ -19,7 +20,6 @@ from forestgen.recipe.schema import Camera as CameraSection
 from forestgen.recipe.species import Species
 from forestgen.scene.assemble import place_instances, stand_on
 from forestgen.scene.exemplars import ExemplarPlan, SizeError, plan_exemplars, size_errors
-from forestgen.atmosphere.grid import CloudGrid
 from forestgen.scene.spec import Camera, Material, SceneSpec, Sky
 from forestgen.scene.terrain import HeightField, build_terrain, flat, rolling
 from forestgen.stages.plan import Plan
@@ -45,8 +45,8 @@ def build_scene(plan: Plan, population: Population, progress: Progress, timer: T
     with timer("scene"):
         height = _height_field(plan)
         population = stand_on(population, height)
-        terrain = build_terrain(height, recipe.site.size_m, child_rng(seed, "terrain", "colour"))
-        albedo = float(terrain.texture.mean())
+        terrain = build_terrain(height, child_rng(seed, "terrain", "colour"))
+        albedo = float(np.mean(terrain.far_reflectance))  # of the region, which the sky and the clouds see
         sun = recipe.sky.sun
         spec = SceneSpec(
             exemplars=exemplars,
@@ -88,9 +88,9 @@ def materials_of(species: Mapping[str, Species]) -> dict[tuple[str, str], Materi
 def _height_field(plan: Plan) -> HeightField:
     terrain = plan.drawn.recipe.site.terrain
     if terrain.kind == "flat":
-        return flat()
+        return flat(plan.drawn.recipe.site.size_m)
     rng = child_rng(plan.drawn.image_seed, "terrain", "height")
-    return rolling(terrain.amplitude_m, terrain.wavelength_m, rng)
+    return rolling(plan.drawn.recipe.site.size_m, terrain.amplitude_m, terrain.wavelength_m, rng)
 
 
 def _clouds(plan: Plan) -> CloudGrid | None:
@@ -133,5 +133,3 @@ def _errors(
         np.array([exemplar.crown_width_m for exemplar in exemplars]),
         width,
     )
-
-

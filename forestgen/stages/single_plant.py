@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import errno
 import math
+import os
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from forestgen.core.errors import OutputError, RecipeError
 from forestgen.core.frames import look_at
@@ -14,7 +18,7 @@ from forestgen.core.parts import Part
 from forestgen.core.progress import Progress
 from forestgen.core.randomness import child_rng
 from forestgen.core.timing import Timings
-from forestgen.dataset.files import output_error
+from forestgen.dataset.files import output_error, write_bytes
 from forestgen.dataset.png import write_rgb
 from forestgen.dataset.tonemap import tone_map
 from forestgen.geometry.export import FORMATS, mesh_file, surface_area_m2
@@ -59,37 +63,44 @@ def grow_single_plant(
     picture_path = mesh_path.with_suffix(".png")
     _check_paths(mesh_path, picture_path, overwrite)
     name = Path(species).stem
-    loaded = load_recipe_data(
-        {"forestgen": 1, "seed": seed, "species": {name: {"from": species}}, "community": {"model": "multiset_lsystem"}},
-        "forestgen plant",
-    )
+    alone = {"species": {name: {"from": species}}, "community": {"model": "multiset_lsystem"}}
+    loaded = load_recipe_data({"forestgen": 1, "seed": seed, **alone}, "forestgen plant")
     plan = make_plan(loaded.draw(0))
+    radius_m = _radius_m(plan.drawn.species[name], height_m)
     kind = plan.drawn.species[name]
     with progress.stage("plant", 1) as advance:
         rng = child_rng(seed, "exemplar", name)
-        exemplar = build_exemplar(name, kind, plan.generator_parameters[name], _radius_m(kind, height_m), rng)
+        exemplar = build_exemplar(name, kind, plan.generator_parameters[name], radius_m, rng)
         advance(1)
-    colours = {key: material.reflectance for key, material in kind.materials.items()}
-    data = mesh_file(
-        {f"{organ.part.name.lower()}-{organ.material}": (organ.mesh, colours[organ.material]) for organ in exemplar.organs},
-        mesh_path.suffix.lower(),
-    )
+    meshes = {
+        f"{organ.part.name.lower()}-{organ.material}": (organ.mesh, kind.materials[organ.material].reflectance)
+        for organ in exemplar.organs
+    }
     spec = _studio(exemplar, plan.drawn.recipe)
     frame = render_frame(spec, spec.cameras[0], plan.drawn.recipe, seed, progress, Timings())
     light = frame.radiance.mean if frame.radiance.denoised is None else frame.radiance.denoised
-    _write(mesh_path, data)
-    write_rgb(picture_path, tone_map(light))
+    _write(mesh_path, mesh_file(meshes, mesh_path.suffix.lower()), picture_path, tone_map(light))
     return _described(exemplar, mesh_path, picture_path)
 
 
 def _check_paths(mesh_path: Path, picture_path: Path, overwrite: bool) -> None:
     if mesh_path.suffix.lower() not in FORMATS:
-        raise RecipeError(
-            "unknown mesh format", where="--output", expected=" or ".join(FORMATS), got=repr(mesh_path.suffix)
-        )
+        got = f"{str(mesh_path)!r:.200}"
+        raise RecipeError("unknown mesh format", where="--output", expected=" or ".join(FORMATS), got=got)
     for path in (mesh_path, picture_path):
-        if path.exists() and not overwrite:
-            raise OutputError("the file exists", where=str(path), hint="choose another name, or --overwrite")
+        try:
+            if path.is_dir():
+                raise OutputError(
+                    "the output is a folder", where=str(path), expected="a file", hint="choose another name"
+                )
+            if path.exists() and not overwrite:
+                raise OutputError("the file exists", where=str(path), hint="choose another name, or --overwrite")
+            folder = next(parent for parent in path.absolute().parents if parent.exists())
+        except OSError as error:
+            raise output_error(error, path) from error
+        if not (folder.is_dir() and os.access(folder, os.W_OK | os.X_OK)):
+            reason = errno.EACCES if folder.is_dir() else errno.ENOTDIR
+            raise output_error(OSError(reason, os.strerror(reason)), path)
 
 
 def _radius_m(species: Species, height_m: float | None) -> float:
@@ -112,7 +123,7 @@ def _studio(exemplar: Exemplar, recipe: Recipe) -> SceneSpec:
     hfov = 2 * math.degrees(math.atan(0.58 * size / distance * width / height))
     camera = Camera("plant", position, look_at(position, (0.0, 0.0, middle)), _PICTURE_PX, hfov)
     transform = np.eye(4)[None, :3]
-    terrain = build_terrain(flat(), (10.0, 10.0), child_rng(0, "studio"))
+    terrain = build_terrain(flat((10.0, 10.0)), child_rng(0, "studio"))
     sun = recipe.sky.sun
     return SceneSpec(
         exemplars=(exemplar,),
@@ -125,16 +136,26 @@ def _studio(exemplar: Exemplar, recipe: Recipe) -> SceneSpec:
     )
 
 
-def _write(path: Path, data: bytes) -> None:
-    partial = path.with_name(f".{path.name}.partial")
+def _write(mesh_path: Path, mesh: bytes, picture_path: Path, picture: NDArray[np.uint8]) -> None:
+    """Both files or none: they are written under hidden names and renamed when both are complete."""
+    partials = {path: path.with_name(f".{path.stem}.partial{path.suffix}") for path in (mesh_path, picture_path)}
+    made = [folder for folder in (mesh_path.parent, *mesh_path.parent.parents) if not folder.exists()]
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        partial.write_bytes(data)
-        partial.replace(path)
-    except OSError as error:
-        raise output_error(error, path) from error
-    finally:
-        partial.unlink(missing_ok=True)
+        mesh_path.parent.mkdir(parents=True, exist_ok=True)
+        write_bytes(partials[mesh_path], mesh)
+        write_rgb(partials[picture_path], picture)
+        for path, partial in partials.items():
+            partial.replace(path)
+    except BaseException as error:
+        for partial in partials.values():
+            partial.unlink(missing_ok=True)
+        for folder in made:
+            with suppress(OSError):
+                folder.rmdir()
+        if isinstance(error, OSError | OutputError):
+            cause = error if isinstance(error, OSError) else error.__cause__
+            raise output_error(cause if isinstance(cause, OSError) else OSError(str(error)), mesh_path) from error
+        raise
 
 
 def _described(exemplar: Exemplar, mesh_path: Path, picture_path: Path) -> SinglePlant:

@@ -1,0 +1,43 @@
+"""Passes of the renderer in one call, for tests."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from forestgen.core.progress import Silent
+from forestgen.core.timing import Timings
+from forestgen.render.build import load, origin_of, sensor_of
+from forestgen.render.frame import Identity, Radiance
+from forestgen.render.identity import trace_identity
+from forestgen.render.radiance import render_radiance, scene_dict
+from forestgen.render.variant import SCALAR, mitsuba
+from forestgen.scene.spec import SceneSpec
+
+
+def identity(spec: SceneSpec, samples: int) -> Identity:
+    return trace_identity(spec, spec.cameras[0], samples=samples, timer=Timings(), advance=lambda rows: None)
+
+
+def radiance(spec: SceneSpec, samples: int, seed: int, max_depth: int = 64) -> Radiance:
+    """With every pixel taken to see the sky."""
+    width, height = spec.cameras[0].size_px
+    return render_radiance(
+        spec,
+        spec.cameras[0],
+        samples=samples,
+        max_depth=max_depth,
+        seed=seed,
+        progress=Silent(),
+        sky_share=np.ones((height, width), dtype=bool),
+        timer=Timings(),
+    )
+
+
+def alpha(spec: SceneSpec, samples: int) -> np.ndarray:
+    """(H, W) share of the radiance pass' rays that meet the scene."""
+    mi = mitsuba()
+    with mi.variant_context(SCALAR):
+        scene = load({**scene_dict(spec, origin_of(spec.cameras[0])), "light": {"type": "constant"}})
+        integrator = mi.load_dict({"type": "volpath", "max_depth": 2, "hide_emitters": True})
+        image = integrator.render(scene, sensor=sensor_of(spec.cameras[0], samples), seed=1, spp=samples)
+        return np.array(image)[..., 3].astype(np.float64)

@@ -1,0 +1,359 @@
+"""Bad input and bad moments: one clear message, a non-zero exit code, and nothing half-written."""
+
+from __future__ import annotations
+
+import errno
+import os
+import signal
+import time
+from pathlib import Path
+
+import pytest
+from command_line import CAMERAS, run, start, tiny, tree
+
+# What is wrong with a recipe: text to replace in it, its replacement, and what the message must say.
+_ROCK = """{rock: {
+  ecology: {growth_m_per_yr: 1, max_radius_m: 1, shade_tolerance: 0, old_age_survival: 0, seedlings_per_ha_per_yr: 1},
+  allometry: {height_m: {scale: 1, exponent: 1}, width_m: {scale: 1, exponent: 1}}}}"""
+MISTAKES = {
+    "unknown key": ("seed: 3", "sead: 3", ["tiny.yaml:2: sead: unknown key 'sead'", "did you mean 'seed'?"]),
+    "unknown nested key": ("terrain: flat", "terrane: flat", ["tiny.yaml:3: site.terrane", "one of size_m, terrain"]),
+    "unknown key of a model": ("steps: 12", "stepps: 12", ["tiny.yaml:5: community.stepps", "steps"]),
+    "wrong type": ("size_m: [6, 5]", "size_m: big", ["tiny.yaml:3: site.size_m", "a list", "'big'"]),
+    "text for a number": ("samples: 1,", "samples: '1',", ["tiny.yaml:8: render.samples", "a whole number", "'1'"]),
+    "negative size": ("size_m: [6, 5]", "size_m: [-6, 5]", ["tiny.yaml:3: site.size_m", "greater than 0", "-6"]),
+    "negative steps": ("steps: 12", "steps: -1", ["tiny.yaml:5: community.steps", "at least 0", "-1"]),
+    "no number": ("size_m: [6, 5]", "size_m: [.nan, 5]", ["tiny.yaml:3: site.size_m.0", "a finite number", "nan"]),
+    "no cameras": (CAMERAS, "cameras: []", ["tiny.yaml:7: cameras", "at least 1 entry", "[]"]),
+    "no species": ("{fireweed: }", "{}", ["tiny.yaml:4: species", "at least 1 entry"]),
+    "unknown species": ("{fireweed: }", "{firewed: }", ["tiny.yaml:4: species.firewed", "did you mean 'fireweed'?"]),
+    "missing species file": ("{fireweed: }", "{fireweed: ./nix.yaml}", ["tiny.yaml:4: species.fireweed", "nix.yaml"]),
+    "unknown generator": (
+        "{fireweed: }",
+        "{fireweed: {from: fireweed, plant: {generator: magic}}}",
+        ["tiny.yaml:4: species.fireweed.plant.generator", "silhouette", "'magic'"],
+    ),
+    "species without generator": ("{fireweed: }", _ROCK, ["tiny.yaml:4: species.rock.plant", "'plant' is missing"]),
+    "unknown model": (
+        "multiset_lsystem",
+        "multiset",
+        ["tiny.yaml:5: community.model", "multiset_lsystem", "'multiset'"],
+    ),
+    "camera in the clouds": (
+        "seed: 3",
+        "sky: {clouds: {type: cumulus, base_m: 1}}",
+        ["tiny.yaml:7: cameras.0.position_m", "below sky.clouds.base_m = 1 m", "1.5 m"],
+    ),
+    "clouds too thick": (
+        "seed: 3",
+        "sky: {clouds: {type: cumulus, extinction_per_m: 1, thickness_m: 20000}}",
+        ["tiny.yaml:2: sky.clouds", "at most 1000", "1 x 20000 = 20000"],
+    ),
+    "sun below the horizon": (
+        "seed: 3",
+        "sky: {sun: {elevation_deg: -4}}",
+        ["tiny.yaml:2: sky.sun.elevation_deg", "greater than 0", "-4"],
+    ),
+    "no YAML": ("seed: 3", "seed: [3", ["tiny.yaml:", "not valid YAML"]),
+    "a key twice": ("seed: 3", "seed: 3\nseed: 4", ["tiny.yaml:3", "seed"]),
+    "other version": ("forestgen: 1", "forestgen: 99", ["tiny.yaml:1: forestgen", "forestgen: 1", "99"]),
+}
+
+
+@pytest.mark.parametrize("name", MISTAKES)
+def test_a_mistake_in_the_recipe_is_named_with_its_place_before_any_work(name: str, tmp_path: Path) -> None:
+    old, new, parts = MISTAKES[name]
+    recipe = tiny(tmp_path, (old, new))
+    before = tree(tmp_path)
+    for verb in (
+        ("render", recipe, "-o", tmp_path / "out"),
+        ("simulate", recipe, "-o", tmp_path / "out"),
+        ("validate", recipe),
+    ):
+        run(*verb).refused(2, *parts)
+        assert tree(tmp_path) == before
+
+
+def test_the_end_of_a_distribution_is_checked_before_any_image(tmp_path: Path) -> None:
+    recipe = tiny(tmp_path, ("seed: 3", "sky: {turbidity: {uniform: [3, 30]}}"))
+    run("render", recipe, "-o", tmp_path / "out").refused(
+        2, "tiny.yaml:2: sky.turbidity", "at most 10", "30", "uniform: [3, 30]"
+    )
+
+
+OVERRIDES = {
+    "steps": ["key.path=value"],
+    "=3": ["key.path=value"],
+    "a..b=3": ["key.path=value"],
+    "site={": ["not valid YAML"],
+    "site.size_m.5=3": ["a number from 0 to 2", "5"],
+    "seed=": ["a whole number", "null"],
+    "seed.x=3": ["no key 'x'"],
+    "cameras.0=3": ["cameras.0", "a mapping"],
+    "nonsense=3": ["unknown key 'nonsense'"],
+}
+
+
+@pytest.mark.parametrize("override", OVERRIDES)
+def test_a_bad_override_is_named_as_one(override: str, tmp_path: Path) -> None:
+    run("validate", tiny(tmp_path), "--set", override).refused(2, f"--set {override}", *OVERRIDES[override])
+
+
+def test_a_recipe_that_is_none(tmp_path: Path) -> None:
+    run("render", tmp_path / "nix.yaml").refused(2, "nix.yaml: no such recipe", "expected", "got")
+    run("render", tmp_path).refused(2, "this is a folder", "a YAML file")
+    run("validate", "quickstart").refused(2, "quickstart", "recipes/quickstart.yaml")
+    (tmp_path / "empty.yaml").write_text("")
+    run("validate", tmp_path / "empty.yaml").refused(2, "empty.yaml")
+    (tmp_path / "binary.yaml").write_bytes(b"\x89PNG\r\n\x1a\n\0\xff")
+    run("validate", tmp_path / "binary.yaml").refused(2, "binary.yaml")
+
+
+_NO_COHORT = "{model: multiset_lsystem, program: self_thinning, initial_plants_per_ha: 0}"
+_SEEDLINGS = "species.fireweed.ecology.seedlings_per_ha_per_yr"
+TOO_LARGE = {
+    "seedlings": (["site.size_m=[5000,5000]", f"{_SEEDLINGS}=1000000", "community.steps=300"], "community"),
+    "exemplars": (["plants.exemplars_per_species=1000", "species.poplar=poplar", "species.spruce=spruce"], "exemplars"),
+    "pixels": (["cameras.0.size_px=[16384,16384]"], "images"),
+    "label samples": (["labels.samples=1024", "cameras.0.size_px=[8192,4096]"], "images"),
+    "clouds": (["sky.clouds={type: cumulus, extent_m: 20000, thickness_m: 20000, base_m: 2000}"], "clouds"),
+}
+
+
+@pytest.fixture
+def _few_gigabytes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A machine with 8 GB free, whatever this one has."""
+    import psutil
+
+    real = psutil.virtual_memory()
+    monkeypatch.setattr(psutil, "virtual_memory", lambda: real._replace(available=8_000_000_000))
+
+
+@pytest.mark.usefixtures("_few_gigabytes")
+@pytest.mark.parametrize("name", TOO_LARGE)
+def test_what_cannot_fit_into_memory_is_refused_before_any_work(name: str, tmp_path: Path) -> None:
+    overrides, largest = TOO_LARGE[name]
+    recipe = tiny(tmp_path)
+    options = [text for one in overrides for text in ("--set", one)]
+    for verb in (("validate", recipe), ("render", recipe, "-o", tmp_path / "out")):
+        run(*verb, *options).refused(
+            3, "more memory than is free", f"for the {largest}", "at most 6.4 GB", "about", "try"
+        )
+    assert not (tmp_path / "out").exists()
+    if largest == "community":
+        run("simulate", recipe, "-o", tmp_path / "out", *options).refused(3, "more memory", "for the community")
+
+
+def test_plants_beyond_memory_are_refused_when_they_are_counted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from forestgen.stages import plan
+
+    monkeypatch.setattr(plan, "_BYTES_PER_PLANT", 10**12)
+    answer = run("render", tiny(tmp_path), "-o", tmp_path / "out")
+    answer.refused(3, "for the plants", "plants grew", "tiny.yaml:3: site.size_m")
+    assert set(tree(tmp_path)) == {"tiny.yaml"}
+
+
+def test_many_samples_take_time_but_no_memory(tmp_path: Path) -> None:
+    assert run("validate", tiny(tmp_path), "--set", "render.samples=65536").code == 0
+
+
+def test_an_output_that_cannot_be_used_is_refused_before_any_work(tmp_path: Path) -> None:
+    recipe = tiny(tmp_path)
+    taken = tmp_path / "taken"
+    taken.mkdir()
+    (taken / "thesis.tex").write_text("five years")
+    before = tree(tmp_path)
+    for verb in ("render", "simulate"):
+        run(verb, recipe, "-o", recipe).refused(4, "the output is a file", "tiny.yaml")
+        run(verb, recipe, "-o", recipe / "x").refused(4, "tiny.yaml/x", "Not a directory")
+        for more in ((), ("--overwrite",)):
+            run(verb, recipe, "-o", taken, *more).refused(4, "holds no forestgen output", str(taken))
+        run(verb, recipe, "-o", tmp_path / ("x" * 300)).refused(4, "File name too long")
+    assert tree(tmp_path) == before
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+def test_an_output_without_permission(tmp_path: Path) -> None:
+    closed = tmp_path / "closed"
+    closed.mkdir(mode=0o500)
+    run("render", tiny(tmp_path), "-o", closed / "out").refused(4, "Permission denied")
+
+
+def _no_permission(*_: object, **__: object) -> None:
+    raise OSError(errno.EACCES, os.strerror(errno.EACCES), "closed/out")
+
+
+def test_an_output_without_permission_even_for_root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    recipe = tiny(tmp_path)
+    monkeypatch.setattr(Path, "mkdir", _no_permission)
+    for verb in ("render", "simulate"):
+        run(verb, recipe, "-o", tmp_path / "out").refused(4, "Permission denied", "may write to")
+
+
+def test_a_disk_without_room_for_the_images_is_refused_before_any_work(tmp_path: Path) -> None:
+    answer = run("render", tiny(tmp_path), "-o", tmp_path / "out", "--images", "1000000000")
+    answer.refused(4, "too little free disk space", "MB")
+    assert set(tree(tmp_path)) == {"tiny.yaml"}
+
+
+@pytest.mark.parametrize("verb", ["render", "simulate"])
+def test_a_disk_that_fills_up_halfway_leaves_what_was_there(
+    verb: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recipe, out = tiny(tmp_path), tmp_path / "out"
+    assert run("simulate", recipe, "-o", out).code == 0
+    before = tree(tmp_path)
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patched:
+        # The last file that a run writes: everything else lies in the hidden folder by then.
+        patched.setattr(Path, "write_bytes", full)
+        run(verb, recipe, "-o", out, "--overwrite").refused(4, "No space left on device", str(out), "free some space")
+    assert tree(tmp_path) == before
+    assert run("simulate", recipe, "-o", out).code == 4  # not without --overwrite
+    assert run("simulate", recipe, "-o", out, "--overwrite", "--set", "seed=4").code == 0
+    assert tree(tmp_path) != before
+
+
+def test_a_full_file_system_in_earnest(tmp_path: Path) -> None:
+    """A limit on the size of files stands in for a full disk: the kernel refuses to write, as it does there."""
+    import resource
+    import subprocess
+
+    from command_line import command
+
+    def limit() -> None:
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
+
+    recipe = tiny(tmp_path, ("size_m: [6, 5]", "size_m: [60, 50]"))
+    done = subprocess.run(
+        command("simulate", recipe, "-o", tmp_path / "out"),
+        preexec_fn=limit,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 4, done.stderr
+    assert "Traceback" not in done.stderr
+    assert "File too large" in done.stderr
+    assert set(tree(tmp_path)) == {"tiny.yaml"}
+
+
+def test_an_empty_community_is_a_result_with_a_reason(tmp_path: Path) -> None:
+    recipe = tiny(tmp_path)
+    for override, reason in {
+        "community.steps=0": "community.steps is 0",
+        f"{_SEEDLINGS}=0": "seedlings_per_ha_per_yr is 0 for every species",
+        f"community={_NO_COHORT}": "initial_plants_per_ha is 0",
+    }.items():
+        answer = run("simulate", recipe, "-o", tmp_path / "out", "--overwrite", "--set", override)
+        assert answer.code == 0, answer.err
+        assert "0 plants" in answer.out
+        assert "note: no plant can grow: " in answer.out
+        assert reason in answer.out
+        assert reason in run("validate", recipe, "--set", override).out
+
+
+def test_an_empty_image_is_a_result_with_a_reason(tmp_path: Path) -> None:
+    answer = run("render", tiny(tmp_path), "-o", tmp_path / "bare", "--set", "community.steps=0")
+    assert answer.code == 0, answer.err
+    assert "note: 000000-camera0 shows bare ground: no plant can grow: community.steps is 0" in answer.out
+
+
+@pytest.mark.slow
+def test_strange_views_and_skies_are_rendered(tmp_path: Path) -> None:
+    recipe = tiny(tmp_path)
+    cases = {
+        "cameras.0.position_m=[3,-3,-5]": "stands below the ground",
+        "cameras.0.look_at_m=[3,-300,100]": "sees no plant",
+        "cameras.0.look_at_m=[3,-3,0]": "",  # straight down
+        "cameras.0={position_m: [3, 3, 0.1], look_at_m: [3, 3.01, 0.1], size_px: [48, 27]}": "",
+        "sky.sun.elevation_deg=0.1": "",
+        "sky.sun.elevation_deg=90": "",
+        "site.size_m=[0.3,0.3]": "",  # smaller than any plant
+        "community.steps=1": "",
+    }
+    for number, (override, note) in enumerate(cases.items()):
+        answer = run("render", recipe, "-o", tmp_path / str(number), "--set", override)
+        assert answer.code == 0, answer.err
+        assert note in answer.out
+
+
+PLANTS = {
+    ("nix",): (2, ["species.nix", "fireweed, poplar, spruce", "'nix'"]),
+    ("./nix.yaml",): (2, ["no such species file", "nix.yaml"]),
+    ("poplar", "--height", "0"): (2, ["--height", "0.02 to 200 m", "0"]),
+    ("poplar", "--height", "-3"): (2, ["--height", "-3"]),
+    ("poplar", "--height", "nan"): (2, ["--height", "nan"]),
+    ("poplar", "--seed", "-1"): (2, ["seed", "at least 0", "-1"]),
+    ("poplar", "-o", "tree.stl"): (2, ["--output", ".glb or .ply or .obj", "tree.stl"]),
+    ("poplar", "-o", "taken.glb"): (4, ["taken.glb", "the file exists", "--overwrite"]),
+    ("poplar", "-o", "other.glb"): (4, ["other.png", "the file exists"]),
+    ("poplar", "-o", "taken.glb/x.glb"): (4, ["taken.glb/x.glb", "Not a directory"]),
+    ("poplar", "-o", "folder.glb"): (4, ["folder.glb", "the output is a folder"]),
+}
+
+
+@pytest.mark.parametrize("arguments", PLANTS)
+def test_a_plant_that_cannot_be(arguments: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "taken.glb").write_text("mine")
+    (tmp_path / "other.png").write_text("mine")
+    (tmp_path / "folder.glb").mkdir()
+    before = tree(tmp_path)
+    code, parts = PLANTS[arguments]
+    run("plant", *arguments).refused(code, *parts)
+    assert tree(tmp_path) == before
+
+
+def test_a_plant_whose_picture_cannot_be_written_leaves_no_mesh(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from forestgen.stages import single_plant
+
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(single_plant, "write_rgb", full)
+    monkeypatch.setattr(single_plant, "_PICTURE_PX", (24, 32))
+    run("plant", "fireweed", "-o", tmp_path / "new" / "a.glb").refused(4, "a.glb", "No space left on device")
+    assert tree(tmp_path) == {}
+
+
+# Simulation, growing plants, and rendering; seconds are those of an idle machine and need not be met.
+@pytest.mark.parametrize(
+    ("number", "code", "delay_s"),
+    [(signal.SIGINT, 130, 1.0), (signal.SIGTERM, 143, 3.5), pytest.param(signal.SIGINT, 130, 6.0, marks=pytest.mark.slow)]
+    + [pytest.param(signal.SIGINT, 130, 0.2 + 0.65 * k, marks=pytest.mark.slow) for k in range(20)],
+)  # fmt: skip
+def test_a_stopped_run_leaves_nothing(number: signal.Signals, code: int, delay_s: float, tmp_path: Path) -> None:
+    quickstart = Path(__file__).parents[2] / "recipes" / "quickstart.yaml"
+    process = start("render", quickstart, "--set", "render.samples=4096", "-o", tmp_path / "out")
+    time.sleep(delay_s)
+    process.send_signal(number)
+    asked = time.monotonic()
+    out, err = process.communicate(timeout=60)
+    took_s = time.monotonic() - asked
+    assert process.returncode == code, err
+    assert "nothing was written" in err
+    assert "Traceback" not in err
+    assert not out
+    assert tree(tmp_path) == {}
+    assert took_s < 4.0  # 2 s on a machine that does nothing else
+
+
+@pytest.mark.slow
+def test_two_runs_into_one_folder_leave_one_whole_result(tmp_path: Path) -> None:
+    recipe = tiny(tmp_path)
+    both = [start("render", recipe, "-o", tmp_path / "out", "--set", f"seed={seed}") for seed in (1, 2)]
+    ends = [(*process.communicate(timeout=120), process.returncode) for process in both]
+    assert sorted(code for _, _, code in ends) == [0, 4]
+    assert any("already holds a forestgen output" in err for _, err, _ in ends)
+    names = set(tree(tmp_path))
+    assert "out/manifest.json" in names
+    assert not [name for name in names if name.startswith(".")]

@@ -1,0 +1,75 @@
+"""Plants become instances: exact height, own place, own angle."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scene_plants import population
+
+from forestgen.scene.assemble import place_instances, stand_on
+from forestgen.testing.scenes import simple_tree
+
+
+def placed(count: int = 40, seed: int = 3):
+    rng = np.random.default_rng(0)
+    trees = tuple(simple_tree("a", height, 60, rng) for height in (2.0, 7.0, 19.0))
+    trees = tuple(replace(tree, height_m=float(tree.bounds_m()[1, 2])) for tree in trees)
+    plants = population(count, rng)
+    exemplar = rng.integers(0, 3, count).astype(np.uint32)
+    return trees, plants, exemplar, place_instances(plants, exemplar, trees, seed)
+
+
+def test_the_tops_are_at_the_plants_exact_heights_over_their_feet():
+    trees, plants, exemplar, instances = placed()
+    for row in range(len(plants)):
+        matrix = instances.transform[row]
+        corners = np.concatenate([organ.mesh.vertices_m for organ in trees[exemplar[row]].organs]).astype(np.float64)
+        world = corners @ matrix[:, :3].T + matrix[:, 3]
+        assert abs(world[:, 2].max() - plants.position_m[row, 2] - plants.height_m[row]) < 1e-6 * plants.height_m[row]
+        np.testing.assert_array_equal(matrix[:, 3], plants.position_m[row])
+
+
+def test_transforms_turn_about_the_vertical_and_scale_evenly():
+    _, _, _, instances = placed()
+    linear = instances.transform[:, :, :3]
+    scale = linear[:, 2, 2]
+    np.testing.assert_allclose(linear @ linear.transpose(0, 2, 1), scale[:, None, None] ** 2 * np.eye(3), atol=1e-12)
+    assert np.all(np.linalg.det(linear) > 0)
+    np.testing.assert_array_equal(linear[:, 2, :2], 0)
+
+
+def test_the_angle_belongs_to_the_plant_and_to_the_seed():
+    trees, plants, exemplar, instances = placed()
+    rows = np.array([3, 4, 17, 30])
+    some = replace(
+        plants,
+        **{
+            name: getattr(plants, name)[rows]
+            for name in ("plant_id", "species", "position_m", "radius_m", "height_m", "age_yr", "status")
+        },
+    )
+    alone = place_instances(some, exemplar[rows], trees, 3)
+    np.testing.assert_array_equal(alone.transform, instances.transform[rows])
+    other = place_instances(plants, exemplar, trees, 4)
+    assert not np.allclose(other.transform[:, 0, 0], instances.transform[:, 0, 0])
+
+
+def test_angles_are_spread_evenly():
+    _, _, _, instances = placed(count=2000)
+    angle = np.arctan2(instances.transform[:, 1, 0], instances.transform[:, 0, 0])
+    count = np.histogram(angle, bins=8, range=(-np.pi, np.pi))[0]
+    assert np.sum((count - 250) ** 2 / 250) < 24.3  # chi-squared of 7 degrees of freedom, p = 0.001
+
+
+def test_no_plants_no_instances():
+    trees, _, _, _ = placed()
+    none = population(0, np.random.default_rng(0))
+    assert len(place_instances(none, np.zeros(0, np.uint32), trees, 0)) == 0
+
+
+def test_feet_stand_on_the_ground():
+    plants = population(20, np.random.default_rng(1))
+    stood = stand_on(plants, lambda x, y: 0.1 * x - 0.2 * y)
+    np.testing.assert_allclose(stood.position_m[:, 2], 0.1 * plants.position_m[:, 0] - 0.2 * plants.position_m[:, 1])
+    np.testing.assert_array_equal(stood.position_m[:, :2], plants.position_m[:, :2])

@@ -1,0 +1,74 @@
+"""The ground: one height for mesh, normals and feet."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from forestgen.scene.terrain import HORIZON_M, flat, rolling, terrain_mesh
+
+SIZE_M = (60.0, 40.0)
+
+
+@pytest.fixture(scope="module")
+def height():
+    return rolling(SIZE_M, 1.0, 50.0, np.random.default_rng(2))
+
+
+@pytest.fixture(scope="module")
+def mesh(height):
+    return terrain_mesh(height)
+
+
+def test_vertices_lie_on_the_height_field(height, mesh):
+    x, y, z = mesh.vertices_m.astype(np.float64).T
+    near = (np.abs(x) < 500) & (np.abs(y) < 500)
+    np.testing.assert_allclose(z[near], height(x[near], y[near]), atol=2e-4)
+    assert mesh.vertices_m[:, :2].min() <= -HORIZON_M
+    assert mesh.vertices_m[:, :2].max() >= HORIZON_M
+
+
+def test_a_plants_foot_is_close_to_the_mesh_between_vertices(height, mesh):
+    """Within 3 cm on the site: cells are 0.75 m and the shortest wave some metres."""
+    corner = mesh.vertices_m[mesh.faces].astype(np.float64)
+    middle = corner.mean(axis=1)
+    on_site = np.all((middle[:, :2] > 0) & (middle[:, :2] < SIZE_M), axis=1)
+    error = height(middle[on_site, 0], middle[on_site, 1]) - middle[on_site, 2]
+    assert np.abs(error).max() < 0.03
+
+
+def test_normals_are_those_of_the_slope(height, mesh):
+    x, y = (mesh.vertices_m[:, k].astype(np.float64) for k in range(2))
+    on_site = (x > 0) & (x < SIZE_M[0]) & (y > 0) & (y < SIZE_M[1])
+    x, y = x[on_site], y[on_site]
+    d = 1e-4
+    slope = np.stack(
+        [(height(x + d, y) - height(x - d, y)) / (2 * d), (height(x, y + d) - height(x, y - d)) / (2 * d)], axis=1
+    )
+    expected = np.concatenate([-slope, np.ones((len(x), 1))], axis=1)
+    expected /= np.linalg.norm(expected, axis=1, keepdims=True)
+    np.testing.assert_allclose(mesh.normals[on_site], expected, atol=2e-3)
+    np.testing.assert_allclose(np.linalg.norm(mesh.normals, axis=1), 1, atol=1e-5)
+
+
+def test_faces_look_up_and_cover_the_plane_once(mesh):
+    corner = mesh.vertices_m[mesh.faces].astype(np.float64)
+    area = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])[:, 2] / 2
+    assert np.all(area > 0)
+    extent = mesh.vertices_m[:, :2].max(axis=0).astype(np.float64) - mesh.vertices_m[:, :2].min(axis=0)
+    assert area.sum() == pytest.approx(extent.prod(), rel=1e-5)
+
+
+def test_flat_ground_is_flat():
+    mesh = terrain_mesh(flat(SIZE_M))
+    assert np.all(mesh.vertices_m[:, 2] == 0)
+    np.testing.assert_allclose(mesh.normals, np.broadcast_to([0, 0, 1], mesh.normals.shape))
+
+
+def test_the_stated_amplitude_is_the_sites_standard_deviation():
+    deviations = []
+    for seed in range(40):
+        field = rolling((400.0, 400.0), 1.5, 60.0, np.random.default_rng(seed))
+        x, y = np.meshgrid(np.linspace(0, 400, 80), np.linspace(0, 400, 80))
+        deviations.append(field(x, y).std())
+    assert np.mean(deviations) == pytest.approx(1.5, rel=0.08)
