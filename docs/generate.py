@@ -55,13 +55,17 @@ def recipe_page() -> str:
     text = [
         _NOTICE,
         "# Every key of a recipe\n",
-        "Any number may be a distribution, drawn anew for each image: `{uniform: [a, b]}`, `{normal: [mean, sd]}` (or with",
-        "bounds: `{normal: {mean: 20, sd: 4, low: 5, high: 40}}`), `{lognormal: [median, sigma]}`, `{integers: [a, b]}`,",
-        "`{choice: [a, b, c]}`.\n",
+        "Any number may be a distribution, drawn anew for each image: `{uniform: [a, b]}`, `{normal: [mean, sd]}`",
+        "(or with bounds: `{normal: {mean: 20, sd: 4, low: 5, high: 40}}`), `{lognormal: [median, sigma]}`,",
+        "`{integers: [a, b]}`, `{choice: [a, b, c]}`.\n",
     ]
     for name, title in _SECTIONS.items():
         definition = definitions[name]
-        text += [f"## {title}\n", definition.get("description", "").split("\n\n")[0] + "\n", _table(definition, definitions)]
+        text += [
+            f"## {title}\n",
+            definition.get("description", "").split("\n\n")[0] + "\n",
+            _table(definition, definitions),
+        ]
     return "\n".join(text)
 
 
@@ -71,10 +75,21 @@ def model_page(registry: Registry, name: str) -> str:
     manual = (sys.modules[type(model).__module__].__doc__ or "").strip()
     schema = model.Parameters.model_json_schema()
     definitions = schema.get("$defs", {})
-    text = [_NOTICE, f"# {name}\n", f"A {registry.kind}.\n", _markdown(manual), "\n## Parameters\n", _table(schema, definitions)]
+    text = [
+        _NOTICE,
+        f"# {name}\n",
+        f"A {registry.kind}.\n",
+        _markdown(manual),
+        "\n## Parameters\n",
+        _table(schema, definitions),
+    ]
     for title, definition in definitions.items():
         if definition.get("properties"):
-            text += [f"\n### {title}\n", definition.get("description", "").split("\n\n")[0] + "\n", _table(definition, definitions)]
+            text += [
+                f"\n### {title}\n",
+                definition.get("description", "").split("\n\n")[0] + "\n",
+                _table(definition, definitions),
+            ]
     return "\n".join(text).rstrip() + "\n"
 
 
@@ -128,7 +143,16 @@ def _type(value: Mapping[str, Any]) -> str:
 
 
 def _range(value: Mapping[str, Any]) -> str:
-    names = {"exclusiveMinimum": ">", "minimum": "≥", "ge": "≥", "gt": ">", "exclusiveMaximum": "<", "maximum": "≤", "le": "≤", "lt": "<"}
+    names = {
+        "exclusiveMinimum": ">",
+        "minimum": "≥",
+        "ge": "≥",
+        "gt": ">",
+        "exclusiveMaximum": "<",
+        "maximum": "≤",
+        "le": "≤",
+        "lt": "<",
+    }
     bounds = [f"{sign} {value[key]:g}" for key, sign in names.items() if isinstance(value.get(key), int | float)]
     return " " + ", ".join(bounds) if bounds else ""
 

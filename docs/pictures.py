@@ -1,7 +1,7 @@
 """Renders the documentation's pictures: `uv run python docs/pictures.py` (about ten minutes on two cores).
 
 quickstart.jpg   the quickstart's view, larger and with more samples; the right half under its instance mask
-succession.jpg   four stages of Lane's succession (2002, Figure 4.5): maps, and the stand as a camera at its edge sees it
+succession.jpg   four stages of Lane's succession (2002, Figure 4.5): maps, and the stand as a camera sees it
 """
 
 from __future__ import annotations

@@ -110,7 +110,7 @@ def simulate(
     progress: Progress,
     timings: Timings,
 ) -> RunSummary:
-    """Simulate the community of a recipe's first image: its history, maps at some steps (by default the last), curves."""
+    """Simulate the community of a recipe's first image: history, maps at some steps (by default the last), curves."""
     from forestgen.stages.history import check_map_steps, write_community
 
     plan = check_plan(loaded, simulate_only=True)

@@ -70,8 +70,8 @@ class SliceSum:
 
 
 def slice_sizes(samples: int) -> list[int]:
-    """Samples of each slice: eight nearly equal slices, fewer if there are fewer samples."""
-    count = min(_SLICES, samples)
+    """Samples of each slice: at most eight nearly equal slices of two samples or more, but four if there are four samples."""
+    count = min(_SLICES, max(samples // 2, min(samples, 4)))
     return [samples // count + (1 if k < samples % count else 0) for k in range(count)]
 
 

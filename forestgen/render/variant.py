@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from forestgen.core.errors import ResourceError
+from forestgen.core.interrupts import uninterrupted
 
 SCALAR = "scalar_rgb"
 LLVM = "llvm_ad_rgb"
@@ -45,8 +46,9 @@ def mitsuba(threads: int | None = None) -> Any:
         library = find_llvm()
         if library is not None:
             os.environ["DRJIT_LIBLLVM_PATH"] = str(library)
-        module: Any = importlib.import_module("mitsuba")
-        module.set_variant(SCALAR)
+        with uninterrupted():
+            module: Any = importlib.import_module("mitsuba")
+            module.set_variant(SCALAR)
         module.set_log_level(module.LogLevel.Error)
         _ready["mitsuba"] = module
     if threads is not None:

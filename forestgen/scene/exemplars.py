@@ -22,7 +22,7 @@ class ExemplarPlan:
 
 @dataclass(frozen=True)
 class SizeError:
-    """How far the exemplars' proportions are from the plants they stand for. Heights are exact: instances are scaled."""
+    """How far the exemplars' proportions are from the plants' own. Heights are exact: instances are scaled."""
 
     species: str
     plants: int
@@ -50,9 +50,7 @@ def plan_exemplars(population: Population, per_species: int, seed: int) -> Exemp
     return ExemplarPlan(np.asarray(species, dtype=np.uint16), np.asarray(radii), assignment)
 
 
-def _cluster(
-    values: NDArray[np.float64], clusters: int, seed: int
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _cluster(values: NDArray[np.float64], clusters: int, seed: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Sorted centres and each value's centre."""
     distinct = np.unique(values)
     if len(distinct) <= clusters:

@@ -27,7 +27,7 @@ _LEAVES_PER_M2 = 260
 class HeightField:
     """Height of the ground: waves on and near the site, hills in the distance.
 
-    z = sum of amplitude * fade * sin(k . x + phase). Near waves fade out over some wavelengths away from the site, where
+    z = sum of amplitude * fade * sin(k . x + phase). Near waves fade out over a wavelength away from the site, where
     the mesh is too coarse to carry them; hills fade in from `HILLS_FROM_M` on, so that the site keeps its own relief.
     """
 

@@ -12,7 +12,8 @@ GENERATE = Path(__file__).parents[3] / "docs" / "generate.py"
 
 def _pages() -> dict[Path, str]:
     spec = importlib.util.spec_from_file_location("docs_generate", GENERATE)
-    assert spec is not None and spec.loader is not None
+    assert spec is not None
+    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return dict(module.pages())
