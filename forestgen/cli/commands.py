@@ -130,8 +130,10 @@ def _described(loaded: LoadedRecipe, plan: Plan) -> Iterator[tuple[str, str]]:
     cameras, width, height = drawn.cameras, drawn.site.size_m[0], drawn.site.size_m[1]
     images = count(loaded.images, "image")
     yield "makes", f"{count(loaded.images * len(cameras), 'frame')}: {images} x {count(len(cameras), 'camera')}"
-    for camera in cameras:
+    for camera in cameras[:_MOST_NOTES]:
         yield "", f"{camera.name}, {camera.size_px[0]} x {camera.size_px[1]} px"
+    if len(cameras) > _MOST_NOTES:
+        yield "", "..."
     yield "site", f"{width:g} x {height:g} m, {drawn.site.terrain.kind}"
     yield "community", f"{drawn.community.model}, {count(plan.steps, 'step')}"
     yield "species", ", ".join(drawn.species)

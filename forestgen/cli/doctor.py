@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import os
 import platform
+import subprocess
 import sys
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from forestgen import __version__
 from forestgen.cli.console import output
+from forestgen.core.memory import free_bytes
 from forestgen.dataset.manifest import package_versions
-from forestgen.render.check import check_cuda, check_llvm, check_scalar
 
 _LEAST_FREE_BYTES = 3_000_000_000
+_PATIENCE_S = 120
+_PREPARE = "pass"  # run before each check of a library; tests break the library here
 
 
 @dataclass(frozen=True)
@@ -45,7 +47,7 @@ def report() -> int:
 
 def _python() -> Finding:
     good = (3, 11) <= sys.version_info[:2] < (3, 14)
-    return Finding("Python", good, platform.python_version(), "use Python 3.11, 3.12 or 3.13")
+    return Finding("Python", good, f"{platform.python_version()}, {sys.executable}", "use Python 3.11, 3.12 or 3.13")
 
 
 def _cores() -> Finding:
@@ -56,9 +58,9 @@ def _cores() -> Finding:
 def _memory() -> Finding:
     import psutil
 
-    memory = psutil.virtual_memory()
-    text = f"{memory.available / 1e9:.1f} GB free of {memory.total / 1e9:.1f} GB"
-    return Finding("memory", memory.available > _LEAST_FREE_BYTES, text, "free some memory: 3 GB is the least")
+    free, total = free_bytes(), psutil.virtual_memory().total
+    text = f"{free / 1e9:.1f} GB free of {total / 1e9:.1f} GB"
+    return Finding("memory", free > _LEAST_FREE_BYTES, text, "close other programs: 3 GB is the least")
 
 
 def _disk() -> Finding:
@@ -72,27 +74,47 @@ def _packages() -> Finding:
     versions = package_versions()
     missing = [name for name, version in versions.items() if version is None]
     wanted = ("mitsuba", "drjit", "mitsuba-oidn", "numpy", "OpenEXR")
-    text = ", ".join(f"{name} {versions[name]}" for name in wanted)
+    text = ", ".join(f"{name} {versions[name] or 'missing'}" for name in wanted)
     return Finding("packages", not missing, text, f"missing: {', '.join(missing)}; run `uv sync`")
 
 
-def _checked(name: str, check: Callable[[], str], remedy: str, *, required: bool = True) -> Finding:
+def _apart(function: str) -> str:
+    """What a function of `render.check` says, in a process of its own: an unfit library may end the whole process.
+
+    Raises
+    ------
+    RuntimeError : the check failed; the last thing it said.
+    """
+    code = f"{_PREPARE}; from forestgen.render import check; print(check.{function}())"
     try:
-        return Finding(name, True, check(), required=required)
-    except (RuntimeError, ImportError, AttributeError, OSError) as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        return Finding(name, False, reason, remedy, required)
+        done = subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, encoding="utf-8", timeout=_PATIENCE_S, check=False
+        )
+    except subprocess.TimeoutExpired as error:
+        raise RuntimeError(f"no answer within {_PATIENCE_S} s") from error
+    if done.returncode == 0:
+        return done.stdout.strip()
+    said = done.stderr.strip().splitlines() or ["it said nothing"]
+    last = said[-1].removeprefix("RuntimeError: ")
+    raise RuntimeError(last if done.returncode > 0 else f"crashed with signal {-done.returncode}: {last}")
+
+
+def _tried(name: str, function: str, remedy: str, *, required: bool = True) -> Finding:
+    try:
+        return Finding(name, True, _apart(function), required=required)
+    except (RuntimeError, OSError) as error:
+        return Finding(name, False, str(error), remedy, required)
 
 
 def _scalar() -> Finding:
-    return _checked("scalar_rgb", check_scalar, "reinstall mitsuba: `uv sync --reinstall-package mitsuba`")
+    return _tried("scalar_rgb", "check_scalar", "reinstall mitsuba: `uv sync --reinstall-package mitsuba`")
 
 
 def _llvm() -> Finding:
-    remedy = "install karellen-llvm-core, or point DRJIT_LIBLLVM_PATH at libLLVM 19 or newer"
-    return _checked("llvm_ad_rgb", check_llvm, remedy)
+    remedy = "install the package karellen-llvm-core, or point DRJIT_LIBLLVM_PATH at libLLVM 19 or newer"
+    return _tried("llvm_ad_rgb", "check_llvm", remedy)
 
 
 def _cuda() -> Finding:
-    remedy = "no NVIDIA GPU or driver; forestgen does not need one"
-    return _checked("cuda_ad_rgb", check_cuda, remedy, required=False)
+    found = _tried("GPU", "check_cuda", "", required=False)
+    return replace(found, text=f"{found.text}; {'not used yet' if found.good else 'not needed'}: all work is the CPU's")

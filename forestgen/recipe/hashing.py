@@ -11,9 +11,11 @@ from typing import Any
 def recipe_hash(data: Mapping[str, Any]) -> str:
     """SHA-256, hexadecimal, of a recipe's complete content (`LoadedRecipe.complete` or `DrawnRecipe.data`).
 
-    Comments, layout, the order of keys and 1 against 1.0 do not matter; a species file's content does.
+    Comments, layout, the order of keys and 1 against 1.0 do not matter; a species file's content does, and so does the
+    order of species, which numbers the classes.
     """
-    text = json.dumps(_canonical(data), sort_keys=True, separators=(",", ":"), allow_nan=False)
+    content = {"recipe": _canonical(data), "species": list(data.get("species", ()))}
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()
 
 

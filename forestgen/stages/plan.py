@@ -16,6 +16,7 @@ from pydantic import BaseModel
 from forestgen.community.model import Site, SpeciesEcology
 from forestgen.community.registry import COMMUNITY_MODELS
 from forestgen.core.errors import RecipeError, ResourceError
+from forestgen.core.memory import free_bytes
 from forestgen.plants.registry import GENERATORS
 from forestgen.recipe.load import DrawnRecipe, LoadedRecipe
 from forestgen.recipe.species import Species
@@ -131,7 +132,7 @@ def _check_clouds(drawn: DrawnRecipe) -> None:
         raise RecipeError(
             "the clouds are too thick to be traced in reasonable time",
             where=drawn.where("sky", "clouds"),
-            expected=f"extinction_per_m x thickness_m of at most {_MOST_OPTICAL_DEPTH}; a thundercloud has some hundreds",
+            expected=f"extinction_per_m x thickness_m of at most {_MOST_OPTICAL_DEPTH}; thunderclouds have hundreds",
             got=f"{clouds.extinction_per_m:g} x {clouds.thickness_m:g} = {depth:g}",
         )
     for index, camera in enumerate(drawn.recipe.cameras):
@@ -178,9 +179,7 @@ def estimate_bytes(plan: Plan, *, simulate_only: bool = False, plants: int = 0) 
 
 def check_memory(plan: Plan, *, simulate_only: bool = False, plants: int = 0) -> None:
     """Raise `ResourceError` if the estimate does not fit into the memory that is free now; see `estimate_bytes`."""
-    import psutil
-
-    free = int(psutil.virtual_memory().available * _SHARE_OF_MEMORY)
+    free = int(free_bytes() * _SHARE_OF_MEMORY)
     parts = estimate_bytes(plan, simulate_only=simulate_only, plants=plants)
     need = sum(parts.values())
     if need <= free:

@@ -123,10 +123,9 @@ TOO_LARGE = {
 @pytest.fixture
 def _few_gigabytes(monkeypatch: pytest.MonkeyPatch) -> None:
     """A machine with 8 GB free, whatever this one has."""
-    import psutil
+    from forestgen.stages import plan
 
-    real = psutil.virtual_memory()
-    monkeypatch.setattr(psutil, "virtual_memory", lambda: real._replace(available=8_000_000_000))
+    monkeypatch.setattr(plan, "free_bytes", lambda: 8_000_000_000)
 
 
 @pytest.mark.usefixtures("_few_gigabytes")

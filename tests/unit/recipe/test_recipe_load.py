@@ -141,14 +141,18 @@ cameras:
   - {look_at_m: [60, 70, 8.0], name: main, position_m: [60, 2, 1.7], hfov_deg: {choice: [40.0, 60]}}
   - {size_px: [320, 180], name: camera1}
 species:
-  elm: {from: ./oak.yaml, ecology: {growth_m_per_yr: 0.10}, height_m: {uniform: [18.0, 30]}}
   oak: {from: ./oak.yaml}
-site: {terrain: {kind: rolling, amplitude_m: 1.5}, size_m: [120, 80]}
+  elm: {from: ./oak.yaml, ecology: {growth_m_per_yr: 0.10}, height_m: {uniform: [18.0, 30]}}
+site: {terrain: {kind: rolling, amplitude_m: 0.80}, size_m: [120, 80]}
 community: {program: succession, model: lattice, steps: {integers: [100, 300]}}
 sky: {turbidity: {normal: {mean: 3, sd: 1, low: 2, high: 6}}, clouds: {type: cumulus},
       sun: {azimuth_deg: 140, elevation_deg: {uniform: [20, 60]}}}
 forestgen: 1
 """
+
+
+def test_hash_knows_the_order_of_species() -> None:
+    assert recipe_hash({"species": {"oak": 1, "elm": 2}}) != recipe_hash({"species": {"elm": 2, "oak": 1}})
 
 
 def test_hash_of_numbers() -> None:

@@ -1,0 +1,299 @@
+"""Each command as a user meets it."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import re
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from command_line import command, run, start, tiny, tree
+from ruamel.yaml import YAML
+
+from forestgen.cli import app, doctor
+
+COMMANDS = ("render", "simulate", "plant", "validate", "schema", "models", "doctor")
+HEAVY = (
+    "numpy",
+    "scipy",
+    "mitsuba",
+    "drjit",
+    "pydantic",
+    "rich",
+    "ruamel",
+    "matplotlib",
+    "psutil",
+    "forestgen.pipeline",
+)
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_shows_an_example_that_parses(name: str) -> None:
+    answer = run(name, "--help")
+    assert answer.code == 0
+    example = re.search(r"Example: (forestgen .*)", answer.out, re.DOTALL)
+    assert example
+    words = example[1].split()
+    assert words[:2] == ["forestgen", name]
+    assert all(len(line) <= 80 for line in answer.out.splitlines())
+    for option in [word for word in words if word.startswith("--")]:
+        assert answer.out.count(option) >= 2, f"{option} is not explained"
+
+
+def test_the_overview_names_all_commands() -> None:
+    answer = run("--help")
+    assert [line.split()[0] for line in answer.out.split("Commands:")[1].splitlines() if line.startswith("  ")][
+        :7
+    ] == list(COMMANDS)
+    assert {one.name or one.callback.__name__ for one in app.registered_commands if one.callback} == set(COMMANDS)
+    assert run("--version").out.startswith("forestgen 0.")
+    for verb in COMMANDS:
+        assert run(verb, "--nonsense").code == 2
+
+
+def test_help_imports_nothing_heavy() -> None:
+    code = (
+        "import sys, forestgen\n"
+        "from forestgen.cli import main\n"
+        "try:\n    main()\n"
+        f"finally:\n    print([name for name in {HEAVY!r} if name in sys.modules], file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", code, "--help"], capture_output=True, text=True, check=True)
+    assert done.stderr.strip() == "[]"
+
+
+@pytest.mark.slow
+def test_help_is_quick() -> None:
+    times = []
+    for _ in range(5):
+        begun = time.perf_counter()
+        subprocess.run(command("--help"), capture_output=True, check=True)
+        times.append(time.perf_counter() - begun)
+    assert sorted(times)[2] < 0.5
+
+
+def test_models_lists_and_explains() -> None:
+    listing = run("models").out
+    for name in ("multiset_lsystem", "silhouette", "fireweed", "poplar", "spruce", "quickstart"):
+        assert name in listing
+    for name in ("multiset_lsystem", "silhouette"):
+        page = run("models", name).out
+        assert "Reference" in page
+        assert "range" in page
+        assert len(page.splitlines()) > 20
+    assert "ecology:" in run("models", "spruce").out
+    run("models", "sprce").refused(2, "multiset_lsystem", "did you mean 'spruce'?")
+
+
+def test_schema_is_one_json_document() -> None:
+    answer = run("schema")
+    assert answer.code == 0
+    assert json.loads(answer.out)["$schema"].startswith("https://json-schema.org/")
+
+
+def test_schema_agrees_with_the_loader() -> None:
+    jsonschema = pytest.importorskip("jsonschema")
+    schema = json.loads(run("schema").out)
+    jsonschema.Draft202012Validator.check_schema(schema)
+    validator = jsonschema.Draft202012Validator(schema)
+    recipes = Path(__file__).parents[2] / "recipes"
+    for path in sorted(recipes.glob("*.yaml")):
+        recipe = YAML(typ="safe", pure=True).load(path.read_text())
+        assert not list(validator.iter_errors(recipe)), path
+        for change in (
+            {"sead": 3},
+            {"site": {"size": [1, 2]}},
+            {"site": {"size_m": [-1, 2]}},
+            {"cameras": []},
+            {"species": {}},
+            {"community": {"model": "multiset_lsystem", "stepps": 3}},
+            {"community": {"model": "nix"}},
+            {"render": {"samples": "many"}},
+            {"sky": {"sun": {"elevation": 3}}},
+        ):
+            assert list(validator.iter_errors({**recipe, **change})), change
+        assert not list(validator.iter_errors({**recipe, "sky": {"turbidity": {"uniform": [2, 4]}}}))
+
+
+def test_validate_tells_what_the_recipe_makes(tmp_path: Path) -> None:
+    answer = run("validate", tiny(tmp_path), "--set", "images=3", "--set", "sky.turbidity={uniform: [2, 4]}")
+    assert answer.code == 0
+    for part in ("tiny.yaml: valid", "3 frames: 3 images x 1 camera", "48 x 27 px", "6 x 5 m", "sky.turbidity", "GB"):
+        assert part in answer.out
+    assert not answer.err
+
+
+def test_simulate_writes_history_maps_and_curves(tmp_path: Path) -> None:
+    answer = run("simulate", tiny(tmp_path), "-o", tmp_path / "out", "--map-step", "0", "--map-step", "12")
+    assert answer.code == 0, answer.err
+    assert set(tree(tmp_path / "out")) == {
+        "curves.png",
+        "history.parquet",
+        "manifest.json",
+        "map-000000.png",
+        "map-000012.png",
+    }
+    assert re.search(r"^\d+ plants? \(\d+ fireweed\)$", answer.out, re.MULTILINE)
+    run("simulate", tmp_path / "tiny.yaml", "-o", tmp_path / "b", "--map-step", "13").refused(
+        2, "--map-step", "0 to 12", "13"
+    )
+    assert not (tmp_path / "b").exists()
+
+
+def test_render_names_its_files_and_is_repeated_from_the_stored_recipe(tmp_path: Path) -> None:
+    recipe = tiny(tmp_path, ("seed: 3", "seed: 3\nsky: {turbidity: {uniform: [2, 6]}}"))
+    answer = run("render", recipe, "-o", tmp_path / "out", "--images", "2")
+    assert answer.code == 0, answer.err
+    assert not answer.err  # no bars, no warnings where there is no terminal
+    assert "\x1b" not in answer.out
+    for part in ("2 frames in", "the renderer", f"{tmp_path}/out/", "preview.png", "The last image:", "fireweed"):
+        assert part in answer.out
+    first, second = (tree(tmp_path / "out" / f"00000{k}-camera0") for k in (0, 1))
+    assert all(first[name] != second[name] for name in ("frame.exr", "recipe.yaml", "plants.parquet"))
+    # The recipe stored beside the second image draws that image again, alone, to the byte.
+    again = run("render", tmp_path / "out" / "000001-camera0" / "recipe.yaml", "-o", tmp_path / "again")
+    assert again.code == 0, again.err
+    repeated = tree(tmp_path / "again" / "000001-camera0")
+    # The EXR header also tells the hash of the recipe it was rendered from, which is now the stored one.
+    same = {name for name in second if repeated[name] == second[name]}
+    assert same >= {"instance.png", "semantic.png", "preview.png", "overlay.png", "plants.parquet", "recipe.yaml"}
+
+
+def test_default_folders_are_new_each_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    recipe = tiny(tmp_path, ("steps: 12", "steps: 1"))
+    for _ in range(2):
+        assert run("simulate", recipe).code == 0
+    assert {path.name for path in (tmp_path / "outputs").iterdir()} == {"tiny-community", "tiny-community-2"}
+
+
+def _quick_picture(monkeypatch: pytest.MonkeyPatch) -> None:
+    from forestgen.stages import single_plant
+
+    monkeypatch.setattr(single_plant, "_PICTURE_PX", (24, 32))
+
+
+HEIGHTS = [("fireweed", 0.3), ("poplar", 1.0), ("spruce", 2.0)]
+TALL = [("fireweed", 1.5), ("poplar", 18.0), ("spruce", 26.0)]
+
+
+@pytest.mark.parametrize(
+    ("species", "height_m"), [*HEIGHTS, *(pytest.param(*one, marks=pytest.mark.slow) for one in TALL)]
+)
+@pytest.mark.parametrize("suffix", [".glb", ".ply", ".obj"])
+def test_a_plant_is_as_tall_as_asked_in_every_format(
+    species: str, height_m: float, suffix: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import trimesh
+
+    _quick_picture(monkeypatch)
+    if species != "fireweed" and suffix == ".ply" and height_m < 5:
+        pytest.skip("the fireweed covers it")
+    path = tmp_path / f"plant{suffix}"
+    answer = run("plant", species, "--height", height_m, "-o", path)
+    assert answer.code == 0, answer.err
+    mesh = trimesh.load(path, force="scene").to_geometry()
+    up = 1 if suffix == ".glb" else 2  # glTF is y up
+    low, high = mesh.bounds
+    assert high[up] == pytest.approx(height_m, rel=0.02)
+    assert abs(low[up]) < 0.05 * height_m
+    width = max(high[axis] - low[axis] for axis in range(3) if axis != up)
+    assert width < height_m
+    said = re.search(r"([\d,]+) triangles", answer.out)
+    assert said
+    assert len(mesh.faces) == int(said[1].replace(",", ""))
+    assert f"{height_m:.2f} m tall" in answer.out
+    assert {one.name for one in tmp_path.iterdir()} == {path.name, "plant.png"}
+
+
+def test_a_plants_seed_is_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    _quick_picture(monkeypatch)
+    for name, seed in (("a", 1), ("b", 1), ("c", 2)):
+        assert run("plant", "fireweed", "--seed", seed, "-o", tmp_path / f"{name}.ply").code == 0
+    a, b, c = ((tmp_path / f"{name}.ply").read_bytes() for name in "abc")
+    assert a == b != c
+
+
+def test_doctor_finds_this_machine_ready() -> None:
+    answer = run("doctor")
+    assert answer.code == 0, answer.out
+    for part in ("Python", "cores", "GB free", "scalar_rgb", "llvm_ad_rgb", "libLLVM", "GPU", "ready to render"):
+        assert part in answer.out
+    assert not answer.err
+
+
+@pytest.mark.parametrize(
+    ("broken", "said"),
+    [
+        ("import forestgen.render.check as c; c.find_llvm = lambda: None", "no libLLVM found"),
+        ("import os; os.abort()", "crashed with signal 6"),
+        ("raise ImportError('no module named mitsuba')", "no module named mitsuba"),
+    ],
+)
+def test_doctor_survives_what_is_broken(broken: str, said: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(doctor, "_PREPARE", broken)
+    answer = run("doctor")
+    assert answer.code == 3
+    assert said in answer.out
+    assert "FAIL  llvm_ad_rgb" in answer.out
+    assert "-> install the package karellen-llvm-core" in answer.out
+    assert "cannot render here yet" in answer.out
+    assert not answer.err
+
+
+def test_a_render_without_llvm_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from forestgen.render import variant
+
+    monkeypatch.setattr(variant, "find_llvm", lambda: None)
+    answer = run("render", tiny(tmp_path), "-o", tmp_path / "out")
+    answer.refused(3, "no LLVM library", "libLLVM 19 or newer", "karellen-llvm-core", "forestgen doctor")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("verb", ["schema", "models", "doctor"])
+def test_a_reader_that_leaves_is_no_error(verb: str) -> None:
+    process = start(verb)
+    assert process.stdout
+    assert process.stderr
+    process.stdout.close()
+    assert process.stderr.read() == ""
+    assert process.wait() == 141
+    process.stderr.close()
+
+
+def test_bars_fit_into_a_narrow_terminal(tmp_path: Path) -> None:
+    """A terminal of 80 columns, whose bars are drawn over one another and gone from the result's lines."""
+    recipe = tiny(tmp_path)
+    ours, theirs = pty.openpty()
+    with subprocess.Popen(
+        command("simulate", recipe, "-o", tmp_path / "out", "--set", "community.steps=20000"),
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=theirs,
+        env={**os.environ, "COLUMNS": "80", "TERM": "xterm"},
+    ) as process:
+        os.close(theirs)
+        shown = b""
+        while True:
+            try:
+                chunk = os.read(ours, 65536)
+            except OSError:  # Linux says so when the other end is closed
+                break
+            if not chunk:
+                break
+            shown += chunk
+        assert process.stdout
+        result = process.stdout.read().decode()
+        process.terminate()
+    os.close(ours)
+    assert process.returncode == 0
+    text = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", shown.decode())
+    lines = [line.rstrip() for line in re.split(r"[\r\n]+", text)]
+    assert any(line.startswith("community") and "20001/20001" in line for line in lines)
+    assert max(map(len, lines)) <= 80
+    assert "\x1b" not in result
