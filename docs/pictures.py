@@ -1,4 +1,4 @@
-"""Renders the documentation's pictures: `uv run python docs/pictures.py` (about ten minutes on two cores).
+"""Renders the documentation's pictures: `uv run python docs/pictures.py` (some six minutes on two cores).
 
 quickstart.jpg   the quickstart's view, larger and with more samples; the right half under its instance mask
 succession.jpg   four stages of Lane's succession (2002, Figure 4.5): maps, and the stand as a camera sees it
@@ -28,7 +28,7 @@ def render(folder: Path, *settings: str) -> Path:
 
 
 def quickstart(scratch: Path) -> None:
-    frame = render(scratch / "quickstart", "cameras.0.size_px=[1280, 720]", "render.samples=64")
+    frame = render(scratch / "quickstart", "cameras.0.size_px=[1280, 720]", "render.samples=32")
     picture = np.asarray(Image.open(frame / "preview.png")).copy()
     labels = np.asarray(Image.open(frame / "overlay.png"))
     half = picture.shape[1] // 2
@@ -45,10 +45,10 @@ def succession(scratch: Path) -> None:
     subprocess.run([*command, "--set", f"community.steps={STAGES[-1]}"], check=True)
     rows = []
     for step in STAGES:
-        view = "cameras.0={position_m: [60, -34, 14], look_at_m: [60, 60, 4], size_px: [800, 400], hfov_deg: 62}"
-        frame = render(scratch / f"stage-{step}", f"community.steps={step}", view, "render.samples=24")
+        view = "cameras.0={position_m: [60, -34, 14], look_at_m: [60, 60, 4], size_px: [720, 360], hfov_deg: 62}"
+        frame = render(scratch / f"stage-{step}", f"community.steps={step}", view, "render.samples=12")
         chart = Image.open(folder / f"map-{step:06d}.png").convert("RGB")
-        chart = chart.resize((round(chart.width * 400 / chart.height), 400), Image.Resampling.LANCZOS)
+        chart = chart.resize((round(chart.width * 360 / chart.height), 360), Image.Resampling.LANCZOS)
         rows.append(np.concatenate([np.asarray(chart), np.asarray(Image.open(frame / "preview.png"))], axis=1))
     save(np.concatenate(rows, axis=0), "succession.jpg")
 

@@ -17,7 +17,9 @@ from forestgen.dataset.coco import FrameRecord
 from forestgen.dataset.folder import OutputFolder
 from forestgen.dataset.manifest import build_manifest, write_manifest
 from forestgen.dataset.writer import frame_bytes, frame_folder_name, write_dataset, write_frame
+from forestgen.recipe.hashing import recipe_hash
 from forestgen.recipe.load import LoadedRecipe, dump_yaml
+from forestgen.render.frame import Frame
 from forestgen.render.variant import mitsuba
 from forestgen.scene.exemplars import SizeError
 from forestgen.stages.community import final_population, snapshots
@@ -38,6 +40,7 @@ class RunSummary:
     visible_plants: int = 0
     size_errors: list[SizeError] = field(default_factory=list)
     counts: dict[str, int] = field(default_factory=dict)
+    images: list[dict[str, Any]] = field(default_factory=list)  # a report of each, for the manifest
     notes: list[str] = field(default_factory=list)
     timings_s: dict[str, float] = field(default_factory=dict)
     total_s: float = 0.0
@@ -94,11 +97,32 @@ def _render_image(
                 built.population,
                 list(plan.drawn.species),
                 dump_yaml(plan.drawn),
-                {"recipe_hash": loaded.hash, "seed": str(loaded.seed), "image_seed": str(plan.drawn.image_seed)},
+                _header(plan, loaded, frame),
             )
         records.append(record)
-        _account(summary, record, built, plan)
+        _account(summary, record, built, plan, camera.name)
+    summary.images.append(_image_report(plan, built))
     return records
+
+
+def _header(plan: Plan, loaded: LoadedRecipe, frame: Frame) -> dict[str, str]:
+    """Attributes of frame.exr. They belong to the drawn recipe, so that an image drawn alone has the same bytes."""
+    return {
+        "recipe_hash": recipe_hash(plan.drawn.data),
+        "seed": str(loaded.seed),
+        "image_seed": str(plan.drawn.image_seed),
+        "samples": str(frame.radiance.samples),
+    }
+
+
+def _image_report(plan: Plan, built: BuiltScene) -> dict[str, Any]:
+    """An image's row in the manifest."""
+    return {
+        "image": plan.drawn.image_index,
+        "seed": plan.drawn.image_seed,
+        "counts": _counts(built.population),
+        "size_errors": [asdict(error) for error in built.size_errors],
+    }
 
 
 def simulate(
@@ -140,7 +164,7 @@ def _empty_site(plan: Plan) -> str:
     return why_barren(plan) or f"no plant lives on the site at step {plan.steps}"
 
 
-def _account(summary: RunSummary, record: FrameRecord, built: BuiltScene, plan: Plan) -> None:
+def _account(summary: RunSummary, record: FrameRecord, built: BuiltScene, plan: Plan, camera: str) -> None:
     summary.frames += 1
     summary.plants, summary.counts = len(built.population), _counts(built.population)
     summary.visible_plants = len(record.annotations)
@@ -148,15 +172,13 @@ def _account(summary: RunSummary, record: FrameRecord, built: BuiltScene, plan: 
     if not len(built.population):
         summary.notes.append(f"{record.folder_name} shows bare ground: {_empty_site(plan)}")
     elif not record.annotations:
-        below = any(record.folder_name.endswith(f"-{name}") for name in views_below_ground(plan))
-        reason = "stands below the ground" if below else "sees no plant"
+        reason = "stands below the ground" if camera in views_below_ground(plan) else "sees no plant"
         summary.notes.append(f"{record.folder_name}: the camera {reason}")
 
 
 def _manifest(folder: Path, loaded: LoadedRecipe, seeds: list[int], summary: RunSummary) -> dict[str, Any]:
     extra = {
-        "size_errors": [asdict(error) for error in summary.size_errors],
-        "counts": summary.counts,
+        "images": summary.images,
         "notes": summary.notes,
         "total_s": summary.total_s,
     }

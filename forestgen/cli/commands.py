@@ -8,12 +8,12 @@ import json
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from forestgen import pipeline
 from forestgen.cli.console import Bars, count, output, seconds
 from forestgen.community.registry import COMMUNITY_MODELS
 from forestgen.core.errors import RecipeError
@@ -26,6 +26,9 @@ from forestgen.recipe.load import LoadedRecipe, load_recipe
 from forestgen.recipe.sources import dotted
 from forestgen.scene.exemplars import SizeError
 from forestgen.stages.plan import Plan, check_plan, estimate_bytes, views_below_ground, why_barren
+
+if TYPE_CHECKING:
+    from forestgen.pipeline import RunSummary
 
 _MOST_NOTES = 5
 _REGISTRIES = (COMMUNITY_MODELS, GENERATORS)
@@ -46,6 +49,8 @@ def _target(chosen: Path | None, recipe: Path) -> Path:
 def render(
     recipe: Path, overrides: Sequence[str], target: Path | None, overwrite: bool, threads: int | None, bars: Bars
 ) -> None:
+    from forestgen import pipeline  # loads every stage: seconds that `validate` need not take
+
     timings = Timings()
     with timings("recipe"):
         loaded = load_recipe(recipe, overrides)
@@ -79,7 +84,7 @@ def _say_notes(out: Console, notes: Sequence[str]) -> None:
         _say(out, f"note: {len(notes) - _MOST_NOTES} more notes are in manifest.json")
 
 
-def _say_counts(out: Console, summary: pipeline.RunSummary) -> None:
+def _say_counts(out: Console, summary: RunSummary) -> None:
     kinds = ", ".join(f"{number:,} {name}" for name, number in summary.counts.items())
     seen = f"; {summary.visible_plants:,} of them in view" if summary.frames else ""
     _say(out, f"{count(summary.plants, 'plant')} ({kinds}){seen}")
@@ -99,6 +104,8 @@ def _say_size_errors(out: Console, errors: Sequence[SizeError]) -> None:
 def simulate(
     recipe: Path, overrides: Sequence[str], map_steps: Sequence[int], target: Path | None, overwrite: bool, bars: Bars
 ) -> None:
+    from forestgen import pipeline  # loads every stage: seconds that `validate` need not take
+
     timings = Timings()
     loaded = load_recipe(recipe, overrides)
     folder = _target(target, recipe.with_name(f"{recipe.stem}-community"))
@@ -208,5 +215,5 @@ def plant(species: str, height_m: float | None, seed: int, chosen: Path | None, 
     _say(out, f"{made.species}: {made.height_m:.2f} m tall, crown {made.crown_width_m:.2f} m wide")
     parts = ", ".join(f"{number:,} {part}" for part, number in made.by_part.items())
     _say(out, f"  {made.triangles:,} triangles: {parts}")
-    _say(out, f"  leaf area {made.leaf_area_m2:.2f} m² (one side)")
+    _say(out, f"  leaf area {made.leaf_area_m2:.3g} m² (one side)")
     _say(out, f"files: {made.mesh_path}, {made.picture_path}")

@@ -17,7 +17,7 @@ def free_bytes() -> int:
 
 
 def _container_bytes(folder: Path) -> int | None:
-    """What the control group's limit leaves, None without a limit; cached files count as free, as the kernel drops them."""
+    """What the control group's limit leaves, None without a limit; cached files count as free."""
     try:
         limit, used = (int((folder / name).read_text()) for name in ("memory.max", "memory.current"))
         rows = (line.split() for line in (folder / "memory.stat").read_text().splitlines())

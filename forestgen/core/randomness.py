@@ -26,6 +26,12 @@ def child_rng(root_seed: int, *identity: str | int) -> np.random.Generator:
     return np.random.Generator(np.random.PCG64(int.from_bytes(_digest(root_seed, plain), "little")))
 
 
+def child_root(root_seed: int, *identity: str | int) -> int:
+    """Root seed in [0, 2^63) of a thing that has things of its own, such as an image; a million do not collide."""
+    plain = tuple(part if isinstance(part, str) else int(part) for part in identity)
+    return int.from_bytes(_digest(root_seed, plain)[:8], "little") >> 1
+
+
 def child_seed(root_seed: int, *identity: str | int) -> int:
     """Seed in [0, 2^31) for a library that takes an integer (the renderer's samplers, k-means)."""
     plain = tuple(part if isinstance(part, str) else int(part) for part in identity)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 
 import numpy as np
 
@@ -51,8 +50,3 @@ def surface_area_m2(mesh: Mesh) -> float:
     """Sum of the triangles' areas, one side."""
     a, b, c = (mesh.vertices_m[mesh.faces[:, k]].astype(np.float64) for k in range(3))
     return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
-
-
-def is_mesh_file(path: Path) -> bool:
-    """Whether the name's suffix is one of `FORMATS`."""
-    return path.suffix.lower() in FORMATS

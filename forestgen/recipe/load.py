@@ -20,7 +20,7 @@ from pydantic import BaseModel, ValidationError
 from ruamel.yaml import YAML
 
 from forestgen.core.errors import AssetError, RecipeError
-from forestgen.core.randomness import child_rng, child_seed
+from forestgen.core.randomness import child_rng, child_root
 from forestgen.recipe.assemble import apply_override, merge_species, spell_out
 from forestgen.recipe.assets import list_assets, recipes_dir
 from forestgen.recipe.distributions import (
@@ -47,7 +47,7 @@ class DrawnRecipe:
     recipe: Recipe
     data: dict[str, Any]  # plain, complete; stored as YAML and loaded again it gives this image again
     image_index: int  # of the image itself: the recipe's first_image plus the index drawn
-    image_seed: int  # in [0, 2^31); the root of this image's own randomness
+    image_seed: int  # in [0, 2^63); the root of this image's own randomness
     folder: Path  # of the recipe: paths in it are relative to this
     sources: SourceMap = field(repr=False)
     written: Mapping[Keys, Any] = field(repr=False)  # the drawn values' distributions as written
@@ -177,7 +177,7 @@ class LoadedRecipe:
         recipe = self._validated(values)
         settled = {name: species.settled() for name, species in recipe.species.items()}
         recipe = recipe.model_copy(update={"species": settled, "images": 1, "first_image": image})
-        seed = child_seed(self.seed, "image", image)
+        seed = child_root(self.seed, "image", image)
         return DrawnRecipe(recipe, _plain(recipe), image, seed, self.path.parent, self.sources, self.written)
 
 

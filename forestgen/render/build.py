@@ -203,8 +203,8 @@ def sensor_of(camera: Camera, samples: int, window: FilmWindow | None = None) ->
             "type": "perspective",
             "fov": camera.hfov_deg,
             "fov_axis": "x",
-            "near_clip": 0.05,
-            "far_clip": 1e5,
+            "near_clip": 1e-3,  # the identity pass starts at the camera itself
+            "far_clip": 1e6,
             "to_world": mi.ScalarTransform4f(matrix),
             "film": film,
             "sampler": {"type": "multijitter", "sample_count": samples},

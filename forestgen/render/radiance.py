@@ -10,7 +10,6 @@ of each pixel that the scene leaves open (see render/sky.py). Under a clear sky 
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -18,7 +17,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.core.errors import RenderError
 from forestgen.core.progress import Progress
 from forestgen.core.randomness import child_seed
 from forestgen.render import sky
@@ -33,6 +31,7 @@ from forestgen.render.build import (
     to_mesh,
 )
 from forestgen.render.frame import Radiance
+from forestgen.render.tracing import interruptible
 from forestgen.render.variant import BLOCK_PX, SCALAR, mitsuba
 from forestgen.scene.spec import Camera, SceneSpec
 
@@ -70,36 +69,9 @@ class SliceSum:
 
 
 def slice_sizes(samples: int) -> list[int]:
-    """Samples of each slice: at most eight nearly equal slices of two samples or more, but four if there are four samples."""
+    """Samples of each slice: at most eight nearly equal slices, of two samples each while that leaves four."""
     count = min(_SLICES, max(samples // 2, min(samples, 4)))
     return [samples // count + (1 if k < samples % count else 0) for k in range(count)]
-
-
-def interruptible(integrator: Any, scene: Any, sensor: Any, seed: int, samples: int) -> NDArray[np.float32]:
-    """Render so that Ctrl-C stops it within a fraction of a second."""
-    mi = mitsuba()
-    result: list[NDArray[np.float32]] = []
-    failure: list[Exception] = []
-
-    def work() -> None:
-        try:
-            mi.set_variant(SCALAR)
-            result.append(np.array(integrator.render(scene, sensor=sensor, seed=seed, spp=samples)))
-        except RuntimeError as error:
-            failure.append(error)
-
-    thread = threading.Thread(target=work, name="forestgen-render")
-    thread.start()
-    try:
-        while thread.is_alive():
-            thread.join(0.05)
-    except BaseException:
-        integrator.cancel()
-        thread.join()
-        raise
-    if failure:
-        raise RenderError(f"Mitsuba stopped: {failure[0]}") from failure[0]
-    return result[0]
 
 
 def scene_dict(spec: SceneSpec, origin_m: NDArray[np.float64]) -> dict[str, Any]:

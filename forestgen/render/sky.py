@@ -17,11 +17,12 @@ from numpy.typing import NDArray
 from forestgen.atmosphere.grid import CloudGrid
 from forestgen.render.build import sky_emitter, sun_direction
 from forestgen.render.denoise import denoise
+from forestgen.render.tracing import interruptible
 from forestgen.render.variant import BLOCK_PX, mitsuba
 from forestgen.scene.spec import SceneSpec
 
 CLOUD_INTEGRATOR: dict[str, Any] = {"type": "volpath", "max_depth": 64, "rr_depth": 64, "block_size": BLOCK_PX}
-_GROUND_HALF_M = 20_000.0
+_GROUND_HALF_M = 200_000.0
 
 
 def cloud_volume(clouds: CloudGrid, origin_m: NDArray[np.float64]) -> dict[str, Any]:
@@ -44,11 +45,10 @@ def cloud_volume(clouds: CloudGrid, origin_m: NDArray[np.float64]) -> dict[str, 
 
 
 def clouds_over_ground(spec: SceneSpec, origin_m: NDArray[np.float64], emitter: dict[str, Any]) -> dict[str, Any]:
-    """Clouds over a plain of the ground's mean albedo, without a plant."""
+    """Clouds over a plain of the region's albedo, below every valley and the camera, without a plant."""
     mi = mitsuba()
-    ground = (
-        mi.ScalarTransform4f().translate([0.0, 0.0, -float(origin_m[2])]).scale([_GROUND_HALF_M, _GROUND_HALF_M, 1.0])
-    )
+    lowest_m = min(0.0, float(spec.terrain.mesh.vertices_m[:, 2].min() - origin_m[2]), -1.0)
+    ground = mi.ScalarTransform4f().translate([0.0, 0.0, lowest_m]).scale([_GROUND_HALF_M, _GROUND_HALF_M, 1.0])
     scene: dict[str, Any] = {
         "emitter": emitter,
         "ground": {
@@ -66,7 +66,7 @@ def bake_sky(spec: SceneSpec, origin_m: NDArray[np.float64], *, seed: int, size:
     """The sky without the sun's disc, seen from the origin, as an `envmap` dictionary.
 
     Five faces of a cube (all but the ground) are traced, denoised and looked up by direction. Below the horizon the
-    map is black: the terrain reaches further than any ray can see, and no light sample is wasted on it. The sun lights
+    map is black: the terrain reaches the horizon, and no light sample is wasted on it. The sun lights
     the clouds as a direction here, so that its disc is not in the map; the plants meet the disc itself.
     """
     mi = mitsuba()
@@ -92,7 +92,7 @@ def bake_sky(spec: SceneSpec, origin_m: NDArray[np.float64], *, seed: int, size:
                 "sampler": {"type": "multijitter", "sample_count": samples},
             }
         )
-        noisy = np.array(integrator.render(scene, sensor=sensor, spp=samples, seed=seed + number))
+        noisy = interruptible(integrator, scene, sensor, seed + number, samples)
         faces[name] = denoise(np.ascontiguousarray(noisy[..., :3]))
     return envmap(_equirectangular(faces, 4 * size, 2 * size))
 

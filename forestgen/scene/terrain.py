@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from forestgen.geometry.mesh import Mesh
 from forestgen.scene.spec import Terrain
 
-HORIZON_M = 12_000.0
+HORIZON_M = 200_000.0  # from 300 m up, a flat earth ends 0.1 degrees below the horizon
 HILLS_FROM_M = 250.0
 _MARGIN_M = 20.0
 _SITE_CELL_M = 0.75
@@ -28,7 +28,8 @@ class HeightField:
     """Height of the ground: waves on and near the site, hills in the distance.
 
     z = sum of amplitude * fade * sin(k . x + phase). Near waves fade out over a wavelength away from the site, where
-    the mesh is too coarse to carry them; hills fade in from `HILLS_FROM_M` on, so that the site keeps its own relief.
+    the mesh is too coarse to carry them; hills fade in from `HILLS_FROM_M` on, so that the site keeps its own
+    relief, and out again four wavelengths away.
     """
 
     size_m: tuple[float, float]  # of the site
@@ -44,7 +45,11 @@ class HeightField:
         far = _smooth((away - HILLS_FROM_M) / (6 * HILLS_FROM_M))
         for k, amplitude, phase, hill in zip(self.wave_per_m, self.amplitude_m, self.phase, self.hill, strict=True):
             wavelength = 2 * np.pi / np.hypot(*k)
-            fade = far if hill else 1 - _smooth(away / wavelength - _MARGIN_M / wavelength)
+            fade = (
+                far * (1 - _smooth(away / (2 * wavelength) - 1))
+                if hill
+                else 1 - _smooth((away - _MARGIN_M) / wavelength)
+            )
             z += amplitude * fade * np.sin(k[0] * x_m + k[1] * y_m + phase)
         return z
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from scipy.ndimage import binary_dilation
-
 from forestgen.core.parts import Part
 from forestgen.core.progress import Progress
 from forestgen.core.randomness import child_seed
@@ -24,6 +22,8 @@ def render_frame(
     """Identity first (it tells where the sky is and guides the denoiser), then radiance, then the denoised copy."""
     with progress.stage(f"identity {camera.name}", camera.size_px[1]) as advance:
         identity = trace_identity(spec, camera, samples=recipe.labels.samples, timer=timings, advance=advance)
+    from scipy.ndimage import binary_dilation
+
     # A sliver of sky may lie between samples: neighbours of pixels that see the sky may see it too.
     may_see_sky = binary_dilation((identity.part == Part.NOTHING).any(axis=2), iterations=2)
     radiance = render_radiance(

@@ -11,6 +11,7 @@ import numpy as np
 from forestgen.atmosphere.grid import CloudGrid
 from forestgen.atmosphere.procedural import cumulus_field
 from forestgen.community.population import Population
+from forestgen.core.errors import RecipeError
 from forestgen.core.frames import look_at
 from forestgen.core.progress import Progress
 from forestgen.core.randomness import child_rng
@@ -45,6 +46,7 @@ def build_scene(plan: Plan, population: Population, progress: Progress, timer: T
     with timer("scene"):
         height = _height_field(plan)
         population = stand_on(population, height)
+        cameras = tuple(place_camera(camera, height) for camera in recipe.cameras)
         terrain = build_terrain(height, child_rng(seed, "terrain", "colour"))
         albedo = float(np.mean(terrain.far_reflectance))  # of the region, which the sky and the clouds see
         sun = recipe.sky.sun
@@ -55,9 +57,26 @@ def build_scene(plan: Plan, population: Population, progress: Progress, timer: T
             terrain=terrain,
             sky=Sky(sun.elevation_deg, sun.azimuth_deg, recipe.sky.turbidity, albedo),
             clouds=_clouds(plan),
-            cameras=tuple(place_camera(camera, height) for camera in recipe.cameras),
+            cameras=cameras,
         )
+    _check_below_clouds(plan, spec)
     return BuiltScene(spec, population, _errors(plan, population, exemplar_plan, exemplars))
+
+
+def _check_below_clouds(plan: Plan, spec: SceneSpec) -> None:
+    """Plants, ground and cameras must stay below the clouds, which are traced apart from them."""
+    if spec.clouds is None:
+        return
+    base_m = spec.clouds.low_m[2]
+    highest = max(float(spec.terrain.mesh.vertices_m[:, 2].max()), *(camera.position_m[2] for camera in spec.cameras))
+    if highest >= base_m:
+        raise RecipeError(
+            "ground or camera reaches into the clouds",
+            where=plan.drawn.where("sky", "clouds", "base_m"),
+            expected=f"a base above {highest:.0f} m",
+            got=f"{base_m:g} m",
+            hint="raise base_m, lower the camera, or flatten the terrain",
+        )
 
 
 def grow_exemplars(plan: Plan, exemplar_plan: ExemplarPlan, progress: Progress) -> tuple[Exemplar, ...]:

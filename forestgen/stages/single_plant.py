@@ -76,10 +76,8 @@ def grow_single_plant(
         f"{organ.part.name.lower()}-{organ.material}": (organ.mesh, kind.materials[organ.material].reflectance)
         for organ in exemplar.organs
     }
-    spec = _studio(exemplar, plan.drawn.recipe)
-    frame = render_frame(spec, spec.cameras[0], plan.drawn.recipe, seed, progress, Timings())
-    light = frame.radiance.mean if frame.radiance.denoised is None else frame.radiance.denoised
-    _write(mesh_path, mesh_file(meshes, mesh_path.suffix.lower()), picture_path, tone_map(light))
+    picture = _picture(exemplar, plan.drawn.recipe, seed, progress)
+    _write(mesh_path, mesh_file(meshes, mesh_path.suffix.lower()), picture_path, picture)
     return _described(exemplar, mesh_path, picture_path)
 
 
@@ -111,6 +109,12 @@ def _radius_m(species: Species, height_m: float | None) -> float:
         raise RecipeError("no such plant", where="--height", expected=f"0.02 to {TALLEST_M:g} m", got=f"{height_m:g}")
     law = species.allometry.height_m
     return float((height_m / law.scale) ** (1 / law.exponent)) if law.exponent else species.ecology.max_radius_m
+
+
+def _picture(exemplar: Exemplar, recipe: Recipe, seed: int, progress: Progress) -> NDArray[np.uint8]:
+    spec = _studio(exemplar, recipe)
+    frame = render_frame(spec, spec.cameras[0], recipe, seed, progress, Timings())
+    return tone_map(frame.radiance.mean if frame.radiance.denoised is None else frame.radiance.denoised)
 
 
 def _studio(exemplar: Exemplar, recipe: Recipe) -> SceneSpec:

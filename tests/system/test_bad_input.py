@@ -327,9 +327,12 @@ def test_a_plant_whose_picture_cannot_be_written_leaves_no_mesh(
 # Simulation, growing plants, and rendering; seconds are those of an idle machine and need not be met.
 @pytest.mark.parametrize(
     ("number", "code", "delay_s"),
-    [(signal.SIGINT, 130, 1.0), (signal.SIGTERM, 143, 3.5), pytest.param(signal.SIGINT, 130, 6.0, marks=pytest.mark.slow)]
-    + [pytest.param(signal.SIGINT, 130, 0.7 + 0.65 * k, marks=pytest.mark.slow) for k in range(20)],
-)  # fmt: skip
+    [
+        (signal.SIGINT, 130, 1.0),
+        (signal.SIGTERM, 143, 3.5),
+        *(pytest.param(signal.SIGINT, 130, 0.7 + 0.65 * k, marks=pytest.mark.slow) for k in range(20)),
+    ],
+)
 def test_a_stopped_run_leaves_nothing(number: signal.Signals, code: int, delay_s: float, tmp_path: Path) -> None:
     quickstart = Path(__file__).parents[2] / "recipes" / "quickstart.yaml"
     process = start("render", quickstart, "--set", "render.samples=4096", "-o", tmp_path / "out")

@@ -31,7 +31,8 @@ def test_each_error_has_its_exit_code(
     error = kind("bad value", where="a.yaml:3: seed", expected="a whole number", got="'x'", hint="remove the quotes")
     assert _ends(error, capsys) == (
         code,
-        "error: a.yaml:3: seed: bad value\n  expected  a whole number\n  got       'x'\n  try       remove the quotes\n",
+        "error: a.yaml:3: seed: bad value\n"
+        "  expected  a whole number\n  got       'x'\n  try       remove the quotes\n",
     )
 
 
