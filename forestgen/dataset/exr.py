@@ -34,7 +34,7 @@ from forestgen.scene.spec import Camera
 
 Channels = dict[str, NDArray[Any]]
 
-STORED_RANKS = 4
+STORED_RANKS = 8
 # x, y of red, green, blue and white (D65): ITU-R BT.709-6, table 1, item 1.3 and 1.4
 REC709_CHROMATICITIES = (0.640, 0.330, 0.300, 0.600, 0.150, 0.060, 0.3127, 0.3290)
 

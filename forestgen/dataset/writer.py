@@ -18,8 +18,8 @@ from forestgen.labels.plants_table import visible_plants
 from forestgen.render.frame import Frame
 
 COCO_NAME = "coco.json"
-# Uncompressed, so never too few: 27 EXR channels of 4 bytes, three RGB pictures and two masks a pixel.
-_BYTES_PER_PIXEL = 27 * 4 + 3 * 3 + 4
+# Uncompressed, so never too few: 35 EXR channels of 4 bytes, three RGB pictures and two masks a pixel.
+_BYTES_PER_PIXEL = 35 * 4 + 3 * 3 + 4
 _BYTES_PER_PLANT = 600  # a row of plants.parquet and an annotation of coco.json
 _BYTES_PER_FRAME = 1 << 16
 

@@ -7,9 +7,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from conftest import RECIPE
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from recipe_example import RECIPE
 
 from forestgen.core.errors import AssetError, ForestgenError, RecipeError
 from forestgen.recipe.load import load_recipe

@@ -5,7 +5,7 @@ from io import StringIO
 from typing import Any
 
 import pytest
-from conftest import RECIPE
+from recipe_example import RECIPE
 from ruamel.yaml import YAML
 
 from forestgen.recipe.json_schema import recipe_json_schema

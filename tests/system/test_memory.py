@@ -1,0 +1,67 @@
+"""The estimate of memory that guards a run is an upper bound, within reason: measured on whole runs."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+from command_line import run, start
+
+QUICKSTART = Path(__file__).parents[2] / "recipes" / "quickstart.yaml"
+SMALL = [
+    "sky.clouds=none",
+    "render.samples=1",
+    "labels.samples=1",
+    "cameras=[{size_px: [64, 36]}]",
+    "community.steps=40",
+]
+RUNS = {
+    "quickstart": (["render.samples=1"], 0),
+    "images": ([*SMALL, "cameras=[{size_px: [2048, 1024]}]", "labels.samples=16"], 0),
+    "ground and plants": ([*SMALL, "site.size_m=[600,600]"], 50_000),
+    "mature exemplars": ([*SMALL, "community.steps=400", "plants.exemplars_per_species=30"], 0),
+    "clouds": ([*SMALL, "sky.clouds={type: cumulus, extent_m: 12000, thickness_m: 3000}"], 0),
+}
+MOST_OVER = 3.0  # the estimate may be this many times what is taken
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", RUNS)
+def test_the_estimate_holds(name: str, tmp_path: Path) -> None:
+    from forestgen.recipe.load import load_recipe
+    from forestgen.stages.plan import check_plan, estimate_bytes
+
+    overrides, least_plants = RUNS[name]
+    options = [text for one in overrides for text in ("--set", one)]
+    process = start("render", QUICKSTART, "-o", tmp_path / "out", *options)
+    out, err = process.communicate(timeout=600)
+    assert process.returncode == 0, err
+    plants = int(re.search(r"^([\d,]+) plants", out, re.MULTILINE)[1].replace(",", ""))  # type: ignore[index]
+    assert plants >= least_plants
+    peak = json.loads((tmp_path / "out" / "manifest.json").read_text())["peak_memory_bytes"]
+    parts = estimate_bytes(check_plan(load_recipe(QUICKSTART, overrides)), plants=plants)
+    estimate = sum(parts.values())
+    print(f"{name}: estimate {estimate / 1e6:.0f} MB, peak {peak / 1e6:.0f} MB, {plants} plants")  # noqa: T201
+    assert peak < estimate < MOST_OVER * peak
+
+
+@pytest.mark.slow
+def test_a_simulations_estimate_holds(tmp_path: Path) -> None:
+    from forestgen.recipe.load import load_recipe
+    from forestgen.stages.plan import check_plan, estimate_bytes
+
+    overrides = ["site.size_m=[1500,1500]", "community.steps=60"]
+    options = [text for one in overrides for text in ("--set", one)]
+    process = start("simulate", QUICKSTART, "-o", tmp_path / "out", *options)
+    _, err = process.communicate(timeout=600)
+    assert process.returncode == 0, err
+    peak = json.loads((tmp_path / "out" / "manifest.json").read_text())["peak_memory_bytes"]
+    estimate = sum(estimate_bytes(check_plan(load_recipe(QUICKSTART, overrides)), simulate_only=True).values())
+    print(f"simulate: estimate {estimate / 1e6:.0f} MB, peak {peak / 1e6:.0f} MB")  # noqa: T201
+    assert peak < estimate < MOST_OVER * peak
+
+
+def test_validate_tells_the_estimate() -> None:
+    assert re.search(r"memory +up to about \d+\.\d GB", run("validate", QUICKSTART).out)
