@@ -9,7 +9,7 @@
 | normal             | X Y Z                             | float32 | world, unit; 0 for the sky |
 | position           | X Y Z                             | float32 | world, metres; NaN for the sky |
 | identity           | plant_id part semantic            | uint32  | the largest coverage's |
-| coverage           | rank0.id rank0.coverage ... rank3 | uint32, float32 | the ids that cover most of each pixel |
+| coverage           | rank0.id rank0.coverage ... rank7 | uint32, float32 | the ids that cover most of each pixel |
 
 Depth, normal and position are those of pixel centres. Attributes: OpenEXR's standard ones for colour and camera, and
 ``forestgen/...`` strings. Equal input gives equal bytes: no date, no host name.
