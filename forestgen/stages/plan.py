@@ -29,8 +29,9 @@ _LOADED_SIMULATOR_BYTES = 350_000_000
 _LOADED_RENDERER_BYTES = 900_000_000  # libraries, kernels, the ground's texture and what it was made from
 _BYTES_PER_SAMPLE = 5 + 16  # an identity sample, and the sorting of it
 _BYTES_PER_PIXEL = 500  # radiance sums in double precision, buffers, channels on their way to files
-_BYTES_PER_TRIANGLE = 260  # mesh, two scenes with their trees, normals' table
-_TRIANGLES_PER_EXEMPLAR = 150_000  # a mature spruce
+_BYTES_PER_TRIANGLE = 200  # mesh, two scenes with their trees, normals' table
+_BYTES_PER_TRIANGLE_UNDER_CLOUDS = 60  # a third scene
+_TRIANGLES_PER_EXEMPLAR = 145_000  # a mature spruce
 _BYTES_PER_PLANT = 18_000  # an instance in two scenes; the renderer's objects are large
 _BYTES_PER_PLANT_UNDER_CLOUDS = 9_000  # a third scene
 _GROUND_CELL_M, _MOST_GROUND_CELLS, _GROUND_BEYOND = 0.75, 1200, 160  # see scene/terrain.py
@@ -163,15 +164,16 @@ def estimate_bytes(plan: Plan, *, simulate_only: bool = False, plants: int = 0) 
     cloudy = clouds.type != "none"
     cells = (clouds.extent_m / 40) ** 2 * max(8, clouds.thickness_m / 20) if cloudy else 0.0
     per_plant = _BYTES_PER_PLANT + cloudy * _BYTES_PER_PLANT_UNDER_CLOUDS
+    per_triangle = _BYTES_PER_TRIANGLE + cloudy * _BYTES_PER_TRIANGLE_UNDER_CLOUDS
     across, along = (
         min(math.ceil((side + 40) / _GROUND_CELL_M), _MOST_GROUND_CELLS) + _GROUND_BEYOND for side in recipe.site.size_m
     )
     return {
         "community": community,
         "libraries": _LOADED_RENDERER_BYTES,
-        "ground": 2 * across * along * _BYTES_PER_TRIANGLE,
+        "ground": 2 * across * along * per_triangle,
         "images": pixels * (_BYTES_PER_PIXEL + recipe.labels.samples * _BYTES_PER_SAMPLE),
-        "exemplars": exemplars * _TRIANGLES_PER_EXEMPLAR * _BYTES_PER_TRIANGLE,
+        "exemplars": exemplars * _TRIANGLES_PER_EXEMPLAR * per_triangle,
         "plants": plants * per_plant,
         "clouds": int(cells * _BYTES_PER_CLOUD_CELL),
     }

@@ -21,7 +21,15 @@ RUNS = {
     "quickstart": (["render.samples=1"], 0),
     "images": ([*SMALL, "cameras=[{size_px: [2048, 1024]}]", "labels.samples=16"], 0),
     "ground and plants": ([*SMALL, "site.size_m=[600,600]"], 50_000),
-    "mature exemplars": ([*SMALL, "community.steps=400", "plants.exemplars_per_species=30"], 0),
+    "tall exemplars": (
+        [
+            *SMALL,
+            "species={spruce: {from: spruce, ecology: {seedling_radius_m: 0.4}}}",
+            "community={model: multiset_lsystem, program: self_thinning, steps: 70}",
+            "plants.exemplars_per_species=60",
+        ],
+        0,
+    ),
     "clouds": ([*SMALL, "sky.clouds={type: cumulus, extent_m: 12000, thickness_m: 3000}"], 0),
 }
 MOST_OVER = 3.0  # the estimate may be this many times what is taken
