@@ -28,7 +28,7 @@ def render(folder: Path, *settings: str) -> Path:
 
 
 def quickstart(scratch: Path) -> None:
-    frame = render(scratch / "quickstart", "cameras.0.size_px=[1280, 720]", "render.samples=32")
+    frame = render(scratch / "quickstart", "cameras.0.size_px=[1280, 720]")
     picture = np.asarray(Image.open(frame / "preview.png")).copy()
     labels = np.asarray(Image.open(frame / "overlay.png"))
     half = picture.shape[1] // 2

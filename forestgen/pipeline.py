@@ -67,11 +67,13 @@ def render(
     frames: list[FrameRecord] = []
     seeds: list[int] = []
     with OutputFolder(target, overwrite=overwrite, required_bytes=_disk_bytes(loaded, plan)) as folder:
-        for index in range(loaded.images):
-            plan = make_plan(loaded.draw(index))
-            check_memory(plan)
-            seeds.append(plan.drawn.image_seed)
-            frames += _render_image(plan, loaded, folder, summary, progress, timings)
+        with progress.stage("images", loaded.images) as advance:
+            for index in range(loaded.images):
+                plan = make_plan(loaded.draw(index))
+                check_memory(plan)
+                seeds.append(plan.drawn.image_seed)
+                frames += _render_image(plan, loaded, folder, summary, progress, timings)
+                advance(1)
         with timings("write"):
             write_dataset(folder, frames, list(plan.drawn.species))
         summary.timings_s, summary.total_s = dict(timings.seconds), timings.total()

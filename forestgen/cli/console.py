@@ -68,12 +68,18 @@ class Bars:
         else:
             task = self._tasks[title] = self._progress.add_task(title, total=total)
             if len(self._tasks) > _MOST_BARS:
-                oldest = next(iter(self._tasks))
-                self._progress.remove_task(self._tasks.pop(oldest))
+                self._remove_oldest()
         try:
             yield lambda steps: self._progress.advance(task, steps)
         finally:
             self._progress.stop_task(task)
+
+    def _remove_oldest(self) -> None:
+        done = {task.id for task in self._progress.tasks if task.finished}
+        for title, task in self._tasks.items():
+            if task in done:
+                self._progress.remove_task(self._tasks.pop(title))
+                return
 
 
 def output() -> Console:

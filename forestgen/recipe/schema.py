@@ -133,7 +133,7 @@ class Camera(Section):
 
     @model_validator(mode="after")
     def _looks_somewhere(self) -> Self:
-        if self.position_m == self.look_at_m:
+        if math.dist(self.position_m, self.look_at_m) < 1e-6:
             raise mistake(
                 "a look_at_m away from position_m",
                 problem="the camera looks at itself",

@@ -108,9 +108,7 @@ def terrain_mesh(height: HeightField) -> Mesh:
     xs, ys = _graded_axis(height.size_m[0]), _graded_axis(height.size_m[1])
     x, y = np.meshgrid(xs, ys)
     z = height(x, y)
-    step = 0.1
-    slope_x = (height(x + step, y) - height(x - step, y)) / (2 * step)
-    slope_y = (height(x, y + step) - height(x, y - step)) / (2 * step)
+    slope_y, slope_x = np.gradient(z, ys, xs)
     normal = np.stack([-slope_x, -slope_y, np.ones_like(z)], axis=-1).reshape(-1, 3)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     columns = len(xs)

@@ -99,6 +99,7 @@ def test_schema_is_one_json_document() -> None:
 
 def test_schema_agrees_with_the_loader() -> None:
     import jsonschema
+
     schema = json.loads(run("schema").out)
     jsonschema.Draft202012Validator.check_schema(schema)
     validator = jsonschema.Draft202012Validator(schema)

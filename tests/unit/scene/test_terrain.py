@@ -47,7 +47,7 @@ def test_normals_are_those_of_the_slope(height, mesh):
     )
     expected = np.concatenate([-slope, np.ones((len(x), 1))], axis=1)
     expected /= np.linalg.norm(expected, axis=1, keepdims=True)
-    np.testing.assert_allclose(mesh.normals[on_site], expected, atol=2e-3)
+    np.testing.assert_allclose(mesh.normals[on_site], expected, atol=5e-3)  # differences over cells of 0.75 m
     np.testing.assert_allclose(np.linalg.norm(mesh.normals, axis=1), 1, atol=1e-5)
 
 
