@@ -197,7 +197,7 @@ def test_a_disk_without_room_for_the_images_is_refused_before_any_work(tmp_path:
     assert set(tree(tmp_path)) == {"tiny.yaml"}
 
 
-@pytest.mark.parametrize("verb", ["render", "simulate"])
+@pytest.mark.parametrize("verb", [pytest.param("render", marks=pytest.mark.slow), "simulate"])
 def test_a_disk_that_fills_up_halfway_leaves_what_was_there(
     verb: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -319,7 +319,7 @@ def test_a_plant_whose_picture_cannot_be_written_leaves_no_mesh(
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(single_plant, "write_rgb", full)
-    monkeypatch.setattr(single_plant, "_PICTURE_PX", (24, 32))
+    monkeypatch.setattr(single_plant, "_picture", lambda *_: None)
     run("plant", "fireweed", "-o", tmp_path / "new" / "a.glb").refused(4, "a.glb", "No space left on device")
     assert tree(tmp_path) == {}
 

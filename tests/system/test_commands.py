@@ -288,6 +288,7 @@ def test_a_reader_that_leaves_is_no_error(verb: str) -> None:
     process.stderr.close()
 
 
+@pytest.mark.slow
 def test_bars_fit_into_a_narrow_terminal(tmp_path: Path) -> None:
     """A terminal of 80 columns, whose bars are drawn over one another and gone from the result's lines."""
     recipe = tiny(tmp_path)
