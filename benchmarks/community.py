@@ -17,7 +17,7 @@ from time import perf_counter
 
 import numpy as np
 
-from forestgen.community import environment
+from forestgen.community.environments import domination
 from forestgen.community.model import Site, SpeciesEcology, simulate
 from forestgen.community.models.multiset_lsystem import MODEL
 
@@ -65,10 +65,10 @@ def grid_against_all_pairs(n: int, rounds: int = 5) -> tuple[float, float]:
     r = np.where(rng.random(n) < 0.03, rng.uniform(0.5, 3, n), rng.uniform(0.05, 0.5, n))
     ids = np.arange(1, n + 1, dtype=np.uint32)
     size = np.array([side, side])
-    environment.dominated(x, r, ids, (side, side), periodic=True)
+    domination.dominated(x, r, ids, (side, side), periodic=True)
     grid, pairs = [], []
     for _ in range(rounds):
-        grid.append(seconds(lambda: environment.dominated(x, r, ids, (side, side), periodic=True)))
+        grid.append(seconds(lambda: domination.dominated(x, r, ids, (side, side), periodic=True)))
         pairs.append(seconds(lambda: all_pairs(x, r, ids, size)))
     return median(grid), median(pairs)
 

@@ -132,19 +132,27 @@ def simulate(
     target: Path,
     *,
     map_steps: Sequence[int] = (),
+    resume: Path | None = None,
+    from_step: int | None = None,
     overwrite: bool = False,
     progress: Progress,
     timings: Timings,
 ) -> RunSummary:
-    """Simulate the community of a recipe's first image: history, maps at some steps (by default the last), curves."""
+    """Simulate the community of a recipe's first image: history, maps at some steps (by default the last), curves.
+
+    `resume` is a history that the recipe made; the simulation goes on from its snapshot of `from_step`, by default its
+    last.
+    """
     from forestgen.stages.history import check_map_steps, write_community
+    from forestgen.stages.resume import snapshot_to_resume
 
     plan = check_plan(loaded, simulate_only=True)
-    check_map_steps(plan, map_steps)
+    start = snapshot_to_resume(plan, resume, from_step) if resume is not None else None
+    check_map_steps(plan, map_steps, first=start.step if start is not None else 0)
     summary = RunSummary(target)
     with OutputFolder(target, overwrite=overwrite) as folder:
         with timings("community"):
-            last = write_community(folder, plan, snapshots(plan, progress), map_steps)
+            last = write_community(folder, plan, snapshots(plan, progress, start), map_steps)
         summary.plants, summary.counts = len(last), _counts(last)
         if not len(last):
             summary.notes.append(_empty_site(plan))

@@ -9,6 +9,7 @@ import typer
 
 from forestgen import __version__
 from forestgen.cli.console import Bars, errors_for_people
+from forestgen.cli.variadic import RadiiCommand
 
 
 class _Commands(typer.core.TyperGroup):
@@ -114,12 +115,27 @@ def simulate(
             show_default=False,
         ),
     ] = None,
+    resume: Annotated[
+        Optional[Path],  # noqa: UP045
+        typer.Option(
+            "--resume",
+            metavar="HISTORY",
+            help="Go on from a snapshot of this history.parquet, which the recipe made with fewer steps.",
+            show_default=False,
+        ),
+    ] = None,
+    from_step: Annotated[
+        Optional[int],  # noqa: UP045
+        typer.Option(
+            "--from-step", metavar="N", help="Resume from this step; by default from the last.", show_default=False
+        ),
+    ] = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Simulate a recipe's community only: history, maps, curves."""
+    """Simulate a recipe's community only: history, statistics, maps."""
     from forestgen.cli import commands
 
-    commands.simulate(recipe, overrides or [], map_steps or [], output, overwrite, Bars())
+    commands.simulate(recipe, overrides or [], map_steps or [], resume, from_step, output, overwrite, Bars())
 
 
 @app.command(epilog="Example: forestgen plant spruce --height 12 --seed 3 -o spruce.glb")
@@ -186,6 +202,69 @@ def models(
     from forestgen.cli import commands
 
     commands.models(name)
+
+
+@app.command("stats", cls=RadiiCommand, epilog="Example: forestgen stats trees.csv --window 0 50 0 20 --radii 1 2 4")
+def point_statistics(
+    points: Annotated[
+        Path,
+        typer.Argument(
+            metavar="FILE", help="A CSV file with columns x,y in metres; # begins a comment.", show_default=False
+        ),
+    ],
+    window: Annotated[
+        Optional[tuple[float, float, float, float]],  # noqa: UP045
+        typer.Option(
+            "--window",
+            metavar="X0 X1 Y0 Y1",
+            help="Where points were looked for; by default what a comment `window X0 X1 Y0 Y1` in the file says.",
+            show_default=False,
+        ),
+    ] = None,
+    radii: Annotated[
+        Optional[list[str]],  # noqa: UP045
+        typer.Option("--radii", metavar="R...", help="Radii of Ripley's K, metres: --radii 1 2 4.", show_default=False),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """How points lie: clustered, random, regular."""
+    from forestgen.cli import stats
+
+    stats.stats(points, window, radii or [], as_json)
+
+
+@app.command("lsystem", epilog="Example: forestgen lsystem koch --steps 2 --format count")
+def derive_lsystem(
+    file: Annotated[
+        Path,
+        typer.Argument(metavar="FILE", help="An L-system program: a .lsys or .sys file, or a shipped one's name."),
+    ],
+    steps: Annotated[
+        Optional[int],  # noqa: UP045
+        typer.Option(
+            "--steps",
+            metavar="N",
+            help="Derivation steps; by default the file's derivation length.",
+            show_default=False,
+        ),
+    ] = None,
+    seed: Annotated[int, typer.Option("--seed", metavar="N", help="Another seed draws other random numbers.")] = 0,
+    form: Annotated[
+        str,
+        typer.Option("--format", metavar="string|json|count", help="Words, their modules as JSON, or their number."),
+    ] = "string",
+    settings: Annotated[
+        Optional[list[str]],  # noqa: UP045
+        typer.Option("--set", metavar="NAME=VALUE", help="Another value of a #define, or of an array: A=1,2,3."),
+    ] = None,
+    most_modules: Annotated[
+        int, typer.Option("--max-modules", metavar="N", min=1, help="Stop where the words grow longer than this.")
+    ] = 50_000_000,
+) -> None:
+    """Derive an L-system and print the string, or the words of the multiset."""
+    from forestgen.cli import lsystem
+
+    lsystem.lsystem(file, steps, seed, form, settings or [], most_modules)
 
 
 @app.command("doctor", epilog="Example: forestgen doctor")

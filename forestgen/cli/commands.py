@@ -102,16 +102,32 @@ def _say_size_errors(out: Console, errors: Sequence[SizeError]) -> None:
 
 
 def simulate(
-    recipe: Path, overrides: Sequence[str], map_steps: Sequence[int], target: Path | None, overwrite: bool, bars: Bars
+    recipe: Path,
+    overrides: Sequence[str],
+    map_steps: Sequence[int],
+    resume: Path | None,
+    from_step: int | None,
+    target: Path | None,
+    overwrite: bool,
+    bars: Bars,
 ) -> None:
     from forestgen import pipeline  # loads every stage: seconds that `validate` need not take
 
+    if from_step is not None and resume is None:
+        raise RecipeError("no history to go on from", where="--from-step", expected="--resume history.parquet with it")
     timings = Timings()
     loaded = load_recipe(recipe, overrides)
     folder = _target(target, recipe.with_name(f"{recipe.stem}-community"))
     with bars.running():
         summary = pipeline.simulate(
-            loaded, folder, map_steps=map_steps, overwrite=overwrite, progress=bars, timings=timings
+            loaded,
+            folder,
+            map_steps=map_steps,
+            resume=resume,
+            from_step=from_step,
+            overwrite=overwrite,
+            progress=bars,
+            timings=timings,
         )
     out = output()
     _say_counts(out, summary)

@@ -1,14 +1,19 @@
 """The history of a community as a Parquet table: one row a plant a snapshot, in the snapshots' order.
 
 Columns: ``time_yr`` and those of `Population` (position as ``x_m``, ``y_m``, ``z_m``); a model's own columns follow,
-with ``model.`` before their name. The file's metadata names the species, and each snapshot's time and number of plants,
-for a snapshot without plants has no rows. The same snapshots give the same bytes.
+with ``model.`` before their name. The file's metadata, JSON under ``forestgen.community``, names the species, each
+snapshot's time, number of plants (a snapshot without plants has no rows), step and state, and the origin: what the
+simulation was started with, so that `forestgen.stages.resume` can tell whether a recipe continues it. A snapshot is one
+row group, and is read alone. The same snapshots give the same bytes.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +26,7 @@ from forestgen.core.errors import AssetError, OutputError
 
 _OWN = "model."
 _KEY = b"forestgen.community"
+_VERSION = 2
 _COLUMNS = {
     "time_yr": pa.float64(),
     "plant_id": pa.uint32(),
@@ -52,7 +58,7 @@ def _table(population: Population) -> Any:
     return pa.table({name: pa.array(values, type=_COLUMNS.get(name)) for name, values in columns.items()})
 
 
-def _write(path: Path, populations: Iterable[Population]) -> None:
+def _write(path: Path, populations: Iterable[Population], origin: Mapping[str, Any]) -> None:
     writer, names, snapshots = None, None, []
     try:
         for population in populations:
@@ -64,18 +70,22 @@ def _write(path: Path, populations: Iterable[Population]) -> None:
                 raise ValueError("all snapshots of a history must have the same species and columns")
             if len(population):
                 writer.write_table(table, row_group_size=len(population))
-            snapshots.append([population.time_yr, len(population)])
+            snapshots.append([population.time_yr, len(population), population.step, dict(population.state)])
         if writer is None:
             raise ValueError("a history needs at least one snapshot")
-        about = {"version": 1, "species_names": names, "snapshots": snapshots}
+        about = {"version": _VERSION, "species_names": names, "snapshots": snapshots, "origin": dict(origin)}
         writer.add_key_value_metadata({_KEY: json.dumps(about).encode()})
     finally:
         if writer is not None:
             writer.close()
 
 
-def write_history(path: Path, populations: Iterable[Population]) -> None:
+def write_history(path: Path, populations: Iterable[Population], origin: Mapping[str, Any] | None = None) -> None:
     """Write snapshots as they come; only one is held in memory. The file appears when it is complete.
+
+    Parameters
+    ----------
+    origin : what the simulation was started with, plain as in JSON.
 
     Raises
     ------
@@ -84,7 +94,7 @@ def write_history(path: Path, populations: Iterable[Population]) -> None:
     """
     partial = path.with_name(path.name + ".partial")
     try:
-        _write(partial, populations)
+        _write(partial, populations, origin or {})
         partial.replace(path)
     except OSError as error:
         raise OutputError(
@@ -94,20 +104,87 @@ def write_history(path: Path, populations: Iterable[Population]) -> None:
         partial.unlink(missing_ok=True)
 
 
-def _population(table: Any, time_yr: float, species_names: tuple[str, ...]) -> Population:
-    columns = {name: table.column(name).to_numpy() for name in table.column_names}
-    return Population(
-        time_yr=time_yr,
-        species_names=species_names,
-        plant_id=columns["plant_id"],
-        species=columns["species"],
-        position_m=np.stack([columns["x_m"], columns["y_m"], columns["z_m"]], axis=1),
-        radius_m=columns["radius_m"],
-        height_m=columns["height_m"],
-        age_yr=columns["age_yr"],
-        status=columns["status"],
-        columns={name.removeprefix(_OWN): values for name, values in columns.items() if name.startswith(_OWN)},
-    )
+@dataclass(frozen=True)
+class History:
+    """A history's file, of which a snapshot is read when it is asked for."""
+
+    path: Path
+    species_names: tuple[str, ...]
+    origin: Mapping[str, Any]  # what the simulation was started with
+    _snapshots: Sequence[tuple[float, int, int, Mapping[str, Any]]]  # time_yr, plants, step, state
+
+    @property
+    def steps(self) -> list[int]:
+        """The step of every snapshot, in their order."""
+        return [step for _, _, step, _ in self._snapshots]
+
+    def snapshot(self, step: int) -> Population:
+        """The snapshot of a step of `steps`.
+
+        Raises
+        ------
+        AssetError : the file has changed, or is damaged.
+        """
+        return next(self._read([self.steps.index(step)]))
+
+    def __iter__(self) -> Iterator[Population]:
+        return self._read(range(len(self._snapshots)))
+
+    def _read(self, indices: Iterable[int]) -> Iterator[Population]:
+        plants = [n for _, n, _, _ in self._snapshots]
+        group = list(accumulate((n > 0 for n in plants), initial=0))  # snapshots without plants have none
+        with _readable(self.path) as file:
+            for index in indices:
+                table = file.read_row_group(group[index]) if plants[index] else file.schema_arrow.empty_table()
+                yield self._population(table, index)
+
+    def _population(self, table: Any, index: int) -> Population:
+        columns = {name: table.column(name).to_numpy() for name in table.column_names}
+        time_yr, _, step, state = self._snapshots[index]
+        return Population(
+            time_yr=time_yr,
+            species_names=self.species_names,
+            plant_id=columns["plant_id"],
+            species=columns["species"],
+            position_m=np.stack([columns["x_m"], columns["y_m"], columns["z_m"]], axis=1),
+            radius_m=columns["radius_m"],
+            height_m=columns["height_m"],
+            age_yr=columns["age_yr"],
+            status=columns["status"],
+            columns={name.removeprefix(_OWN): values for name, values in columns.items() if name.startswith(_OWN)},
+            step=step,
+            state=state,
+        )
+
+
+@contextmanager
+def _readable(path: Path) -> Iterator[Any]:
+    """The Parquet file; whatever is wrong with it is an `AssetError`."""
+    try:
+        with pq.ParquetFile(path) as file:
+            yield file
+    except (OSError, pa.ArrowException, KeyError, ValueError, TypeError) as error:
+        raise AssetError(
+            "not a readable history of a community",
+            where=str(path),
+            expected="a history.parquet written by this version of forestgen",
+            got=f"no {error}" if isinstance(error, KeyError) else str(error),
+        ) from error
+
+
+def open_history(path: Path) -> History:
+    """A file that `write_history` wrote.
+
+    Raises
+    ------
+    AssetError : no such file, or not a history.
+    """
+    with _readable(path) as file:
+        about = json.loads((file.metadata.metadata or {})[_KEY])
+        if about["version"] != _VERSION:
+            raise ValueError(f"version {about['version']} of the format, not {_VERSION}")
+        snapshots = [(float(time_yr), int(n), int(step), state) for time_yr, n, step, state in about["snapshots"]]
+        return History(path, tuple(about["species_names"]), about["origin"], snapshots)
 
 
 def read_history(path: Path) -> list[Population]:
@@ -117,19 +194,4 @@ def read_history(path: Path) -> list[Population]:
     ------
     AssetError : no such file, or not a history.
     """
-    try:
-        with pq.ParquetFile(path) as file:
-            about = json.loads((file.metadata.metadata or {})[_KEY])
-            table = file.read()
-    except (OSError, pa.ArrowException, KeyError, ValueError) as error:
-        raise AssetError(
-            "not a readable history of a community",
-            where=str(path),
-            expected="a Parquet file written by forestgen",
-            got=str(error),
-        ) from error
-    populations, first = [], 0
-    for time_yr, count in about["snapshots"]:
-        populations.append(_population(table.slice(first, count), time_yr, tuple(about["species_names"])))
-        first += count
-    return populations
+    return list(open_history(path))

@@ -5,13 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
-from typing import Protocol, TypeVar
+from typing import ClassVar, Protocol, Self, TypeVar
 
-from pydantic import BaseModel
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
+from forestgen.community.disturbance import Disturbance, Ground, Planting
 from forestgen.community.population import Population
+from forestgen.core.randomness import child_rng
+from forestgen.recipe.fields import Whole, mistake
+from forestgen.recipe.sources import Keys
 
-P = TypeVar("P", bound=BaseModel)
+P = TypeVar("P", bound="CommunityParameters")
 S = TypeVar("S")
 
 
@@ -63,11 +69,48 @@ class Site:
         return self.area_m2 / 1e4
 
 
+class CommunityParameters(BaseModel):
+    """What a recipe's community section says besides the model's name; each model adds its own keys."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    planting_columns: ClassVar[tuple[str, ...]] = ()  # a model's own columns that a planting may set
+
+    steps: Whole = Field(300, ge=0, le=100_000, description="number of steps")
+    step_yr: float = Field(0.5, gt=0, description="duration of a step, years")
+    periodic: bool = Field(True, description="the site is a torus, without edges; false: a bounded site")
+    disturbances: tuple[Disturbance, ...] = Field(
+        (), description="fellings, fires and plantings, in the order in which those of one step are applied"
+    )
+
+    @field_validator("disturbances", mode="before")
+    @classmethod
+    def _none_is_an_empty_list(cls, value: object) -> object:
+        return () if value is None else value
+
+    @model_validator(mode="after")
+    def _plantings_have_known_columns(self) -> Self:
+        for index, one in enumerate(self.disturbances):
+            if one.plant is not None and one.plant.vigour is not None and "vigour" not in self.planting_columns:
+                raise mistake(
+                    "a planting without vigour",
+                    problem="plants of this model have no vigour",
+                    got=f"{one.plant.vigour:g}",
+                    at=("disturbances", index, "plant", "vigour"),
+                )
+        return self
+
+    def named_species(self) -> Iterator[tuple[Keys, str]]:
+        """Key path and name of every species that the parameters name."""
+        for index, one in enumerate(self.disturbances):
+            for keys, name in one.named_species():
+                yield ("disturbances", index, *keys), name
+
+
 class CommunityModel(Protocol[P, S]):
     """A family of interchangeable models. A model has no state of its own: everything is in `S`.
 
-    Randomness of step k comes from ``child_rng(seed, "community", k)`` (k = 0: `init`), so that a state saved after
-    any step resumes to the same future.
+    Randomness of step k comes from ``child_rng(seed, "community", k)`` (k = 0: `init`), and `population` holds
+    everything that the future depends on: a simulation resumes from any snapshot to the same future, to the bit.
     """
 
     Parameters: type[P]
@@ -82,6 +125,28 @@ class CommunityModel(Protocol[P, S]):
 
     def population(self, state: S) -> Population:
         """Snapshot of a state."""
+        ...
+
+    def resume(
+        self, parameters: P, site: Site, species: Sequence[SpeciesEcology], seed: int, population: Population
+    ) -> S:
+        """The state that a snapshot was made of; the inverse of `population`."""
+        ...
+
+    def remove(self, state: S, plant_id: NDArray[np.uint32]) -> S:
+        """A disturbance: the state without these plants, in the same step; ids of no plant are ignored."""
+        ...
+
+    def plant(self, state: S, planting: Planting) -> S:
+        """A disturbance: the state in which new plants stand there, in the same step, numbered as they are given."""
+        ...
+
+    def expected_plants(self, parameters: P, site: Site, species: Sequence[SpeciesEcology]) -> float:
+        """Upper bound of the mean number of plants at any step; 0: no plant can ever grow."""
+        ...
+
+    def why_barren(self, parameters: P, site: Site, species: Sequence[SpeciesEcology]) -> str | None:
+        """Why no plant can ever grow, or None if one may."""
         ...
 
     def estimate_bytes(self, parameters: P, site: Site, species: Sequence[SpeciesEcology]) -> int:
@@ -100,10 +165,41 @@ def simulate(
     seed: int,
     *,
     steps: int,
+    start: Population | None = None,
 ) -> Iterator[Population]:
-    """The population at step 0, 1, ..., `steps`, each made when it is asked for."""
-    state = model.init(parameters, site, species, seed)
+    """The population at step 0, 1, ..., `steps`, each made when it is asked for, with the disturbances applied.
+
+    From `start`, a snapshot of the same simulation, it goes on instead: `start` itself comes first.
+    """
+    if start is None:
+        state = _disturbed(model, model.init(parameters, site, species, seed), parameters, site, species, seed, 0)
+    else:
+        # A snapshot is made after its step's disturbances.
+        state = model.resume(parameters, site, species, seed, start)
+    first = 0 if start is None else start.step
     yield model.population(state)
-    for _ in range(steps):
-        state = model.step(state)
+    for step in range(first + 1, steps + 1):
+        state = _disturbed(model, model.step(state), parameters, site, species, seed, step)
         yield model.population(state)
+
+
+def _disturbed(
+    model: CommunityModel[P, S],
+    state: S,
+    parameters: P,
+    site: Site,
+    species: Sequence[SpeciesEcology],
+    seed: int,
+    step: int,
+) -> S:
+    """The state at the end of a step, after that step's disturbances in their order."""
+    ground = Ground(site.size_m, parameters.periodic)
+    for index, one in enumerate(parameters.disturbances):
+        if one.step(parameters.step_yr) != step:
+            continue
+        rng = child_rng(seed, "disturbance", index)
+        if one.plant is not None:
+            state = model.plant(state, one.plant.planting(ground, species, rng))
+        else:
+            state = model.remove(state, one.victims(model.population(state), ground, rng))
+    return state

@@ -1,4 +1,4 @@
-"""Pictures of a community: the map of its circles (Lane 2002, Figure 4.5, left) and its curves in time."""
+"""What pictures of a community share, and its map: circles to scale (Lane 2002, Figure 4.5, left)."""
 
 from __future__ import annotations
 
@@ -7,11 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from forestgen.community.model import Site
 from forestgen.community.population import Population, Status
-from forestgen.community.statistics import count_by_species, cover_by_species
+from forestgen.community.statistics import count_by_species
 from forestgen.core.errors import OutputError
 
 if TYPE_CHECKING:
@@ -23,13 +22,14 @@ _OTHERS = ("#0072B2", "#56B4E9", "#7A5195", "#8C564B", "#666666")
 _DPI = 160
 
 
-def _colour(species_colours: Mapping[str, str], names: Sequence[str]) -> dict[str, str]:
+def colours_of(species_colours: Mapping[str, str], names: Sequence[str]) -> dict[str, str]:
     """A colour for each species: the given one, else the next of a palette."""
     rest = iter(_OTHERS * (1 + len(names) // len(_OTHERS)))
     return {name: species_colours[name] if name in species_colours else next(rest) for name in names}
 
 
-def _figure(width_in: float, height_in: float) -> Figure:
+def new_figure(width_in: float, height_in: float) -> Figure:
+    """A figure of a size in inches."""
     # Late, for matplotlib takes half a second; a Figure without pyplot keeps no global state and draws with Agg.
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -39,7 +39,8 @@ def _figure(width_in: float, height_in: float) -> Figure:
     return figure
 
 
-def _save(figure: Figure, path: Path) -> None:
+def save_figure(figure: Figure, path: Path) -> None:
+    """Write a figure as a PNG, or raise `OutputError`."""
     try:
         # Without the name of the library's version the same picture has the same bytes.
         figure.savefig(path, format="png", dpi=_DPI, metadata={"Software": None})
@@ -89,10 +90,10 @@ def plot_map(
     """Circles of all living plants to scale, as a PNG; `periodic` repeats those that reach over an edge."""
     from matplotlib.lines import Line2D
 
-    colours = _colour(species_colours, population.species_names)
+    colours = colours_of(species_colours, population.species_names)
     width, height = site.size_m
     longest = max(width, height)
-    figure = _figure(1.2 + 6.3 * max(width / longest, 0.4), 1.7 + 6.3 * max(height / longest, 0.1))
+    figure = new_figure(1.2 + 6.3 * max(width / longest, 0.4), 1.7 + 6.3 * max(height / longest, 0.1))
     axes = figure.add_subplot(aspect="equal", xlim=(0, width), ylim=(0, height), facecolor="#FAF8F3")
     axes.set(xlabel="x, east (m)", ylabel="y, north (m)")
     counts = count_by_species(population)
@@ -103,35 +104,4 @@ def plot_map(
         for name, colour in colours.items()
     ]
     figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False, fontsize=11)
-    _save(figure, path)
-
-
-def _draw_curves(
-    axes: Axes, time_yr: NDArray[np.float64], values: Mapping[str, NDArray[np.float64]], colours: Mapping[str, str]
-) -> None:
-    styles = ("-", "--", "-.", ":")  # a second cue beside colour
-    for k, (name, colour) in enumerate(colours.items()):
-        axes.plot(time_yr, values[name], color=colour, ls=styles[k % len(styles)], lw=1.8, label=name)
-    if len(time_yr) > 1 and time_yr[-1] > time_yr[0]:
-        axes.set_xlim(time_yr[0], time_yr[-1])
-    axes.set_ylim(bottom=0)
-    axes.grid(color="#DDDDDD", lw=0.6)
-    axes.spines[["top", "right"]].set_visible(False)
-
-
-def plot_curves(history: Sequence[Population], site: Site, species_colours: Mapping[str, str], path: Path) -> None:
-    """Number of plants, and share of the ground, of each species in time, as a PNG."""
-    if not history:
-        raise ValueError("curves need at least one snapshot")
-    names = history[0].species_names
-    colours = _colour(species_colours, names)
-    time_yr = np.array([one.time_yr for one in history])
-    counts, cover = ([count_by_species(one) for one in history], [cover_by_species(one, site) for one in history])
-    figure = _figure(7.5, 6.5)
-    above, below = figure.subplots(2, 1, sharex=True)
-    _draw_curves(above, time_yr, {name: np.array([one[name] for one in counts], float) for name in names}, colours)
-    _draw_curves(below, time_yr, {name: np.array([100 * one[name] for one in cover]) for name in names}, colours)
-    above.set(ylabel="plants")
-    below.set(ylabel="ground under undominated plants (%)", xlabel="time (years)")
-    above.legend(frameon=False, fontsize=10, ncols=3, loc="lower right", bbox_to_anchor=(1, 1))
-    _save(figure, path)
+    save_figure(figure, path)

@@ -24,7 +24,8 @@ class Status(IntEnum):
 class Population:
     """A snapshot of a community: one row a plant, sorted by plant_id.
 
-    A plant_id is stable for the plant's life, never reused, never 0.
+    A plant_id is stable for the plant's life, never reused, never 0. Together with what the simulation was started
+    with, a snapshot holds everything that the future depends on (`CommunityModel.resume`).
     """
 
     time_yr: float
@@ -37,6 +38,8 @@ class Population:
     age_yr: NDArray[np.float64]  # (N,)
     status: NDArray[np.uint8]  # (N,) Status
     columns: Mapping[str, NDArray[Any]] = field(default_factory=dict)  # (N,) each, a model's own
+    step: int = 0  # of the simulation
+    state: Mapping[str, Any] = field(default_factory=dict)  # what a model knows besides its plants, plain as in JSON
 
     def __post_init__(self) -> None:
         n = len(self.plant_id)

@@ -1,4 +1,4 @@
-"""The community models, by the name that a recipe uses."""
+"""The community models and their environments, by the name that a recipe uses."""
 
 from __future__ import annotations
 
@@ -7,9 +7,35 @@ from forestgen.core.registry import Registry
 COMMUNITY_MODELS = Registry(
     "community model",
     {
+        "forest_footprints": (
+            "forestgen.community.models.forest_footprints:MODEL",
+            "saplings whose vigour decides who dominates, and whose health tells (Randleff-Rasmussen 2004)",
+        ),
         "multiset_lsystem": (
             "forestgen.community.models.multiset_lsystem:MODEL",
             "self-thinning and succession of circles that compete for space (Lane 2002, multiset L-systems)",
+        ),
+    },
+)
+
+ENVIRONMENTS = Registry(
+    "environment",
+    {
+        "domination": (
+            "forestgen.community.environments.domination:ENVIRONMENT",
+            "of two circles that intersect, the smaller gets nothing (Deussen et al. 1998, Lane 2002)",
+        ),
+        "firbank_watkinson": (
+            "forestgen.community.environments.firbank_watkinson:ENVIRONMENT",
+            "zones of influence: shared ground is divided by height (Firbank and Watkinson 1985)",
+        ),
+        "leps_kindlmann": (
+            "forestgen.community.environments.leps_kindlmann:ENVIRONMENT",
+            "areas of overlap, weighted by the ratio of heights (Lepš and Kindlmann 1987)",
+        ),
+        "aikman_watkinson": (
+            "forestgen.community.environments.aikman_watkinson:ENVIRONMENT",
+            "the mean size against the plot: no neighbours, no places (Aikman and Watkinson 1980)",
         ),
     },
 )

@@ -1,12 +1,14 @@
-"""Numbers that describe a population."""
+"""Numbers that describe a population: what there is of each species. Modules beside this tell of places and sizes."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from forestgen.community.model import Site
+from forestgen.community.point_patterns import SAMPLES, Window, hopkins, measure_distances
 from forestgen.community.population import Population, Status
 
 
@@ -15,6 +17,12 @@ def count_by_species(population: Population) -> dict[str, int]:
     alive = population.species[population.status != Status.DEAD]
     counts = np.bincount(alive, minlength=len(population.species_names))
     return {name: int(n) for name, n in zip(population.species_names, counts, strict=True)}
+
+
+def shares(counts: Mapping[str, float]) -> dict[str, float]:
+    """Each species' share of a sum, such as that of all plants; zeros where there is nothing to share."""
+    total = sum(counts.values())
+    return {name: n / total if total else 0.0 for name, n in counts.items()}
 
 
 def cover_by_species(population: Population, site: Site) -> dict[str, float]:
@@ -30,37 +38,26 @@ def cover_by_species(population: Population, site: Site) -> dict[str, float]:
     return {name: float(a) / site.area_m2 for name, a in zip(population.species_names, sums, strict=True)}
 
 
-def hopkins_index(
-    points_m: NDArray[np.float64], size_m: tuple[float, float], rng: np.random.Generator, *, samples: int = 10_000
-) -> float:
-    """Hopkins index H of points in a bounded window: 1 is random, above 1 clustered, below 1 overdispersed.
+def plant_mass(population: Population) -> tuple[NDArray[np.float64], str]:
+    """(N,) mass of each plant, and its unit.
 
-    H = <a> / <b>: the mean distance from a point of the window to the nearest point of the pattern, over the mean
-    distance from a point of the pattern to the nearest other one. <b> takes every point, <a> `samples` points
-    stratified over the window. Nothing corrects for edges: they lengthen both means alike.
-
-    Parameters
-    ----------
-    points_m : (N, 2) float64, metres, in [0, W] x [0, H].
-    size_m : W and H.
-    rng : places the points of the window.
-    samples : least number of them.
-
-    Returns
-    -------
-    H; nan for fewer than two points; inf where every point coincides with another.
-
-    References
-    ----------
-    Lane 2002, section 2.4 and Figure 2.3.
+    The model's own column ``mass_kg`` where it has one, else r^3 in cubic metres: plants of one shape have masses in
+    proportion to the cube of their radius (Lane 2002, section 4.3).
     """
+    if "mass_kg" in population.columns:
+        return np.asarray(population.columns["mass_kg"], dtype=np.float64), "kg"
+    return population.radius_m**3, "m³"
+
+
+def hopkins_index(
+    points_m: NDArray[np.float64],
+    size_m: tuple[float, float],
+    rng: np.random.Generator,
+    *,
+    samples: int = SAMPLES,
+) -> float:
+    """`point_patterns.hopkins` of points in [0, W] x [0, H]; nan for fewer than two points."""
     if len(points_m) < 2:
         return float("nan")
-    tree = cKDTree(points_m)
-    nx = max(1, int(np.ceil(np.sqrt(samples * size_m[0] / size_m[1]))))
-    ny = max(1, int(np.ceil(samples / nx)))
-    cell = np.stack(np.meshgrid(np.arange(nx), np.arange(ny)), axis=-1).reshape(-1, 2)
-    window = (cell + rng.random(cell.shape)) * (size_m[0] / nx, size_m[1] / ny)
-    a = float(np.mean(tree.query(window)[0]))
-    b = float(np.mean(np.asarray(tree.query(points_m, k=2)[0])[:, 1]))
-    return a / b if b > 0 else float("inf")
+    window = Window(0.0, size_m[0], 0.0, size_m[1])
+    return hopkins(measure_distances(points_m, window, rng, samples=samples)).value

@@ -3,6 +3,7 @@
     ForestgenError            exit code 1
     ├── RecipeError           2   the recipe or a command's argument is wrong
     ├── AssetError            2   a file that the recipe names is missing or unreadable
+    ├── LsystemError          2   an L-system program is wrong, or asks for the impossible
     ├── ResourceError         3   this machine lacks memory or a library for the task
     ├── OutputError           4   a result cannot be written
     └── RenderError           5   the renderer failed
@@ -57,6 +58,12 @@ class RecipeError(ForestgenError):
 
 class AssetError(ForestgenError):
     """A file that the recipe names is missing or unreadable."""
+
+    exit_code = 2
+
+
+class LsystemError(ForestgenError):
+    """An L-system program is wrong, or asks for the impossible when it runs."""
 
     exit_code = 2
 

@@ -8,10 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from forestgen.core.errors import AssetError, RecipeError
+from forestgen.core.text_file import read_text
 from forestgen.recipe.assets import find_asset
 from forestgen.recipe.distributions import is_distribution
 from forestgen.recipe.sources import Keys, Place, SourceMap, dotted
 from forestgen.recipe.yaml_source import parse_yaml, read_yaml
+
+_LARGEST_PROGRAM_BYTES = 1_000_000
 
 SHORTHANDS: dict[Keys, str] = {("site", "terrain"): "kind", ("sky", "clouds"): "type"}
 OPTIONAL: tuple[Keys, ...] = (("site",), ("plants",), ("sky",), ("cameras",), ("render",), ("labels",), ("sky", "sun"))
@@ -101,6 +104,22 @@ def merge_species(data: dict[str, Any], sources: SourceMap, folder: Path) -> Non
         species[name] = _merged(
             _without_other_generator(base, entry, sources, keys), entry, sources, recipe_sources, keys
         )
+
+
+def embed_program(data: dict[str, Any], sources: SourceMap, folder: Path) -> None:
+    """Replace a community's ``program: NAME`` in place by the L-system program's name and text.
+
+    So a recipe's hash covers the program, and a drawn recipe holds all that it needs.
+    """
+    community = data.get("community")
+    if not isinstance(community, dict) or not isinstance(community.get("program"), str):
+        return
+    name = community["program"]
+    path = find_asset("lsystems", name, folder=folder, where=sources.where(("community", "program")))
+    community["program"] = {
+        "name": path.name,
+        "text": read_text(path, "an L-system program", most_bytes=_LARGEST_PROGRAM_BYTES, error=AssetError),
+    }
 
 
 def _without_other_generator(

@@ -40,11 +40,18 @@ def _kind_dir(kind: str) -> Path:
 
 
 def list_assets(kind: str) -> list[str]:
-    """Names of the shipped parts of a kind ("species", "lsystems", ..., "recipes"), sorted."""
+    """Names of the shipped parts of a kind ("species", "lsystems", ..., "recipes"), sorted.
+
+    Those in a folder of their own come last: ``reproductions/domination_test``.
+    """
+    return sorted(_files(kind), key=lambda name: (name.count("/"), name))
+
+
+def _files(kind: str) -> dict[str, Path]:
+    """Name -> file of the shipped parts of a kind."""
     folder, suffix = _kind_dir(kind), SUFFIX.get(kind)
-    if not folder.is_dir():
-        return []
-    return sorted(p.stem for p in folder.iterdir() if p.is_file() and suffix in (None, p.suffix))
+    files = (p for p in sorted(folder.rglob("*")) if p.is_file() and suffix in (None, p.suffix))
+    return {p.relative_to(folder).with_suffix("").as_posix(): p for p in files}
 
 
 def find_asset(kind: str, name: str, *, folder: Path | None = None, where: str | None = None) -> Path:
@@ -53,7 +60,8 @@ def find_asset(kind: str, name: str, *, folder: Path | None = None, where: str |
     Parameters
     ----------
     kind : "species", "lsystems", "terrain", "climate" or "recipes".
-    name : a shipped part's name; or, with a slash or the kind's suffix, a path relative to `folder`.
+    name : a shipped part's name; or, with a slash or the kind's suffix, a path relative to `folder`. A file at that
+        path goes before a shipped part of the same name.
     folder : the recipe's folder; the working directory if None.
     where : place in the recipe that names the part, for messages.
 
@@ -64,9 +72,10 @@ def find_asset(kind: str, name: str, *, folder: Path | None = None, where: str |
     suffix = SUFFIX.get(kind, ".yaml")
     if "/" in name or "\\" in name or name.endswith((suffix, ".yaml", ".yml")):
         path = (folder or Path()) / name
-        if not _is_file(path):
+        if _is_file(path):
+            return path
+        if name not in list_assets(kind):
             raise AssetError(f"no such {kind} file", where=where, expected="an existing file", got=str(path))
-        return path
     names = list_assets(kind)
     if name not in names:
         near = difflib.get_close_matches(name, names, n=1)
@@ -77,8 +86,7 @@ def find_asset(kind: str, name: str, *, folder: Path | None = None, where: str |
             got=repr(name),
             hint=f"did you mean {near[0]!r}?" if near else None,
         )
-    found = (p for p in sorted(_kind_dir(kind).iterdir()) if p.stem == name and SUFFIX.get(kind) in (None, p.suffix))
-    return next(found)
+    return _files(kind)[name]
 
 
 def _is_file(path: Path) -> bool:

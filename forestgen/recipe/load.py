@@ -18,10 +18,11 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 from ruamel.yaml import YAML
+from ruamel.yaml.representer import SafeRepresenter
 
 from forestgen.core.errors import AssetError, RecipeError
 from forestgen.core.randomness import child_rng, child_root
-from forestgen.recipe.assemble import apply_override, merge_species, spell_out
+from forestgen.recipe.assemble import apply_override, embed_program, merge_species, spell_out
 from forestgen.recipe.assets import list_assets, recipes_dir
 from forestgen.recipe.distributions import (
     BadDistributionError,
@@ -168,6 +169,7 @@ class LoadedRecipe:
         for keys, value in values.items():
             _put(data, keys, value)
         spell_out(data)
+        embed_program(data, self.sources, self.path.parent)
         try:
             return Recipe.model_validate(data)
         except ValidationError as failure:
@@ -218,9 +220,21 @@ def _loaded(path: Path, data: dict[str, Any], sources: SourceMap, overrides: Seq
     return loaded
 
 
+class _Representer(SafeRepresenter):
+    """Writes texts of several lines, such as programs, line by line."""
+
+
+def _represent_text(representer: SafeRepresenter, text: str) -> Any:
+    return representer.represent_scalar("tag:yaml.org,2002:str", text, style="|" if "\n" in text else None)
+
+
+_Representer.add_representer(str, _represent_text)
+
+
 def dump_yaml(drawn: DrawnRecipe) -> str:
     """The drawn recipe as YAML text, the same bytes for the same content; `load_recipe` reads it."""
     yaml = YAML(typ="safe", pure=True)
+    yaml.Representer = _Representer
     yaml.default_flow_style = None  # lists of numbers on one line
     yaml.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
     yaml.allow_unicode = True

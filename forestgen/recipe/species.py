@@ -31,14 +31,12 @@ TALLEST_M = 200.0
 class Ecology(Section):
     """How a species grows, competes and spreads."""
 
-    growth_m_per_yr: Annotated[Positive, Field(le=10, description="Growth of the radius, metres per year.")]
+    growth_m_per_yr: Annotated[NonNegative, Field(le=10, description="Growth of the radius, metres per year.")]
     max_radius_m: Annotated[Positive, Field(le=100, description="Radius at which a plant is mature, metres.")]
     shade_tolerance: Annotated[
         Fraction, Field(description="Probability that a dominated plant survives a step, 0 to 1.")
     ]
-    old_age_survival: Annotated[
-        Number, Field(ge=0, lt=1, description="Probability that a mature plant survives a step, 0 to below 1.")
-    ]
+    old_age_survival: Annotated[Fraction, Field(description="Probability that a mature plant survives a step, 0 to 1.")]
     seedlings_per_ha_per_yr: Annotated[
         NonNegative, Field(le=1e6, description="New plants per hectare (10,000 m²) and year.")
     ]

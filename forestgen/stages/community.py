@@ -10,11 +10,13 @@ from forestgen.core.progress import Progress
 from forestgen.stages.plan import Plan
 
 
-def snapshots(plan: Plan, progress: Progress) -> Iterator[Population]:
-    """The community at step 0, 1, ..., as the recipe asks."""
-    seed = plan.drawn.image_seed
-    with progress.stage("community", plan.steps + 1) as advance:
-        history = simulate(plan.model, plan.model_parameters, plan.site, plan.ecologies, seed, steps=plan.steps)
+def snapshots(plan: Plan, progress: Progress, start: Population | None = None) -> Iterator[Population]:
+    """The community at step 0, 1, ..., as the recipe asks; or from `start` on, a snapshot of the same simulation."""
+    seed, first = plan.drawn.image_seed, 0 if start is None else start.step
+    with progress.stage("community", plan.steps + 1 - first) as advance:
+        history = simulate(
+            plan.model, plan.model_parameters, plan.site, plan.ecologies, seed, steps=plan.steps, start=start
+        )
         for population in history:
             advance(1)
             yield population

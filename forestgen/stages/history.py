@@ -1,80 +1,121 @@
-"""A community's history -> files."""
+"""A community's history -> files: the history itself, maps, an animation, curves and statistics in time."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import json
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+from forestgen.community.animation import MOST_FRAMES, Film
 from forestgen.community.history import write_history
-from forestgen.community.plots import plot_curves, plot_map
+from forestgen.community.plot_series import plot_curves, plot_thinning
+from forestgen.community.plot_sizes import plot_sizes
+from forestgen.community.plots import plot_map
 from forestgen.community.population import Population
-from forestgen.core.errors import RecipeError
+from forestgen.community.statistics import plant_mass
+from forestgen.community.trajectory import Moment, Trajectory, describe_step, describe_thinning, moment, thinning_slope
+from forestgen.core.errors import OutputError, RecipeError
 from forestgen.stages.plan import Plan
+from forestgen.stages.resume import origin
 
 _CURVE_POINTS = 400
-CURVES_BYTES = 500_000_000  # of memory, for the snapshots behind the curves
-_BYTES_PER_ROW = 70  # of a snapshot
+_DESCRIBED_STEPS = 40  # of which each costs the searches for nearest neighbours
 
 
-class Thinned:
-    """Evenly spaced snapshots, as many as memory allows: where there are too many, every second one goes.
+def evenly(first: int, last: int, most: int) -> Callable[[int], bool]:
+    """Whether a step is one of at most `most` evenly spaced ones from `first` on, or `last`, which always is.
 
-    Parameters
-    ----------
-    last_step : the step of the last snapshot, which is always kept.
-    most : snapshots to keep at most.
-    most_bytes : memory that they may take.
+    `most` must be 2 at least.
     """
+    stride = max(1, -(-(last - first) // (most - 1)))
+    return lambda step: step == last or (step - first) % stride == 0
 
-    def __init__(self, last_step: int, *, most: int = _CURVE_POINTS, most_bytes: int = CURVES_BYTES) -> None:
-        self._last_step, self._most_bytes = last_step, most_bytes
-        self._stride = -(-last_step // most) or 1
-        self._kept: dict[int, Population] = {}
 
-    def add(self, step: int, population: Population) -> None:
-        """Keep the snapshot of a step, if it is one of those to keep."""
-        if step % self._stride and step != self._last_step:
-            return
-        self._kept[step] = population
-        while len(self._kept) > 2 and _BYTES_PER_ROW * sum(map(len, self._kept.values())) > self._most_bytes:
-            self._stride *= 2
-            self._kept = {k: one for k, one in self._kept.items() if k % self._stride == 0 or k == self._last_step}
+@dataclass
+class _Told:
+    """What is kept of the snapshots that have passed."""
 
-    def snapshots(self) -> list[Population]:
-        """What was kept, in the order of time."""
-        return list(self._kept.values())
+    film: Film
+    moments: list[Moment]
+    described: list[dict[str, Any]]
+    last: Population
 
 
 def write_community(folder: Path, plan: Plan, snapshots: Iterator[Population], map_steps: Sequence[int]) -> Population:
-    """Write history.parquet, a map for each of `map_steps` (by default the last) and curves.png; the last snapshot.
+    """Write all files of a simulation as its snapshots come; the last snapshot.
+
+    history.parquet, a map for each of `map_steps` (by default the last), animation.gif, curves.png, thinning.png,
+    sizes.png of the last snapshot, and statistics.json. No snapshot is held but the current one. Fellings and plantings
+    thin a stand as no crowding does: with them there is no self-thinning line.
 
     `check_map_steps` tells whether the simulation reaches `map_steps`.
     """
-    wanted = set(map_steps) or {plan.steps}
-    curve, maps = Thinned(plan.steps), dict[int, Population]()
-    last: list[Population] = []
-
-    def noted() -> Iterator[Population]:
-        for step, population in enumerate(snapshots):
-            curve.add(step, population)
-            if step in wanted:
-                maps[step] = population
-            last[:] = [population]
-            yield population
-
-    write_history(folder / "history.parquet", noted())
-    periodic, colours = bool(getattr(plan.model_parameters, "periodic", False)), map_colours(plan)
-    for step, population in maps.items():
-        plot_map(population, plan.site, colours, folder / f"map-{step:06d}.png", periodic=periodic)
-    plot_curves(curve.snapshots(), plan.site, colours, folder / "curves.png")
-    return last[0]
+    told: list[_Told] = []
+    write_history(folder / "history.parquet", _watched(folder, plan, snapshots, map_steps, told), origin(plan))
+    (end,) = told
+    colours, last = map_colours(plan), end.last
+    unit = plant_mass(last)[1]
+    trajectory = Trajectory.of(end.moments, last.species_names, plan.site, unit)
+    plot_curves(trajectory, colours, folder / "curves.png")
+    slope = None if plan.model_parameters.disturbances else thinning_slope(trajectory)
+    plot_thinning(trajectory, slope, colours, folder / "thinning.png")
+    plot_sizes(last, colours, folder / "sizes.png")
+    end.film.write(folder / "animation.gif")
+    thinning = describe_thinning(trajectory, slope) if slope else None
+    _write_statistics(folder / "statistics.json", plan, unit, end.described, thinning)
+    return last
 
 
-def check_map_steps(plan: Plan, map_steps: Sequence[int]) -> None:
-    """Raise `RecipeError` unless all of `map_steps` are steps of the simulation."""
+def _watched(
+    folder: Path, plan: Plan, snapshots: Iterator[Population], map_steps: Sequence[int], told: list[_Told]
+) -> Iterator[Population]:
+    """The snapshots, of which `told` takes notes and maps are drawn on their way."""
+    wanted, site, seed = set(map_steps) or {plan.steps}, plan.site, plan.drawn.image_seed
+    periodic, colours = plan.model_parameters.periodic, map_colours(plan)
+    for population in snapshots:
+        step = population.step
+        if not told:
+            told.append(_Told(Film(site, population.species_names, colours, periodic=periodic), [], [], population))
+            on_curve, in_film, is_described = (
+                evenly(step, plan.steps, most) for most in (_CURVE_POINTS, MOST_FRAMES, _DESCRIBED_STEPS)
+            )
+        told[0].last = population
+        if on_curve(step):
+            told[0].moments.append(moment(population, site))
+        if in_film(step):
+            told[0].film.add(population)
+        if is_described(step):
+            told[0].described.append(describe_step(population, site, seed))
+        if step in wanted:
+            plot_map(population, site, colours, folder / f"map-{step:06d}.png", periodic=periodic)
+        yield population
+
+
+def _write_statistics(
+    path: Path, plan: Plan, mass_unit: str, described: Sequence[dict[str, Any]], thinning: dict[str, Any] | None
+) -> None:
+    """JSON: what `describe_step` tells of some steps, and `describe_thinning` of all."""
+    document = {
+        "version": 1,
+        "site_size_m": list(plan.site.size_m),
+        "species": list(plan.drawn.species),
+        "mass_unit": "kg" if mass_unit == "kg" else "m3 (radius cubed)",
+        "steps": list(described),
+        "self_thinning": thinning,
+    }
+    try:
+        path.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise OutputError("the statistics cannot be written", where=str(path), got=str(error)) from error
+
+
+def check_map_steps(plan: Plan, map_steps: Sequence[int], first: int = 0) -> None:
+    """Raise `RecipeError` unless all of `map_steps` are steps of the simulation, which begins at step `first`."""
     for step in map_steps:
-        if not 0 <= step <= plan.steps:
-            expected = f"a step from 0 to {plan.steps}"
+        if not first <= step <= plan.steps:
+            expected = f"a step from {first} to {plan.steps}"
             raise RecipeError("no such step", where="--map-step", expected=expected, got=str(step))
 
 

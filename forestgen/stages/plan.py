@@ -6,6 +6,7 @@ machine's memory by estimate.
 
 from __future__ import annotations
 
+import difflib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,7 +14,8 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from forestgen.community.model import Site, SpeciesEcology
+from forestgen.community.disturbance import Ground
+from forestgen.community.model import CommunityParameters, Site, SpeciesEcology
 from forestgen.community.registry import COMMUNITY_MODELS
 from forestgen.core.errors import RecipeError, ResourceError
 from forestgen.core.memory import free_bytes
@@ -45,7 +47,7 @@ class Plan:
 
     drawn: DrawnRecipe
     model: Any  # a CommunityModel
-    model_parameters: BaseModel
+    model_parameters: CommunityParameters
     generator_parameters: Mapping[str, BaseModel]  # by species
 
     @property
@@ -58,7 +60,7 @@ class Plan:
 
     @property
     def steps(self) -> int:
-        return int(getattr(self.model_parameters, "steps", 0))
+        return self.model_parameters.steps
 
 
 def _ecology(name: str, species: Species) -> SpeciesEcology:
@@ -83,7 +85,10 @@ def make_plan(drawn: DrawnRecipe) -> Plan:
         generator = GENERATORS.load(species.plant.generator, where=drawn.where(*keys, "generator"))
         generators[name] = drawn.parse(generator.Parameters, species.plant.parameters, keys)
     _check_clouds(drawn)
-    return Plan(drawn, model, drawn.parse(model.Parameters, community.parameters, ("community",)), generators)
+    parameters = drawn.parse(model.Parameters, community.parameters, ("community",))
+    _check_named_species(drawn, parameters)
+    _check_disturbances(drawn, parameters)
+    return Plan(drawn, model, parameters, generators)
 
 
 def check_plan(loaded: LoadedRecipe, *, simulate_only: bool = False) -> Plan:
@@ -102,15 +107,8 @@ def check_plan(loaded: LoadedRecipe, *, simulate_only: bool = False) -> Plan:
 
 def why_barren(plan: Plan) -> str | None:
     """Why no plant can ever grow from this recipe, or None if some may: an empty site is no error, and no surprise."""
-    parameters = plan.model_parameters
-    if getattr(parameters, "program", None) == "self_thinning":
-        empty = getattr(parameters, "initial_plants_per_ha", None) == 0
-        return "no plant can grow: community.initial_plants_per_ha is 0" if empty else None
-    if plan.steps == 0:
-        return "no plant can grow: community.steps is 0, and succession begins on bare ground"
-    if not any(one.seedlings_per_ha_per_yr for one in plan.ecologies):
-        return "no plant can grow: ecology.seedlings_per_ha_per_yr is 0 for every species"
-    return None
+    reason: str | None = plan.model.why_barren(plan.model_parameters, plan.site, plan.ecologies)
+    return reason
 
 
 def views_below_ground(plan: Plan) -> list[str]:
@@ -118,6 +116,54 @@ def views_below_ground(plan: Plan) -> list[str]:
     recipe = plan.drawn.recipe
     flat = recipe.site.terrain.kind == "flat"
     return [one.name for one in recipe.cameras if one.position_m[2] < 0 and (flat or one.height_above_ground)]
+
+
+def _check_named_species(drawn: DrawnRecipe, parameters: CommunityParameters) -> None:
+    for keys, name in parameters.named_species():
+        if name not in drawn.species:
+            near = difflib.get_close_matches(name, drawn.species, n=1)
+            raise RecipeError(
+                "the recipe has no species of this name",
+                where=drawn.where("community", *keys),
+                expected="one of " + ", ".join(drawn.species),
+                got=repr(name),
+                hint=f"did you mean {near[0]!r}?" if near else None,
+            )
+
+
+def _check_disturbances(drawn: DrawnRecipe, parameters: CommunityParameters) -> None:
+    """Times within the simulation, places on the site, planted radii that the species can have."""
+    ground = Ground(drawn.recipe.site.size_m, parameters.periodic)
+    for index, one in enumerate(parameters.disturbances):
+        keys = ("community", "disturbances", index)
+        step = one.step(parameters.step_yr)
+        if step > parameters.steps:
+            key, got = ("at_yr", f"{one.at_yr:g} years, in step {step}") if one.at_step is None else ("at_step", step)
+            end_yr = parameters.steps * parameters.step_yr
+            raise RecipeError(
+                "the simulation ends before this happens",
+                where=drawn.where(*keys, key),
+                expected=f"at most step {parameters.steps}, which is year {end_yr:g}",
+                got=str(got),
+                hint="raise community.steps",
+            )
+        for beyond, point in one.off_site(ground):
+            width, height = ground.size_m
+            raise RecipeError(
+                "this does not lie on the site",
+                where=drawn.where(*keys, *beyond),
+                expected=f"x from 0 to {width:g} and y from 0 to {height:g} metres",
+                got=f"[{point[0]:g}, {point[1]:g}]",
+            )
+        if one.plant is not None and one.plant.radius_m is not None:
+            largest = drawn.species[one.plant.species].ecology.max_radius_m
+            if one.plant.radius_m > largest:
+                raise RecipeError(
+                    f"no {one.plant.species} is so large",
+                    where=drawn.where(*keys, "plant", "radius_m"),
+                    expected=f"at most ecology.max_radius_m = {largest:g} m",
+                    got=f"{one.plant.radius_m:g} m",
+                )
 
 
 def _check_clouds(drawn: DrawnRecipe) -> None:

@@ -109,7 +109,7 @@ def test_a_recipe_that_is_none(tmp_path: Path) -> None:
     run("validate", tmp_path / "binary.yaml").refused(2, "binary.yaml")
 
 
-_NO_COHORT = "{model: multiset_lsystem, program: self_thinning, initial_plants_per_ha: 0}"
+_NO_COHORT = "{model: multiset_lsystem, program: self_thinning, parameters: {initial_plants_per_ha: 0}}"
 _SEEDLINGS = "species.fireweed.ecology.seedlings_per_ha_per_yr"
 TOO_LARGE = {
     "seedlings": (["site.size_m=[5000,5000]", f"{_SEEDLINGS}=1000000", "community.steps=300"], "community"),

@@ -18,7 +18,7 @@ from ruamel.yaml import YAML
 
 from forestgen.cli import app, doctor
 
-COMMANDS = ("render", "simulate", "plant", "validate", "schema", "models", "doctor")
+COMMANDS = ("render", "simulate", "plant", "validate", "schema", "models", "stats", "lsystem", "doctor")
 HEAVY = (
     "numpy",
     "scipy",
@@ -49,7 +49,7 @@ def test_help_shows_an_example_that_parses(name: str) -> None:
 def test_the_overview_names_all_commands() -> None:
     answer = run("--help")
     assert [line.split()[0] for line in answer.out.split("Commands:")[1].splitlines() if line.startswith("  ")][
-        :7
+        : len(COMMANDS)
     ] == list(COMMANDS)
     assert {one.name or one.callback.__name__ for one in app.registered_commands if one.callback} == set(COMMANDS)
     assert run("--version").out.startswith("forestgen 0.")
@@ -134,11 +134,15 @@ def test_simulate_writes_history_maps_and_curves(tmp_path: Path) -> None:
     answer = run("simulate", tiny(tmp_path), "-o", tmp_path / "out", "--map-step", "0", "--map-step", "12")
     assert answer.code == 0, answer.err
     assert set(tree(tmp_path / "out")) == {
+        "animation.gif",
         "curves.png",
         "history.parquet",
         "manifest.json",
         "map-000000.png",
         "map-000012.png",
+        "sizes.png",
+        "statistics.json",
+        "thinning.png",
     }
     assert re.search(r"^\d+ plants? \(\d+ fireweed\)$", answer.out, re.MULTILINE)
     run("simulate", tmp_path / "tiny.yaml", "-o", tmp_path / "b", "--map-step", "13").refused(

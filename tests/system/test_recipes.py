@@ -1,4 +1,4 @@
-"""Every shipped recipe renders; an image has the same bytes alone, among others, and from its stored recipe."""
+"""Every shipped recipe renders or, of the reproductions, simulates; an image has the same bytes wherever it is made."""
 
 from __future__ import annotations
 
@@ -9,8 +9,10 @@ import pytest
 from forestgen import pipeline
 from forestgen.core.progress import Silent
 from forestgen.core.timing import Timings
-from forestgen.recipe.assets import list_assets, recipes_dir
+from forestgen.recipe.assets import find_asset, list_assets, recipes_dir
 from forestgen.recipe.load import load_recipe
+from forestgen.stages.community import final_population
+from forestgen.stages.plan import check_plan
 
 SMALL = (
     "render.samples=1",
@@ -32,7 +34,16 @@ def _frames(folder: Path) -> dict[str, bytes]:
     return {p.relative_to(folder).as_posix(): p.read_bytes() for p in sorted(folder.rglob("*")) if p.parent != folder}
 
 
-@pytest.mark.parametrize("name", list_assets("recipes"))
+REPRODUCTIONS = [name for name in list_assets("recipes") if name.startswith("reproductions/")]
+
+
+@pytest.mark.parametrize("name", REPRODUCTIONS)
+def test_reproduction_simulates(name: str) -> None:
+    plan = check_plan(load_recipe(find_asset("recipes", name)), simulate_only=True)
+    assert len(final_population(plan, Silent()))
+
+
+@pytest.mark.parametrize("name", [name for name in list_assets("recipes") if name not in REPRODUCTIONS])
 def test_shipped_recipe_renders(name: str, tmp_path: Path) -> None:
     made = _frames(_render(recipes_dir() / f"{name}.yaml", tmp_path / "out", *SMALL))
     kinds = {Path(path).name for path in made}

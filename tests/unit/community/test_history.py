@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from forestgen.community.history import read_history, write_history
+from forestgen.community.history import open_history, read_history, write_history
 from forestgen.community.model import simulate
 from forestgen.community.models.multiset_lsystem import MODEL
 from forestgen.core.errors import AssetError, OutputError
@@ -14,7 +14,10 @@ from forestgen.core.errors import AssetError, OutputError
 @pytest.fixture
 def history(tree, site):
     snapshots = list(simulate(MODEL, MODEL.Parameters(), site, [tree(), tree(name="Πεύκη")], 3, steps=12))
-    return [dataclasses.replace(p, columns={"vigour": np.arange(len(p), dtype=np.float32)}) for p in snapshots]
+    own = {"next_id": 7, "phase": "dry", "sum": 0.1 + 0.2}
+    return [
+        dataclasses.replace(p, columns={"vigour": np.arange(len(p), dtype=np.float32)}, state=own) for p in snapshots
+    ]
 
 
 def test_round_trip(history, tmp_path, columns_equal):
@@ -57,3 +60,32 @@ def test_files_that_cannot_be(history, tmp_path):
     (tmp_path / "c.parquet").write_bytes(b"not a table")
     with pytest.raises(AssetError, match=r"c\.parquet"):
         read_history(tmp_path / "c.parquet")
+
+
+def test_snapshots_are_read_one_by_one(history, tmp_path):
+    holes = [
+        *history[:2],
+        dataclasses.replace(history[0], step=7),
+        history[9],
+        dataclasses.replace(history[0], step=11),
+    ]
+    write_history(tmp_path / "a.parquet", holes, {"seed": 2**62 + 1})
+    opened = open_history(tmp_path / "a.parquet")
+    assert opened.steps == [0, 1, 7, 9, 11]
+    assert opened.origin == {"seed": 2**62 + 1}
+    for one in holes:
+        again = opened.snapshot(one.step)
+        assert (again.step, again.time_yr, again.state) == (one.step, one.time_yr, one.state)
+        assert again.plant_id.tobytes() == one.plant_id.tobytes()
+        assert again.columns["vigour"].dtype == np.float32
+    (tmp_path / "a.parquet").unlink()
+    with pytest.raises(AssetError, match=r"a\.parquet"):
+        opened.snapshot(9)
+
+
+def test_a_file_of_another_version_is_refused(history, tmp_path, monkeypatch):
+    monkeypatch.setattr("forestgen.community.history._VERSION", 1)
+    write_history(tmp_path / "a.parquet", history)
+    monkeypatch.undo()
+    with pytest.raises(AssetError, match="version 1 of the format, not 2"):
+        open_history(tmp_path / "a.parquet")

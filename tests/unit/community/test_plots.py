@@ -7,15 +7,53 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from forestgen.community.model import Site, simulate
-from forestgen.community.models.multiset_lsystem import MODEL
-from forestgen.community.plots import CONIFER, plot_curves, plot_map
+from forestgen.community import animation
+from forestgen.community.animation import Film
+from forestgen.community.model import Site
+from forestgen.community.plot_series import plot_curves, plot_thinning
+from forestgen.community.plot_sizes import plot_sizes
+from forestgen.community.plots import CONIFER, plot_map
+from forestgen.community.population import Population, Status
+from forestgen.community.trajectory import Trajectory, moment, thinning_slope
 from forestgen.core.errors import OutputError
+
+NAMES = ("tree", "b")
+
+
+def stand(n, step=0, *, size=(60.0, 40.0), radius_m=0.5, names=NAMES, seed=0):
+    rng = np.random.default_rng(seed)
+    return Population(
+        time_yr=0.5 * step,
+        species_names=names,
+        plant_id=np.arange(1, n + 1, dtype=np.uint32),
+        species=(np.arange(n) % len(names)).astype(np.uint16),
+        position_m=np.concatenate([rng.random((n, 2)) * size, np.zeros((n, 1))], axis=1),
+        radius_m=radius_m * rng.lognormal(0, 0.4, n),
+        height_m=np.ones(n),
+        age_yr=np.ones(n),
+        status=np.zeros(n, np.uint8),
+        step=step,
+    )
 
 
 @pytest.fixture
-def history(tree, site):
-    return list(simulate(MODEL, MODEL.Parameters(), site, [tree(), tree(name="b")], 3, steps=30))
+def history():
+    return [stand(max(10, 400 - 20 * k), k, radius_m=0.2 * (400 / max(10, 400 - 20 * k)) ** 0.5) for k in range(20)]
+
+
+@pytest.fixture
+def trajectory(history, site):
+    return Trajectory.of([moment(one, site) for one in history], NAMES, site, "m³")
+
+
+def pixels(path):
+    with Image.open(path) as image:
+        return np.array(image.convert("RGB"))
+
+
+def changed(one, other):
+    """Share of the pixels that differ."""
+    return np.any(pixels(one) != pixels(other), axis=2).mean()
 
 
 def test_a_map_is_a_picture_without_date(history, site, tmp_path):
@@ -27,37 +65,144 @@ def test_a_map_is_a_picture_without_date(history, site, tmp_path):
         assert image.size[0] > 800
 
 
-def test_a_map_shows_more_colour_where_plants_stand(history, site, tmp_path):
-    plot_map(history[0], site, {}, tmp_path / "empty.png")
-    plot_map(history[-1], site, {"tree": CONIFER, "b": CONIFER}, tmp_path / "full.png")
-    with Image.open(tmp_path / "empty.png") as empty, Image.open(tmp_path / "full.png") as full:
-        assert empty.size == full.size
-        changed = np.any(np.array(empty.convert("RGB")) != np.array(full.convert("RGB")), axis=2)
-    assert changed.mean() > 0.05
+def test_a_map_shows_more_colour_where_plants_stand(site, tmp_path):
+    plot_map(stand(0), site, {}, tmp_path / "empty.png")
+    plot_map(stand(300), site, {"tree": CONIFER, "b": CONIFER}, tmp_path / "full.png")
+    assert changed(tmp_path / "empty.png", tmp_path / "full.png") > 0.05
 
 
 @pytest.mark.parametrize("size", [(1000.0, 10.0), (10.0, 1000.0), (0.5, 0.5)])
-def test_maps_of_odd_sites(history, size, tmp_path):
-    plot_map(history[-1], Site(size), {}, tmp_path / "a.png", periodic=False)
+def test_pictures_of_odd_sites(size, tmp_path):
+    population, site = stand(50, size=size), Site(size)
+    plot_map(population, site, {}, tmp_path / "a.png", periodic=False)
     assert (tmp_path / "a.png").stat().st_size > 0
+    for periodic in (True, False):
+        film = Film(site, NAMES, {}, periodic=periodic)
+        film.add(population)
+        film.write(tmp_path / "a.gif")
+        with Image.open(tmp_path / "a.gif") as image:
+            assert max(image.size) <= 480
 
 
-def test_curves(history, site, tmp_path):
-    plot_curves(history, site, {"tree": CONIFER}, tmp_path / "a.png")
-    plot_curves(history[:1], site, {}, tmp_path / "b.png")
-    assert (tmp_path / "a.png").stat().st_size > 0
+def test_curves(trajectory, history, site, tmp_path):
+    plot_curves(trajectory, {"tree": CONIFER}, tmp_path / "a.png")
+    one = Trajectory.of([moment(history[0], site)], NAMES, site, "m³")
+    plot_curves(one, {}, tmp_path / "b.png")
+    assert changed(tmp_path / "a.png", tmp_path / "b.png") > 0.001
+
+
+def test_the_thinning_line(trajectory, tmp_path):
+    slope = thinning_slope(trajectory)
+    assert slope is not None
+    plot_thinning(trajectory, slope, {"tree": CONIFER}, tmp_path / "with.png")
+    plot_thinning(trajectory, None, {"tree": CONIFER}, tmp_path / "without.png")
+    assert changed(tmp_path / "with.png", tmp_path / "without.png") > 0.001
+
+
+@pytest.mark.parametrize("plants", [0, 1, 100])
+def test_thinning_and_sizes_of_few_or_equal_plants(plants, site, tmp_path):
+    unequal = stand(plants, names=tuple("abcdefgh"))
+    for one in (unequal, Population(**{**vars(stand(plants)), "radius_m": np.ones(plants)})):
+        plot_sizes(one, {"tree": CONIFER}, tmp_path / "sizes.png")
+        assert (tmp_path / "sizes.png").stat().st_size > 0
+    trajectory = Trajectory.of([moment(one, site)], NAMES, site, "m³")
+    plot_thinning(trajectory, None, {}, tmp_path / "thinning.png")
+    assert (tmp_path / "thinning.png").stat().st_size > 0
+
+
+def test_sizes_leave_out_the_dead(tmp_path):
+    population = stand(300)
+    dead = Population(**{**vars(population), "status": np.full(300, Status.DEAD, np.uint8)})
+    plot_sizes(dead, {}, tmp_path / "dead.png")
+    plot_sizes(stand(0), {}, tmp_path / "none.png")
+    assert changed(tmp_path / "dead.png", tmp_path / "none.png") == 0
+
+
+def one_frame(population, site, path, *, periodic=True, colours=None):
+    film = Film(site, population.species_names, colours or {}, periodic=periodic)
+    film.add(population)
+    film.write(path)
+    return pixels(path)[animation._CAPTION_PX :]
+
+
+@pytest.mark.parametrize("radius_m", [0.05, 0.3, 2.0, 6.0])
+def test_circles_have_their_place_and_area(radius_m, tmp_path):
+    one = stand(1, names=("tree",))
+    one = Population(**{**vars(one), "position_m": np.array([[15.0, 30.0, 0.0]]), "radius_m": np.array([radius_m])})
+    picture = one_frame(one, Site((60.0, 40.0)), tmp_path / "a.gif", colours={"tree": "#000000"})
+    row, column = np.nonzero(np.any(picture != picture[-1, -1], axis=2))
+    scale = 440 / 60
+    assert column.mean() == pytest.approx(15 * scale, abs=1.5)
+    assert row.mean() == pytest.approx(10 * scale, abs=1.5)  # north is up
+    radius_px = max(radius_m * scale, 0.5)
+    assert np.sqrt(len(row) / np.pi) == pytest.approx(radius_px, abs=1.0)
+
+
+def test_circles_go_on_at_the_opposite_edge(tmp_path):
+    one = stand(1, names=("tree",))
+    one = Population(**{**vars(one), "position_m": np.array([[1.0, 39.0, 0.0]]), "radius_m": np.array([5.0])})
+    site = Site((60.0, 40.0))
+    around = one_frame(one, site, tmp_path / "a.gif", periodic=True)
+    cut = one_frame(one, site, tmp_path / "b.gif", periodic=False)
+    ground = around[100, 200]
+    for row, column in ((2, 2), (2, -3), (-3, 2), (-3, -3)):
+        assert np.any(around[row, column] != ground)
+    assert np.any(cut[2, 2] != ground)
+    assert np.all(cut[-3, -3] == ground)
+
+
+def test_a_film_has_its_frames_and_is_the_same_each_time(history, site, tmp_path):
+    for name in ("a.gif", "b.gif"):
+        film = Film(site, NAMES, {"tree": CONIFER}, periodic=True)
+        for one in history:
+            film.add(one)
+        film.write(tmp_path / name)
+    assert (tmp_path / "a.gif").read_bytes() == (tmp_path / "b.gif").read_bytes()
+    with Image.open(tmp_path / "a.gif") as image:
+        assert image.n_frames == len(history)
+        assert image.info["loop"] == 0
+
+
+def test_a_film_that_grows_too_large_drops_frames_but_the_last(history, site, tmp_path, monkeypatch):
+    film = Film(site, NAMES, {}, periodic=True)
+    for one in history:
+        film.add(one)
+    film.write(tmp_path / "all.gif")
+    most = (tmp_path / "all.gif").stat().st_size // 3
+    monkeypatch.setattr(animation, "MOST_BYTES", most)
+    film.write(tmp_path / "few.gif")
+    assert (tmp_path / "few.gif").stat().st_size <= most
+    with Image.open(tmp_path / "all.gif") as whole, Image.open(tmp_path / "few.gif") as few:
+        assert 2 <= few.n_frames < whole.n_frames
+        whole.seek(whole.n_frames - 1)
+        few.seek(few.n_frames - 1)
+        assert np.array_equal(np.array(whole.convert("RGB")), np.array(few.convert("RGB")))
+
+
+def test_a_film_of_nothing(site, tmp_path):
     with pytest.raises(ValueError, match="at least one"):
-        plot_curves([], site, {}, tmp_path / "c.png")
+        Film(site, NAMES, {}, periodic=True).write(tmp_path / "a.gif")
 
 
-def test_a_folder_that_is_not_there(history, site, tmp_path):
-    with pytest.raises(OutputError, match="nowhere"):
-        plot_map(history[-1], site, {}, tmp_path / "nowhere" / "a.png")
+def test_a_folder_that_is_not_there(history, trajectory, site, tmp_path):
+    nowhere = tmp_path / "nowhere" / "a.png"
+    film = Film(site, NAMES, {}, periodic=True)
+    film.add(history[0])
+    for write in (
+        lambda: plot_map(history[-1], site, {}, nowhere),
+        lambda: plot_curves(trajectory, {}, nowhere),
+        lambda: plot_thinning(trajectory, None, {}, nowhere),
+        lambda: plot_sizes(history[-1], {}, nowhere),
+        lambda: film.write(nowhere),
+    ):
+        with pytest.raises(OutputError, match="nowhere"):
+            write()
 
 
 def test_matplotlib_comes_late_and_pyplot_never():
     code = (
-        "import sys, forestgen.community.plots as p; assert 'matplotlib' not in sys.modules; p._figure(1, 1);"
+        "import sys, forestgen.community.plots as p, forestgen.community.plot_series, forestgen.community.plot_sizes;"
+        "assert 'matplotlib' not in sys.modules; p.new_figure(1, 1);"
         "assert 'matplotlib.pyplot' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True)

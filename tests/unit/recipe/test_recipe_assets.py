@@ -42,3 +42,14 @@ def test_an_installed_wheel_has_its_own_folder(tmp_path: Path, monkeypatch: pyte
     installed.mkdir(parents=True)
     assert assets.scenes_dir() == installed
     assert assets.list_assets("species") == []
+
+
+def test_recipes_in_folders_are_listed_and_found(tmp_path: Path) -> None:
+    names = assets.list_assets("recipes")
+    assert names.index("quickstart") < names.index("reproductions/domination_test")
+    path = assets.recipes_dir() / "reproductions" / "domination_test.yaml"
+    assert assets.find_asset("recipes", "reproductions/domination_test") == path
+    (tmp_path / "reproductions").mkdir()
+    own = tmp_path / "reproductions" / "domination_test"
+    own.write_text("a: 1\n")
+    assert assets.find_asset("recipes", "reproductions/domination_test", folder=tmp_path) == own

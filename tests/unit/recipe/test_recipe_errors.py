@@ -120,7 +120,7 @@ def test_duplicate_keys_name_both_lines(tmp_path: Path) -> None:
         ("species.oak={from: poplr}", ["did you mean 'poplar'", "spruce"]),
         ("species.elm.frm=oak", ["unknown key 'frm'", "did you mean 'from'"]),
         ("species.elm.height_m=500", ["at most 200"]),
-        ("species.elm.ecology.old_age_survival=1", ["less than 1"]),
+        ("species.elm.ecology.old_age_survival=1.5", ["at most 1"]),
         ("species.elm.allometry.width_m.scale=0", ["greater than 0"]),
         ("species.oak={from: ./oak.yaml, allometry: {height_m: {scale: 900}}}", ["mature height", "at most 200"]),
         ("species.elm.materials.leaf.reflectance=[0.95, 0, 0]", ["more light leaves", "0.95 + 0.1 in red"]),

@@ -163,7 +163,7 @@ def test_hash_of_numbers() -> None:
 
 class Lattice(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
-    program: str
+    program: dict[str, str]  # the loader replaces a program's name by its text
     steps: int = 10
 
 
@@ -171,6 +171,8 @@ def test_parse_validates_a_models_own_keys(write: Write) -> None:
     drawn = load_recipe(write()).draw(0)
     parsed = drawn.parse(Lattice, drawn.recipe.community.parameters, ("community",))
     assert 100 <= parsed.steps <= 300
+    assert parsed.program["name"] == "succession.lsys"
+    assert "lsystem: succession" in parsed.program["text"]
     bad = load_recipe(write(), ["community.step=3", "community.steps={uniform: [1, 2]}"]).draw(0)
     with pytest.raises(RecipeError) as caught:
         bad.parse(Lattice, bad.recipe.community.parameters, ("community",))

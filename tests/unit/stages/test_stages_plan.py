@@ -28,7 +28,7 @@ def planned(*overrides: str) -> Plan:
         (("species={fireweed: {from: fireweed, ecology: {seedlings_per_ha_per_yr: 0}}}",), "0 for every species"),
         ((f"community={{{PERIOD}}}",), None),
         ((f"community={{{PERIOD}, steps: 0}}",), None),
-        ((f"community={{{PERIOD}, initial_plants_per_ha: 0}}",), "initial_plants_per_ha is 0"),
+        ((f"community={{{PERIOD}, parameters: {{initial_plants_per_ha: 0}}}}",), "initial_plants_per_ha is 0"),
     ],
 )
 def test_a_recipe_that_can_never_grow_a_plant_says_why(overrides: Sequence[str], reason: str | None) -> None:
@@ -40,7 +40,10 @@ def test_a_barren_recipe_has_no_plants_and_another_may() -> None:
     from forestgen.core.progress import Silent
     from forestgen.stages.community import final_population
 
-    for overrides in (("community.steps=0",), (f"community={{{PERIOD}, initial_plants_per_ha: 0, steps: 2}}",)):
+    for overrides in (
+        ("community.steps=0",),
+        (f"community={{{PERIOD}, parameters: {{initial_plants_per_ha: 0}}, steps: 2}}",),
+    ):
         one = planned(*overrides)
         assert why_barren(one)
         assert len(final_population(one, Silent())) == 0

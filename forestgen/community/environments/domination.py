@@ -1,0 +1,188 @@
+"""Domination: of any two circles that intersect (touching counts), the smaller gets nothing.
+
+References: O. Deussen et al., Realistic modeling and rendering of plant ecosystems, SIGGRAPH 1998, after the first of
+two models; B. Lane, Models of Plant Communities for Image Synthesis, University of Calgary, 2002, Figure 3.1, sections
+4.3 and 4.5. ::
+
+    c_i = 0  where a circle j exists with |x_i - x_j| <= r_i + r_j  and  r_j > r_i
+    c_i = 1  elsewhere
+
+There are no parameters. Heights and species have no influence. A dominated circle dominates smaller ones all the same.
+
+Decided where the thesis is silent: of two equal circles the one with the higher plant_id, the later born, is
+dominated, so that the answer depends neither on the order of rows nor on rounding.
+
+Method: the neighbour grid, in whose cells the champion, the circle of highest rank (radius, then age), comes first.
+In a crowd a few champions and the rest that none of them meets are told apart; only where this rest is large too, the
+cell is put in order of rank. A circle looks through its cells until somebody beats it. That is little work where
+circles are few, and little where they overlap much; most is to be done for many circles that lie in one cell, much
+smaller than it, and do not meet. The decision is that of float64.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict
+
+from forestgen.community.environments import grid
+from forestgen.community.environments.contract import Circles
+from forestgen.core.threads import over_ranges
+from forestgen.core.compiled import compiled
+
+# Bytes that `dominated` and `answer` hold at their peak for each circle, all arrays counted (tests measure it).
+BYTES_PER_CIRCLE = 60
+_CROWD = 64  # members
+_CHAMPIONS = 8
+
+
+class DominationParameters(BaseModel):
+    """None: the circles say everything."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+@compiled
+def _beats(j, i, circle, plant_id):  # type: ignore[no-untyped-def]
+    """Whether circle `j` has the higher rank of two: the larger radius, or of equal ones the lower plant_id."""
+    rj, ri = circle[j, 2], circle[i, 2]
+    return rj > ri or (rj == ri and plant_id[int(circle[j, 3])] < plant_id[int(circle[i, 3])])
+
+
+@compiled
+def _meets(j, i, circle, size_m, periodic):  # type: ignore[no-untyped-def]
+    """Whether two circles intersect or touch."""
+    reach = circle[i, 2] + circle[j, 2]
+    return grid.near(circle[i, 0], circle[i, 1], circle[j, 0], circle[j, 1], reach, size_m, periodic)
+
+
+@compiled
+def _sort(low, size, entry, circle, plant_id):  # type: ignore[no-untyped-def]
+    """Heapsort of `size` entries from `low` by rank, the highest first."""
+    for step in range(size // 2 + size - 1):
+        hole, last = size // 2 - 1 - step, size
+        if step >= size // 2:
+            hole, last = 0, size - 1 - (step - size // 2)
+            entry[low], entry[low + last] = entry[low + last], entry[low]
+        moved = entry[low + hole]
+        child = 2 * hole + 1
+        while child < last:
+            if child + 1 < last and _beats(entry[low + child], entry[low + child + 1], circle, plant_id):
+                child += 1
+            if not _beats(moved, entry[low + child], circle, plant_id):
+                break
+            entry[low + hole] = entry[low + child]
+            hole, child = child, 2 * child + 1
+        entry[low + hole] = moved
+
+
+@compiled
+def _rank(first, end, g, plant_id, ranked):  # type: ignore[no-untyped-def]
+    """Bring champions of each cell to its front: its member of highest rank, of a crowd then the highest of the rest.
+
+    The rest are those that no champion meets. Where many are left after a few champions, the cell is put in order.
+    """
+    circle, entry, start, size_m, periodic = g.circle, g.entry, g.start, g.size_m, g.periodic
+    for c in range(first, end):
+        low, rest = np.int64(start[c]), np.int64(start[c + 1])
+        for place in range(low, min(low + _CHAMPIONS, rest)):
+            for k in range(place + 1, rest):
+                if _beats(entry[k], entry[place], circle, plant_id):
+                    entry[place], entry[k] = entry[k], entry[place]
+            if rest - low <= _CROWD:
+                break
+            k = place + 1
+            while k < rest:
+                if _meets(entry[place], entry[k], circle, size_m, periodic):
+                    rest -= 1
+                    entry[k], entry[rest] = entry[rest], entry[k]
+                else:
+                    k += 1
+        if rest - low > _CROWD:
+            _sort(low, np.int64(start[c + 1]) - low, entry, circle, plant_id)
+            ranked[c] = True
+
+
+@compiled
+def _search(first, end, g, plant_id, ranked, out):  # type: ignore[no-untyped-def]
+    """Set `out` for circles `first` to `end` of the grid: whether a circle of higher rank meets them."""
+    circle, entry, start, n, per_m, size_m, periodic = g
+    for i in range(first, end):
+        beaten = False
+        x0, across, y0, along = grid.box(circle[i, 0], circle[i, 1], circle[i, 2], n, per_m, periodic)
+        for b in range(along):
+            line = grid.wrapped(y0 + b, n[1]) * n[0]
+            for a in range(across):
+                cell = line + grid.wrapped(x0 + a, n[0])
+                for k in range(start[cell], start[cell + 1]):
+                    j = entry[k]
+                    if circle[j, 2] >= circle[i, 2]:
+                        beaten = _meets(j, i, circle, size_m, periodic) and _beats(j, i, circle, plant_id)
+                        if beaten:
+                            break
+                    elif ranked[cell]:
+                        break
+                if beaten:
+                    break
+            if beaten:
+                break
+        out[int(circle[i, 3])] = beaten
+
+
+def dominated(
+    position_m: NDArray[np.float64],
+    radius_m: NDArray[np.float64],
+    plant_id: NDArray[np.uint32],
+    size_m: tuple[float, float],
+    *,
+    periodic: bool,
+) -> NDArray[np.bool_]:
+    """Which circles intersect a larger one.
+
+    Parameters
+    ----------
+    position_m : (N, 2) float64, metres, world x and y.
+    radius_m : (N,) float64, metres.
+    plant_id : (N,) decides between equal radii.
+    size_m : width and height of the site.
+    periodic : the site is a torus: its left edge continues at its right, its lower at its upper. Otherwise the plane.
+
+    Returns
+    -------
+    (N,) bool
+    """
+    out = np.zeros(len(radius_m), dtype=np.bool_)
+    if len(radius_m) > 1:
+        _decide(position_m, radius_m, plant_id, size_m, periodic, out)
+    return out
+
+
+def _decide(
+    position_m: NDArray[np.float64],
+    radius_m: NDArray[np.float64],
+    plant_id: NDArray[np.uint32],
+    size_m: tuple[float, float],
+    periodic: bool,
+    out: NDArray[np.bool_],
+) -> None:
+    cells = grid.build(position_m, radius_m, size_m, periodic=periodic)
+    ranked = np.zeros(len(cells.start) - 1, dtype=np.bool_)
+    over_ranges(len(ranked), lambda first, end: _rank(first, end, cells, plant_id, ranked))
+    over_ranges(len(out), lambda first, end: _search(first, end, cells, plant_id, ranked, out))
+
+
+class Domination:
+    """The environment; see the module's page."""
+
+    Parameters = DominationParameters
+    bytes_per_circle = BYTES_PER_CIRCLE
+
+    def answer(
+        self, parameters: DominationParameters, circles: Circles, size_m: tuple[float, float], *, periodic: bool
+    ) -> NDArray[np.float64]:
+        """c: 0.0 dominated, 1.0 not."""
+        smaller = dominated(circles.position_m, circles.radius_m, circles.plant_id, size_m, periodic=periodic)
+        return np.where(smaller, 0.0, 1.0)
+
+
+ENVIRONMENT = Domination()

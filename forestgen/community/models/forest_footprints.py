@@ -1,0 +1,376 @@
+"""A forest of footprints: saplings at random places, the more vigorous of two that meet dominates.
+
+Reference: K. Randleff-Rasmussen, Forest Growth Simulation Using L-Systems, BSc (Hons) thesis, Rhodes University, 2004,
+sections 3.3, 4.1 and 5.2.
+
+A plant is a circle, its footprint, of radius r around a place that never changes, with a vigour v that never changes
+and a health h between 0 and 1. Two footprints that intersect compete, and the plant of less vigour is dominated; of
+equal vigour, the later born. A step of Δt years is
+
+1.  health: of a dominated plant h falls by ``loss (1 - shade) Δt``, of any other it rises by ``gain Δt``, to 1 at most;
+2.  death: of a plant whose health is used up; and of a plant of the largest radius R with probability 1 - oldage;
+3.  growth: r becomes ``min(R, r + grow h^γ Δt)``: a dominated plant is stunted before it dies;
+4.  saplings: a Poisson number of each species, at uniform random places, of health 1 and of uniform random vigour in
+    [0, 1];
+5.  competition: who meets whom, with the saplings.
+
+The age of the thesis, which tells how often a plant's own L-system is derived, is the column ``derivation_steps``: the
+integer part of ``m r / R``, between 0 and the maximum size m of the species.
+
+========================  ======================  ==========  ============  ==========
+parameter                 symbol                  unit        range         default
+========================  ======================  ==========  ============  ==========
+steps                                                         0 to 100000   300
+step_yr                   Δt                      yr          0 < Δt        1
+periodic                                                                    true
+initial_plants_per_ha                             1/ha        0 <=          0
+health_loss_per_yr        loss                    1/yr        0 <=          0.25
+health_gain_per_yr        gain                    1/yr        0 <=          0.1
+growth_exponent           γ                       1           0 <=          1
+derivation_steps          m                       1           0 <=          8
+derivation_steps_of       m, by species           1           0 <=          {}
+growth_m_per_yr           grow                    m/yr        0 <=          of species
+max_radius_m              R                       m           0 <           of species
+shade_tolerance           shade                   1           0 to 1        of species
+old_age_survival          oldage                  1 (a step)  0 to 1        of species
+seedlings_per_ha_per_yr   mean number / (area Δt) 1/(ha yr)   0 <=          of species
+seedling_radius_m         mean radius             m           0 < r <= R    of species
+height_m scale, exponent  A_H, c_H: H = A_H r^c_H m, 1                      of species
+========================  ======================  ==========  ============  ==========
+
+Recipe::
+
+    community: {model: forest_footprints, steps: 200, health_loss_per_yr: 0.3, derivation_steps_of: {poplar: 10}}
+
+Decided where the thesis is silent:
+
+- It says that growth is a function of health, that domination lowers health, and that this ends in stunted growth or in
+  death; the functions are ours, the simplest that do so. Health recovers while nobody dominates, or a removed tree
+  would leave nothing but cripples, against section 5.2.2. Constant rates need one number each.
+- shade is read as the share of the loss that a species is spared: 1 is a species that domination never harms. So the
+  species that come with forestgen keep their order, though their numbers were chosen for another model.
+- "Removal of the old plants" is death at the largest radius, for the age is computed from the radius; by chance, or a
+  cohort would die in one step. A plant that is both too old and dominated dies of whichever comes first.
+- A dominated plant still competes with plants of less vigour than its own. Touching is intersecting.
+- Vigour is uniform and the same for all species; the thesis draws it from its sequence of random numbers. It has
+  nothing to do with size: a vigorous sapling beneath a large tree of little vigour brings that tree down. Only a
+  planting (`community.disturbances`) sets it: a sturdy tree has a vigour above 1.
+- The number of saplings a step is Poisson; places are uniform, as in the thesis. Radii are uniform between 0.5 and 1.5
+  times seedling_radius_m. A planted plant has health 1.
+- The initial cohort, none by default, has round(n x area) plants, each of any species with equal probability.
+- The site is a torus by default; the thesis has a bounded one. A frame of the thesis is a step.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from forestgen.community.arrivals import new_ids, of_species, refuse_overflow, seedlings, seedlings_per_step
+from forestgen.community.disturbance import Planting, planted
+from forestgen.community.environments import grid
+from forestgen.community.model import CommunityParameters, Site, SpeciesEcology
+from forestgen.community.population import Population, Status
+from forestgen.core.compiled import compiled
+from forestgen.core.randomness import child_rng
+from forestgen.recipe.fields import Name, NonNegative, Number, Whole
+from forestgen.recipe.sources import Keys
+
+# Peak bytes a plant: a state, its successor, the tables between them, the grid, and a snapshot.
+_BYTES_PER_PLANT = 480
+_BYTES_AT_LEAST = 256 * 1024
+
+
+class FootprintParameters(CommunityParameters):
+    """What a recipe says about the model besides its species."""
+
+    planting_columns: ClassVar[tuple[str, ...]] = ("vigour",)
+
+    step_yr: float = Field(1.0, gt=0, description="duration of a step, years")
+    initial_plants_per_ha: NonNegative = Field(0.0, description="saplings on the site from the beginning, per hectare")
+    health_loss_per_yr: NonNegative = Field(
+        0.25, description="health that a dominated plant of no shade tolerance loses in a year; a sapling has 1"
+    )
+    health_gain_per_yr: NonNegative = Field(0.1, description="health that any other plant regains in a year")
+    growth_exponent: Number = Field(1.0, ge=0, le=100, description="growth falls with health to this power")
+    derivation_steps: Whole = Field(
+        8, ge=0, le=10_000, description="derivation steps of a plant of the largest radius, its species' maximum size"
+    )
+    derivation_steps_of: dict[Name, Whole] = Field(
+        default_factory=dict, description="species -> the same number, where it differs"
+    )
+
+    def named_species(self) -> Iterator[tuple[Keys, str]]:
+        yield from super().named_species()
+        yield from ((("derivation_steps_of", name), name) for name in self.derivation_steps_of)
+
+
+@dataclass(frozen=True)
+class Plants:
+    """One row a plant, in order of plant_id."""
+
+    x_m: NDArray[np.float64]  # (N, 2) metres, world x and y
+    r_m: NDArray[np.float64]  # (N,) metres
+    sp: NDArray[np.uint16]  # (N,) index of species
+    vigour: NDArray[np.float64]  # (N,)
+    health: NDArray[np.float64]  # (N,) 0 to 1
+    dominated: NDArray[np.bool_]  # (N,)
+    plant_id: NDArray[np.uint32]  # (N,)
+    born: NDArray[np.int32]  # (N,) step of arrival
+
+    def __len__(self) -> int:
+        return len(self.r_m)
+
+    def where(self, keep: NDArray[np.bool_]) -> Plants:
+        return Plants(*(values[keep] for values in vars(self).values()))
+
+    def and_then(self, others: Plants) -> Plants:
+        return Plants(*(np.concatenate([a, getattr(others, name)]) for name, a in vars(self).items()))
+
+
+@dataclass(frozen=True)
+class State:
+    """Everything that the future of a simulation depends on."""
+
+    parameters: FootprintParameters
+    site: Site
+    species: tuple[SpeciesEcology, ...]
+    seed: int
+    step: int
+    next_id: int  # the id of the next plant to arrive
+    plants: Plants
+
+
+@compiled
+def _mark(circle, entry, start, vigour, plant_id, periodic, width, height, out):  # type: ignore[no-untyped-def]
+    """Set `out` for each circle that meets one of more vigour: whoever meets shares a cell of the grid."""
+    for cell in range(len(start) - 1):
+        for a in range(start[cell], start[cell + 1]):
+            i = entry[a]
+            one = int(circle[i, 3])
+            for b in range(a + 1, start[cell + 1]):
+                j = entry[b]
+                weak = int(circle[j, 3])
+                if vigour[weak] > vigour[one] or (vigour[weak] == vigour[one] and plant_id[weak] < plant_id[one]):
+                    weak = one
+                if out[weak]:
+                    continue
+                dx, dy = abs(circle[i, 0] - circle[j, 0]), abs(circle[i, 1] - circle[j, 1])
+                if periodic:
+                    dx, dy = min(dx, width - dx), min(dy, height - dy)
+                out[weak] = dx * dx + dy * dy <= (circle[i, 2] + circle[j, 2]) ** 2
+
+
+def dominated_by_vigour(
+    position_m: NDArray[np.float64],
+    radius_m: NDArray[np.float64],
+    vigour: NDArray[np.float64],
+    plant_id: NDArray[np.uint32],
+    size_m: tuple[float, float],
+    *,
+    periodic: bool,
+) -> NDArray[np.bool_]:
+    """Which circles intersect or touch one of more vigour, or of as much and a lower id; all arrays (N, ...).
+
+    Time is O(N) as long as no place is covered by many circles at once.
+    """
+    out = np.zeros(len(radius_m), dtype=np.bool_)
+    if len(out) > 1:
+        cells = grid.build(position_m, radius_m, size_m, periodic=periodic)
+        _mark(cells.circle, cells.entry, cells.start, vigour, plant_id, periodic, *size_m, out)
+    return out
+
+
+def _saplings(
+    sp: NDArray[np.uint16],
+    site: Site,
+    species: Sequence[SpeciesEcology],
+    rng: np.random.Generator,
+    first_id: int,
+    born: int,
+) -> Plants:
+    """Plants of the given species at random places, of random small radii and vigour, numbered from `first_id`."""
+    x_m, r_m = seedlings(sp, site, species, rng)
+    return _healthy(x_m, r_m, sp, rng.random(len(sp)), first_id, born)
+
+
+def _healthy(
+    x_m: NDArray[np.float64],
+    r_m: NDArray[np.float64],
+    sp: NDArray[np.uint16],
+    vigour: NDArray[np.float64],
+    first_id: int,
+    born: int,
+) -> Plants:
+    n = len(sp)
+    free, ids = np.zeros(n, dtype=np.bool_), new_ids(first_id, n)
+    return Plants(x_m, r_m, sp, vigour, np.ones(n), free, ids, np.full(n, born, dtype=np.int32))
+
+
+def survivors(state: State, u: NDArray[np.float64]) -> Plants:
+    """Steps 1 to 3: the plants that live on, with their new health and radius; `u` is random(1) of each plant."""
+    plants, species, parameters = state.plants, state.species, state.parameters
+    loss = parameters.health_loss_per_yr * (1 - of_species(species, "shade_tolerance")[plants.sp])
+    change = np.where(plants.dominated, -loss, parameters.health_gain_per_yr) * parameters.step_yr
+    health = np.minimum(plants.health + change, 1.0)
+    largest = of_species(species, "max_radius_m")[plants.sp]
+    old = (plants.r_m >= largest) & (u >= of_species(species, "old_age_survival")[plants.sp])
+    alive = (health > 1e-12) & ~old  # what rounding leaves of a health that is used up is no health
+    speed = of_species(species, "growth_m_per_yr")[plants.sp] * np.maximum(health, 0.0) ** parameters.growth_exponent
+    r_m = np.minimum(plants.r_m + speed * parameters.step_yr, largest)
+    return replace(plants, health=health, r_m=r_m).where(alive)
+
+
+class ForestFootprints:
+    """The model; see the module's page."""
+
+    Parameters = FootprintParameters
+
+    def init(self, parameters: FootprintParameters, site: Site, species: Sequence[SpeciesEcology], seed: int) -> State:
+        """The initial cohort, by default a bare site."""
+        n = _cohort_size(parameters, site) if species else 0
+        refuse_overflow(1, n)
+        rng = child_rng(seed, "community", 0)
+        sp = rng.integers(0, max(1, len(species)), size=n, dtype=np.uint16)
+        plants = _saplings(sp, site, species, rng, 1, 0)
+        return self._competing(State(parameters, site, tuple(species), seed, 0, 1 + n, plants), plants)
+
+    def step(self, state: State) -> State:
+        """Health, death, growth, saplings, competition."""
+        rng = child_rng(state.seed, "community", state.step + 1)
+        old = survivors(state, rng.random(len(state.plants)))
+        mean = seedlings_per_step(state.species, state.site, state.parameters.step_yr)
+        refuse_overflow(state.next_id, float(mean.sum()))
+        sp = np.repeat(np.arange(len(state.species), dtype=np.uint16), rng.poisson(mean))
+        new = _saplings(sp, state.site, state.species, rng, state.next_id, state.step + 1)
+        after = replace(state, step=state.step + 1, next_id=state.next_id + len(new))
+        return self._competing(after, old.and_then(new))
+
+    def population(self, state: State) -> Population:
+        """Snapshot; z is 0."""
+        plants, species = state.plants, state.species
+        largest = of_species(species, "max_radius_m")[plants.sp]
+        status = np.where(plants.r_m >= largest, np.uint8(Status.MATURE), np.uint8(Status.GROWING))
+        status[plants.dominated] = Status.DOMINATED
+        position_m = np.zeros((len(plants), 3))
+        position_m[:, :2] = plants.x_m
+        exponent = of_species(species, "height_exponent")[plants.sp]
+        size = [
+            state.parameters.derivation_steps_of.get(one.name, state.parameters.derivation_steps) for one in species
+        ]
+        derivation_steps = np.floor(np.array(size, dtype=np.float64)[plants.sp] * (plants.r_m / largest))
+        return Population(
+            time_yr=state.step * state.parameters.step_yr,
+            species_names=tuple(one.name for one in species),
+            plant_id=plants.plant_id,
+            species=plants.sp,
+            position_m=position_m,
+            radius_m=plants.r_m,
+            height_m=of_species(species, "height_scale")[plants.sp] * plants.r_m**exponent,
+            age_yr=(state.step - plants.born).astype(np.float64) * state.parameters.step_yr,
+            status=status,
+            columns={
+                "vigour": plants.vigour,
+                "health": plants.health,
+                "derivation_steps": derivation_steps.astype(np.int32),
+            },
+            step=state.step,
+            state={"next_id": state.next_id},
+        )
+
+    def resume(
+        self,
+        parameters: FootprintParameters,
+        site: Site,
+        species: Sequence[SpeciesEcology],
+        seed: int,
+        population: Population,
+    ) -> State:
+        """The state of a snapshot: who is dominated is in the status, the step of arrival in the age."""
+        age = np.rint(population.age_yr / parameters.step_yr).astype(np.int32)
+        plants = Plants(
+            x_m=np.ascontiguousarray(population.position_m[:, :2]),
+            r_m=population.radius_m,
+            sp=population.species,
+            vigour=population.columns["vigour"],
+            health=population.columns["health"],
+            dominated=population.status == Status.DOMINATED,
+            plant_id=population.plant_id,
+            born=np.int32(population.step) - age,
+        )
+        next_id = int(population.state["next_id"])
+        return State(parameters, site, tuple(species), seed, population.step, next_id, plants)
+
+    def remove(self, state: State, plant_id: NDArray[np.uint32]) -> State:
+        """The forest without these plants; those that they dominated are free."""
+        return self._competing(state, state.plants.where(~np.isin(state.plants.plant_id, plant_id)))
+
+    def plant(self, state: State, planting: Planting) -> State:
+        """The forest with new plants of full health; a vigour that is not given is random."""
+        n = len(planting)
+        rng = child_rng(state.seed, "planted vigour", state.next_id)
+        vigour = planting.columns.get("vigour", rng.random(n))
+        new = _healthy(planting.position_m, planting.radius_m, planting.species, vigour, state.next_id, state.step)
+        return self._competing(replace(state, next_id=state.next_id + n), state.plants.and_then(new))
+
+    def _competing(self, state: State, plants: Plants) -> State:
+        """`state` with these plants, those set as dominated that are."""
+        dominated = dominated_by_vigour(
+            plants.x_m,
+            plants.r_m,
+            plants.vigour,
+            plants.plant_id,
+            state.site.size_m,
+            periodic=state.parameters.periodic,
+        )
+        return replace(state, plants=replace(plants, dominated=dominated))
+
+    def expected_plants(self, parameters: FootprintParameters, site: Site, species: Sequence[SpeciesEcology]) -> float:
+        """Upper bound: who is there from the beginning or planted, and arrivals a step times the steps of a life."""
+        total = float(_cohort_size(parameters, site) + planted(parameters.disturbances))
+        for one, arrivals in zip(species, seedlings_per_step(species, site, parameters.step_yr), strict=True):
+            total += min(float(arrivals), 1e30) * min(_longest_life(parameters, one), parameters.steps)
+        return total
+
+    def why_barren(self, parameters: FootprintParameters, site: Site, species: Sequence[SpeciesEcology]) -> str | None:
+        """Why no plant can ever grow, or None if one may."""
+        if self.expected_plants(parameters, site, species) > 0:
+            return None
+        if parameters.steps == 0:
+            return "no plant can grow: community.steps is 0, and the forest begins on bare ground"
+        return "no plant can grow: ecology.seedlings_per_ha_per_yr is 0 for every species"
+
+    def estimate_bytes(self, parameters: FootprintParameters, site: Site, species: Sequence[SpeciesEcology]) -> int:
+        """Bytes for the bound of the mean number of plants and six standard deviations of a Poisson number more."""
+        plants = self.expected_plants(parameters, site, species)
+        plants = min(plants + 6 * math.sqrt(plants), 1e30)
+        return _BYTES_AT_LEAST + math.ceil(plants * _BYTES_PER_PLANT)
+
+
+def _cohort_size(parameters: FootprintParameters, site: Site) -> int:
+    return round(min(parameters.initial_plants_per_ha * site.area_ha, 1e30))
+
+
+def _longest_life(parameters: FootprintParameters, one: SpeciesEcology) -> float:
+    """Upper bound of the mean number of steps of a life.
+
+    In every step in which nobody dominates it a plant has a health of at least min(1, gain Δt) and grows accordingly,
+    so there are few such steps before it is mature; domination takes all the health that they and birth gave, so there
+    are few of its steps too; and a mature plant lives 1 / (1 - oldage) steps in the mean.
+    """
+    gain = parameters.health_gain_per_yr * parameters.step_yr
+    loss = parameters.health_loss_per_yr * (1 - one.shade_tolerance) * parameters.step_yr
+    slowest = one.growth_m_per_yr * parameters.step_yr * min(1.0, gain) ** parameters.growth_exponent
+    free = one.max_radius_m / slowest + 1 if slowest > 0 else math.inf
+    dominated = (1 + gain * free) / loss + 1 if loss > 0 else math.inf
+    mature = 1 / (1 - one.old_age_survival) if one.old_age_survival < 1 else math.inf
+    return free + dominated + mature
+
+
+MODEL = ForestFootprints()

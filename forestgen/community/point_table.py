@@ -1,0 +1,213 @@
+"""A point pattern from a CSV file: columns x and y in metres, `#` comments, one of which may state the window.
+
+# trees of plot 7, window 0 50 0 20
+x,y
+3.5,7.25
+"""
+
+from __future__ import annotations
+
+import re
+from array import array
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO, NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.community.point_patterns import Window
+from forestgen.core.errors import AssetError, RecipeError, ResourceError
+
+MOST_POINTS = 5_000_000
+_LONGEST_LINE = 10_000
+_EXPECTED = "two columns, x,y, in metres"
+_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_WINDOW = re.compile(rf"\bwindow\b\s*[:=]?\s*((?:{_NUMBER}[\s,;]+)*{_NUMBER})(?=[\s,;.]|$)", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class PointTable:
+    """A file's points, and the window in which they were observed."""
+
+    points_m: NDArray[np.float64]  # (N, 2), N >= 2, no two alike, all in the window
+    window: Window
+    notes: tuple[str, ...]  # what the reader had to assume
+
+
+def read_points(path: Path, window: tuple[float, float, float, float] | None = None) -> PointTable:
+    """Read a point pattern.
+
+    Parameters
+    ----------
+    window : x0, x1, y0, y1; by default that of a comment in the file, else the points' bounding box.
+
+    Raises
+    ------
+    AssetError : no such file, not a table of points, points outside the window, fewer than two, two alike.
+    RecipeError : `window` is none.
+    ResourceError : too many points.
+    """
+    given = _given_window(window) if window is not None else None
+    try:
+        with path.open("rb") as file:
+            points, rows, comments = _parse(path, file)
+    except OSError as error:
+        raise AssetError(
+            "the points cannot be read", where=str(path), expected="a CSV file", got=error.strerror or str(error)
+        ) from error
+    if len(points) < 2:
+        got = f"{len(points)} point" + "s" * (len(points) != 1)
+        raise AssetError("too few points for statistics", where=str(path), expected="2 points at least", got=got)
+    notes: tuple[str, ...] = ()
+    chosen = given or _stated_window(comments)
+    if chosen is None:
+        chosen = _bounding_box(path, points)
+        notes = (
+            f"the window is the points' bounding box, {chosen}: too tight, and all values lean towards regular; "
+            "state the true one by --window x0 x1 y0 y1 or in a comment of the file",
+        )
+    _check_inside(path, points, rows, chosen)
+    _check_apart(path, points, rows)
+    return PointTable(points, chosen, notes)
+
+
+def _given_window(window: tuple[float, float, float, float]) -> Window:
+    try:
+        return Window(*window)
+    except ValueError as error:
+        raise RecipeError(
+            "this is no window",
+            where="--window",
+            expected="x0 x1 y0 y1 in metres, finite, with x0 < x1 and y0 < y1",
+            got=" ".join(f"{one:g}" for one in window),
+        ) from error
+
+
+def _parse(path: Path, file: BinaryIO) -> tuple[NDArray[np.float64], NDArray[np.int64], list[str]]:
+    """Points, their lines' numbers, and the comments that may state a window."""
+    values, rows, comments = array("d"), array("q"), list[str]()
+    header_seen = False
+    for number, line in _lines(path, file):
+        if line.startswith("#"):
+            if "window" in line.lower():
+                comments.append(line)
+            continue
+        cells = [one.strip().strip('"') for one in line.split(",")]
+        if not header_seen and not rows and [one.lower() for one in cells] == ["x", "y"]:
+            header_seen = True
+            continue
+        values.extend(_point(f"{path}:{number}", line, cells))
+        rows.append(number)
+        if len(rows) > MOST_POINTS:
+            raise ResourceError(
+                "too many points",
+                where=str(path),
+                expected=f"at most {MOST_POINTS:,}",
+                hint="take a part of the window",
+            )
+    return np.array(values).reshape(-1, 2), np.array(rows, dtype=np.int64), comments
+
+
+def _lines(path: Path, file: BinaryIO) -> Iterator[tuple[int, str]]:
+    """Numbers and texts of the lines that hold something. No line is read that could not be one of a table."""
+    number = 0
+    while raw := file.readline(_LONGEST_LINE + 1):
+        number += 1
+        if b"\0" in raw or len(raw) > _LONGEST_LINE:
+            _no_text(path, number, "bytes that are no text" if b"\0" in raw else "a line of more than 10,000 bytes")
+        try:
+            text = raw.decode("utf-8-sig" if number == 1 else "utf-8")
+        except UnicodeDecodeError as error:
+            _no_text(path, number, f"the byte 0x{raw[error.start]:02x}, which is not UTF-8")
+        if text := text.strip():
+            yield number, text
+
+
+def _no_text(path: Path, number: int, got: str) -> NoReturn:
+    raise AssetError("not a text file", where=f"{path}:{number}", expected=f"a CSV file: {_EXPECTED}", got=got)
+
+
+def _point(where: str, line: str, cells: list[str]) -> tuple[float, float]:
+    if len(cells) != 2:
+        got = f"{len(cells)} column" + "s" * (len(cells) != 1) + f": {_short(line)}"
+        hint = "separate the columns by commas" if len(cells) == 1 else "keep x and y only, with points for decimals"
+        raise AssetError("this is no point", where=where, expected=_EXPECTED, got=got, hint=hint)
+    try:
+        if "_" in line:
+            raise ValueError
+        x, y = float(cells[0]), float(cells[1])
+    except ValueError:
+        raise AssetError(
+            "this is no point", where=where, expected=f"two numbers: {_EXPECTED}", got=_short(line)
+        ) from None
+    if not (abs(x) < 1e15 and abs(y) < 1e15):
+        hint = "leave out plants without a position"
+        raise AssetError(
+            "this is no point", where=where, expected="finite coordinates in metres", got=_short(line), hint=hint
+        )
+    return x, y
+
+
+def _short(text: str) -> str:
+    return repr(text if len(text) <= 60 else text[:57] + "...")
+
+
+def _stated_window(comments: list[str]) -> Window | None:
+    """The window of the comments, if one states it and no other contradicts."""
+    found = set()
+    for comment in comments:
+        for match in _WINDOW.finditer(comment):
+            numbers = [float(one) for one in re.findall(_NUMBER, match.group(1))]
+            if len(numbers) != 4:
+                return None
+            try:
+                found.add(Window(*numbers))
+            except ValueError:
+                return None
+    return found.pop() if len(found) == 1 else None
+
+
+def _bounding_box(path: Path, points: NDArray[np.float64]) -> Window:
+    (x0, y0), (x1, y1) = points.min(axis=0), points.max(axis=0)
+    try:
+        return Window(float(x0), float(x1), float(y0), float(y1))
+    except ValueError as error:
+        raise AssetError(
+            "the points lie on one line, and their bounding box has no area",
+            where=str(path),
+            got=f"x from {x0:g} to {x1:g}, y from {y0:g} to {y1:g}",
+            hint="state the window: --window x0 x1 y0 y1",
+        ) from error
+
+
+def _check_inside(path: Path, points: NDArray[np.float64], rows: NDArray[np.int64], window: Window) -> None:
+    outside = np.flatnonzero(window.outside(points))
+    if not len(outside):
+        return
+    first = outside[0]
+    more = f", and {len(outside) - 1:,} more" if len(outside) > 1 else ""
+    raise AssetError(
+        "a point lies outside the window",
+        where=f"{path}:{rows[first]}",
+        expected=f"x and y in {window}",
+        got=f"({points[first, 0]:g}, {points[first, 1]:g}){more}",
+        hint="widen the window, or leave these points out: statistics of a window need all its points and no other",
+    )
+
+
+def _check_apart(path: Path, points: NDArray[np.float64], rows: NDArray[np.int64]) -> None:
+    order = np.lexsort((rows, points[:, 1], points[:, 0]))
+    same = np.flatnonzero(np.all(points[order[1:]] == points[order[:-1]], axis=1))
+    if not len(same):
+        return
+    one, two = order[same[0]], order[same[0] + 1]
+    more = f", and {len(same) - 1:,} more" if len(same) > 1 else ""
+    raise AssetError(
+        "a point occurs twice",
+        where=f"{path}:{rows[two]}",
+        expected="points that differ: no two plants stand at one place",
+        got=f"({points[one, 0]:g}, {points[one, 1]:g}), as in line {rows[one]}{more}",
+        hint="remove the copies; of rounded positions, take more digits",
+    )

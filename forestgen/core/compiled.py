@@ -1,0 +1,40 @@
+"""Loops compiled by Numba, kept on disk where there is a place for them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numba
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+
+def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
+    """The function as machine code, which runs without Python's lock.
+
+    Numba notices when the function's own file changes, not when another file does: kernels that call one another
+    belong in one file.
+    """
+    try:
+        kernel: Callable[..., Any] = numba.njit(cache=True, nogil=True)(function)
+    except RuntimeError:  # neither the package nor the home directory can be written to: no place for a cache
+        kernel = numba.njit(nogil=True)(function)
+    return kernel
+
+
+@intrinsic
+def borrowed(typing_context, array):  # type: ignore[no-untyped-def]
+    """The same array without a claim on its memory, inside compiled code.
+
+    Numba counts references to an array in every call that passes it, with two locked instructions a time: in kernels
+    that call small functions for each element that is most of the time. The caller keeps the original alive.
+    """
+
+    def code(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+        view = context.make_array(array)(context, builder, arguments[0])
+        view.meminfo = cgutils.get_null_value(view.meminfo.type)
+        view.parent = cgutils.get_null_value(view.parent.type)
+        return view._getvalue()
+
+    return array(array), code

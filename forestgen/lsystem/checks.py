@@ -1,0 +1,125 @@
+"""What is wrong in a program whatever happens when it runs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import NoReturn
+
+from forestgen.core.errors import LsystemError
+from forestgen.lsystem.folding import fold, spell
+from forestgen.lsystem.syntax import Listing, Module, Name, Place, Production
+
+#: The turtle gives these defaults: they may come with and without parameters.
+TURTLE_SYMBOLS = frozenset("Ff Gg + - & ^ \\ / | $ ! # ' ; _ { } . ~ < > @ %".replace(" ", ""))
+QUERIES = ("?P", "?H", "?U", "?L")
+
+
+def _fail(name: str, problem: str, place: Place, **about: str | None) -> NoReturn:
+    raise LsystemError(problem, where=f"{name}:{place.line}:{place.column}", **about)
+
+
+def check_heads(production: Production, listing: Listing) -> None:
+    """Predecessor and contexts: no brackets, and only names as parameters."""
+    contexts = (*production.left, *production.right)
+    for module in (*contexts, *production.predecessor):
+        in_context = any(module is one for one in contexts)
+        if module.symbol in "[]":
+            _fail(
+                listing.name,
+                f"a bracket stands in a {'context' if in_context else 'predecessor'}",
+                module.place,
+                expected="modules only: contexts see through branches" if in_context else "modules only",
+                got=module.symbol,
+            )
+        if module.symbol == "%" and listing.dialect != "rhover":
+            _fail(listing.name, "% cuts or fragments, and cannot be rewritten", module.place)
+        for argument in module.arguments:
+            if not isinstance(argument, Name):
+                _fail(
+                    listing.name,
+                    "a parameter before the arrow must be a name",
+                    argument.place,
+                    expected=f"{module.symbol}(x), with a condition on x where one is needed",
+                )
+
+
+def check_brackets(modules: Sequence[Module], name: str) -> None:
+    """Brackets of a successor or an axiom's word are balanced, and take no parameters."""
+    opened: list[Place] = []
+    for module in modules:
+        if module.symbol in "[]" and module.arguments:
+            _fail(name, "a bracket has no parameters", module.place)
+        if module.symbol == "[":
+            opened.append(module.place)
+        elif module.symbol == "]":
+            if not opened:
+                _fail(name, "unbalanced brackets: this ] has no [", module.place)
+            opened.pop()
+    if opened:
+        _fail(name, "unbalanced brackets: this [ has no ]", opened[-1])
+
+
+def _rewritten(listing: Listing) -> Iterator[Production]:
+    yield from listing.productions
+    yield from listing.decomposition.productions
+    yield from listing.interpretation.productions
+
+
+def check_arities(listing: Listing) -> None:
+    """A symbol that productions know has a number of parameters that they know; any other has always the same."""
+    known: dict[str, set[int]] = {}
+    for production in _rewritten(listing):
+        for module in production.predecessor:
+            known.setdefault(module.symbol, set()).add(len(module.arguments))
+    seen: dict[str, Module] = {}
+    words = [*listing.axiom, *(production.successor for production in _rewritten(listing))]
+    heads = [part for production in _rewritten(listing) for part in (production.left, production.right)]
+    for word in (*words, *heads):
+        for module in word:
+            symbol, arity = module.symbol, len(module.arguments)
+            if symbol in QUERIES and arity not in (2, 3):
+                _fail(listing.name, f"{symbol} takes 2 or 3 parameters", module.place, got=str(arity))
+            if symbol in TURTLE_SYMBOLS or symbol in QUERIES:
+                continue
+            first = seen.setdefault(symbol, module)
+            if arity not in known.get(symbol, {len(first.arguments)}):
+                wanted = sorted(known.get(symbol, {len(first.arguments)}))
+                source = "productions" if symbol in known else f"line {first.place.line}"
+                _fail(
+                    listing.name,
+                    f"{symbol} stands here with {_parameters(arity)}",
+                    module.place,
+                    expected=f"{' or '.join(map(str, wanted))}, as in {source}",
+                    got=str(arity),
+                )
+
+
+def _parameters(count: int) -> str:
+    return f"{count or 'no'} parameter{'s' * (count != 1)}"
+
+
+def check_probabilities(productions: Sequence[Production], listing: Listing) -> None:
+    """Known probabilities lie in [0, 1], and those of productions with one head and condition sum to at most 1."""
+    sums: dict[tuple[object, ...], float] = {}
+    for one in productions:
+        if one.probability is None:
+            continue
+        value = fold(one.probability, listing.macros, listing.name)
+        if value is None:
+            continue
+        place = one.probability.place
+        if not 0 <= value <= 1:
+            _fail(listing.name, "a probability must lie between 0 and 1", place, got=f"{value:g}")
+        heads = tuple(
+            tuple((m.symbol, len(m.arguments)) for m in part) for part in (one.left, one.predecessor, one.right)
+        )
+        key = (heads, spell(one.condition), one.group)
+        sums[key] = sums.get(key, 0.0) + value
+        if sums[key] > 1 + 1e-9:
+            _fail(
+                listing.name,
+                f"the probabilities of {one.predecessor[0].symbol} sum to more than 1",
+                place,
+                expected="at most 1; what is missing leaves the module as it is",
+                got=f"{sums[key]:g}",
+            )

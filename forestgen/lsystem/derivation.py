@@ -1,0 +1,370 @@
+"""Derivation: axiom, steps, interpretation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.core.errors import LsystemError, ResourceError
+from forestgen.core.randomness import child_root
+from forestgen.core.threads import map_ranges
+from forestgen.lsystem import machine_layout as layout
+from forestgen.lsystem import opcodes as op
+from forestgen.lsystem.multiset import Multiset
+from forestgen.lsystem.program import Program, RuleSet
+from forestgen.lsystem.queries import answer_queries, has_queries
+
+MOST_MODULES = 50_000_000
+_LARGEST_ID = 2**32 - 1
+_SLACK = 1024
+
+_FAULTS = {
+    op.DIVISION_BY_ZERO: ("division by zero", None),
+    op.OUTSIDE_DOMAIN: (
+        "this has no value as a real number",
+        "sqrt, log, asin, acos, pow, poisson within their domains",
+    ),
+    op.NO_SUCH_ELEMENT: ("the array has no such element", "an index from 0 to its size - 1"),
+    op.NO_SUCH_FUNCTION: ("there is no function of this number", "a number from 1 on, or a function's name"),
+    op.NOT_FINITE: ("a parameter of this module is not a finite number", None),
+    op.BAD_PROBABILITY: ("this probability does not lie between 0 and 1", None),
+    op.PROBABILITIES_OVER_ONE: ("with this one, the probabilities of the productions that apply exceed 1", None),
+    op.TOO_DEEP: ("the decomposition does not end", None),
+}
+
+
+class TooManyModulesError(ResourceError):
+    """The words grow beyond the limit of modules."""
+
+
+@dataclass(frozen=True)
+class Derivation:
+    """A multiset of words, and all else that its future depends on."""
+
+    multiset: Multiset
+    step: int  # derivation steps done
+    next_id: int  # of the next new word
+    globals: NDArray[np.float64]  # global variables; the first is the current group
+
+
+#: Answers ?E: gets the words with their queries, returns them with other parameters of ?E.
+Environment = Callable[[Multiset], Multiset]
+
+
+def axiom(program: Program, seed: int, *, most_modules: int = MOST_MODULES) -> Derivation:
+    """The words before the first step; decomposed, and Start run.
+
+    Raises
+    ------
+    LsystemError : something in the program has no value; with line and column.
+    """
+    key = _key(seed, "axiom", 0)
+    glob = _run_block(program, program.start, np.zeros(len(program.globals)), None, key, 0)
+    codes, parameters = [], []
+    for position, (begin, (modules, values)) in enumerate(zip(program.axiom, program.axiom_size, strict=True)):
+        out_code, out_parameter = np.empty(modules, np.uint16), np.empty(values)
+        _run(program, begin, glob, key ^ np.uint64(position + 1), out_code, out_parameter, 0)
+        codes.append(out_code)
+        parameters.append(out_parameter)
+    sizes = [len(one) for one in codes]
+    words = Multiset(
+        kinds=program.kinds,
+        code=np.concatenate([np.zeros(0, np.uint16), *codes]),
+        parameter=np.concatenate([np.zeros(0), *parameters]),
+        word_start=np.cumsum([0, *sizes]).astype(np.int32),
+        word_id=np.arange(1, len(sizes) + 1, dtype=np.uint32),
+        born_step=np.zeros(len(sizes), np.int32),
+    )
+    start = Derivation(words, 0, len(sizes) + 1, glob)
+    if program.decomposition.address >= 0:
+        start = _rewritten(program, start, None, program.decomposition, seed, "axiom", 0, most_modules)
+    return start
+
+
+def derive_step(program: Program, state: Derivation, seed: int, *, most_modules: int = MOST_MODULES) -> Derivation:
+    """One derivation step; `state` is left as it was. Queries are not answered here.
+
+    Raises
+    ------
+    LsystemError : something in the program has no value, or decomposition does not end; with line and column.
+    TooManyModulesError : the words grow beyond `most_modules`.
+    """
+    step = state.step + 1
+    key = _key(seed, "start each", step)
+    glob = _run_block(program, program.start_each, state.globals, state.multiset, key, step)
+    state = replace(state, globals=glob)
+    after = _rewritten(program, state, program.productions, program.decomposition, seed, "step", step, most_modules)
+    key = _key(seed, "end each", step)
+    glob = _run_block(program, program.end_each, after.globals, after.multiset, key, step)
+    return replace(after, step=step, globals=glob)
+
+
+def derive(
+    program: Program,
+    steps: int,
+    seed: int,
+    *,
+    environment: Environment | None = None,
+    most_modules: int = MOST_MODULES,
+) -> Iterator[Derivation]:
+    """The words after step 0, 1, ..., `steps`, each made when it is asked for; see `derive_step`."""
+    asks = has_queries(program)
+
+    def answered(state: Derivation) -> Derivation:
+        if asks:
+            drawn = interpret(program, state, seed, most_modules=most_modules)
+            state = replace(state, multiset=answer_queries(program, state.multiset, drawn))
+        return state if environment is None else replace(state, multiset=environment(state.multiset))
+
+    state = answered(axiom(program, seed, most_modules=most_modules))
+    yield state
+    for _ in range(steps):
+        state = answered(derive_step(program, state, seed, most_modules=most_modules))
+        yield state
+
+
+def interpret(program: Program, state: Derivation, seed: int, *, most_modules: int = MOST_MODULES) -> Multiset:
+    """The words as the turtle reads them: rewritten by the interpretation, down to its maximum depth."""
+    if program.interpretation.address < 0:
+        return state.multiset
+    inner = program.interpretation
+    drawn = _rewritten(program, state, None, inner, seed, "interpretation", state.step, most_modules, is_drawing=True)
+    return drawn.multiset
+
+
+def percent_meaning(program: Program) -> int:
+    """What % does: fragments a multiset's words, cuts a plain string's branches, nothing in rhover's dialect."""
+    from forestgen.lsystem.machine import CUT, FRAGMENT
+
+    if program.listing.dialect == "rhover":
+        return 0
+    return FRAGMENT if program.listing.is_multiset else CUT
+
+
+def _key(seed: int, stage: str, step: int) -> np.uint64:
+    return np.uint64(child_root(seed, "lsystem", stage, step))
+
+
+def _state(program: Program) -> NDArray[np.int64]:
+    return np.zeros(layout.FOUND + program.longest_context, np.int64)
+
+
+def _reals(program: Program, glob: NDArray[np.float64]) -> NDArray[np.float64]:
+    real = program.real.copy()
+    real[program.globals_at : program.globals_at + len(glob)] = glob
+    return real
+
+
+def _run_block(
+    program: Program, begin: int, glob: NDArray[np.float64], words: Multiset | None, key: np.uint64, step: int
+) -> NDArray[np.float64]:
+    """The global variables after a block has run."""
+    if begin < 0:
+        return glob
+    glob = glob.copy()
+    for slot, symbol in program.counted:
+        glob[slot] = words.count(symbol) if words is not None else 0
+    real = _run(program, begin, glob, key, np.empty(0, np.uint16), np.empty(0), step)
+    return real[program.globals_at : program.globals_at + len(glob)].copy()
+
+
+def _run(
+    program: Program,
+    begin: int,
+    glob: NDArray[np.float64],
+    key: np.uint64,
+    out_code: NDArray[np.uint16],
+    out_parameter: NDArray[np.float64],
+    step: int,
+) -> NDArray[np.float64]:
+    from forestgen.lsystem import machine  # late: compiled kernels
+
+    real, state = _reals(program, glob), _state(program)
+    wrong = machine.run(program.whole, real, state, key, begin, out_code, out_parameter)
+    if wrong != op.OK:
+        _fail(program, wrong, int(state[layout.FAULT]), step, None)
+    return real
+
+
+def _fail(program: Program, wrong: int, address: int, step: int, module: str | None) -> NoReturn:
+    place = program.place_of(address)
+    problem, expected = _FAULTS[wrong]
+    if wrong == op.TOO_DEEP:
+        expected = f"an end within maximum depth: {program.decomposition_depth}"
+    at = f"rewriting {module} in" if module else "at"
+    where = f"{program.name}:{place.line}:{place.column}"
+    raise LsystemError(problem, where=where, expected=expected, got=f"this {at} derivation step {step}")
+
+
+def _rewritten(
+    program: Program,
+    state: Derivation,
+    rules: RuleSet | None,
+    inner: RuleSet,
+    seed: int,
+    stage: str,
+    step: int,
+    most_modules: int,
+    *,
+    is_drawing: bool = False,
+) -> Derivation:
+    """All words rewritten by `rules`, and what comes out by `inner`; ranges of many words on several threads."""
+    from forestgen.lsystem import machine  # late: compiled kernels
+
+    words, outer = state.multiset, rules or _nothing(program)
+    starts = mate = np.zeros(0, np.int64)
+    if program.has_contexts and rules is not None:
+        starts, mate = words.parameter_start(), np.zeros(len(words.code), np.int64)
+        machine.pair_brackets(words.code, mate)
+    has_outer = outer.address >= 0
+    whole = program.whole if has_outer else _with_nothing(program)
+    depth = program.interpretation_depth if is_drawing else program.decomposition_depth
+    percent = 0 if is_drawing else percent_meaning(program)
+    key, group = _key(seed, stage, step), int(state.globals[0])
+
+    def rewrite(first: int, end: int) -> tuple[int, NDArray[np.int64], _Space]:
+        """The words of a range: what went wrong, the machine's state, what was written."""
+        real, m = _reals(program, state.globals), _state(program)
+        begin = words.word_start[first]
+        m[layout.NEXT_VALUE] = np.bincount(words.code[:begin], minlength=len(program.kinds)) @ words.arity
+        m[layout.NEXT_ID] = state.next_id
+        space = _Space(program, words.code[begin : words.word_start[end]], end - first, outer, most_modules)
+        while True:
+            wrong = machine.rewrite(
+                whole, real, m, key, outer.address if has_outer else len(program.whole), inner.address, group, depth,
+                not is_drawing, percent, step, words.code, words.parameter, starts, mate,
+                words.word_start[first : end + 1], words.word_id[first:end], words.born_step[first:end],
+                *space.buffers(),
+            )  # fmt: skip
+            if wrong != op.MORE_SPACE or not space.grow(m):
+                return wrong, m, space
+
+    done = map_ranges(len(words), rewrite)
+    for wrong, m, _ in done:
+        if wrong == op.MORE_SPACE:
+            raise _too_many(program, most_modules, step)
+        if wrong != op.OK:
+            _fail(program, wrong, int(m[layout.FAULT]), step, _around(words, int(m[layout.FAULT_MODULE])))
+    result, next_id = _joined(program, [(space, m) for _, m, space in done], state.next_id)
+    if len(result.code) > most_modules:
+        raise _too_many(program, most_modules, step)
+    if next_id - 1 > _LARGEST_ID:
+        most = f"at most {_LARGEST_ID:,} words in a history"
+        raise ResourceError("ids of words are used up", where=program.name, expected=most)
+    return Derivation(result, state.step, next_id, state.globals)
+
+
+def _too_many(program: Program, most_modules: int, step: int) -> TooManyModulesError:
+    return TooManyModulesError(
+        "the words grow too long",
+        where=program.name,
+        expected=f"at most {most_modules:,} modules",
+        got=f"more of them in derivation step {step}",
+        hint="fewer steps, or a higher limit of modules",
+    )
+
+
+def _nothing(program: Program) -> RuleSet:
+    kinds = len(program.kinds)
+    arity = np.array([kind.arity for kind in program.kinds], np.int64)
+    return RuleSet(-1, np.ones(kinds, np.int64), arity)
+
+
+def _with_nothing(program: Program) -> NDArray[np.int64]:
+    """The program's table with an empty set of productions at its end."""
+    return np.concatenate([program.whole, np.zeros(len(program.kinds) + 1, np.int64)])
+
+
+class _Space:
+    """Where the rewriting of some words writes; grown when it does not suffice."""
+
+    def __init__(
+        self, program: Program, code: NDArray[np.uint16], n_words: int, rules: RuleSet, most_modules: int
+    ) -> None:
+        self.most_modules = most_modules
+        counts = np.bincount(code, minlength=len(program.kinds))
+        modules = min(int(counts @ rules.most_modules), most_modules) + _SLACK
+        values = min(int(counts @ rules.most_values), 64 * modules) + _SLACK
+        n = n_words + n_words // 16 + _SLACK
+        self.out: list[NDArray[Any]] = [np.empty(modules, np.uint16), np.empty(values)]
+        self.words: list[NDArray[Any]] = [np.empty(n + 1, np.int32), np.empty(n, np.uint32), np.empty(n, np.int32)]
+        longest, most_values = program.longest_successor
+        self.made: list[NDArray[Any]] = [np.empty(longest, np.uint16), np.empty(most_values)]
+        self.pile: list[NDArray[Any]] = [np.empty(_SLACK + longest, np.uint16), np.empty(_SLACK + longest, np.int64)]
+        self.pile.append(np.empty(4 * _SLACK + most_values))
+
+    def buffers(self) -> list[NDArray[Any]]:
+        return [*self.made, *self.pile, *self.out, *self.words]
+
+    def grow(self, m: NDArray[np.int64]) -> bool:
+        """Twice the space of what the machine needs, with what was written; False where that exceeds the limit."""
+        need = m[layout.NEED]
+        if need == layout.NEED_PILE:
+            if len(self.pile[0]) > self.most_modules:
+                return False
+            self.pile = [_grown(one, 0) for one in self.pile]
+        elif need == layout.NEED_WORDS:
+            self.words = [_grown(one, int(m[layout.WORDS])) for one in self.words]
+        else:
+            if len(self.out[0]) > self.most_modules:
+                return False
+            self.out = [
+                _grown(one, int(m[at])) for one, at in zip(self.out, (layout.DONE, layout.DONE_VALUES), strict=True)
+            ]
+        return True
+
+    def written(self, m: NDArray[np.int64]) -> list[NDArray[Any]]:
+        """Codes, parameters, starts, ids and steps of birth; they are held here no longer."""
+        n = int(m[layout.WORDS])
+        if n == 0:
+            self.words[0][0] = 0
+        sizes = (int(m[layout.DONE]), int(m[layout.DONE_VALUES]), n + 1, n, n)
+        arrays = [*self.out, *self.words]
+        self.out, self.words = [], []
+        return [array[:size] for array, size in zip(arrays, sizes, strict=True)]
+
+
+def _joined(program: Program, parts: Sequence[tuple[_Space, NDArray[np.int64]]], next_id: int) -> tuple[Multiset, int]:
+    """The words of all parts, in order; the new ones numbered on from part to part."""
+    pieces: list[list[NDArray[Any]]] = []
+    modules, last_id = 0, next_id
+    for space, m in parts:
+        one = space.written(m)
+        if pieces:
+            one[2] = one[2][1:] + np.int32(modules)
+            one[3][one[3] >= next_id] += np.uint32(last_id - next_id)
+        modules += int(m[layout.DONE])
+        last_id += int(m[layout.NEXT_ID]) - next_id
+        pieces.append(one)
+    if len(pieces) == 1:
+        return Multiset(program.kinds, *map(_shrunk, pieces[0])), last_id
+    joined = []
+    for k in range(5):
+        joined.append(np.concatenate([piece[k] for piece in pieces]))
+        for piece in pieces:
+            piece[k] = joined[-1][:0]  # frees what has been joined
+    return Multiset(program.kinds, *joined), last_id
+
+
+def _around(words: Multiset, module: int) -> str:
+    kind = words.kinds[words.code[module]]
+    first = int(words.parameter_start()[module])
+    values = ",".join(f"{value:g}" for value in words.parameter[first : first + kind.arity])
+    return f"{kind.symbol}({values})" if values else kind.symbol
+
+
+def _grown(array: NDArray[Any], used: int) -> NDArray[Any]:
+    larger = np.empty(2 * len(array) + _SLACK, array.dtype)
+    kept = min(used + 1, len(array))  # of word_start, the end of the last word too
+    larger[:kept] = array[:kept]
+    return larger
+
+
+def _shrunk(array: NDArray[Any]) -> NDArray[Any]:
+    """The array itself, or a copy where it is a small part of what is held in memory for it."""
+    whole = array if array.base is None else array.base
+    return array.copy() if array.size < 0.8 * getattr(whole, "size", array.size) else array

@@ -1,0 +1,286 @@
+"""Code of expressions and instructions: from syntax to the machine's instructions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from enum import Enum, auto
+from typing import NamedTuple, NoReturn
+
+from forestgen.core.errors import LsystemError
+from forestgen.lsystem import opcodes as op
+from forestgen.lsystem.folding import fold
+from forestgen.lsystem.multiset import Kind
+from forestgen.lsystem.syntax import (
+    Assign,
+    Binary,
+    Call,
+    Expression,
+    If,
+    Index,
+    Macro,
+    Module,
+    Name,
+    Number,
+    Place,
+    Statement,
+    Unary,
+    UseGroup,
+)
+
+GROUP = 0  # the global variable that holds the current group
+_MOST_INSTRUCTIONS = 1_000_000
+
+
+class Region(Enum):
+    """What an operand counts in, until `packing` gives everything its address."""
+
+    NOTHING = auto()
+    CODE = auto()
+    CONSTANT = auto()
+    GLOBAL = auto()
+    LOCAL = auto()
+    ARRAY = auto()
+
+
+class Instruction(NamedTuple):
+    operation: int
+    operand: int
+    region: Region
+    place: Place
+
+
+class Emitter:
+    """Grows one code for a whole program.
+
+    Parameters
+    ----------
+    name : of the file, for messages.
+    macros, arrays, functions, globals : names that expressions may use; globals and arrays by their index.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        macros: Mapping[str, Macro],
+        arrays: Sequence[str],
+        functions: Sequence[str],
+        globals_: Sequence[str],
+    ) -> None:
+        self.name, self.macros = name, macros
+        self.arrays = {one: i for i, one in enumerate(arrays)}
+        self.functions = {one: i + 1 for i, one in enumerate(functions)}
+        self.globals = {one: i for i, one in enumerate(globals_)}
+        self.counted: dict[str, int] = {}  # symbol -> global
+        self.code: list[Instruction] = []
+        self.constants: dict[float, int] = {}
+        self.kinds: dict[Kind, int] = {}
+        self.stack = self.stack_size = self.local_size = 0
+
+    def fail(self, problem: str, place: Place, **about: str | None) -> NoReturn:
+        raise LsystemError(problem, where=f"{self.name}:{place.line}:{place.column}", **about)
+
+    def kind(self, symbol: str, arity: int) -> int:
+        return self.kinds.setdefault(Kind(symbol, arity), len(self.kinds))
+
+    def put(self, operation: int, place: Place, change: int, operand: int = 0, region: Region = Region.NOTHING) -> int:
+        """Append an instruction that changes the stack's height by `change`; its index."""
+        if len(self.code) >= _MOST_INSTRUCTIONS:
+            self.fail("the program is too long", place, expected=f"at most {_MOST_INSTRUCTIONS} instructions")
+        self.stack += change
+        self.stack_size = max(self.stack_size, self.stack)
+        self.code.append(Instruction(operation, operand, region, place))
+        return len(self.code) - 1
+
+    def land(self, jump: int) -> None:
+        """Let an earlier jump go to where code is emitted next."""
+        self.code[jump] = self.code[jump]._replace(operand=len(self.code), region=Region.CODE)
+
+    def constant(self, value: float, place: Place) -> None:
+        slot = self.constants.setdefault(value, len(self.constants))
+        self.put(op.LOAD, place, 1, slot, Region.CONSTANT)
+
+
+class Scope:
+    """Code of one production or block: its names are the formal parameters and local variables."""
+
+    def __init__(self, emitter: Emitter, formals: Sequence[tuple[str, Place]] = (), *, is_global: bool = False) -> None:
+        self.e, self.is_global = emitter, is_global
+        self.locals: dict[str, int] = {}
+        self.expanding: list[str] = []
+        self.bound: list[Mapping[str, Expression]] = []  # a macro's parameters
+        for name, place in formals:
+            if name in self.locals:
+                emitter.fail(
+                    f"the parameter {name} stands twice in one production", place, hint="give each its own name"
+                )
+            self.local(name)
+
+    def local(self, name: str) -> int:
+        slot = self.locals.setdefault(name, len(self.locals))
+        self.e.local_size = max(self.e.local_size, len(self.locals))
+        return slot
+
+    def begin(self) -> int:
+        """Where code that is emitted next begins."""
+        self.e.stack = 0
+        return len(self.e.code)
+
+    def statements(self, statements: Sequence[Statement]) -> None:
+        for one in statements:
+            if isinstance(one, If):
+                self.branches(one)
+            elif isinstance(one, UseGroup):
+                if not self.is_global:
+                    self.e.fail(
+                        "useGroup stands in a production", one.place, expected="it in Start, StartEach or EndEach"
+                    )
+                self.expression(one.group)
+                self.e.put(op.STORE, one.place, -1, GROUP, Region.GLOBAL)
+            else:
+                self.assign(one)
+
+    def assign(self, one: Assign) -> None:
+        self.expression(one.value)
+        if self.is_global:
+            self.e.put(op.STORE, one.place, -1, self.e.globals[one.name], Region.GLOBAL)
+            return
+        if one.name in self.e.globals:
+            self.e.fail(
+                f"a production assigns the global variable {one.name}",
+                one.place,
+                expected="local variables: all modules are rewritten at once",
+            )
+        if one.name in self.e.macros or one.name in self.e.arrays:
+            self.e.fail(f"{one.name} is defined and cannot be assigned", one.place)
+        self.e.put(op.STORE, one.place, -1, self.local(one.name), Region.LOCAL)
+
+    def branches(self, one: If) -> None:
+        self.expression(one.condition)
+        to_else = self.e.put(op.JUMP_IF_ZERO, one.place, -1)
+        self.statements(one.then)
+        to_end = self.e.put(op.JUMP, one.place, 0)
+        self.e.land(to_else)
+        self.statements(one.otherwise)
+        self.e.land(to_end)
+
+    def returns(self, place: Place) -> None:
+        self.e.put(op.RETURN, place, 0)
+
+    def modules(self, modules: Sequence[Module]) -> None:
+        for one in modules:
+            for argument in one.arguments:
+                self.expression(argument)
+            arity = len(one.arguments)
+            self.e.put(op.EMIT, one.place, -arity, self.e.kind(one.symbol, arity))
+
+    def expression(self, one: Expression) -> None:
+        if isinstance(one, Number):
+            self.e.constant(one.value, one.place)
+        elif isinstance(one, Name):
+            self.named(one)
+        elif isinstance(one, Index):
+            if one.name not in self.e.arrays:
+                known = ", ".join(self.e.arrays) or "none is defined"
+                self.e.fail(f"there is no array {one.name}", one.place, expected=known, got=one.name)
+            self.expression(one.index)
+            self.e.put(op.ELEMENT, one.place, 0, self.e.arrays[one.name], Region.ARRAY)
+        elif isinstance(one, Unary):
+            self.expression(one.operand)
+            self.e.put(op.NEGATE if one.operator == "-" else op.NOT, one.place, 0)
+        elif isinstance(one, Call):
+            self.call(one)
+        elif one.operator in ("&&", "||"):
+            self.shortcut(one)
+        else:
+            self.binary(one)
+
+    def named(self, one: Name) -> None:
+        if self.bound and one.name in self.bound[-1]:
+            argument, outer = self.bound[-1][one.name], self.bound.pop()
+            self.expression(argument)  # in the scope of the macro's caller
+            self.bound.append(outer)
+        elif one.name in self.locals:
+            self.e.put(op.LOAD, one.place, 1, self.locals[one.name], Region.LOCAL)
+        elif one.name in self.e.globals:
+            self.e.put(op.LOAD, one.place, 1, self.e.globals[one.name], Region.GLOBAL)
+        elif one.name in self.e.macros:
+            self.expand(Call(one.name, (), one.place), is_value=True)
+        elif one.name in self.e.functions:
+            self.e.constant(self.e.functions[one.name], one.place)
+        else:
+            known = [*self.locals, *(name for name in self.e.globals if name), *self.e.macros]
+            self.e.fail(
+                f"{one.name} has no value here",
+                one.place,
+                expected=", ".join(known[:12]) or "a number",
+                hint="a parameter of the predecessor, a local variable, or a #define",
+            )
+
+    def expand(self, one: Call, *, is_value: bool = False) -> None:
+        macro = self.e.macros[one.name]
+        parameters = macro.parameters or ()
+        if (macro.parameters is None) != is_value or len(parameters) != len(one.arguments):
+            wanted = one.name if macro.parameters is None else f"{one.name}({', '.join(parameters)})"
+            self.e.fail(f"{one.name} is defined otherwise", one.place, expected=wanted)
+        if one.name in self.expanding:
+            self.e.fail(f"#define {one.name} is made of itself", one.place, got=" > ".join([*self.expanding, one.name]))
+        self.expanding.append(one.name)
+        self.bound.append(dict(zip(parameters, one.arguments, strict=True)))
+        self.expression(macro.body)
+        self.bound.pop()
+        self.expanding.pop()
+
+    def call(self, one: Call) -> None:
+        if one.name in self.e.macros:
+            self.expand(one)
+            return
+        if one.name == "count":
+            self.count(one)
+            return
+        if one.name not in op.FUNCTIONS:
+            self.e.fail(
+                f"the function {one.name} is not known", one.place, expected=", ".join([*op.FUNCTIONS, "count"])
+            )
+        operation, arity = op.FUNCTIONS[one.name]
+        if len(one.arguments) != arity:
+            self.e.fail(f"{one.name} takes {arity} argument{'s' * (arity > 1)}", one.place, got=f"{len(one.arguments)}")
+        if one.name == "func" and isinstance(one.arguments[0], Number | Name):
+            self.check_function(one.arguments[0])
+        for argument in one.arguments:
+            self.expression(argument)
+        self.e.put(operation, one.place, 1 - arity)
+
+    def check_function(self, chosen: Number | Name) -> None:
+        numbered = isinstance(chosen, Number) and not 1 <= chosen.value <= len(self.e.functions)
+        if numbered and isinstance(chosen, Number) and f"{chosen.value:g}" not in self.e.functions:
+            known = ", ".join(self.e.functions) or "none is defined"
+            self.e.fail(f"there is no function {chosen.value:g}", chosen.place, expected=known)
+
+    def count(self, one: Call) -> None:
+        if not self.is_global or len(one.arguments) != 1 or not isinstance(one.arguments[0], Name | Number):
+            self.e.fail(
+                "count(A) counts modules in Start, StartEach and EndEach", one.place, expected="one symbol in it"
+            )
+        argument = one.arguments[0]
+        symbol = argument.name if isinstance(argument, Name) else f"{argument.value:g}"
+        slot = self.e.counted.setdefault(symbol, len(self.e.globals))
+        self.e.globals.setdefault(f"count({symbol})", slot)
+        self.e.put(op.LOAD, one.place, 1, slot, Region.GLOBAL)
+
+    def shortcut(self, one: Binary) -> None:
+        """The right side runs only if it decides: it may draw."""
+        self.expression(one.left)
+        self.e.put(op.TRUTH if one.operator == "&&" else op.NOT, one.place, 0)
+        skip = self.e.put(op.JUMP_IF_ZERO, one.place, -1)
+        self.expression(one.right)
+        self.e.put(op.TRUTH, one.place, 0)
+        end = self.e.put(op.JUMP, one.place, -1)
+        self.e.land(skip)
+        self.e.constant(0.0 if one.operator == "&&" else 1.0, one.place)
+        self.e.land(end)
+
+    def binary(self, one: Binary) -> None:
+        fold(one, self.e.macros, self.e.name)  # finds a division by a known zero
+        self.expression(one.left)
+        self.expression(one.right)
+        self.e.put(op.OPERATORS[one.operator], one.place, -1)

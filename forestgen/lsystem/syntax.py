@@ -1,0 +1,154 @@
+"""The parts of an L-system program as the parser finds them; every part knows its place in the text."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+
+class Place(NamedTuple):
+    """A place in a text; both count from 1."""
+
+    line: int
+    column: int
+
+
+FIRST = Place(1, 1)
+
+
+@dataclass(frozen=True)
+class Number:
+    value: float
+    place: Place
+
+
+@dataclass(frozen=True)
+class Name:
+    """A parameter, a local or global variable, or a #define."""
+
+    name: str
+    place: Place
+
+
+@dataclass(frozen=True)
+class Call:
+    name: str
+    arguments: tuple[Expression, ...]
+    place: Place
+
+
+@dataclass(frozen=True)
+class Index:
+    """An array's element, counted from 0."""
+
+    name: str
+    index: Expression
+    place: Place
+
+
+@dataclass(frozen=True)
+class Unary:
+    operator: str  # - !
+    operand: Expression
+    place: Place
+
+
+@dataclass(frozen=True)
+class Binary:
+    operator: str  # || && == != < <= > >= + - * / % ^
+    left: Expression
+    right: Expression
+    place: Place
+
+
+Expression = Number | Name | Call | Index | Unary | Binary
+
+
+@dataclass(frozen=True)
+class Assign:
+    name: str
+    value: Expression
+    place: Place
+
+
+@dataclass(frozen=True)
+class If:
+    condition: Expression
+    then: tuple[Statement, ...]
+    otherwise: tuple[Statement, ...]
+    place: Place
+
+
+@dataclass(frozen=True)
+class UseGroup:
+    group: Expression
+    place: Place
+
+
+Statement = Assign | If | UseGroup
+
+
+@dataclass(frozen=True)
+class Module:
+    """A symbol with actual parameters (or, in a predecessor or context, names for them)."""
+
+    symbol: str
+    arguments: tuple[Expression, ...]
+    place: Place
+
+
+@dataclass(frozen=True)
+class Production:
+    """``left < predecessor > right : {before} condition {after} --> successor : probability``"""
+
+    left: tuple[Module, ...]
+    predecessor: tuple[Module, ...]
+    right: tuple[Module, ...]
+    before: tuple[Statement, ...]
+    condition: Expression | None
+    after: tuple[Statement, ...]
+    successor: tuple[Module, ...]
+    probability: Expression | None
+    place: Place
+    group: int = 0  # 0: in every group
+
+
+@dataclass(frozen=True)
+class Macro:
+    """``#define name(parameters) body``; without parameters a named value."""
+
+    parameters: tuple[str, ...] | None
+    body: Expression
+    place: Place
+
+
+@dataclass(frozen=True)
+class Block:
+    """Productions applied recursively: `decomposition` or `interpretation`."""
+
+    productions: tuple[Production, ...] = ()
+    maximum_depth: Expression | None = None
+    place: Place = FIRST
+
+
+@dataclass(frozen=True)
+class Listing:
+    """A whole L-system program, parsed."""
+
+    name: str  # of the file, for messages
+    dialect: str = "cpfg"
+    derivation_length: Expression | None = None
+    axiom: tuple[tuple[Module, ...], ...] = ()
+    is_multiset: bool = False  # the axiom is a set of words, and % fragments
+    considered: tuple[Module, ...] | None = None
+    ignored: tuple[Module, ...] = ()
+    macros: dict[str, Macro] = field(default_factory=dict)
+    arrays: dict[str, tuple[float, ...]] = field(default_factory=dict)
+    functions: dict[str, tuple[tuple[float, float], ...]] = field(default_factory=dict)  # control points
+    turtle: dict[str, tuple[float, ...]] = field(default_factory=dict)  # options of the turtle, see turtle.py
+    start: tuple[Statement, ...] = ()
+    start_each: tuple[Statement, ...] = ()
+    end_each: tuple[Statement, ...] = ()
+    productions: tuple[Production, ...] = ()
+    decomposition: Block = Block()
+    interpretation: Block = Block()

@@ -1,0 +1,225 @@
+"""The `.sys` files of RhoVeR's forest: an L-system whose rules are fired with given probabilities.
+
+::
+
+    LSYSTEM
+    1
+    F
+    F F [%>F]F[<&F][<&F][%F] 1
+
+The header; the number r of rules; the axiom; r rules "A R p", where R replaces the symbol A with probability p. R may
+contain spaces, or be empty. With what its rules leave of 1, a symbol stays. Modules may have numbers as parameters,
+F(10, 2, 1); a rule for A replaces A with any parameters.
+
+The turtle's symbols, dialect `rhover` (see `turtle`):
+
+=============  ==========================================  =========
+module         meaning                                     default
+=============  ==========================================  =========
+F(l, w, t)     a tapered segment of length l, width w at   10, 2, 1
+               its base and t at its tip
+``<(a) >(a)``  turn right, left about the z axis           45 degrees
+``&(a) @(a)``  roll right, left about the y axis           45 degrees
+``%(a) #(a)``  pitch down, up about the x axis             45 degrees
+``|``          turn by 180 degrees about the z axis
+``[ ]``        a branch
+=============  ==========================================  =========
+
+References
+----------
+Forest growth simulation using L-systems (Rhodes University), section 4.2 and Fig. 5.2.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable
+from pathlib import Path
+from typing import NoReturn
+
+from forestgen.core.errors import LsystemError
+from forestgen.lsystem.source import read_program
+from forestgen.lsystem.syntax import Listing, Module, Name, Number, Place, Production
+
+_MOST_PARAMETERS = {"F": 3, "<": 1, ">": 1, "&": 1, "@": 1, "%": 1, "#": 1, "|": 0, "[": 0, "]": 0}
+_NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")
+_SHAPE = "symbol, replacement and probability, such as: F F[>F]F 1"
+_ROUNDING = 1e-9
+
+
+def parse_sys_file(path: Path) -> Listing:
+    """The program in a file; see `parse_sys_text`."""
+    return parse_sys_text(read_program(path), str(path))
+
+
+def parse_sys_text(text: str, name: str) -> Listing:
+    """The program in a `.sys` file's text, dialect `rhover`; `name` stands in messages.
+
+    Raises
+    ------
+    LsystemError : the text is not such a program; with line and column.
+    """
+    lines = [_Line(name, number, raw) for number, raw in enumerate(text.splitlines(), 1) if raw.strip()]
+    after = Place(text.count("\n") + 1, 1)
+    if not lines or lines[0].text.strip() != "LSYSTEM":
+        _fail(name, lines[0].place if lines else Place(1, 1), "no .sys file", "LSYSTEM in its first line", lines[:1])
+    if len(lines) < 3:
+        what = "the number of rules" if len(lines) == 1 else "the axiom"
+        _fail(name, after, f"the file ends before {what}", what, [])
+    expected = lines[1].whole_number()
+    rules = lines[3:]
+    if len(rules) < expected:
+        _fail(name, after, "too few rules", f"{expected}, as line {lines[1].number} says", [], str(len(rules)))
+    if len(rules) > expected:
+        more = rules[expected]
+        _fail(name, more.place, "more rules than announced", f"{expected}, as line {lines[1].number} says", [more])
+    parsed = [line.rule() for line in rules]
+    _check_sums(name, parsed)
+    axiom = lines[2].modules(0, len(lines[2].text))
+    arities: dict[str, set[int]] = {}
+    for module in [*axiom, *(module for rule in parsed for module in rule.successor)]:
+        arities.setdefault(module.symbol, set()).add(len(module.arguments))
+    productions = tuple(one for rule in parsed for one in _for_each_arity(rule, arities))
+    return Listing(name, dialect="rhover", axiom=(axiom,), productions=productions)
+
+
+def _for_each_arity(rule: Production, arities: dict[str, set[int]]) -> Iterable[Production]:
+    """The rule for its symbol with no, one, two, ... parameters, as far as the program has them."""
+    (head,) = rule.predecessor
+    for count in sorted(arities.get(head.symbol, {0})):
+        formal = tuple(Name(f"p{k}", head.place) for k in range(1, count + 1))
+        yield Production(
+            left=(),
+            predecessor=(Module(head.symbol, formal, head.place),),
+            right=(),
+            before=(),
+            condition=None,
+            after=(),
+            successor=rule.successor,
+            probability=rule.probability,
+            place=rule.place,
+        )
+
+
+def _check_sums(name: str, rules: Iterable[Production]) -> None:
+    total: dict[str, float] = {}
+    for rule in rules:
+        symbol = rule.predecessor[0].symbol
+        assert isinstance(rule.probability, Number)
+        total[symbol] = total.get(symbol, 0.0) + rule.probability.value
+        if total[symbol] > 1.0 + _ROUNDING:
+            problem = f"the probabilities of the rules for {symbol} exceed 1"
+            _fail(name, rule.probability.place, problem, "a sum of at most 1", [], f"{total[symbol]:g}")
+
+
+class _Line:
+    """A line of the file that is not blank."""
+
+    def __init__(self, name: str, number: int, text: str) -> None:
+        self.name, self.number, self.text = name, number, text
+
+    @property
+    def place(self) -> Place:
+        return self.at(len(self.text) - len(self.text.lstrip()))
+
+    def at(self, index: int) -> Place:
+        return Place(self.number, index + 1)
+
+    def fail(self, index: int, problem: str, expected: str, got: str | None = None) -> NoReturn:
+        _fail(self.name, self.at(index), problem, expected, [self] if got is None else [], got)
+
+    def whole_number(self) -> int:
+        word = self.text.strip()
+        if not re.fullmatch(r"[0-9]{1,6}", word):
+            self.fail(self.place.column - 1, "the number of rules is not understood", "a whole number", word)
+        return int(word)
+
+    def rule(self) -> Production:
+        words = list(re.finditer(r"\S+", self.text))
+        symbol, last = words[0], words[-1]
+        if len(symbol.group()) > 1:
+            self.fail(symbol.start(), "a rule replaces one symbol", _SHAPE, symbol.group())
+        if symbol.group() in "[](),":
+            self.fail(symbol.start(), "this symbol cannot be replaced", _SHAPE, symbol.group())
+        if len(words) == 1 or not _NUMBER.fullmatch(last.group()):
+            self.fail(last.start(), "a rule without probability", _SHAPE, last.group())
+        probability = float(last.group())
+        if not 0.0 <= probability <= 1.0:
+            self.fail(last.start(), "this cannot be a probability", "a number from 0 to 1", last.group())
+        place = self.at(symbol.start())
+        return Production(
+            left=(),
+            predecessor=(Module(symbol.group(), (), place),),
+            right=(),
+            before=(),
+            condition=None,
+            after=(),
+            successor=self.modules(symbol.end(), last.start()),
+            probability=Number(probability, self.at(last.start())),
+            place=place,
+        )
+
+    def modules(self, start: int, end: int) -> tuple[Module, ...]:
+        """The modules between two indices; spaces mean nothing."""
+        found: list[Module] = []
+        opened: list[int] = []
+        index = start
+        while index < end:
+            symbol = self.text[index]
+            if symbol.isspace():
+                index += 1
+                continue
+            if symbol in "(),":
+                self.fail(index, "this is not a module", "a symbol, or its parameters in parentheses", symbol)
+            here = index
+            index, arguments = self.arguments(index + 1, end)
+            self.check_count(here, symbol, len(arguments))
+            self.match_bracket(here, symbol, opened)
+            found.append(Module(symbol, arguments, self.at(here)))
+        if opened:
+            self.fail(opened[-1], "this bracket is never closed", "as many ] as [", "[")
+        return tuple(found)
+
+    def match_bracket(self, index: int, symbol: str, opened: list[int]) -> None:
+        if symbol == "[":
+            opened.append(index)
+        elif symbol == "]":
+            if not opened:
+                self.fail(index, "no bracket is open that this could close", "[ before ]", "]")
+            opened.pop()
+
+    def check_count(self, index: int, symbol: str, count: int) -> None:
+        most = _MOST_PARAMETERS.get(symbol)
+        if most is not None and count > most:
+            expected = f"at most {most}" if most else "none"
+            self.fail(index, f"too many parameters of {symbol}", expected, str(count))
+
+    def arguments(self, index: int, end: int) -> tuple[int, tuple[Number, ...]]:
+        """Parameters in parentheses, if any begin at an index, and the index behind them."""
+        opens = index
+        while opens < end and self.text[opens].isspace():
+            opens += 1
+        if opens == end or self.text[opens] != "(":
+            return index, ()
+        closes = self.text.find(")", opens, end)
+        if closes < 0:
+            self.fail(opens, "these parentheses are never closed", ")", self.text[opens:end].strip()[:40])
+        numbers, at = [], opens + 1
+        for piece in self.text[opens + 1 : closes].split(","):
+            where = at + len(piece) - len(piece.lstrip())
+            word = piece.strip()
+            if not _NUMBER.fullmatch(word) or not math.isfinite(float(word)):
+                self.fail(where, "a parameter is not understood", "a number", word or "nothing")
+            numbers.append(Number(float(word), self.at(where)))
+            at += len(piece) + 1
+        return closes + 1, tuple(numbers)
+
+
+def _fail(
+    name: str, place: Place, problem: str, expected: str, lines: Iterable[_Line], got: str | None = None
+) -> NoReturn:
+    for line in lines:
+        got = line.text.strip()[:60]
+    where = f"{name}:{place.line}:{place.column}"
+    raise LsystemError(problem, where=where, expected=expected, got=got)

@@ -1,0 +1,375 @@
+r"""The turtle: a word's modules, read from left to right, draw axes, surfaces and polygons.
+
+The turtle has a position P and a right-handed frame of unit vectors H (heading), L (left) and U = H x L (up), so
+L = U x H. It starts at the origin with H up (z), L = -x and U = -y: cpfg's picture, set upright on
+the ground. A turn by a positive angle about an axis is right-handed: about U, H goes towards L; about L, U goes
+towards H; about H, L goes towards U.
+
+==============  =========================  =========================  =================================
+module          cpfg                       abop                       rhover
+==============  =========================  =========================  =================================
+F(l)            draw a segment             draw a segment             F(l, w, t): a cone of widths w, t
+f(l)            move                       move                       --
+G(l)            as F, records no vertex    as F, records no vertex    --
+g(l)            as f, records no vertex    --                         --
+``+(a) -(a)``   about U by a, -a           about U by a, -a           --
+``&(a) ^(a)``   about L by a, -a           about L by a, -a           & is about H by -a
+``\(a) /(a)``   about H by a, -a           about H by -a, a           --
+``<(a) >(a)``   (contexts)                 (contexts)                 about U by -a, a
+``@(a)``        --                         --                         about H by a
+``%(a)``        (cuts or fragments)        (cuts or fragments)        about L by a: pitch down
+``#(a)``        width, see below           --                         about L by -a: pitch up
+``|``           about U by 180             about U by 180             about U by 180
+``$``           L level, U upwards (@v)    L level, U upwards         --
+!(w)            width; ! less by the       width; ! times the         --
+                increment                  factor
+#(w)            width; # more by the       --                         pitch up
+                increment
+_(e)            elasticity; _ more         elasticity; _ more         --
+colour          ``;(n)`` next, ``,`` back  ``'(n)`` next              --
+``~K(s, ...)``  surface K                  surface K                  --
+``{ . }``       polygon                    polygon                    --
+@Gs @Gc @Ge     generalized cylinder       --                         --
+?P ?H ?L ?U     query                      query                      query
+==============  =========================  =========================  =================================
+
+Modules that a column leaves out are read over, as are all other symbols. A parameter replaces the default: the
+angle, the step, or the increment. Angles are in degrees.
+
+- Roll: cpfg's program keeps the opposite of U, so that its ``\`` takes L towards U as H x L has it; ABOP's words
+  ("roll left using R_H") and its matrices, read so that + turns left and & pitches down, take L away from U. Each
+  dialect keeps its own. ?U gives U = H x L in all of them.
+- Widths are diameters. In cpfg, a width that is set behind a segment, before the next one or a bracket, is the width
+  of that segment's end; elsewhere a segment of F(l) is a cylinder. cpfg's ! stops at 0, while a negative parameter is
+  an error.
+- Tropism: after each F and G (in cpfg, after f and g, too) H, L, U turn by e |H x T| radians about H x T.
+- A surface's frame has its y axis along H, z along U, x along -L, and is scaled by s (three parameters: x, y, z).
+- Between { and }, F and f record a vertex where they end and draw nothing; G draws but records none; ``.`` records
+  where the turtle stands, in brackets also. Polygons may lie in one another; those of fewer than three vertices are
+  left out.
+- Between @Gs and @Ge, F and f only move. @Gc(n) and @Ge(n) draw n segments (8 if not given) of the Hermite cubic
+  from the knot before, with tangents along H, 1.2 times as long as the knots' distance; widths change linearly. A
+  branch within needs an @Gs of its own.
+- ``rhover``: the turtle's x, y, z axes are -L, H, U; "right" is the negative sense of a rotation. F's defaults are
+  10, 2, 1; that of an angle is 45 degrees.
+
+Options in a program's header (name: numbers; see `TURTLE_STATEMENTS`): ``angle: 22.5``, ``step: 1``, ``scale: 0.1``
+(metres a unit), ``width: 0.1``, ``width increment: 0.01`` or ``width factor: 0.7``, ``tip width: 1`` (rhover's t),
+``tropism: 0 0 -1 0.2`` (T and e), ``elasticity: 0.2``, ``elasticity increment: 0.1``, ``heading: 0 0 1``,
+``colour: 0``.
+
+References
+----------
+Prusinkiewicz, P., Lindenmayer, A. (1990). The Algorithmic Beauty of Plants (ABOP). Sections 1.5, 1.10, 2.3, 5.
+Mech, R., Prusinkiewicz, P. (1998). CPFG version 4.0 user's manual, appendix on interpreted symbols.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+from typing import NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.core.errors import LsystemError
+from forestgen.lsystem import turtle_kernel as act
+from forestgen.lsystem.multiset import Kind, Multiset
+from forestgen.lsystem.turtle_options import ACTIONS, TURTLE_STATEMENTS, TurtleOptions, options_from
+
+__all__ = [
+    "TURTLE_STATEMENTS",
+    "Drawing",
+    "Polygons",
+    "Surfaces",
+    "TurtleOptions",
+    "draw",
+    "draw_word",
+    "options_from",
+    "query_values",
+]
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+FARTHEST_M = 1e6
+
+
+@dataclass(frozen=True)
+class Surfaces:
+    """S surfaces placed by ``~``."""
+
+    symbol: NDArray[np.str_]  # (S,) name of the surface
+    frame: Floats  # (S, 3, 4) surface -> plant frame: y along H, z along U, scaled, metres
+    node: NDArray[np.int32]  # (S,) the node that bears it
+    colour: NDArray[np.int32]  # (S,)
+    module: Ints  # (S,) index of the ~ in the word
+
+
+@dataclass(frozen=True)
+class Polygons:
+    """G filled polygons, their vertices end to end."""
+
+    vertex: Floats  # (V, 3) metres, plant frame
+    offset: Ints  # (G + 1,) polygon g has the vertices offset[g] to offset[g + 1]
+    node: NDArray[np.int32]  # (G,) the node that bears it
+    colour: NDArray[np.int32]  # (G,)
+    module: Ints  # (G,) index of the { in the word
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """What a turtle drew. Node i ends the segment from parent[i] to i; node 0 is the root, where drawing begins.
+
+    Axis after axis, base to tip: the nodes of an axis lie together, and parents precede children. An axis goes on
+    through brackets; each pair of brackets with a segment in it is an axis of the next order. A move without drawing
+    ends an axis: the next one begins with a node whose `is_drawn` is False.
+    """
+
+    parent: NDArray[np.int32]  # (N,) -1 for the root
+    position: Floats  # (N, 3) metres, plant frame, z up
+    start_radius: Floats  # (N,) metres, of the segment where it begins
+    radius: Floats  # (N,) metres, of the segment where it ends
+    order: NDArray[np.int32]  # (N,) 0 trunk, 1 its branches, ...
+    axis: NDArray[np.int32]  # (N,) 0 ... A - 1, ascending
+    colour: NDArray[np.int32]  # (N,)
+    is_drawn: NDArray[np.bool_]  # (N,) False for the root, and behind a move
+    module: Ints  # (N,) index in the word of the module that drew it, -1 for the root
+    surfaces: Surfaces
+    polygons: Polygons
+
+
+def draw(
+    code: NDArray[np.uint16],
+    parameter: Floats,
+    kinds: Sequence[Kind],
+    options: TurtleOptions,
+    surfaces: Collection[str] | None = None,
+) -> Drawing:
+    """The picture of one word.
+
+    Parameters
+    ----------
+    code : (M,) index into `kinds` of each module.
+    parameter : (P,) parameters of all modules, in order.
+    surfaces : names that may follow ~; None: all.
+
+    Raises
+    ------
+    LsystemError : brackets that do not match, an unknown surface, a negative width, a number that is not finite.
+    """
+    walk = _walk(code, parameter, kinds, options)
+    placed = _surfaces(walk, parameter, options.scale, surfaces)
+    nodes, marks = walk.nodes, walk.node_marks
+    near = np.all(np.abs(nodes[:, :3]) < FARTHEST_M, axis=1)
+    if not near.all():
+        walk.fail("the turtle went too far", int(marks[np.argmin(near), act.MODULE]), f"less than {FARTHEST_M:g} m")
+    by_axis = np.argsort(marks[:, act.AXIS], kind="stable")  # a branch's axis has a larger number than its bearer's
+    place = np.empty(len(nodes), dtype=np.int32)
+    place[by_axis] = np.arange(len(nodes), dtype=np.int32)
+    nodes, marks = nodes[by_axis], marks[by_axis]
+    parent = place[marks[:, act.PARENT]]
+    parent[0] = -1
+    return Drawing(
+        parent=parent,
+        position=nodes[:, :3].copy(),
+        start_radius=nodes[:, act.START_RADIUS].copy(),
+        radius=nodes[:, act.RADIUS].copy(),
+        order=marks[:, act.ORDER].astype(np.int32),
+        axis=marks[:, act.AXIS].astype(np.int32),
+        colour=marks[:, act.NODE_COLOUR].astype(np.int32),
+        is_drawn=marks[:, act.IS_DRAWN] == 1,
+        module=marks[:, act.MODULE].copy(),
+        surfaces=Surfaces(placed.symbol, placed.frame, place[placed.node], placed.colour, placed.module),
+        polygons=_polygons(walk, place),
+    )
+
+
+def draw_word(
+    multiset: Multiset, word: int, options: TurtleOptions, surfaces: Collection[str] | None = None
+) -> Drawing:
+    """The picture of the word at an index; see `draw`."""
+    first, last = int(multiset.word_start[word]), int(multiset.word_start[word + 1])
+    arity = multiset.arity
+    skipped = int(arity[multiset.code[:first]].sum())
+    size = int(arity[multiset.code[first:last]].sum())
+    parameter = multiset.parameter[skipped : skipped + size]
+    return draw(multiset.code[first:last], parameter, multiset.kinds, options, surfaces)
+
+
+def query_values(
+    code: NDArray[np.uint16], parameter: Floats, kinds: Sequence[Kind], options: TurtleOptions
+) -> tuple[Floats, Ints]:
+    """What ?P, ?H, ?L and ?U of a word are answered.
+
+    Returns
+    -------
+    values : (Q, 3) x, y, z in the plant frame, positions in metres; a query of two parameters takes the first two.
+    module : (Q,) index of each query in the word.
+    """
+    walk = _walk(code, parameter, kinds, options)
+    asked = walk.event_marks[:, 0] >= act.ASK_POSITION
+    return walk.events[asked, :3], walk.event_marks[asked, 1]
+
+
+@dataclass(frozen=True)
+class _Walk:
+    """What the kernel leaves behind."""
+
+    code: NDArray[np.uint16]
+    kinds: Sequence[Kind]
+    nodes: Floats  # (N, NODE_NUMBERS)
+    node_marks: Ints  # (N, NODE_MARKS)
+    events: Floats  # (E, EVENT_NUMBERS)
+    event_marks: Ints  # (E, EVENT_MARKS)
+
+    def fail(self, problem: str, module: int, expected: str) -> NoReturn:
+        _fail(problem, module, self.code, self.kinds, expected)
+
+
+def _walk(code: NDArray[np.uint16], parameter: Floats, kinds: Sequence[Kind], options: TurtleOptions) -> _Walk:
+    code = np.require(code, np.uint16, ["C", "W"])  # one type for the kernel, which is compiled for each
+    parameter = np.require(parameter, np.float64, ["C", "W"])
+    actions = ACTIONS[options.dialect]
+    found = [actions.get(kind.symbol, (act.NOTHING, 0.0)) for kind in kinds]
+    ops, sign = np.array([op for op, _ in found]), np.array([sense for _, sense in found])
+    arity = np.array([kind.arity for kind in kinds], dtype=np.int64)
+    op = ops[code]
+    _check_numbers(code, parameter, kinds, arity)
+    _check_splines(code, kinds, op)
+    brackets = _deepest(op, act.PUSH, act.POP, code, kinds)
+    braces = _deepest(op, act.POLYGON, act.END_POLYGON, code, kinds)
+    nodes, events = _space(op, code, parameter, arity)
+    walk = _Walk(
+        code,
+        kinds,
+        np.zeros((nodes, act.NODE_NUMBERS)),
+        np.zeros((nodes, act.NODE_MARKS), np.int64),
+        np.zeros((events, act.EVENT_NUMBERS)),
+        np.zeros((events, act.EVENT_MARKS), np.int64),
+    )
+    walk.node_marks[0, act.MODULE] = -1
+    walk.node_marks[0, act.NODE_COLOUR] = options.colour
+    walk.nodes[0, act.START_RADIUS :] = 0.5 * options.scale * options.width
+    state, marks = options.start()
+    states = np.empty((brackets, act.STATE_SIZE)), np.empty((brackets, act.MARKS_SIZE), np.int64)
+    status, module = act.walk(
+        code, parameter, ops, sign, arity, options.numbers(), state, marks,
+        walk.nodes, walk.node_marks, walk.events, walk.event_marks, *states, np.zeros(braces, np.int64), np.empty(3),
+    )  # fmt: skip
+    if status != act.OK:
+        problem, expected = _PROBLEMS[status]
+        walk.fail(problem, int(module), expected)
+    n, e = marks[act.NODES], marks[act.EVENTS]
+    return replace(
+        walk,
+        nodes=walk.nodes[:n],
+        node_marks=walk.node_marks[:n],
+        events=walk.events[:e],
+        event_marks=walk.event_marks[:e],
+    )
+
+
+_PROBLEMS = {
+    act.NEGATIVE_WIDTH: ("a width is negative", "0 or more"),
+    act.NO_SURFACE: ("~ is not followed by a surface", "~ and the surface's module, such as ~K(2)"),
+    act.NO_CYLINDER: ("a knot outside a generalized cylinder", "@Gs before it, in the same brackets"),
+    act.BAD_STRIPS: ("a generalized cylinder of an impossible number of segments", f"1 to {act.MOST_STRIPS}"),
+}
+
+
+def _space(op: Ints, code: NDArray[np.uint16], parameter: Floats, arity: Ints) -> tuple[int, int]:
+    """Numbers of nodes and of events that are surely enough."""
+    times = np.bincount(op, minlength=act.ASK_UP + 1)
+    segments = int(times[act.DRAW] + times[act.DRAW_BARE])
+    moves = int(times[act.MOVE] + times[act.MOVE_BARE] + times[act.POLYGON] + times[act.CYLINDER])
+    knots = np.flatnonzero((op == act.KNOT) | (op == act.END_CYLINDER))
+    given = arity[code[knots]] > 0
+    strips = act.DEFAULT_STRIPS * int((~given).sum())
+    if given.any():
+        strips += int(np.clip(parameter[_starts(code, arity)[knots[given]]], 0, act.MOST_STRIPS).sum())
+    nodes = 1 + segments + (segments if moves else 0) + int(times[act.CYLINDER]) + strips
+    vertices = int(times[act.VERTEX] + times[act.DRAW] + times[act.MOVE]) if times[act.POLYGON] else 0
+    return nodes, vertices + int(times[act.POLYGON] + times[act.SURFACE] + times[act.ASK_POSITION :].sum())
+
+
+def _starts(code: NDArray[np.uint16], arity: Ints) -> Ints:
+    """(M,) index of each module's first parameter."""
+    sizes = arity[code]
+    return np.asarray(np.cumsum(sizes) - sizes, dtype=np.int64)
+
+
+def _surfaces(walk: _Walk, parameter: Floats, unit_m: float, known: Collection[str] | None) -> Surfaces:
+    placed = walk.event_marks[:, 0] == act.SURFACE
+    _, module, node, colour, at = walk.event_marks[placed].T
+    kind = walk.code[module + 1]
+    names = np.array([one.symbol for one in walk.kinds], dtype=np.str_)
+    strange = np.zeros(len(kind), np.bool_) if known is None else ~np.isin(names[kind], list(known))
+    if known is not None and strange.any():
+        expected = f"one of {', '.join(sorted(known))}" if known else "no surface"
+        walk.fail("an unknown surface", int(module[strange][0]) + 1, expected)
+    arity = np.array([one.arity for one in walk.kinds], dtype=np.int64)[kind]
+    scale = np.full((len(kind), 3), unit_m)
+    for k in range(3):
+        source = np.where(arity >= 3, at + k, at)[arity > 0]
+        scale[arity > 0, k] *= parameter[source]
+    position, h, left, up = np.moveaxis(walk.events[placed].reshape(-1, 4, 3), 1, 0)
+    columns = [-left * scale[:, :1], h * scale[:, 1:2], up * scale[:, 2:], position]
+    return Surfaces(
+        names[kind], np.stack(columns, axis=2), node.astype(np.int32), colour.astype(np.int32), module.copy()
+    )
+
+
+def _polygons(walk: _Walk, place: NDArray[np.int32]) -> Polygons:
+    what = walk.event_marks[:, 0]
+    vertices = walk.event_marks[what == act.VERTEX]
+    opened = np.flatnonzero(what == act.POLYGON)
+    owner = np.searchsorted(opened, vertices[:, 1])
+    sizes = np.bincount(owner, minlength=len(opened))
+    kept = sizes >= 3
+    _, module, node, colour, _ = walk.event_marks[opened[kept]].T
+    vertex = walk.events[what == act.VERTEX, :3][np.argsort(owner, kind="stable")][np.repeat(kept, sizes)]
+    offset = np.concatenate([[0], np.cumsum(sizes[kept])]).astype(np.int64)
+    return Polygons(vertex, offset, place[node], colour.astype(np.int32), module.copy())
+
+
+def _fail(problem: str, module: int, code: NDArray[np.uint16], kinds: Sequence[Kind], expected: str) -> NoReturn:
+    symbol = kinds[code[module]].symbol if module >= 0 else "the start"
+    raise LsystemError(f"{problem}: module {module} of the word", expected=expected, got=symbol)
+
+
+def _deepest(op: Ints, opens: int, closes: int, code: NDArray[np.uint16], kinds: Sequence[Kind]) -> int:
+    """How deep brackets lie within one another.
+
+    Raises
+    ------
+    LsystemError : they do not match.
+    """
+    where = np.flatnonzero((op == opens) | (op == closes))
+    if not len(where):
+        return 0
+    depth = np.cumsum(np.where(op[where] == opens, 1, -1))
+    if depth.min() < 0:
+        _fail("nothing is open that this could close", int(where[np.argmax(depth < 0)]), code, kinds, "balanced pairs")
+    if depth[-1] > 0:
+        last = int(np.flatnonzero(depth < depth[-1])[-1]) + 1 if (depth < depth[-1]).any() else 0
+        _fail("this is never closed", int(where[last]), code, kinds, "balanced pairs")
+    return int(depth.max())
+
+
+def _check_numbers(code: NDArray[np.uint16], parameter: Floats, kinds: Sequence[Kind], arity: Ints) -> None:
+    finite = np.isfinite(parameter)
+    if not finite.all():
+        at = int(np.argmax(~finite))
+        module = int(np.searchsorted(_starts(code, arity), at, side="right")) - 1
+        _fail("a parameter is not finite", module, code, kinds, "a finite number")
+
+
+def _check_splines(code: NDArray[np.uint16], kinds: Sequence[Kind], op: Ints) -> None:
+    strange = [i for i, kind in enumerate(kinds) if kind.symbol in ("{", "}") and kind.arity]
+    if strange:
+        found = np.isin(code, strange) & (op != act.NOTHING)
+        if found.any():
+            module = int(np.argmax(found))
+            _fail("braces with parameters are not supported", module, code, kinds, "{ and }, or @Gs, @Gc and @Ge")

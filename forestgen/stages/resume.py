@@ -1,0 +1,114 @@
+"""A simulation goes on from a snapshot of its history.
+
+A history tells its origin: seed, image, model with its parameters, species and site. A recipe continues it if all of
+that is the same, except the number of steps and disturbances that are still to come: a stand may be felled or not.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from forestgen.community.disturbance import Disturbance
+from forestgen.community.history import open_history
+from forestgen.community.population import Population
+from forestgen.core.errors import RecipeError
+from forestgen.recipe.hashing import recipe_hash
+from forestgen.recipe.messages import show
+from forestgen.stages.plan import Plan
+
+_MOST_SHOWN = 3
+
+
+def origin(plan: Plan) -> dict[str, Any]:
+    """What a plan's simulation is started with, plain as in JSON."""
+    drawn = plan.drawn
+    about = {
+        "recipe_hash": recipe_hash(drawn.data),
+        "seed": drawn.recipe.seed,
+        "image": drawn.image_index,
+        "model": drawn.recipe.community.model,
+        "parameters": plan.model_parameters.model_dump(mode="json"),
+        "site": {"size_m": plan.site.size_m},
+        "species": {one.name: asdict(one) for one in plan.ecologies},
+    }
+    plain: dict[str, Any] = json.loads(json.dumps(about))
+    return plain
+
+
+def snapshot_to_resume(plan: Plan, path: Path, step: int | None) -> Population:
+    """The snapshot of a history from which a plan's simulation goes on: that of `step`, by default the last.
+
+    Raises
+    ------
+    AssetError : no such file, or not a history.
+    RecipeError : the history has no such step, the recipe ends before, or it is not the one that made the history.
+    """
+    history = open_history(path)
+    steps = history.steps
+    chosen = steps[-1] if step is None else step
+    if chosen not in steps:
+        expected = f"a step from {steps[0]} to {steps[-1]}"
+        raise RecipeError(f"{path} has no such step", where="--from-step", expected=expected, got=str(step))
+    _check_same_simulation(dict(history.origin), origin(plan), chosen, path)
+    if chosen >= plan.steps:
+        raise RecipeError(
+            f"nothing is left to simulate after step {chosen}",
+            where=plan.drawn.where("community", "steps"),
+            expected=f"more than {chosen} steps",
+            got=str(plan.steps),
+            hint=f"--set community.steps={chosen + 100}, or --from-step with an earlier step",
+        )
+    return history.snapshot(chosen)
+
+
+def _check_same_simulation(theirs: Mapping[str, Any], ours: Mapping[str, Any], step: int, path: Path) -> None:
+    """Raise `RecipeError` unless both origins have the same future from `step` on, but for what is still to come."""
+    if not theirs:
+        got = "nothing"
+        raise RecipeError(f"{path} does not say what it was started with", where="--resume", expected="that", got=got)
+    before, now = dict(_until(theirs, step)), dict(_until(ours, step))
+    differ = [key for key in {**now, **before} if before.get(key) != now.get(key)]
+    if not differ:
+        return
+    shown, more = differ[:_MOST_SHOWN], len(differ) - _MOST_SHOWN
+    raise RecipeError(
+        f"{path} is the history of another simulation",
+        where="--resume",
+        expected="; ".join(f"{key} {_show(before.get(key))}" for key in shown) + ", as in the history",
+        got="; ".join(f"{key} {_show(now.get(key))}" for key in shown) + (f", and {more} more" if more > 0 else ""),
+        hint="only community.steps and later disturbances may change; leave --resume out to start anew",
+    )
+
+
+def _until(about: Mapping[str, Any], step: int) -> Iterator[tuple[str, Any]]:
+    """Key and value of all that the future depends on after `step`, disturbances to come left out."""
+    yield "seed", about["seed"]
+    yield "image", about["image"]
+    yield "site.size_m", about["site"]["size_m"]
+    yield "species", list(about["species"])
+    for name, ecology in about["species"].items():
+        yield from ((f"species.{name}.{key}", value) for key, value in ecology.items())
+    yield "community.model", about["model"]
+    parameters = about["parameters"]
+    for key, value in parameters.items():
+        if key == "disturbances":
+            for index, one in enumerate(value):
+                if Disturbance.model_validate(one).step(parameters["step_yr"]) <= step:
+                    yield f"community.disturbances.{index}", one
+        elif key != "steps":
+            yield f"community.{key}", value
+
+
+def _show(value: Any) -> str:
+    return "(none)" if value is None else show(_without_defaults(value))
+
+
+def _without_defaults(value: Any) -> Any:
+    """A disturbance without the keys that it does not use."""
+    if isinstance(value, Mapping):
+        return {key: _without_defaults(one) for key, one in value.items() if one is not None}
+    return value

@@ -1,0 +1,122 @@
+"""What Lane 2002 shows of its communities, by the shipped recipes, over ten seeds: `pytest -m slow -s` prints it."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import stats
+
+from forestgen.community.population import Population
+from forestgen.community.statistics import cover_by_species, hopkins_index
+from forestgen.core.progress import Silent
+from forestgen.recipe.assets import find_asset
+from forestgen.recipe.load import load_recipe
+from forestgen.stages.community import snapshots
+from forestgen.stages.plan import Plan, check_plan
+
+SEEDS = range(10)
+pytestmark = pytest.mark.slow
+
+
+def plan_of(recipe: str, seed: int) -> Plan:
+    path: Path = find_asset("recipes", f"reproductions/{recipe}")
+    return check_plan(load_recipe(path, [f"seed={seed}"]), simulate_only=True)
+
+
+@functools.cache
+def stages(recipe: str, steps: Sequence[int]) -> list[list[Population]]:
+    """Snapshots at some steps, by seed."""
+    made = []
+    for seed in SEEDS:
+        history = snapshots(plan_of(recipe, seed), Silent())
+        made.append([one for one in history if one.step in steps])
+    return made
+
+
+def hopkins(population: Population, size_m: tuple[float, float], species: int | None = None) -> float:
+    keep = np.ones(len(population), bool) if species is None else population.species == species
+    return hopkins_index(population.position_m[keep, :2], size_m, np.random.default_rng(0))
+
+
+def show(name: str, values: NDArray[np.float64]) -> None:
+    mean, spread = values.mean(axis=0), values.std(axis=0, ddof=1)
+    print(f"{name}: " + ", ".join(f"{m:.4g} +- {s:.2g}" for m, s in zip(mean, spread, strict=True)))  # noqa: T201
+
+
+def test_self_thinning() -> None:
+    """Figures 4.3 and 4.4."""
+    steps = (10, 45, 95)
+    slopes, indices = [], []
+    for seed in SEEDS:
+        density, mass, mature, found = [], [], [], []
+        for one in snapshots(plan_of("self_thinning", seed), Silent()):
+            density.append(len(one))
+            mass.append(np.mean(one.radius_m**3))
+            mature.append(np.mean(one.radius_m >= 3))
+            if one.step in steps:
+                found.append(hopkins(one, (100.0, 100.0)))
+        line = (np.array(density) <= 0.3 * density[0]) & (np.array(mature) < 0.01)
+        slopes.append([np.polyfit(np.log(np.array(density)[line]), np.log(np.array(mass)[line]), 1)[0]])
+        indices.append(found)
+    show("self-thinning slope", np.array(slopes))
+    show("Hopkins index at steps 10, 45, 95 (thesis: 0.8, 0.4, 0.4)", np.array(indices))
+    assert np.mean(slopes) == pytest.approx(-1.5, abs=0.1)
+    np.testing.assert_allclose(np.mean(indices, axis=0), [0.8, 0.54, 0.54], atol=0.05)
+
+
+def test_succession() -> None:
+    """Figure 4.5 and Table 7.1."""
+    steps = (20, 150, 300, 1000)
+    plan = plan_of("succession", 0)
+    runs = stages("succession", steps)
+    counts = np.array([[len(one) for one in run] for run in runs], float)
+    indices = np.array([[hopkins(one, (105.0, 105.0)) for one in run] for run in runs])
+    cover = np.array([[list(cover_by_species(one, plan.site).values()) for one in run] for run in runs])
+    show("plants at steps 20, 150, 300, 1000 (thesis: 2688, 1593, 1409, 834)", counts)
+    show("Hopkins index (thesis: 0.6, 0.7, 0.7, 0.6)", indices)
+    for step, rows in zip(steps, cover.transpose(1, 0, 2), strict=True):
+        show(f"cover of fireweed, poplar, spruce at step {step}", rows)
+    mean = cover.mean(axis=0)
+    assert mean[0].argmax() == 0
+    assert mean[1].argmax() == 1
+    assert mean[3].argmax() == 2
+    assert np.all(np.diff(mean[:, 0]) < 0)  # fireweed only loses
+    assert np.all(np.diff(mean[:, 2]) > 0)  # spruce only gains
+    np.testing.assert_allclose(counts.mean(axis=0)[:3], [2688, 1593, 1409], rtol=0.15)
+    assert counts.mean(axis=0)[3] == pytest.approx(1340, rel=0.1)
+    np.testing.assert_allclose(indices.mean(axis=0), [0.6, 0.7, 0.7, 0.73], atol=0.1)
+
+
+def test_propagation() -> None:
+    """Figure 4.6 and Table 7.1."""
+    steps = (20, 500, 1000)
+    runs = stages("propagation", steps)
+    counts = np.array([[len(one) for one in run] for run in runs], float)
+    indices = np.array([[hopkins(one, (105.0, 105.0), 0) for one in run] for run in runs])
+    show("plants at steps 20, 500, 1000 (thesis: 5584, 5526, 3427)", counts)
+    show("Hopkins index of species 1 (thesis: 1.1, 4.2, 11)", indices)
+    print("by seed:", indices.round(2).tolist())  # noqa: T201
+    h = indices.mean(axis=0)
+    assert h[0] == pytest.approx(1.1, abs=0.1)
+    assert h[1] == pytest.approx(4.2, abs=1.3)
+    assert h[2] == pytest.approx(11, abs=2.5)
+    np.testing.assert_allclose(counts.mean(axis=0)[:2], [5584, 5526], rtol=0.2)
+    assert counts.mean(axis=0)[2] == pytest.approx(4650, rel=0.1)
+
+
+def test_size_hierarchy() -> None:
+    """Figure 2.2."""
+    distances, values = [], []
+    for (last,) in stages("size_hierarchy", (30,)):
+        z = stats.zscore(3 * np.log(last.radius_m))
+        distances.append([stats.kstest(z, "norm").statistic])
+        values.append(stats.shapiro(z).pvalue)
+    show("Kolmogorov's distance of log mass from a normal distribution", np.array(distances))
+    print(f"Shapiro's p above 0.01: {np.sum(np.array(values) > 0.01)} of {len(values)}")  # noqa: T201
+    assert np.max(distances) < 0.04
+    assert np.sum(np.array(values) > 0.01) >= 7

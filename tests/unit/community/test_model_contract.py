@@ -1,0 +1,147 @@
+"""What every registered model keeps of `CommunityModel`."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from forestgen.community.disturbance import Planting
+from forestgen.community.history import open_history, write_history
+from forestgen.community.model import CommunityParameters, Site, simulate
+from forestgen.community.registry import COMMUNITY_MODELS
+
+MODELS = COMMUNITY_MODELS.ids()
+SITE = Site((30.0, 20.0))
+STEPS = 24
+DISTURBANCES = (
+    {"at_step": 0, "plant": {"species": "b", "count": 7, "radius_m": 0.5}},
+    {"at_yr": 3, "fell": {"circle": {"center_m": [1, 1], "radius_m": 8}, "share": 0.7}},
+    {"at_step": 9, "burn": {"species": ["tree"], "survival": 0.5}},
+    {"at_step": 9, "plant": {"species": "tree", "positions_m": [[3, 4], [5, 6]]}},
+    {"at_step": STEPS, "fell": {"max_radius_m": 0.4}},
+)
+# Resumed steps change what numbers a model holds; anything may follow any of them.
+seeds, steps = st.integers(0, 2**63 - 1), st.integers(0, STEPS)
+
+
+def identical(a, b) -> bool:
+    """Whether two populations hold the same bytes."""
+
+    def plain(value):
+        return (value.dtype, value.shape, value.tobytes()) if isinstance(value, np.ndarray) else value
+
+    return all(
+        plain(getattr(a, f.name)) == plain(getattr(b, f.name)) for f in dataclasses.fields(a) if f.name != "columns"
+    ) and {k: plain(v) for k, v in a.columns.items()} == {k: plain(v) for k, v in b.columns.items()}
+
+
+def run(name, species, seed, **more):
+    model = COMMUNITY_MODELS.load(name)
+    parameters = model.Parameters(steps=STEPS, **{"disturbances": DISTURBANCES, **more.pop("parameters", {})})
+    return list(simulate(model, parameters, SITE, species, seed, steps=STEPS, **more))
+
+
+@pytest.fixture
+def species(tree):
+    return [tree(), tree(name="b", growth_m_per_yr=0.2, shade_tolerance=0.8, old_age_survival=0.5)]
+
+
+@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize("parameters", [{}, {"step_yr": 0.3, "periodic": False, "disturbances": ()}])
+@settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(seed=seeds, step=steps)
+def test_a_stored_snapshot_resumes_to_the_same_future(name, parameters, species, tmp_path, seed, step):
+    whole = run(name, species, seed, parameters=parameters)
+    write_history(tmp_path / "a.parquet", whole)
+    again = run(name, species, seed, parameters=parameters, start=open_history(tmp_path / "a.parquet").snapshot(step))
+    assert [one.step for one in again] == list(range(step, STEPS + 1))
+    assert all(identical(one, other) for one, other in zip(again, whole[step:], strict=True))
+    assert len(whole[-1])
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_every_snapshot_is_of_its_step_and_in_the_file(name, species, tmp_path):
+    whole = run(name, species, 1)
+    assert [one.step for one in whole] == list(range(STEPS + 1))
+    write_history(tmp_path / "a.parquet", whole, {"seed": 1})
+    history = open_history(tmp_path / "a.parquet")
+    assert history.steps == list(range(STEPS + 1))
+    assert history.origin == {"seed": 1}
+    assert all(identical(one, other) for one, other in zip(history, whole, strict=True))
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_each_disturbance_happens_once_at_its_time(name, species, tree):
+    """Plants of a species without seedlings, by what is planted and felled."""
+    disturbances = [
+        {"at_step": 0, "plant": {"species": "c", "positions_m": [[1, 1]]}},
+        {"at_step": 5, "plant": {"species": "c", "count": 3}},
+        {"at_yr": 3.9, "plant": {"species": "c", "count": 4}},
+        {"at_step": 12, "fell": {"species": ["c"]}},
+    ]
+    immortal = tree(name="c", seedlings_per_ha_per_yr=0.0, shade_tolerance=1.0, old_age_survival=1.0)
+    others = [dataclasses.replace(one, seedlings_per_ha_per_yr=0.0) for one in species]
+    chosen = {"steps": STEPS, "step_yr": 0.5, "disturbances": disturbances}
+    model = COMMUNITY_MODELS.load(name)
+    populations = list(simulate(model, model.Parameters(**chosen), SITE, [*others, immortal], 3, steps=STEPS))
+    assert [len(one) for one in populations] == [1] * 5 + [4] * 3 + [8] * 4 + [0] * 13
+    assert set(populations[4].plant_id) < set(populations[7].plant_id) < set(populations[11].plant_id)
+    assert populations[8].age_yr.tolist() == [4.0, 1.5, 1.5, 1.5, 0, 0, 0, 0]
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_removing_and_planting(name, species):
+    model = COMMUNITY_MODELS.load(name)
+    parameters = model.Parameters(steps=20)
+    state = model.init(parameters, SITE, species, 5)
+    for _ in range(20):
+        state = model.step(state)
+    before = model.population(state)
+    gone = before.plant_id[::2]
+    after = model.population(model.remove(state, np.append(gone, np.uint32(4_000_000_000))))
+    assert after.plant_id.tolist() == before.plant_id[1::2].tolist()
+    assert identical(before, model.population(state))
+    planting = Planting(np.array([1, 0], np.uint16), np.array([[2.0, 3.0], [25.0, 15.0]]), np.array([0.7, 1.1]))
+    planted = model.population(model.plant(state, planting))
+    assert planted.plant_id[:-2].tolist() == before.plant_id.tolist()
+    assert planted.plant_id[-2] > before.plant_id[-1]
+    assert planted.radius_m[-2:].tolist() == [0.7, 1.1]
+    assert planted.species[-2:].tolist() == [1, 0]
+    assert planted.position_m[-2:].tolist() == [[2.0, 3.0, 0.0], [25.0, 15.0, 0.0]]
+    assert (planted.step, planted.age_yr[-1]) == (before.step, 0)
+    assert len(model.population(model.remove(state, before.plant_id))) == 0
+
+
+@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize("rate", [0.0, 500.0])
+def test_no_more_plants_than_expected(name, rate, tree):
+    species = [tree(seedlings_per_ha_per_yr=rate), tree(name="b", seedlings_per_ha_per_yr=rate, shade_tolerance=0.95)]
+    model = COMMUNITY_MODELS.load(name)
+    planting = {"at_step": 3, "plant": {"species": "b", "count": 30}}
+    for disturbances in ((), (planting,)):
+        parameters = model.Parameters(steps=60, disturbances=disturbances)
+        bound = model.expected_plants(parameters, SITE, species)
+        numbers = [[len(p) for p in simulate(model, parameters, SITE, species, k, steps=60)] for k in range(5)]
+        assert np.mean(numbers, axis=0).max() <= bound
+        assert (
+            (bound == 0) == (max(map(max, numbers)) == 0) == (model.why_barren(parameters, SITE, species) is not None)
+        )
+    assert "0 for every species" in model.why_barren(model.Parameters(), SITE, [tree(seedlings_per_ha_per_yr=0.0)])
+    assert "steps is 0" in model.why_barren(model.Parameters(steps=0), SITE, species)
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_parameters_are_a_communitys(name):
+    model = COMMUNITY_MODELS.load(name)
+    assert issubclass(model.Parameters, CommunityParameters)
+    parameters = model.Parameters(disturbances=DISTURBANCES)
+    assert model.Parameters.model_validate(parameters.model_dump(mode="json")) == parameters
+    assert dict(parameters.named_species()) == {
+        ("disturbances", 0, "plant", "species"): "b",
+        ("disturbances", 2, "burn", "species", 0): "tree",
+        ("disturbances", 3, "plant", "species"): "tree",
+    }

@@ -1,0 +1,109 @@
+"""Which recipe continues which history."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from forestgen.community.history import open_history, write_history
+from forestgen.core.errors import AssetError, RecipeError
+from forestgen.core.progress import Silent
+from forestgen.recipe.load import load_recipe
+from forestgen.stages.community import final_population, snapshots
+from forestgen.stages.plan import Plan, check_plan
+from forestgen.stages.resume import origin, snapshot_to_resume
+
+QUICKSTART = Path(__file__).parents[3] / "recipes" / "quickstart.yaml"
+STAND = (
+    "site.size_m=[20,20]",
+    "community.model=forest_footprints",
+    "community.disturbances=[{at_step: 3, fell: {share: 0.5}}, {at_step: 8, burn: {survival: 0.2}}]",
+)
+BASE = ("community={model: forest_footprints, steps: 12}", *STAND)
+
+
+def planned(*overrides: str) -> Plan:
+    return check_plan(load_recipe(QUICKSTART, [*BASE, *overrides]), simulate_only=True)
+
+
+@pytest.fixture(scope="module")
+def history(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path, plan = tmp_path_factory.mktemp("history") / "history.parquet", planned()
+    write_history(path, snapshots(plan, Silent()), origin(plan))
+    return path
+
+
+def test_the_future_is_the_same_to_the_byte(history: Path) -> None:
+    longer = planned("community.steps=15")
+    whole = final_population(longer, Silent())
+    for step in (0, 2, 3, 7, 8, 12, None):
+        *_, last = snapshots(longer, Silent(), snapshot_to_resume(longer, history, step))
+        assert last.step == 15
+        assert last.plant_id.tobytes() == whole.plant_id.tobytes()
+        assert last.radius_m.tobytes() == whole.radius_m.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("overrides", "step", "message"),
+    [
+        (("seed=8",), 3, r"another simulation[\s\S]*expected  seed 7[\s\S]*got       seed 8"),
+        (("first_image=2",), 3, "image 0"),
+        (("site.size_m=[20,30]",), 3, "site.size_m"),
+        (("species={poplar: , fireweed: , spruce: }",), 3, "species.*fireweed"),
+        (("species.poplar={from: poplar, height_m: 9}",), 3, "species.poplar.height_scale"),
+        (("community.model=multiset_lsystem",), 3, "community.model"),
+        (("community.step_yr=0.25",), 3, "community.step_yr 1.0, as in the history"),
+        (("community.health_loss_per_yr=0.1", "seed=9", "first_image=3", "site.size_m=[9,9]"), 3, "and 1 more"),
+        (("community.disturbances.0.fell.share=0.6",), 3, "disturbances.0 .*share: 0.5"),
+        (("community.disturbances=[]",), 10, "disturbances.0 .*disturbances.1 "),
+        (("community.disturbances.1.at_step=2",), 3, r"disturbances.1 \(none\)"),
+        ((), None, r"nothing is left to simulate after step 12[\s\S]*more than 12 steps"),
+        ((), 13, r"no such step[\s\S]*0 to 12[\s\S]*13"),
+        ((), -1, "no such step"),
+    ],
+)
+def test_another_recipe_is_refused(history: Path, overrides: tuple[str, ...], step: int | None, message: str) -> None:
+    with pytest.raises(RecipeError, match=message):
+        snapshot_to_resume(planned(*overrides), history, step)
+
+
+@pytest.mark.parametrize(
+    ("override", "step"),
+    [
+        ("community.steps=40", 12),
+        ("community.steps=9", 8),
+        ("community.disturbances=[]", 2),
+        ("community.disturbances.1.burn.survival=1", 7),
+        ("sky.turbidity=5", 3),
+        ("render.samples=1", 3),
+    ],
+)
+def test_what_is_still_to_come_may_change(history: Path, override: str, step: int) -> None:
+    start = snapshot_to_resume(planned(override), history, step)
+    assert start.step == step
+    *_, last = snapshots(planned(override), Silent(), start)
+    assert last.step == planned(override).steps
+
+
+def test_a_stand_left_alone_has_more_plants_than_one_that_burns(history: Path) -> None:
+    alone, burnt = (
+        planned(*more) for more in ((f"community.disturbances=[{'{at_step: 3, fell: {share: 0.5}}'}]",), ())
+    )
+    ends = [list(snapshots(one, Silent(), snapshot_to_resume(one, history, 7)))[1] for one in (alone, burnt)]
+    assert len(ends[0]) > 2 * len(ends[1])
+    assert np.isin(ends[1].plant_id, ends[0].plant_id).all()
+
+
+def test_no_history(history: Path, tmp_path: Path) -> None:
+    for path in (tmp_path / "none.parquet", QUICKSTART, tmp_path):
+        with pytest.raises(AssetError, match="not a readable history"):
+            snapshot_to_resume(planned(), path, None)
+    nameless = tmp_path / "nameless.parquet"
+    write_history(nameless, open_history(history))
+    with pytest.raises(RecipeError, match="does not say"):
+        snapshot_to_resume(planned(), nameless, 3)
+    (tmp_path / "cut.parquet").write_bytes(history.read_bytes()[:-100])
+    with pytest.raises(AssetError):
+        snapshot_to_resume(planned(), tmp_path / "cut.parquet", 3)
