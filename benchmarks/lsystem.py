@@ -1,7 +1,7 @@
 """Speed of the L-system engine: `uv run python benchmarks/lsystem.py`.
 
-1. F -> FFF, 14 steps, alternately by forestgen and by npm's `lindenmayer` (fetched into a temporary folder where node and
-   npm are there): modules derived a second, the modules of all steps counted. forestgen's program has parametric
+1. F -> FFF, 14 steps, alternately by forestgen and by npm's `lindenmayer` (fetched into a temporary folder where node
+   and npm are there): modules derived a second, the modules of all steps counted. forestgen's program has parametric
    productions too, and once more F carries a parameter.
 2. A step of succession of three species at 10,000, 100,000 and 1,000,000 plants: seconds, microseconds a plant, and the
    peak of traced memory above the old state, with that state itself.

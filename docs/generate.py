@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from forestgen.community.registry import COMMUNITY_MODELS
+from forestgen.community.registry import COMMUNITY_MODELS, ENVIRONMENTS
 from forestgen.core.registry import Registry
 from forestgen.plants.registry import GENERATORS
 from forestgen.recipe.schema import Recipe
@@ -42,7 +42,7 @@ _SECTIONS = {
 def pages() -> dict[Path, str]:
     """Path -> text of every generated page."""
     made = {DOCS / "recipe.md": recipe_page()}
-    for registry in (COMMUNITY_MODELS, GENERATORS):
+    for registry in (COMMUNITY_MODELS, ENVIRONMENTS, GENERATORS):
         for name in registry.ids():
             made[DOCS / "models" / f"{name}.md"] = model_page(registry, name)
     return made

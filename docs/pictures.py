@@ -1,7 +1,12 @@
-"""Renders the documentation's pictures: `uv run python docs/pictures.py` (some six minutes on two cores).
+"""Makes the documentation's pictures: `uv run python docs/pictures.py` (some seven minutes on two cores).
 
-quickstart.jpg   the quickstart's view, larger and with more samples; the right half under its instance mask
-succession.jpg   four stages of Lane's succession (2002, Figure 4.5): maps, and the stand as a camera sees it
+quickstart.jpg        the quickstart's view, larger and with more samples; the right half under its instance mask
+succession.jpg        four stages of the quickstart's succession: maps, and the stand as a camera sees it
+succession_maps.png   recipes/reproductions/succession.yaml at four steps (Lane 2002, Figure 4.5)
+propagation_maps.png  recipes/reproductions/propagation.yaml at three steps (Lane 2002, Figure 4.6)
+self_thinning.png     the line of recipes/reproductions/self_thinning.yaml (Lane 2002, Figure 4.4)
+
+With names behind it, `uv run python docs/pictures.py self_thinning succession_maps`, it makes these alone.
 """
 
 from __future__ import annotations
@@ -9,6 +14,7 @@ from __future__ import annotations
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +23,8 @@ from PIL import Image
 ROOT = Path(__file__).parents[1]
 PICTURES = ROOT / "docs" / "pictures"
 STAGES = (20, 150, 300, 1000)
+CLUSTERS = (20, 500, 1000)
+MAP_WIDTH, COLOURS = 480, 48  # of maps in PNGs: pixels, and palette
 
 
 def render(folder: Path, *settings: str) -> Path:
@@ -37,20 +45,55 @@ def quickstart(scratch: Path) -> None:
     save(picture, "quickstart.jpg")
 
 
+def simulate(folder: Path, recipe: str, *options: str, steps: Sequence[int] = ()) -> list[Path]:
+    """Simulate a recipe; its maps at some steps."""
+    maps = [word for step in steps for word in ("--map-step", str(step))]
+    command = [sys.executable, "-m", "forestgen", "simulate", ROOT / "recipes" / recipe, "-o", folder, *maps]
+    subprocess.run([*command, *options], check=True)
+    return [folder / f"map-{step:06d}.png" for step in steps]
+
+
 def succession(scratch: Path) -> None:
-    recipe = ROOT / "recipes" / "quickstart.yaml"
-    maps = [word for step in STAGES for word in ("--map-step", str(step))]
-    folder = scratch / "community"
-    command = [sys.executable, "-m", "forestgen", "simulate", recipe, "-o", folder, *maps]
-    subprocess.run([*command, "--set", f"community.steps={STAGES[-1]}"], check=True)
+    last = f"community.steps={STAGES[-1]}"
+    charts = simulate(scratch / "community", "quickstart.yaml", "--set", last, steps=STAGES)
     rows = []
-    for step in STAGES:
+    for step, path in zip(STAGES, charts, strict=True):
         view = "cameras.0={position_m: [60, -34, 14], look_at_m: [60, 60, 4], size_px: [720, 360], hfov_deg: 62}"
         frame = render(scratch / f"stage-{step}", f"community.steps={step}", view, "render.samples=12")
-        chart = Image.open(folder / f"map-{step:06d}.png").convert("RGB")
+        chart = Image.open(path).convert("RGB")
         chart = chart.resize((round(chart.width * 360 / chart.height), 360), Image.Resampling.LANCZOS)
         rows.append(np.concatenate([np.asarray(chart), np.asarray(Image.open(frame / "preview.png"))], axis=1))
     save(np.concatenate(rows, axis=0), "succession.jpg")
+
+
+def succession_maps(scratch: Path) -> None:
+    maps = simulate(scratch / "succession", "reproductions/succession.yaml", steps=STAGES)
+    save_sheet(maps, 2, "succession_maps.png")
+
+
+def propagation_maps(scratch: Path) -> None:
+    maps = simulate(scratch / "propagation", "reproductions/propagation.yaml", steps=CLUSTERS)
+    save_sheet(maps, 3, "propagation_maps.png")
+
+
+def self_thinning(scratch: Path) -> None:
+    simulate(scratch / "thinning", "reproductions/self_thinning.yaml")
+    save_sheet([scratch / "thinning" / "thinning.png"], 1, "self_thinning.png")
+
+
+def save_sheet(pictures: Sequence[Path], columns: int, name: str) -> None:
+    """Pictures of one size side by side, scaled, as a PNG of few colours."""
+    scaled = []
+    for path in pictures:
+        one = Image.open(path).convert("RGB")
+        height = round(one.height * MAP_WIDTH / one.width)
+        scaled.append(np.asarray(one.resize((MAP_WIDTH, height), Image.Resampling.LANCZOS)))
+    rows = [np.concatenate(scaled[k : k + columns], axis=1) for k in range(0, len(scaled), columns)]
+    sheet = Image.fromarray(np.concatenate(rows, axis=0))
+    sheet = sheet.quantize(COLOURS, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
+    PICTURES.mkdir(exist_ok=True)
+    sheet.save(PICTURES / name, optimize=True)
+    sys.stdout.write(f"{PICTURES / name}\n")
 
 
 def save(picture: np.ndarray, name: str) -> None:
@@ -59,10 +102,13 @@ def save(picture: np.ndarray, name: str) -> None:
     sys.stdout.write(f"{PICTURES / name}\n")
 
 
+PICTURES_OF = {one.__name__: one for one in (quickstart, succession, succession_maps, propagation_maps, self_thinning)}
+
+
 def main() -> None:
     with tempfile.TemporaryDirectory() as scratch:
-        quickstart(Path(scratch))
-        succession(Path(scratch))
+        for name in sys.argv[1:] or PICTURES_OF:
+            PICTURES_OF[name](Path(scratch))
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ from rich.table import Table
 from rich.text import Text
 
 from forestgen.cli.console import Bars, count, output, seconds
-from forestgen.community.registry import COMMUNITY_MODELS
+from forestgen.community.registry import COMMUNITY_MODELS, ENVIRONMENTS
 from forestgen.core.errors import RecipeError
 from forestgen.core.registry import Registry
 from forestgen.core.timing import Timings
@@ -31,7 +31,8 @@ if TYPE_CHECKING:
     from forestgen.pipeline import RunSummary
 
 _MOST_NOTES = 5
-_REGISTRIES = (COMMUNITY_MODELS, GENERATORS)
+_REGISTRIES = (COMMUNITY_MODELS, ENVIRONMENTS, GENERATORS)
+_ASSETS = ("species", "lsystems", "recipes")
 
 
 def _target(chosen: Path | None, recipe: Path) -> Path:
@@ -183,9 +184,9 @@ def models(name: str | None) -> None:
         return
     for registry in _REGISTRIES:
         _say_list(out, f"{registry.kind}s", {one: registry.describe(one) for one in registry.ids()})
-    for kind in ("species", "recipes"):
+    for kind in _ASSETS:
         _say_list(out, kind, {one: _first_comment(find_asset(kind, one)) for one in list_assets(kind)})
-    _say(out, f"species lie in {scenes_dir() / 'species'}, recipes in {recipes_dir()}")
+    _say(out, f"species and lsystems lie in {scenes_dir()}, recipes in {recipes_dir()}")
 
 
 def _say_list(out: Console, title: str, entries: Mapping[str, str]) -> None:
@@ -197,21 +198,27 @@ def _say_list(out: Console, title: str, entries: Mapping[str, str]) -> None:
 
 def _first_comment(path: Path) -> str:
     first = path.read_text(encoding="utf-8").partition("\n")[0]
-    return first.removeprefix("#").strip() if first.startswith("#") else ""
+    return first.lstrip("#/").strip() if first.startswith(("#", "//")) else ""
 
 
-def _page(name: str) -> str:
-    """A model's or generator's manual page; a species' or recipe's file."""
+def _pages(name: str) -> Iterator[str]:
+    """Manual pages of the models, environments and generators of a name; then files of species, programs, recipes."""
     for registry in _REGISTRIES:
         if name in registry.ids():
             module = sys.modules[type(registry.load(name)).__module__]
-            return inspect.cleandoc(module.__doc__ or f"{name} has no manual page")
-    for kind in ("species", "recipes"):
+            yield inspect.cleandoc(module.__doc__ or f"{name} has no manual page")
+    for kind in _ASSETS:
         if name in list_assets(kind):
             path = find_asset(kind, name)
-            return f"{path}\n\n{path.read_text(encoding='utf-8').rstrip()}"
+            yield f"{path}\n\n{path.read_text(encoding='utf-8').rstrip()}"
+
+
+def _page(name: str) -> str:
+    pages = list(_pages(name))
+    if pages:
+        return "\n\n".join(pages)
     known = [one for registry in _REGISTRIES for one in registry.ids()]
-    known += [*list_assets("species"), *list_assets("recipes")]
+    known += [one for kind in _ASSETS for one in list_assets(kind)]
     near = difflib.get_close_matches(name, known, n=1)
     raise RecipeError(
         "there is no page of this name",

@@ -13,7 +13,7 @@ COMMUNITY_MODELS = Registry(
         ),
         "multiset_lsystem": (
             "forestgen.community.models.multiset_lsystem:MODEL",
-            "self-thinning and succession of circles that compete for space (Lane 2002, multiset L-systems)",
+            "self-thinning, succession, propagation, or a program of yours (Lane 2002, multiset L-systems)",
         ),
     },
 )

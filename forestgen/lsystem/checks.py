@@ -10,7 +10,7 @@ from forestgen.lsystem.folding import fold, spell
 from forestgen.lsystem.syntax import Listing, Module, Name, Place, Production
 
 #: The turtle gives these defaults: they may come with and without parameters.
-TURTLE_SYMBOLS = frozenset("Ff Gg + - & ^ \\ / | $ ! # ' ; _ { } . ~ < > @ %".replace(" ", ""))
+TURTLE_SYMBOLS = frozenset([*"FfGg+-&^\\/|$!#';,_{}.~<>@%", "@v", "@Gs", "@Gc", "@Ge"])
 QUERIES = ("?P", "?H", "?U", "?L")
 
 

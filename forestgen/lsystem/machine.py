@@ -605,7 +605,7 @@ def rewrite(  # type: ignore[no-untyped-def]
     arities = t[ARITY]
     m[NEED] = NEED_OUT
     for w in range(m[NEXT_WORD], len(word_id)):
-        begin, end = word_start[w], word_start[w + 1]
+        begin, end = np.int64(word_start[w]), np.int64(word_start[w + 1])  # one type of index: one compilation
         p = m[NEXT_VALUE]
         written, values = m[DONE], m[DONE_VALUES]
         word_key = _mix(key + _GOLDEN * np.uint64(word_id[w]))

@@ -11,7 +11,13 @@ from pathlib import Path
 from forestgen.core.errors import AssetError
 
 PACKAGE = Path(__file__).resolve().parents[1]
-SUFFIX = {"species": ".yaml", "recipes": ".yaml", "terrain": ".yaml", "climate": ".yaml", "lsystems": ".lsys"}
+SUFFIXES = {
+    "species": (".yaml",),
+    "recipes": (".yaml",),
+    "terrain": (".yaml",),
+    "climate": (".yaml",),
+    "lsystems": (".lsys", ".sys"),
+}
 
 
 def _data_dir(name: str) -> Path:
@@ -49,8 +55,8 @@ def list_assets(kind: str) -> list[str]:
 
 def _files(kind: str) -> dict[str, Path]:
     """Name -> file of the shipped parts of a kind."""
-    folder, suffix = _kind_dir(kind), SUFFIX.get(kind)
-    files = (p for p in sorted(folder.rglob("*")) if p.is_file() and suffix in (None, p.suffix))
+    folder, suffixes = _kind_dir(kind), SUFFIXES.get(kind)
+    files = (p for p in sorted(folder.rglob("*")) if p.is_file() and (suffixes is None or p.suffix in suffixes))
     return {p.relative_to(folder).with_suffix("").as_posix(): p for p in files}
 
 
@@ -69,8 +75,8 @@ def find_asset(kind: str, name: str, *, folder: Path | None = None, where: str |
     ------
     AssetError : there is no such file; the message lists the parts that exist.
     """
-    suffix = SUFFIX.get(kind, ".yaml")
-    if "/" in name or "\\" in name or name.endswith((suffix, ".yaml", ".yml")):
+    suffixes = SUFFIXES.get(kind, (".yaml",))
+    if "/" in name or "\\" in name or name.endswith((*suffixes, ".yaml", ".yml")):
         path = (folder or Path()) / name
         if _is_file(path):
             return path
@@ -82,7 +88,7 @@ def find_asset(kind: str, name: str, *, folder: Path | None = None, where: str |
         raise AssetError(
             f"nothing in {kind} has this name",
             where=where,
-            expected=f"one of {', '.join(names) or '(there are none)'}, or a path such as ./{name or 'name'}{suffix}",
+            expected=f"one of {', '.join(names) or '(there are none)'}, or a path such as ./{name or 'name'}{suffixes[0]}",
             got=repr(name),
             hint=f"did you mean {near[0]!r}?" if near else None,
         )

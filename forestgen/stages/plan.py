@@ -38,7 +38,7 @@ _BYTES_PER_PLANT = 18_000  # an instance in two scenes; the renderer's objects a
 _BYTES_PER_PLANT_UNDER_CLOUDS = 9_000  # a third scene
 _GROUND_CELL_M, _MOST_GROUND_CELLS, _GROUND_BEYOND = 0.75, 1200, 160  # see scene/terrain.py
 _BYTES_PER_CLOUD_CELL = 60
-_CURVES_BYTES = 500_000_000  # snapshots that stages/history.py keeps
+_FILM_BYTES = 30_000_000  # numbers and pictures that stages/history.py keeps
 
 
 @dataclass(frozen=True)
@@ -203,7 +203,7 @@ def estimate_bytes(plan: Plan, *, simulate_only: bool = False, plants: int = 0) 
     recipe = plan.drawn.recipe
     community = plan.model.estimate_bytes(plan.model_parameters, plan.site, plan.ecologies)
     if simulate_only:
-        return {"community": community + min(_CURVES_BYTES, 400 * community), "libraries": _LOADED_SIMULATOR_BYTES}
+        return {"community": community + _FILM_BYTES, "libraries": _LOADED_SIMULATOR_BYTES}
     pixels = max(camera.size_px[0] * camera.size_px[1] for camera in recipe.cameras)
     exemplars = recipe.plants.exemplars_per_species * len(plan.drawn.species)
     clouds = recipe.sky.clouds

@@ -27,8 +27,8 @@ from pydantic import BaseModel, ConfigDict
 
 from forestgen.community.environments import grid
 from forestgen.community.environments.contract import Circles
-from forestgen.core.threads import over_ranges
 from forestgen.core.compiled import compiled
+from forestgen.core.threads import over_ranges
 
 # Bytes that `dominated` and `answer` hold at their peak for each circle, all arrays counted (tests measure it).
 BYTES_PER_CIRCLE = 60

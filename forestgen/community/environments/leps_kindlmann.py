@@ -30,8 +30,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from forestgen.community.environments import grid
 from forestgen.community.environments.contract import Circles
-from forestgen.core.threads import over_ranges
 from forestgen.core.compiled import compiled
+from forestgen.core.threads import over_ranges
 
 
 class LepsKindlmannParameters(BaseModel):

@@ -9,8 +9,8 @@ Each plant is a word ``T(x, y, r, sp) ?E(c)`` of a multiset: a circle of radius 
 where it gets all that it can use. In the next step each word is rewritten by the first production that matches; then
 successors are cut at every fragmentation symbol % and the pieces become words of their own.
 
-``program`` is an L-system that comes with forestgen (`forestgen models` lists them, and shows them by name), or the path
-of a ``.lsys`` file of yours, relative to the recipe; docs/lsystem.md has the language.
+``program`` is an L-system that comes with forestgen (`forestgen models` lists them, and shows them by name), or the
+path of a ``.lsys`` file of yours, relative to the recipe; docs/lsystem.md has the language.
 
 - ``self_thinning``, L-system 4.4: a cohort of `initial_plants_per_ha`; dominated plants die, the others grow to R.
 - ``succession``, L-system 4.5, for any number of species: bare ground on which seedlings arrive; the dominated survive

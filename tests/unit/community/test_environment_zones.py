@@ -14,8 +14,8 @@ from pydantic import ValidationError
 
 from forestgen.community.environments import firbank_watkinson as fw
 from forestgen.community.environments import leps_kindlmann as lk
-from forestgen.core import threads
 from forestgen.community.environments.contract import Circles
+from forestgen.core import threads
 
 ENVIRONMENTS = [fw.ENVIRONMENT, lk.ENVIRONMENT]
 EACH = pytest.mark.parametrize("environment", ENVIRONMENTS, ids=lambda one: type(one).__name__)
