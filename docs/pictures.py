@@ -24,7 +24,7 @@ ROOT = Path(__file__).parents[1]
 PICTURES = ROOT / "docs" / "pictures"
 STAGES = (20, 150, 300, 1000)
 CLUSTERS = (20, 500, 1000)
-MAP_WIDTH, COLOURS = 480, 48  # of maps in PNGs: pixels, and palette
+MAP_WIDTH, COLOURS = 400, 24  # of pictures in PNGs: pixels, and palette
 
 
 def render(folder: Path, *settings: str) -> Path:
@@ -48,7 +48,7 @@ def quickstart(scratch: Path) -> None:
 def simulate(folder: Path, recipe: str, *options: str, steps: Sequence[int] = ()) -> list[Path]:
     """Simulate a recipe; its maps at some steps."""
     maps = [word for step in steps for word in ("--map-step", str(step))]
-    command = [sys.executable, "-m", "forestgen", "simulate", ROOT / "recipes" / recipe, "-o", folder, *maps]
+    command = [sys.executable, "-m", "forestgen", "simulate", str(ROOT / "recipes" / recipe), "-o", str(folder), *maps]
     subprocess.run([*command, *options], check=True)
     return [folder / f"map-{step:06d}.png" for step in steps]
 
@@ -78,19 +78,19 @@ def propagation_maps(scratch: Path) -> None:
 
 def self_thinning(scratch: Path) -> None:
     simulate(scratch / "thinning", "reproductions/self_thinning.yaml")
-    save_sheet([scratch / "thinning" / "thinning.png"], 1, "self_thinning.png")
+    save_sheet([scratch / "thinning" / "thinning.png"], 1, "self_thinning.png", width=560)
 
 
-def save_sheet(pictures: Sequence[Path], columns: int, name: str) -> None:
+def save_sheet(pictures: Sequence[Path], columns: int, name: str, width: int = MAP_WIDTH) -> None:
     """Pictures of one size side by side, scaled, as a PNG of few colours."""
     scaled = []
     for path in pictures:
         one = Image.open(path).convert("RGB")
-        height = round(one.height * MAP_WIDTH / one.width)
-        scaled.append(np.asarray(one.resize((MAP_WIDTH, height), Image.Resampling.LANCZOS)))
+        height = round(one.height * width / one.width)
+        scaled.append(np.asarray(one.resize((width, height), Image.Resampling.LANCZOS)))
     rows = [np.concatenate(scaled[k : k + columns], axis=1) for k in range(0, len(scaled), columns)]
     sheet = Image.fromarray(np.concatenate(rows, axis=0))
-    sheet = sheet.quantize(COLOURS, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
+    sheet = sheet.quantize(COLOURS, kmeans=2, dither=Image.Dither.NONE)
     PICTURES.mkdir(exist_ok=True)
     sheet.save(PICTURES / name, optimize=True)
     sys.stdout.write(f"{PICTURES / name}\n")

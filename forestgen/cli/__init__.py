@@ -258,7 +258,10 @@ def derive_lsystem(
         typer.Option("--set", metavar="NAME=VALUE", help="Another value of a #define, or of an array: A=1,2,3."),
     ] = None,
     most_modules: Annotated[
-        int, typer.Option("--max-modules", metavar="N", min=1, help="Stop where the words grow longer than this.")
+        int,
+        typer.Option(
+            "--max-modules", metavar="N", min=1, max=10**9, help="Stop where the words grow longer than this."
+        ),
     ] = 50_000_000,
 ) -> None:
     """Derive an L-system and print the string, or the words of the multiset."""

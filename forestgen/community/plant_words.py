@@ -13,12 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.errors import LsystemError
-from forestgen.lsystem.folding import fold
 from forestgen.lsystem.multiset import Kind, Multiset, words_as_text
-from forestgen.lsystem.parsing import parse_word
 from forestgen.lsystem.program import Program
 
 X, Y, RADIUS, SPECIES, OWN = 0, 1, 2, 3, 4  # parameters of T
+ORDER = "word"  # the column with the order of the words
 _MOST_OTHERS = 64  # words that are no plants, for which it pays to look where they lie
 
 
@@ -73,7 +72,7 @@ def _names(program: Program, arity: int, answers: int) -> tuple[str, ...]:
             names.setdefault(Kind(module.symbol, len(found)), found)
     of_plant = names.get(Kind("T", arity), [f"parameter_{i}" for i in range(arity)])[OWN:]
     of_query = names.get(Kind("?E", answers), [f"answer_{i}" for i in range(answers)])
-    both = (*of_plant, *of_query)
+    both = tuple(f"{name}_parameter" if name == ORDER else name for name in (*of_plant, *of_query))
     return both if len(set(both)) == len(both) else tuple(f"parameter_{i}" for i in range(len(both)))
 
 
@@ -208,13 +207,12 @@ def _ranges(start: NDArray[np.int64], length: NDArray[np.integer]) -> NDArray[np
     return found
 
 
-def read_word(program: Program, text: str) -> Multiset:
-    """The multiset of one word as `words_as_text` writes it; its modules are kinds of the program."""
-    modules = parse_word(text, program.name)
-    values = [fold(argument, {}, program.name) for module in modules for argument in module.arguments]
+def word_of(program: Program, modules: Sequence[Sequence[str | float]]) -> Multiset:
+    """The multiset of one word from the list that `words_as_lists` makes of it."""
+    values = [float(value) for module in modules for value in module[1:]]
     return Multiset(
         program.kinds,
-        np.array([program.kinds.index(Kind(m.symbol, len(m.arguments))) for m in modules], np.uint16),
+        np.array([program.kinds.index(Kind(str(one[0]), len(one) - 1)) for one in modules], np.uint16),
         np.array(values, dtype=np.float64),
         np.array([0, len(modules)], np.int32),
         np.ones(1, np.uint32),

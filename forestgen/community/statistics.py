@@ -28,9 +28,9 @@ def shares(counts: Mapping[str, float]) -> dict[str, float]:
 def cover_by_species(population: Population, site: Site) -> dict[str, float]:
     """Share of the site's area under the circles of each species' living, undominated plants.
 
-    Undominated circles never intersect, so these shares are areas of ground and their sum stays below 1 on a periodic
-    site. On a bounded site the part of a circle outside counts too. Dominated plants stand below a larger circle and
-    would count its ground twice.
+    Under the environment of domination undominated circles never intersect, so these shares are areas of ground and
+    their sum stays below 1 on a periodic site. Under others circles overlap, and shared ground counts for each: the sum
+    may exceed 1. On a bounded site the part of a circle outside counts too. Dominated plants are left out.
     """
     holds = (population.status != Status.DEAD) & (population.status != Status.DOMINATED)
     area_m2 = np.pi * population.radius_m[holds] ** 2

@@ -7,7 +7,7 @@ from typing import NoReturn
 
 from forestgen.core.errors import LsystemError
 from forestgen.lsystem.folding import fold, spell
-from forestgen.lsystem.syntax import Listing, Module, Name, Place, Production
+from forestgen.lsystem.syntax import Listing, Macro, Module, Name, Place, Production
 
 #: The turtle gives these defaults: they may come with and without parameters.
 TURTLE_SYMBOLS = frozenset([*"FfGg+-&^\\/|$!#';,_{}.~<>@%", "@v", "@Gs", "@Gc", "@Ge"])
@@ -98,13 +98,20 @@ def _parameters(count: int) -> str:
     return f"{count or 'no'} parameter{'s' * (count != 1)}"
 
 
+def _visible(production: Production, listing: Listing) -> dict[str, Macro]:
+    """The #defines that no parameter or variable of a production hides."""
+    heads = (*production.left, *production.predecessor, *production.right)
+    hidden = {argument.name for module in heads for argument in module.arguments if isinstance(argument, Name)}
+    return {name: macro for name, macro in listing.macros.items() if name not in hidden}
+
+
 def check_probabilities(productions: Sequence[Production], listing: Listing) -> None:
     """Known probabilities lie in [0, 1], and those of productions with one head and condition sum to at most 1."""
     sums: dict[tuple[object, ...], float] = {}
     for one in productions:
         if one.probability is None:
             continue
-        value = fold(one.probability, listing.macros, listing.name)
+        value = fold(one.probability, _visible(one, listing), listing.name)
         if value is None:
             continue
         place = one.probability.place

@@ -10,6 +10,7 @@ from forestgen.core.errors import LsystemError
 from forestgen.lsystem.checks import check_arities, check_brackets, check_heads, check_probabilities
 from forestgen.lsystem.emitter import Emitter, Scope
 from forestgen.lsystem.folding import fold
+from forestgen.lsystem.functions import points_problem
 from forestgen.lsystem.multiset import RESERVED
 from forestgen.lsystem.packing import Rule, pack
 from forestgen.lsystem.program import Program
@@ -47,7 +48,11 @@ def with_values(listing: Listing, values: Mapping[str, Value]) -> Listing:
         elif name in arrays and not isinstance(value, int | float):
             arrays[name] = tuple(float(one) for one in value)  # type: ignore[arg-type]
         elif name in functions and not isinstance(value, int | float):
-            functions[name] = tuple((float(x), float(y)) for x, y in value)  # type: ignore[misc]
+            points = tuple((float(x), float(y)) for x, y in value)  # type: ignore[misc]
+            problem = points_problem(points)
+            if problem:
+                raise LsystemError(f"function {name} is wrong", where=listing.name, expected=problem, got=repr(points))
+            functions[name] = points
         else:
             sort = "a list" if name in arrays else "points" if name in functions else "a number"
             known = name in macros or name in arrays or name in functions
@@ -79,9 +84,10 @@ def compile_listing(listing: Listing) -> Program:
 class _Compiler:
     def __init__(self, listing: Listing) -> None:
         self.listing = listing
-        blocks = (listing.start, listing.start_each, listing.end_each)
+        blocks = (listing.start, listing.start_each, listing.end_each, listing.end)
         names = dict.fromkeys(one.name for block in blocks for one in _assigned(block))
         self.e = Emitter(listing.name, listing.macros, list(listing.arrays), list(listing.functions), ["", *names])
+        self.e.groups |= {production.group for production in listing.productions}
         for kind in RESERVED:
             self.e.kind(*kind)
 
@@ -107,6 +113,7 @@ class _Compiler:
             for rules in (one.productions, one.decomposition.productions, one.interpretation.productions)
         ]
         blocks = [self.block(block) for block in (one.start, one.start_each, one.end_each)]
+        self.block(one.end)  # nothing is left for it to change, but it must be right
         packed = pack(self.e, sets, self.ignored(), list(one.arrays.values()), list(one.functions.values()))
         addresses = [packed.code_address(begin) for begin in (*axiom, *blocks)]
         every_rule = [rule for group in sets for rule in group]

@@ -14,12 +14,13 @@ from forestgen.core.randomness import child_root
 from forestgen.core.threads import map_ranges
 from forestgen.lsystem import machine_layout as layout
 from forestgen.lsystem import opcodes as op
-from forestgen.lsystem.multiset import Multiset
+from forestgen.lsystem.multiset import PERCENT, Multiset
 from forestgen.lsystem.program import Program, RuleSet
 from forestgen.lsystem.queries import answer_queries, has_queries
 
 MOST_MODULES = 50_000_000
 _LARGEST_ID = 2**32 - 1
+_LARGEST_INDEX = 2**31 - 1  # of a module in its multiset
 _SLACK = 1024
 
 _FAULTS = {
@@ -80,7 +81,7 @@ def axiom(program: Program, seed: int, *, most_modules: int = MOST_MODULES) -> D
         born_step=np.zeros(len(sizes), np.int32),
     )
     start = Derivation(words, 0, len(sizes) + 1, glob)
-    if program.decomposition.address >= 0:
+    if program.decomposition.address >= 0 or np.any(words.code == PERCENT):
         start = _rewritten(program, start, None, program.decomposition, seed, "axiom", 0, most_modules)
     return start
 
@@ -194,7 +195,8 @@ def _fail(program: Program, wrong: int, address: int, step: int, module: str | N
     place = program.place_of(address)
     problem, expected = _FAULTS[wrong]
     if wrong == op.TOO_DEEP:
-        expected = f"an end within maximum depth: {program.decomposition_depth}"
+        most = f"{layout.MOST_EXPANSIONS:,} productions"
+        expected = f"an end within maximum depth: {program.decomposition_depth}, and within {most}"
     at = f"rewriting {module} in" if module else "at"
     where = f"{program.name}:{place.line}:{place.column}"
     raise LsystemError(problem, where=where, expected=expected, got=f"this {at} derivation step {step}")
@@ -249,9 +251,9 @@ def _rewritten(
             raise _too_many(program, most_modules, step)
         if wrong != op.OK:
             _fail(program, wrong, int(m[layout.FAULT]), step, _around(words, int(m[layout.FAULT_MODULE])))
-    result, next_id = _joined(program, [(space, m) for _, m, space in done], state.next_id)
-    if len(result.code) > most_modules:
+    if sum(int(m[layout.DONE]) for _, m, _ in done) > min(most_modules, _LARGEST_INDEX):
         raise _too_many(program, most_modules, step)
+    result, next_id = _joined(program, [(space, m) for _, m, space in done], state.next_id)
     if next_id - 1 > _LARGEST_ID:
         most = f"at most {_LARGEST_ID:,} words in a history"
         raise ResourceError("ids of words are used up", where=program.name, expected=most)
@@ -264,7 +266,7 @@ def _too_many(program: Program, most_modules: int, step: int) -> TooManyModulesE
         where=program.name,
         expected=f"at most {most_modules:,} modules",
         got=f"more of them in derivation step {step}",
-        hint="fewer steps, or a higher limit of modules",
+        hint="fewer steps, or a higher limit (--max-modules)",
     )
 
 
@@ -287,7 +289,9 @@ class _Space:
     ) -> None:
         self.most_modules = most_modules
         counts = np.bincount(code, minlength=len(program.kinds))
-        modules = min(int(counts @ rules.most_modules), most_modules) + _SLACK
+        # A word may be longer while it is written than when it has been cut.
+        self.most_space = min(3 * most_modules, _LARGEST_INDEX - _SLACK)
+        modules = min(int(counts @ rules.most_modules), self.most_space) + _SLACK
         values = min(int(counts @ rules.most_values), 64 * modules) + _SLACK
         n = n_words + n_words // 16 + _SLACK
         self.out: list[NDArray[Any]] = [np.empty(modules, np.uint16), np.empty(values)]
@@ -304,13 +308,13 @@ class _Space:
         """Twice the space of what the machine needs, with what was written; False where that exceeds the limit."""
         need = m[layout.NEED]
         if need == layout.NEED_PILE:
-            if len(self.pile[0]) > self.most_modules:
+            if len(self.pile[0]) > self.most_space:
                 return False
             self.pile = [_grown(one, 0) for one in self.pile]
         elif need == layout.NEED_WORDS:
             self.words = [_grown(one, int(m[layout.WORDS])) for one in self.words]
         else:
-            if len(self.out[0]) > self.most_modules:
+            if m[layout.DONE] > self.most_modules or len(self.out[0]) > self.most_space:
                 return False
             self.out = [
                 _grown(one, int(m[at])) for one, at in zip(self.out, (layout.DONE, layout.DONE_VALUES), strict=True)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from enum import Enum, auto
+from itertools import count
 from typing import NamedTuple, NoReturn
 
 from forestgen.core.errors import LsystemError
@@ -11,6 +12,7 @@ from forestgen.lsystem import opcodes as op
 from forestgen.lsystem.folding import fold
 from forestgen.lsystem.multiset import Kind
 from forestgen.lsystem.syntax import (
+    FIRST,
     Assign,
     Binary,
     Call,
@@ -29,6 +31,7 @@ from forestgen.lsystem.syntax import (
 
 GROUP = 0  # the global variable that holds the current group
 _MOST_INSTRUCTIONS = 1_000_000
+_MOST_KINDS = 65_536
 
 
 class Region(Enum):
@@ -68,8 +71,9 @@ class Emitter:
     ) -> None:
         self.name, self.macros = name, macros
         self.arrays = {one: i for i, one in enumerate(arrays)}
-        self.functions = {one: i + 1 for i, one in enumerate(functions)}
+        self.functions = number_functions(functions)
         self.globals = {one: i for i, one in enumerate(globals_)}
+        self.groups = {0}
         self.counted: dict[str, int] = {}  # symbol -> global
         self.code: list[Instruction] = []
         self.constants: dict[float, int] = {}
@@ -80,7 +84,10 @@ class Emitter:
         raise LsystemError(problem, where=f"{self.name}:{place.line}:{place.column}", **about)
 
     def kind(self, symbol: str, arity: int) -> int:
-        return self.kinds.setdefault(Kind(symbol, arity), len(self.kinds))
+        code = self.kinds.setdefault(Kind(symbol, arity), len(self.kinds))
+        if code >= _MOST_KINDS:
+            self.fail("too many kinds of modules", FIRST, expected=f"at most {_MOST_KINDS:,}")
+        return code
 
     def put(self, operation: int, place: Place, change: int, operand: int = 0, region: Region = Region.NOTHING) -> int:
         """Append an instruction that changes the stack's height by `change`; its index."""
@@ -134,27 +141,42 @@ class Scope:
                     self.e.fail(
                         "useGroup stands in a production", one.place, expected="it in Start, StartEach or EndEach"
                     )
+                self.check_group(one)
                 self.expression(one.group)
                 self.e.put(op.STORE, one.place, -1, GROUP, Region.GLOBAL)
             else:
                 self.assign(one)
 
+    def check_group(self, one: UseGroup) -> None:
+        value = fold(one.group, {}, self.e.name)
+        if value is not None and value not in self.e.groups:
+            known = ", ".join(map(str, sorted(self.e.groups)))
+            self.e.fail("there is no such group", one.place, expected=known, got=f"{value:g}")
+
     def assign(self, one: Assign) -> None:
         self.expression(one.value)
+        self.assign_to(one.name, one.place)
+
+    def assign_to(self, name: str, place: Place) -> None:
+        """The value on the stack becomes a variable's."""
         if self.is_global:
-            self.e.put(op.STORE, one.place, -1, self.e.globals[one.name], Region.GLOBAL)
+            self.e.put(op.STORE, place, -1, self.e.globals[name], Region.GLOBAL)
             return
-        if one.name in self.e.globals:
+        if name in self.e.globals:
             self.e.fail(
-                f"a production assigns the global variable {one.name}",
-                one.place,
+                f"a production assigns the global variable {name}",
+                place,
                 expected="local variables: all modules are rewritten at once",
             )
-        if one.name in self.e.macros or one.name in self.e.arrays:
-            self.e.fail(f"{one.name} is defined and cannot be assigned", one.place)
-        self.e.put(op.STORE, one.place, -1, self.local(one.name), Region.LOCAL)
+        if name in self.e.macros or name in self.e.arrays:
+            self.e.fail(f"{name} is defined and cannot be assigned", place)
+        self.e.put(op.STORE, place, -1, self.local(name), Region.LOCAL)
 
     def branches(self, one: If) -> None:
+        for name in dict.fromkeys(_assigned(one)):
+            if not self.is_global and name not in self.locals:  # 0 where no branch sets it
+                self.e.constant(0.0, one.place)
+                self.assign_to(name, one.place)
         self.expression(one.condition)
         to_else = self.e.put(op.JUMP_IF_ZERO, one.place, -1)
         self.statements(one.then)
@@ -174,6 +196,16 @@ class Scope:
             self.e.put(op.EMIT, one.place, -arity, self.e.kind(one.symbol, arity))
 
     def expression(self, one: Expression) -> None:
+        """Code that leaves the expression's value on the stack; a known value is computed now."""
+        hidden = {*self.locals, *self.e.globals, *(name for bound in self.bound for name in bound)}
+        visible = {name: macro for name, macro in self.e.macros.items() if name not in hidden}
+        value = fold(one, visible, self.e.name)
+        if value is None:
+            self.compute(one)
+        else:
+            self.e.constant(value, one.place)
+
+    def compute(self, one: Expression) -> None:
         if isinstance(one, Number):
             self.e.constant(one.value, one.place)
         elif isinstance(one, Name):
@@ -182,10 +214,10 @@ class Scope:
             if one.name not in self.e.arrays:
                 known = ", ".join(self.e.arrays) or "none is defined"
                 self.e.fail(f"there is no array {one.name}", one.place, expected=known, got=one.name)
-            self.expression(one.index)
+            self.compute(one.index)
             self.e.put(op.ELEMENT, one.place, 0, self.e.arrays[one.name], Region.ARRAY)
         elif isinstance(one, Unary):
-            self.expression(one.operand)
+            self.compute(one.operand)
             self.e.put(op.NEGATE if one.operator == "-" else op.NOT, one.place, 0)
         elif isinstance(one, Call):
             self.call(one)
@@ -197,7 +229,7 @@ class Scope:
     def named(self, one: Name) -> None:
         if self.bound and one.name in self.bound[-1]:
             argument, outer = self.bound[-1][one.name], self.bound.pop()
-            self.expression(argument)  # in the scope of the macro's caller
+            self.compute(argument)  # in the scope of the macro's caller
             self.bound.append(outer)
         elif one.name in self.locals:
             self.e.put(op.LOAD, one.place, 1, self.locals[one.name], Region.LOCAL)
@@ -226,7 +258,7 @@ class Scope:
             self.e.fail(f"#define {one.name} is made of itself", one.place, got=" > ".join([*self.expanding, one.name]))
         self.expanding.append(one.name)
         self.bound.append(dict(zip(parameters, one.arguments, strict=True)))
-        self.expression(macro.body)
+        self.compute(macro.body)
         self.bound.pop()
         self.expanding.pop()
 
@@ -247,12 +279,11 @@ class Scope:
         if one.name == "func" and isinstance(one.arguments[0], Number | Name):
             self.check_function(one.arguments[0])
         for argument in one.arguments:
-            self.expression(argument)
+            self.compute(argument)
         self.e.put(operation, one.place, 1 - arity)
 
     def check_function(self, chosen: Number | Name) -> None:
-        numbered = isinstance(chosen, Number) and not 1 <= chosen.value <= len(self.e.functions)
-        if numbered and isinstance(chosen, Number) and f"{chosen.value:g}" not in self.e.functions:
+        if isinstance(chosen, Number) and chosen.value not in self.e.functions.values():
             known = ", ".join(self.e.functions) or "none is defined"
             self.e.fail(f"there is no function {chosen.value:g}", chosen.place, expected=known)
 
@@ -269,10 +300,10 @@ class Scope:
 
     def shortcut(self, one: Binary) -> None:
         """The right side runs only if it decides: it may draw."""
-        self.expression(one.left)
+        self.compute(one.left)
         self.e.put(op.TRUTH if one.operator == "&&" else op.NOT, one.place, 0)
         skip = self.e.put(op.JUMP_IF_ZERO, one.place, -1)
-        self.expression(one.right)
+        self.compute(one.right)
         self.e.put(op.TRUTH, one.place, 0)
         end = self.e.put(op.JUMP, one.place, -1)
         self.e.land(skip)
@@ -280,7 +311,22 @@ class Scope:
         self.e.land(end)
 
     def binary(self, one: Binary) -> None:
-        fold(one, self.e.macros, self.e.name)  # finds a division by a known zero
-        self.expression(one.left)
-        self.expression(one.right)
+        self.compute(one.left)
+        self.compute(one.right)
         self.e.put(op.OPERATORS[one.operator], one.place, -1)
+
+
+def _assigned(one: Statement) -> Iterator[str]:
+    """Names that a statement may assign."""
+    if isinstance(one, Assign):
+        yield one.name
+    elif isinstance(one, If):
+        for inner in (*one.then, *one.otherwise):
+            yield from _assigned(inner)
+
+
+def number_functions(names: Sequence[str]) -> dict[str, int]:
+    """Numbers of functions: a number that is its name, else the next that is free, from 1 on."""
+    numbers = {name: int(name) for name in names if name.isdigit()}
+    free = (number for number in count(1) if number not in numbers.values())
+    return {name: numbers[name] if name in numbers else next(free) for name in names}

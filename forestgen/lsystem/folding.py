@@ -42,18 +42,17 @@ _OPERATORS: dict[str, Callable[[float, float], float]] = {
 
 
 def fold(expression: Expression, macros: Mapping[str, Macro], name: str) -> float | None:
-    """Value of an expression of numbers and #defines; None where it needs more, or draws.
+    """Value of an expression of numbers and #defines; None where it needs more, draws, or has no value.
 
     Raises
     ------
-    LsystemError : a division by zero, or a function outside its domain.
+    LsystemError : a division by zero.
     """
     try:
-        return _fold(expression, macros, name, 0)
-    except (OverflowError, ValueError) as error:
-        raise LsystemError(
-            "this number cannot be computed", where=_where(name, expression.place), got=str(error)
-        ) from error
+        value = _fold(expression, macros, name, 0)
+    except (OverflowError, ValueError):
+        return None  # the machine says where
+    return value if value is None or math.isfinite(value) else None
 
 
 def _where(name: str, place: Place) -> str:

@@ -7,11 +7,21 @@ begins at the first, ends at the last, and its value at x is where it crosses x.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 _SAMPLES_A_SPAN = 64
+
+
+def points_problem(points: Sequence[tuple[float, float]]) -> str | None:
+    """What control points must be like, where these are not."""
+    if len(points) < 2 or points[0][0] == points[-1][0]:
+        return "two points of different x, at least"
+    if any(b[0] < a[0] for a, b in pairwise(points)):
+        return "control points that ascend in x"
+    return None
 
 
 def sample_function(points: Sequence[tuple[float, float]]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -26,6 +26,7 @@ from forestgen.lsystem.machine_layout import (
     DONE,
     DONE_VALUES,
     DRAWS,
+    EXPANSIONS,
     FAULT,
     FAULT_MODULE,
     FOUND,
@@ -40,6 +41,7 @@ from forestgen.lsystem.machine_layout import (
     LOCAL_SIZE,
     LOCALS,
     MODULES,
+    MOST_EXPANSIONS,
     MOST_MODULES,
     MOST_VALUES,
     NEED,
@@ -297,6 +299,9 @@ def run(t, v, m, key, pc, out_code, out_parameter):  # type: ignore[no-untyped-d
                     m[FAULT] = pc
                     return op.NO_SUCH_FUNCTION
                 curve = t[FUNCTION_AT] + 2 * np.int64(index)
+                if t[curve + 1] == 0:
+                    m[FAULT] = pc
+                    return op.NO_SUCH_FUNCTION
                 a = _curve(b, v, t[curve], t[curve + 1])
             v[sp] = a
         pc += 2
@@ -469,6 +474,10 @@ def _decompose(  # type: ignore[no-untyped-def]
                     return op.TOO_DEEP
                 rule = -1
             if rule >= 0:
+                m[EXPANSIONS] += 1
+                if m[EXPANSIONS] > MOST_EXPANSIONS:
+                    m[FAULT] = t[rule + SUCCESSOR]
+                    return op.TOO_DEEP
                 wrong = run(t, v, m, key, t[rule + SUCCESSOR], made_code, made_parameter)
                 if wrong != op.OK:
                     return wrong
@@ -615,7 +624,7 @@ def rewrite(  # type: ignore[no-untyped-def]
             rule = t[rules + kind]
             has_rules = rule < t[rules + kind + 1]
             decomposes = inner >= 0 and t[inner + kind] < t[inner + kind + 1]
-            if has_rules and t[rule + PLAIN] >= 0:
+            if inner < 0 and has_rules and t[rule + PLAIN] >= 0:
                 # One symbol into symbols without parameters, whatever stands around it.
                 n = t[rule + PLAINS]
                 if written + n > len(out_code):

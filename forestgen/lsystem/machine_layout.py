@@ -48,8 +48,11 @@ NEXT_ID: Final = 10
 WRITTEN: Final = 11
 WRITTEN_VALUES: Final = 12
 NEED: Final = 13  # what MORE_SPACE asks for
-FOUND: Final = 14  # indices of context modules, to the end
+EXPANSIONS: Final = 14  # productions of blocks applied in this call
+FOUND: Final = 15  # indices of context modules, to the end
 # Answers in m[NEED]
 NEED_OUT: Final = 0  # modules or parameters written
 NEED_WORDS: Final = 1
 NEED_PILE: Final = 2
+
+MOST_EXPANSIONS: Final = 200_000_000  # of a step's decomposition: seconds of work

@@ -57,8 +57,12 @@ def pack(
     arity = [kind.arity for kind in emitter.kinds]
     whole[layout.ARITY] = _append(whole, arity)
     whole[layout.IGNORED] = _append(whole, [int(one) for one in ignored])
-    whole[layout.FUNCTION_AT] = _append(whole, [one for pair in function_at for one in pair])
-    whole[layout.FUNCTIONS] = len(functions)
+    numbers = list(emitter.functions.values())
+    by_number = dict(zip(numbers, function_at, strict=True))
+    most = max(numbers, default=0)
+    pairs = [by_number.get(number, (0, 0)) for number in range(1, most + 1)]  # no samples: there is no such function
+    whole[layout.FUNCTION_AT] = _append(whole, [one for pair in pairs for one in pair])
+    whole[layout.FUNCTIONS] = most
     whole[layout.STACK], whole[layout.LOCALS] = bases["stack"], bases["locals"]
     whole[layout.SPARE], whole[layout.LOCAL_SIZE] = bases["spare"], emitter.local_size
     bases["arrays"] = _append(whole, [one for pair in array_at for one in pair])

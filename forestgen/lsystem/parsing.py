@@ -11,6 +11,7 @@ from typing import Any
 from lark import Token, Tree
 
 from forestgen.core.errors import LsystemError
+from forestgen.lsystem.functions import points_problem
 from forestgen.lsystem.source import Statement, read_program, statements
 from forestgen.lsystem.statement_reader import Reader, is_tree
 from forestgen.lsystem.syntax import (
@@ -24,6 +25,7 @@ from forestgen.lsystem.syntax import (
 )
 
 DIALECTS = ("cpfg", "abop")
+_MOST_FUNCTIONS = 1000
 
 
 def parse_word(text: str, name: str) -> tuple[Module, ...]:
@@ -81,9 +83,8 @@ class _Builder:
         first = keyword.split()[0]
         handler: Callable[[Reader, Statement], None] | None = _HANDLERS.get(first)
         if handler is None:
-            reader.fail(
-                f"{keyword} is not supported", statement.start, hint="only #define is known of the preprocessor"
-            )
+            hint = "the seed is --seed N, or the recipe's" if first == "seed" else "of a preprocessor, only #define is"
+            reader.fail(f"{keyword} is not supported", statement.start, hint=hint)
         handler(self, reader, statement)  # type: ignore[call-arg,arg-type]
 
     def take_production(self, reader: Reader, text: str) -> None:
@@ -102,7 +103,13 @@ class _Builder:
         self.listing = replace(self.listing, **changes)
 
     def header(self, reader: Reader, statement: Statement) -> None:
-        """`lsystem: name` and `production:` say nothing that matters."""
+        """`lsystem: name` says nothing that matters."""
+
+    def productions_begin(self, reader: Reader, statement: Statement) -> None:
+        """`production:`, which may also end a block."""
+        self.block = "productions"
+        if statement.text.strip():
+            self.take_production(reader, statement.text)
 
     def dialect(self, reader: Reader, statement: Statement) -> None:
         word = statement.text.strip().lower()
@@ -127,8 +134,8 @@ class _Builder:
             words = tuple(reader.modules(one.children[0]) for one in tree.children if _is_word(one))
             self.update(axiom=tuple(one for one in words if one), is_multiset=True)
             return
-        tree = reader.parse(text, "word")
-        self.update(axiom=(reader.modules(tree.children[0]),) if is_tree(tree) else ())
+        modules = reader.modules(reader.parse(text, "string"))
+        self.update(axiom=(modules,) if modules else ())
 
     def consider(self, reader: Reader, statement: Statement) -> None:
         found = self.symbols(reader, statement)
@@ -140,6 +147,8 @@ class _Builder:
 
     def group_begins(self, reader: Reader, statement: Statement) -> None:
         self.group = int(statement.keyword.split()[1])
+        if self.group == 0:
+            reader.fail("a group 0", statement.start, expected="a number from 1 on; what is in no group is in all")
         if self.block != "productions":
             reader.fail(f"a group within the block {self.block}", statement.start, expected="groups before all blocks")
         if statement.text.strip():
@@ -174,9 +183,8 @@ class _Builder:
             self.arrays(reader, inner)
             return
         found = reader.instructions(reader.parse(inner, "statements").children)
-        key = {"start": "start", "starteach": "start_each", "endeach": "end_each"}.get(statement.keyword)
-        if key:  # `end:` runs after the derivation, when nothing is left to be changed
-            self.update(**{key: found})
+        key = {"starteach": "start_each", "endeach": "end_each"}.get(statement.keyword, statement.keyword)
+        self.update(**{key: found})
 
     def arrays(self, reader: Reader, text: str) -> None:
         known = dict(self.listing.arrays)
@@ -199,20 +207,19 @@ class _Builder:
 
     def function(self, reader: Reader, statement: Statement) -> None:
         name = statement.keyword.split()[1]
-        raw = re.match(r"(?i)function\s+(\w+)", statement.keyword)
-        assert raw is not None
+        if name.isdigit() and not 1 <= int(name) <= _MOST_FUNCTIONS:
+            reader.fail(
+                "no number for a function", statement.start, expected=f"1 to {_MOST_FUNCTIONS}, or a name", got=name
+            )
         self.declare(reader, f"function {name}", statement.start)
         tree = reader.parse(statement.text, "points")
-        points: list[tuple[float, float]] = []
-        for point in tree.children:
-            x, y = (_signed(one) for one in point.children if isinstance(one, Tree))
-            if points and x < points[-1][0]:
-                token = next(point.scan_values(lambda one: isinstance(one, Token)))
-                reader.fail("a function's control points must ascend in x", reader.at(token), got=f"{x:g}")
-            points.append((x, y))
-        if len(points) < 2 or points[0][0] == points[-1][0]:
-            reader.fail(f"function {name} needs two points of different x", statement.place)
-        self.update(functions={**self.listing.functions, name: tuple(points)})
+        points = tuple(
+            (x, y) for x, y in ([_signed(one) for one in p.children if isinstance(one, Tree)] for p in tree.children)
+        )
+        problem = points_problem(points)
+        if problem:
+            reader.fail(f"function {name} is wrong", statement.place, expected=problem)
+        self.update(functions={**self.listing.functions, name: points})
 
     def turtle(self, reader: Reader, statement: Statement) -> None:
         name = statement.keyword.replace("color", "colour")
@@ -275,9 +282,8 @@ _ONCE = {
 }
 _HANDLERS: dict[str, Any] = {
     "lsystem": _Builder.header,
-    "seed": _Builder.header,
-    "production": _Builder.header,
-    "productions": _Builder.header,
+    "production": _Builder.productions_begin,
+    "productions": _Builder.productions_begin,
     "dialect": _Builder.dialect,
     "derivation": _Builder.length,
     "axiom": _Builder.axiom,

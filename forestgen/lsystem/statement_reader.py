@@ -28,7 +28,7 @@ from forestgen.lsystem.syntax import (
 )
 from forestgen.lsystem.syntax import Statement as Instruction
 
-_STARTS = ["production", "words", "word", "expression", "statements", "arrays", "points"]
+_STARTS = ["production", "words", "word", "string", "expression", "statements", "arrays", "points"]
 _PLAIN = {
     "LPAR": "(", "RPAR": ")", "LBRACE": "{", "RBRACE": "}", "LSQUARE": "[", "RSQUARE": "]", "COMMA": ",", "COLON": ":",
     "ARROW": "-->", "BECOMES": "=", "SEMICOLON": ";", "NAME": "a name", "NUMBER": "a number", "SYMBOL": "a module",

@@ -149,6 +149,7 @@ class Listing:
     start: tuple[Statement, ...] = ()
     start_each: tuple[Statement, ...] = ()
     end_each: tuple[Statement, ...] = ()
+    end: tuple[Statement, ...] = ()
     productions: tuple[Production, ...] = ()
     decomposition: Block = Block()
     interpretation: Block = Block()

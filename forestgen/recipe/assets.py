@@ -85,10 +85,11 @@ def find_asset(kind: str, name: str, *, folder: Path | None = None, where: str |
     names = list_assets(kind)
     if name not in names:
         near = difflib.get_close_matches(name, names, n=1)
+        path_like = f"./{name or 'name'}{suffixes[0]}"
         raise AssetError(
             f"nothing in {kind} has this name",
             where=where,
-            expected=f"one of {', '.join(names) or '(there are none)'}, or a path such as ./{name or 'name'}{suffixes[0]}",
+            expected=f"one of {', '.join(names) or '(there are none)'}, or a path such as {path_like}",
             got=repr(name),
             hint=f"did you mean {near[0]!r}?" if near else None,
         )

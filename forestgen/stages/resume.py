@@ -12,6 +12,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from forestgen import __version__
 from forestgen.community.disturbance import Disturbance
 from forestgen.community.history import open_history
 from forestgen.community.population import Population
@@ -28,6 +29,7 @@ def origin(plan: Plan) -> dict[str, Any]:
     drawn = plan.drawn
     about = {
         "recipe_hash": recipe_hash(drawn.data),
+        "forestgen": __version__,
         "seed": drawn.recipe.seed,
         "image": drawn.image_index,
         "model": drawn.recipe.community.model,
@@ -86,6 +88,7 @@ def _check_same_simulation(theirs: Mapping[str, Any], ours: Mapping[str, Any], s
 
 def _until(about: Mapping[str, Any], step: int) -> Iterator[tuple[str, Any]]:
     """Key and value of all that the future depends on after `step`, disturbances to come left out."""
+    yield "forestgen", about.get("forestgen")  # other versions may draw other numbers
     yield "seed", about["seed"]
     yield "image", about["image"]
     yield "site.size_m", about["site"]["size_m"]

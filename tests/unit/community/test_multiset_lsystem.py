@@ -339,9 +339,13 @@ def test_programs_that_write_no_plants(tree, site, text, words):
         assert word in str(caught.value)
 
 
-def test_parameters_that_the_program_does_not_have(tree, site):
-    with pytest.raises(RecipeError, match=r"(?s)no parameter sowings.*initial_plants_per_ha.*sowing"):
-        MODEL.init(MODEL.Parameters(program="propagation", parameters={"sowings": 1.0}), site, [tree()], 1)
+def test_parameters_that_the_program_does_not_have():
+    with pytest.raises(ValidationError, match=r"(?s)no parameter sowings.*initial_plants_per_ha.*sowing"):
+        MODEL.Parameters(program="propagation", parameters={"sowings": 1.0})
+    with pytest.raises(ValidationError, match=r"species' ecology set shade_tolerance"):
+        MODEL.Parameters(parameters={"shade_tolerance": [1.0]})
+    with pytest.raises(ValidationError, match=r"site, step and species set step_yr"):
+        MODEL.Parameters(parameters={"step_yr": 3.0})
 
 
 def test_more_parameters_become_columns_and_survive_resuming(tree, site):
@@ -378,12 +382,12 @@ def test_even_aged_stands_of_the_other_environments(tree, name):
     assert last.radius_m[0] == pytest.approx(2.0, rel=0.05)
 
 
-def test_an_environment_with_its_own_keys(tree, site):
+def test_an_environment_with_its_own_keys():
     keys = {"model": "leps_kindlmann", "tolerance": -1}
-    with pytest.raises(RecipeError, match=r"community\.environment\.tolerance"):
-        MODEL.init(MODEL.Parameters(environment=keys), site, [tree()], 1)
-    with pytest.raises(RecipeError, match="domination"):
-        MODEL.init(MODEL.Parameters(environment="none"), site, [tree()], 1)
+    with pytest.raises(ValidationError, match="greater than 0"):
+        MODEL.Parameters(environment=keys)
+    with pytest.raises(ValidationError, match="domination"):
+        MODEL.Parameters(environment="none")
 
 
 def test_shipped_programs_say_what_they_are():

@@ -11,8 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
+from forestgen.core.errors import LsystemError
 from forestgen.lsystem.compiler import compile_listing, with_values
 from forestgen.lsystem.derivation import Derivation, axiom, derive, derive_step, interpret
+from forestgen.lsystem.folding import fold
 from forestgen.lsystem.multiset import Multiset, show_number, words_as_lists, words_as_text
 from forestgen.lsystem.parsing import parse_text, parse_word
 from forestgen.lsystem.program import Program
@@ -65,8 +67,10 @@ def test_parallel_rewriting_is_sequential_on_context_free_grammars(start: str, a
         expected = "".join({"A": a, "B": b}.get(character, character) for character in expected)
     if len(expected) > 5000:
         return
-    found = words(f"axiom: {start}\nA --> {a or '*'}\nB --> {b or '*'}", steps)
-    assert found == ([expected] if expected else [])
+    plain = f"axiom: {start}\nA --> {a or '*'}\nB --> {b or '*'}"
+    general = plain.replace(" -->", " : 1 -->") + "\ndecomposition\nX --> Y"  # neither shortcut is taken
+    for text in (plain, general):
+        assert words(text, steps) == ([expected] if expected else [])
     assert expected.count("[") == expected.count("]")
 
 
@@ -93,8 +97,8 @@ def test_cut_removes_the_rest_of_the_branch() -> None:
 def test_numbers_read_back(value: float) -> None:
     text = show_number(value)
     assert float(text) == value
-    (module,) = parse_word(f"A({text})", "test") if value >= 0 else parse_word("A(0)", "test")
-    assert module.symbol == "A"
+    (module,) = parse_word(f"A({text})", "test")
+    assert fold(module.arguments[0], {}, "test") == value
 
 
 def test_written_forms() -> None:
@@ -348,3 +352,94 @@ A > ?P(x,y,z) : z >= 4.5 --> T
 def test_queries_count_what_the_interpretation_draws() -> None:
     found = words("axiom: L?P(0,0,0)\ninterpretation\nL --> F(3)f(4)", 0)
     assert found == ["L?P(0,0,7)"]
+
+
+# --- what a review found
+
+
+@pytest.mark.parametrize("rule", ["A --> B", "A : 1 --> B", "A > C --> B", "A --> B : 1"])
+def test_what_a_production_writes_is_decomposed_in_the_same_step(rule: str) -> None:
+    assert words(f"axiom: AC\n{rule}\ndecomposition\nB --> DE", 1) == ["DEC"]
+
+
+def test_a_variable_that_no_branch_sets_is_zero() -> None:
+    text = "axiom: A(2)A(0)A(2)\nA(x) : {if (x > 1) k = 7;} 1 --> B(k)"
+    assert words(text, 1) == ["B(7)B(0)B(7)"]
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("#define x 0\naxiom: A(4)\nA(x) --> A(1/x)", "A(0.25)"),
+        ("#define y 0\n#define f(y) (1/y)\naxiom: A(4)\nA(x) --> A(f(x))", "A(0.25)"),
+        ("#define p 3\naxiom: A(1)\nA(p) --> B : p", "B"),
+        ("#define y 0\naxiom: A(4)\nA(x) : {y2 = x;} 1 --> A(y2 + y)", "A(4)"),
+    ],
+)
+def test_parameters_hide_defines(text: str, found: str) -> None:
+    assert words(text, 1) == [found]
+
+
+def test_fragments_of_the_axiom() -> None:
+    assert words("axiom: { A%B }", 0) == ["A", "B"]
+    assert words("axiom: A[B%C]D", 0) == ["A[B]D"]
+
+
+def test_commas_in_plain_words_are_modules() -> None:
+    assert words("axiom: A,B\nA --> C,", 1) == ["C,,B"]
+
+
+def test_the_number_of_cores_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    from forestgen.core import threads
+
+    text = """axiom: { S(30000) }
+A(x,n)?E(c) : ran(1) < 0.3 --> A(x + ran(1), n)?E(c)%A(ran(9), nran(0,1))?E(poisson(3))
+A(x,n)?E(c) : ran(1) < 0.2 --> *
+A(x,n) --> A(x, n+1)
+decomposition
+S(n) : n >= 2 --> S(floor(n/2))S(n-floor(n/2))
+S(n) --> %A(ran(1), 0)?E(0)
+"""
+    made = []
+    for cores in (1, 2, 3):
+        monkeypatch.setattr(threads, "cores", lambda cores=cores: cores)
+        *_, state = derive(compiled(text), 3, 5)
+        made.append(state)
+    assert len(made[0].multiset) > 30_000
+    for other in made[1:]:
+        assert other.next_id == made[0].next_id
+        for name in ("code", "parameter", "word_start", "word_id", "born_step"):
+            assert np.array_equal(getattr(other.multiset, name), getattr(made[0].multiset, name)), name
+    assert len(set(made[0].multiset.word_id.tolist())) == len(made[0].multiset)
+
+
+@settings(max_examples=40, deadline=None)
+@given(parts=st.lists(branches, min_size=1, max_size=4))
+def test_fragmentation_keeps_parameters_with_their_modules(parts: list[str]) -> None:
+    text = "%".join(parts) + "A"
+    numbered, counter = "", 0
+    for character in text:
+        counter += character.isalpha()
+        numbered += f"{character}({counter})" if character.isalpha() else character
+    found = words(f"axiom: {{ S }}\nS --> {numbered}", 1)
+    expected = dict(enumerate((c for c in text if c.isalpha()), 1))
+    seen = [
+        (int(piece.split("(")[1]), piece[0])
+        for w in found
+        for piece in w.replace("[", "").replace("]", "").split(")")[:-1]
+    ]
+    assert dict(seen) == expected
+    assert len(seen) == len(expected)
+    assert ["".join(c for c in w if not c.isdigit() and c not in "()") for w in found] == split(text)
+
+
+def test_functions_have_the_numbers_of_their_names() -> None:
+    text = "function 2: (0,5) (1,5)\nfunction named: (0,9) (1,9)\nfunction 7: (0,7) (1,7)\n"
+    assert words(text + "axiom: A(func(2,0),func(7,0),func(named,0),func(1,0))", 0) == ["A(5,7,9,9)"]
+    assert words(text + "axiom: A(7)\nA(n) --> A(func(n,0))", 1) == ["A(7)"]
+    with pytest.raises(LsystemError, match="no function of this number"):
+        words(text + "axiom: A(3)\nA(n) --> A(func(n,0))", 1)
+
+
+def test_productions_may_follow_a_block() -> None:
+    assert words("axiom: A\ninterpretation\nA --> F\nproductions:\nA --> AA", 2) == ["AAAA"]

@@ -62,6 +62,12 @@ def run(text: str, steps: int = 3, most_modules: int = 200_000) -> None:
         ("axiom: A(" + "(" * 500 + "1" + ")" * 500 + ")", "1:2", ["too deep"]),
         ("axiom: A(1)\nA(x) < B(x) --> C", "2:10", ["x stands twice"]),
         ("axiom: A\nA --> B%\nB% --> C", "3:2", ["cannot be rewritten"]),
+        ("axiom: A\nstart: {useGroup(7);}\ngroup 1:\nA --> B\nendgroup", "2:9", ["no such group", "0, 1", "7"]),
+        ("axiom: A\nend: {x = nosuch(3);}", "2:11", ["nosuch", "not known"]),
+        ("seed: 5\naxiom: A", "1:1", ["--seed"]),
+        ("axiom: A\ngroup 0:\nA --> B", "2:1", ["group 0", "from 1 on"]),
+        ("function f: (1,0)\naxiom: A", "1:12", ["two points"]),
+        ("function f: (1,0) (0,2) (3,3)\naxiom: A", "1:12", ["ascend"]),
         ("start: {n = 1;}\naxiom: A\nA : {n = 2;} 1 --> B", "3:6", ["global variable n"]),
     ],
 )
