@@ -7,7 +7,7 @@ import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from forestgen.core.errors import LsystemError, RecipeError
+from forestgen.core.errors import LsystemError, OutputError, RecipeError
 from forestgen.lsystem.compiler import Value, compile_listing, with_values
 from forestgen.lsystem.derivation import Derivation, derive
 from forestgen.lsystem.multiset import words_as_lists, words_as_text
@@ -86,6 +86,16 @@ def _plain(module: Sequence[str | float]) -> list[str | float]:
 
 
 def _write(lines: Iterable[str]) -> None:
+    try:
+        _write_chunks(lines)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        raise OutputError("the words cannot be written", where="standard output", got=str(error)) from error
+
+
+def _write_chunks(lines: Iterable[str]) -> None:
     held: list[str] = []
     size = 0
     for line in lines:

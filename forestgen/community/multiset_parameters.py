@@ -15,6 +15,7 @@ from forestgen.core.errors import LsystemError
 from forestgen.lsystem.compiler import Value, compile_listing, settable, with_values
 from forestgen.lsystem.parsing import parse_text
 from forestgen.lsystem.program import Program
+from forestgen.lsystem.syntax import Listing
 from forestgen.recipe.assets import find_asset
 from forestgen.recipe.fields import Section, Text, mistake
 
@@ -103,8 +104,9 @@ class MultisetParameters(CommunityParameters):
 
     @model_validator(mode="after")
     def _fits_program_and_environment(self) -> Self:
-        asked = set(settable(parse_text(self.program.text, self.program.name)))
-        for name in self.parameters:
+        listing = parse_text(self.program.text, self.program.name)
+        asked = set(settable(listing))
+        for name, value in self.parameters.items():
             if name in (*OF_SITE, *OF_SPECIES):
                 source = "the species' ecology" if name in OF_SPECIES else "the recipe's site, step and species"
                 raise mistake(
@@ -118,8 +120,18 @@ class MultisetParameters(CommunityParameters):
                     got=name,
                     at=("parameters", name),
                 )
+            self._check_value(listing, name, value)
         self.environment.check()
         return self
+
+    def _check_value(self, listing: Listing, name: str, value: Value) -> None:
+        try:
+            with_values(listing, {name: value})
+        except LsystemError as error:
+            raise mistake(error.expected or "another value", got=repr(value), at=("parameters", name)) from error
+        numbers = [value] if isinstance(value, int | float) else [one for one in value if isinstance(one, int | float)]
+        if name == "initial_plants_per_ha" and any(one < 0 for one in numbers):
+            raise mistake("numbers of at least 0", got=repr(value), at=("parameters", name))
 
 
 def values_of(parameters: MultisetParameters, site: Site, species: Sequence[SpeciesEcology]) -> dict[str, Value]:

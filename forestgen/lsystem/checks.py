@@ -43,12 +43,14 @@ def check_heads(production: Production, listing: Listing) -> None:
                 )
 
 
-def check_brackets(modules: Sequence[Module], name: str) -> None:
+def check_brackets(modules: Sequence[Module], name: str, *, percent_turns: bool = False) -> None:
     """Brackets of a successor or an axiom's word are balanced, and take no parameters."""
     opened: list[Place] = []
     for module in modules:
         if module.symbol in "[]" and module.arguments:
             _fail(name, "a bracket has no parameters", module.place)
+        if module.symbol == "%" and module.arguments and not percent_turns:
+            _fail(name, "% has no parameters", module.place)
         if module.symbol == "[":
             opened.append(module.place)
         elif module.symbol == "]":

@@ -45,16 +45,16 @@ def with_values(listing: Listing, values: Mapping[str, Value]) -> Listing:
     for name, value in values.items():
         if name in macros and macros[name].parameters is None and isinstance(value, int | float):
             macros[name] = Macro(None, Number(float(value), macros[name].place), macros[name].place)
-        elif name in arrays and not isinstance(value, int | float):
-            arrays[name] = tuple(float(one) for one in value)  # type: ignore[arg-type]
-        elif name in functions and not isinstance(value, int | float):
-            points = tuple((float(x), float(y)) for x, y in value)  # type: ignore[misc]
+        elif name in arrays and _is_flat(value):
+            arrays[name] = tuple(float(one) for one in value)  # type: ignore[union-attr,arg-type]
+        elif name in functions and _is_points(value):
+            points = tuple((float(x), float(y)) for x, y in value)  # type: ignore[union-attr,misc]
             problem = points_problem(points)
             if problem:
                 raise LsystemError(f"function {name} is wrong", where=listing.name, expected=problem, got=repr(points))
             functions[name] = points
         else:
-            sort = "a list" if name in arrays else "points" if name in functions else "a number"
+            sort = "a list of numbers" if name in arrays else "[x, y] points" if name in functions else "a number"
             known = name in macros or name in arrays or name in functions
             raise LsystemError(
                 f"{name} cannot be set so" if known else f"the program defines no {name}",
@@ -63,6 +63,14 @@ def with_values(listing: Listing, values: Mapping[str, Value]) -> Listing:
                 got=repr(value) if known else name,
             )
     return replace(listing, macros=macros, arrays=arrays, functions=functions)
+
+
+def _is_flat(value: Value) -> bool:
+    return not isinstance(value, int | float) and all(isinstance(one, int | float) for one in value)
+
+
+def _is_points(value: Value) -> bool:
+    return not isinstance(value, int | float) and not any(isinstance(one, int | float) for one in value)
 
 
 def settable(listing: Listing) -> list[str]:
@@ -78,7 +86,10 @@ def compile_listing(listing: Listing) -> Program:
     ------
     LsystemError : it is wrong; with line and column.
     """
-    return _Compiler(listing).program()
+    try:
+        return _Compiler(listing).program()
+    except RecursionError as error:
+        raise LsystemError("an expression is too long or too deep", where=listing.name) from error
 
 
 class _Compiler:
@@ -99,11 +110,11 @@ class _Compiler:
         every = (*one.productions, *one.decomposition.productions, *one.interpretation.productions)
         for production in every:
             check_heads(production, one)
-            check_brackets(production.successor, one.name)
+            check_brackets(production.successor, one.name, percent_turns=one.dialect == "rhover")
         for block in (one.decomposition, one.interpretation):
             self.refuse_contexts(block.productions)
         for word in one.axiom:
-            check_brackets(word, one.name)
+            check_brackets(word, one.name, percent_turns=one.dialect == "rhover")
         check_arities(one)
         for rules in (one.productions, one.decomposition.productions, one.interpretation.productions):
             check_probabilities(rules, one)
@@ -140,6 +151,7 @@ class _Compiler:
             end_each=addresses[-1],
             globals_at=packed.globals_at,
             globals=tuple(self.e.globals),
+            groups=frozenset(self.e.groups),
             counted=tuple((slot, symbol) for symbol, slot in self.e.counted.items()),
             code_at=packed.code_address(0),
             places=tuple(instruction.place for instruction in self.e.code),

@@ -97,6 +97,13 @@ def derive_step(program: Program, state: Derivation, seed: int, *, most_modules:
     step = state.step + 1
     key = _key(seed, "start each", step)
     glob = _run_block(program, program.start_each, state.globals, state.multiset, key, step)
+    if glob[0] not in program.groups:
+        raise LsystemError(
+            "there is no such group",
+            where=program.name,
+            expected=", ".join(map(str, sorted(program.groups))),
+            got=f"useGroup({glob[0]:g}) in derivation step {step}",
+        )
     state = replace(state, globals=glob)
     after = _rewritten(program, state, program.productions, program.decomposition, seed, "step", step, most_modules)
     key = _key(seed, "end each", step)

@@ -30,7 +30,7 @@ from forestgen.lsystem.syntax import (
 )
 
 GROUP = 0  # the global variable that holds the current group
-_MOST_INSTRUCTIONS = 1_000_000
+_MOST_INSTRUCTIONS = 200_000
 _MOST_KINDS = 65_536
 
 
@@ -228,9 +228,10 @@ class Scope:
 
     def named(self, one: Name) -> None:
         if self.bound and one.name in self.bound[-1]:
-            argument, outer = self.bound[-1][one.name], self.bound.pop()
+            argument, bound, macro = self.bound[-1][one.name], self.bound.pop(), self.expanding.pop()
             self.compute(argument)  # in the scope of the macro's caller
-            self.bound.append(outer)
+            self.bound.append(bound)
+            self.expanding.append(macro)
         elif one.name in self.locals:
             self.e.put(op.LOAD, one.place, 1, self.locals[one.name], Region.LOCAL)
         elif one.name in self.e.globals:
@@ -293,6 +294,8 @@ class Scope:
                 "count(A) counts modules in Start, StartEach and EndEach", one.place, expected="one symbol in it"
             )
         argument = one.arguments[0]
+        if isinstance(argument, Name) and len(argument.name) > 1:
+            self.e.fail("a symbol is one character", argument.place, expected="count(A)", got=argument.name)
         symbol = argument.name if isinstance(argument, Name) else f"{argument.value:g}"
         slot = self.e.counted.setdefault(symbol, len(self.e.globals))
         self.e.globals.setdefault(f"count({symbol})", slot)

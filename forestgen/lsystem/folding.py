@@ -6,7 +6,8 @@ import math
 from collections.abc import Callable, Mapping
 
 from forestgen.core.errors import LsystemError
-from forestgen.lsystem.syntax import Binary, Call, Expression, Index, Macro, Name, Number, Place, Unary
+from forestgen.lsystem.opcodes import FUNCTIONS
+from forestgen.lsystem.syntax import Binary, Call, Expression, Index, Macro, Name, Number, Unary
 
 _FUNCTIONS: dict[str, Callable[..., float]] = {
     "min": min,
@@ -49,39 +50,56 @@ def fold(expression: Expression, macros: Mapping[str, Macro], name: str) -> floa
     LsystemError : a division by zero.
     """
     try:
-        value = _fold(expression, macros, name, 0)
+        value = _Folder(macros, name).fold(expression)
     except (OverflowError, ValueError):
         return None  # the machine says where
     return value if value is None or math.isfinite(value) else None
 
 
-def _where(name: str, place: Place) -> str:
-    return f"{name}:{place.line}:{place.column}"
+class _Folder:
+    """Each #define is computed once, however often it stands."""
 
+    def __init__(self, macros: Mapping[str, Macro], name: str) -> None:
+        self.macros, self.name = macros, name
+        self.known: dict[str, float | None] = {}
 
-def _fold(expression: Expression, macros: Mapping[str, Macro], name: str, depth: int) -> float | None:
-    if isinstance(expression, Number):
-        return expression.value
-    if isinstance(expression, Name):
-        macro = macros.get(expression.name)
-        if macro is None or macro.parameters is not None or depth > len(macros):
+    def fold(self, one: Expression) -> float | None:
+        if isinstance(one, Number):
+            return one.value
+        if isinstance(one, Name):
+            return self.named(one.name)
+        if isinstance(one, Unary):
+            value = self.fold(one.operand)
+            return None if value is None else (-value if one.operator == "-" else float(not value))
+        if isinstance(one, Index):
             return None
-        return _fold(macro.body, macros, name, depth + 1)
-    if isinstance(expression, Unary):
-        value = _fold(expression.operand, macros, name, depth)
-        return None if value is None else (-value if expression.operator == "-" else float(not value))
-    if isinstance(expression, Index) or (isinstance(expression, Call) and expression.name not in _FUNCTIONS):
-        return None
-    parts = expression.arguments if isinstance(expression, Call) else (expression.left, expression.right)
-    values = [_fold(part, macros, name, depth) for part in parts]
-    known = [value for value in values if value is not None]
-    if isinstance(expression, Binary) and expression.operator in "/%" and values[1] == 0:
-        raise LsystemError("division by zero", where=_where(name, expression.place))
-    if len(known) < len(values):
-        return None
-    if isinstance(expression, Call):
-        return None if not known else float(_FUNCTIONS[expression.name](*known))
-    return _OPERATORS[expression.operator](known[0], known[1])
+        return self.call(one) if isinstance(one, Call) else self.binary(one)
+
+    def named(self, name: str) -> float | None:
+        macro = self.macros.get(name)
+        if macro is None or macro.parameters is not None:
+            return None
+        if name not in self.known:
+            self.known[name] = None  # if it is made of itself
+            self.known[name] = self.fold(macro.body)
+        return self.known[name]
+
+    def call(self, one: Call) -> float | None:
+        if one.name in self.macros or one.name not in _FUNCTIONS or len(one.arguments) != FUNCTIONS[one.name][1]:
+            return None
+        values = [self.fold(argument) for argument in one.arguments]
+        known = [value for value in values if value is not None]
+        return float(_FUNCTIONS[one.name](*known)) if len(known) == len(values) else None
+
+    def binary(self, one: Binary) -> float | None:
+        left = self.fold(one.left)
+        if one.operator in ("&&", "||") and left is not None and bool(left) == (one.operator == "||"):
+            return float(bool(left))  # the right side never runs
+        right = self.fold(one.right)
+        if one.operator in "/%" and right == 0:
+            where = f"{self.name}:{one.place.line}:{one.place.column}"
+            raise LsystemError("division by zero", where=where)
+        return None if left is None or right is None else _OPERATORS[one.operator](left, right)
 
 
 def spell(expression: Expression | None) -> str:

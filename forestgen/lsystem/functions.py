@@ -6,6 +6,7 @@ begins at the first, ends at the last, and its value at x is where it crosses x.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from itertools import pairwise
 
@@ -17,6 +18,8 @@ _SAMPLES_A_SPAN = 64
 
 def points_problem(points: Sequence[tuple[float, float]]) -> str | None:
     """What control points must be like, where these are not."""
+    if not all(math.isfinite(value) for point in points for value in point):
+        return "finite numbers"
     if len(points) < 2 or points[0][0] == points[-1][0]:
         return "two points of different x, at least"
     if any(b[0] < a[0] for a, b in pairwise(points)):

@@ -118,15 +118,15 @@ def _poisson(mean, key, m):  # type: ignore[no-untyped-def]
         us = 0.5 - abs(u)
         if us <= 0.0:
             continue
-        k = math.floor((2.0 * a / us + b) * u + mean + 0.43)
+        k = np.floor((2.0 * a / us + b) * u + mean + 0.43)
         if us >= 0.07 and v <= v_r:
-            return float(k)
+            return k
         if k < 0 or (us < 0.013 and v > us):
             continue
         if math.log(v) + math.log(inverse_alpha) - math.log(a / (us * us) + b) <= (
             -mean + k * math.log(mean) - math.lgamma(k + 1.0)
         ):
-            return float(k)
+            return k
 
 
 @compiled
@@ -151,7 +151,7 @@ def _curve(x, v, first, n):  # type: ignore[no-untyped-def]
 def _one(operation, x, key, m):  # type: ignore[no-untyped-def]
     """Value of a function of one value; nan outside its domain."""
     if operation == op.FLOOR:
-        return math.floor(x) * 1.0
+        return np.floor(x)
     if operation == op.RAN:
         return x * _uniform(key, m)
     if operation == op.POISSON:
@@ -169,9 +169,9 @@ def _one(operation, x, key, m):  # type: ignore[no-untyped-def]
     if operation == op.SIGN:
         return 1.0 if x > 0 else (-1.0 if x < 0 else 0.0)
     if operation == op.CEIL:
-        return math.ceil(x) * 1.0
+        return np.ceil(x)
     if operation == op.TRUNC:
-        return (math.floor(x) if x >= 0 else math.ceil(x)) * 1.0
+        return np.trunc(x)
     if operation == op.SIN:
         return math.sin(math.radians(x))
     if operation == op.COS:
@@ -188,7 +188,7 @@ def _one(operation, x, key, m):  # type: ignore[no-untyped-def]
 @compiled
 def _power(x, y):  # type: ignore[no-untyped-def]
     """nan where it is no real number."""
-    if (x < 0 and y != math.floor(y)) or (x == 0 and y < 0):
+    if (x < 0 and y != np.floor(y)) or (x == 0 and y < 0):
         return math.nan
     return x**y
 
@@ -233,7 +233,7 @@ def run(t, v, m, key, pc, out_code, out_parameter):  # type: ignore[no-untyped-d
             v[operand] = v[sp]
             sp -= 1
         elif operation == op.ELEMENT:
-            index = math.floor(v[sp])
+            index = np.floor(v[sp])
             first, last = t[operand], t[operand + 1]
             if not 0 <= index < last - first:
                 m[FAULT] = pc
@@ -294,7 +294,7 @@ def run(t, v, m, key, pc, out_code, out_parameter):  # type: ignore[no-untyped-d
             elif operation == op.ATAN2:
                 a = math.degrees(math.atan2(a, b))
             else:
-                index = math.floor(a) - 1
+                index = np.floor(a) - 1.0
                 if not 0 <= index < t[FUNCTIONS]:
                     m[FAULT] = pc
                     return op.NO_SUCH_FUNCTION
@@ -402,6 +402,9 @@ def _select(t, v, m, key, rules, group, i, p, begin, end, codes, parameters, sta
             wrong = run(t, v, m, key, t[rule + CONDITION], codes, parameters)
             if wrong != op.OK:
                 return -2 - wrong
+            if math.isnan(v[t[STACK]]):
+                m[FAULT] = t[rule + CONDITION]
+                return -2 - op.OUTSIDE_DOMAIN
             if v[t[STACK]] == 0.0:
                 continue
         if t[rule + PROBABILITY] < 0:

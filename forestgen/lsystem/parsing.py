@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -26,6 +27,7 @@ from forestgen.lsystem.syntax import (
 
 DIALECTS = ("cpfg", "abop")
 _MOST_FUNCTIONS = 1000
+_MOST_GROUPS = 1_000_000
 
 
 def parse_word(text: str, name: str) -> tuple[Module, ...]:
@@ -149,6 +151,8 @@ class _Builder:
         self.group = int(statement.keyword.split()[1])
         if self.group == 0:
             reader.fail("a group 0", statement.start, expected="a number from 1 on; what is in no group is in all")
+        if self.group > _MOST_GROUPS:
+            reader.fail("no number for a group", statement.start, expected=f"at most {_MOST_GROUPS:,}")
         if self.block != "productions":
             reader.fail(f"a group within the block {self.block}", statement.start, expected="groups before all blocks")
         if statement.text.strip():
@@ -225,6 +229,8 @@ class _Builder:
         name = statement.keyword.replace("color", "colour")
         try:
             numbers = tuple(float(one) for one in statement.text.split())
+            if not all(map(math.isfinite, numbers)):
+                raise ValueError
         except ValueError:
             reader.fail(f"{name} needs numbers", statement.place, got=statement.text.strip())
         if name in self.listing.turtle:
@@ -245,6 +251,8 @@ class _Builder:
         padded = " " * head.end() + rest
         body = reader.expression(reader.parse(padded, "expression"))
         parameters = None if given is None else tuple(one.strip() for one in given.split(",") if one.strip())
+        if parameters and not (all(map(str.isidentifier, parameters)) and len(set(parameters)) == len(parameters)):
+            reader.fail(f"#define {name} has bad parameters", statement.place, expected="different names", got=given)
         self.update(macros={**self.listing.macros, name: Macro(parameters, body, self.seen[name])})
 
     def finish(self, text: str) -> Listing:

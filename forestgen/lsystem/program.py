@@ -43,6 +43,7 @@ class Program:
     end_each: int  # after each step
     globals_at: int  # in `real`
     globals: tuple[str, ...]  # names; the first is the current group
+    groups: frozenset[int]
     counted: tuple[tuple[int, str], ...]  # globals that hold the number of modules of a symbol
     code_at: int  # in `whole`
     places: tuple[Place, ...]  # of each instruction

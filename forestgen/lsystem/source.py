@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from forestgen.core.errors import LsystemError
@@ -61,6 +61,8 @@ def statements(text: str, name: str) -> Iterator[Statement]:
         keyword = " ".join(match.group().rstrip(": \t").lower().replace("#", "# ").split()).replace("# ", "#")
         if keyword == "endlsystem":
             return
+        if keyword.startswith("function "):  # its name keeps its capitals
+            keyword = "function " + match.group().rstrip(": \t").split()[1]
         yield Statement(keyword, raw[match.end() :], Place(start.line, start.column + match.end()), start)
 
 
@@ -83,43 +85,59 @@ def _without_comments(text: str, name: str) -> str:
 
 def _logical_lines(text: str) -> Iterator[tuple[Place, str]]:
     """Statements with their places; a continued line keeps its newline, so that places can be counted."""
-    current: list[str] = []
-    start, indent, forced = Place(1, 1), 0, False
+    current: _Open | None = None
     for number, line in enumerate(text.split("\n"), 1):
         stripped = line.strip()
-        if current and (forced or _goes_on(current, line, indent)):
-            forced = line.rstrip().endswith("\\")
-            current.append(_no_backslash(line))
+        if current is not None and (current.forced or current.goes_on(line)):
+            current.take(line)
             continue
-        if current and stripped:
-            yield start, "\n".join(current).rstrip()
-            current = []
+        if current is not None and stripped:
+            yield current.start, "\n".join(current.lines).rstrip()
+            current = None
         if stripped:
             indent = len(line) - len(line.lstrip())
-            start = Place(number, indent + 1)
-            forced = line.rstrip().endswith("\\")
-            current = [_no_backslash(line)[indent:]]
-    if current:
-        yield start, "\n".join(current).rstrip()
+            current = _Open(Place(number, indent + 1), indent, is_keyword=bool(_KEYWORDS.match(stripped)))
+            current.take(line[indent:])
+    if current is not None:
+        yield current.start, "\n".join(current.lines).rstrip()
 
 
-def _no_backslash(line: str) -> str:
-    bare = line.rstrip()
-    return bare[:-1] if bare.endswith("\\") else line
+@dataclass
+class _Open:
+    """A statement that may go on in the next line."""
 
+    start: Place
+    indent: int
+    is_keyword: bool
+    lines: list[str] = field(default_factory=list)
+    parentheses: int = 0  # open ones, before the arrow
+    braces: int = 0
+    has_arrow: bool = False
+    has_colon: bool = False
+    forced: bool = False  # the last line ended with a backslash
 
-def _goes_on(current: list[str], line: str, indent: int) -> bool:
-    """Whether `line` continues the statement whose lines are `current`."""
-    if not line.strip():
-        return True
-    if _KEYWORDS.match(line.lstrip()):
-        return False
-    whole = "\n".join(current)
-    keyword = _KEYWORDS.match(whole)
-    unfinished_production = keyword is None and "-->" not in whole
-    head = whole.partition("-->")[0]
-    if head.count("(") > head.count(")") or ((keyword or unfinished_production) and head.count("{") > head.count("}")):
-        return True
-    if unfinished_production and (":" in whole or line.lstrip().startswith(("-->", ":", "{", "<", ">"))):
-        return True
-    return "-->" not in line and len(line) - len(line.lstrip()) > indent
+    def take(self, line: str) -> None:
+        bare = line.rstrip()
+        self.forced = bare.endswith("\\")
+        line = bare[:-1] if self.forced else line
+        self.lines.append(line)
+        if not self.has_arrow:
+            head, arrow, _ = line.partition("-->")
+            self.parentheses += head.count("(") - head.count(")")
+            self.braces += head.count("{") - head.count("}")
+            self.has_colon = self.has_colon or ":" in head
+            self.has_arrow = bool(arrow)
+
+    def goes_on(self, line: str) -> bool:
+        """Whether `line` belongs to the statement."""
+        begin = line.lstrip()
+        if not begin:
+            return True
+        if _KEYWORDS.match(begin):
+            return False
+        unfinished = not self.is_keyword and not self.has_arrow
+        if self.parentheses > 0 or (self.braces > 0 and (self.is_keyword or unfinished)):
+            return True
+        if unfinished and (self.has_colon or begin.startswith(("-->", ":", "{", "<", ">"))):
+            return True
+        return "-->" not in line and len(line) - len(begin) > self.indent
