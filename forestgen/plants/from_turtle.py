@@ -8,7 +8,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.lsystem.turtle import Drawing
+from forestgen.core.errors import LsystemError
+from forestgen.lsystem.compiler import compile_listing
+from forestgen.lsystem.derivation import derive, interpret
+from forestgen.lsystem.syntax import Listing
+from forestgen.lsystem.turtle import Drawing, draw_word, options_from
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
 
 _THREAD_M = 1e-6  # radius of what joins pieces between which the turtle moved without drawing
@@ -51,6 +55,26 @@ def skeleton_of(drawing: Drawing, shapes: Mapping[str, str] | None = None) -> Sk
         axis=axis,
         organs=_organs(d, last_row, shapes or {}),
     )
+
+
+def grow_program(listing: Listing, steps: int, seed: int, shapes: Mapping[str, str] | None = None) -> Skeleton:
+    """The plant that an L-system's first word draws after some derivation steps; its age, in the program's own time.
+
+    Parameters
+    ----------
+    listing : see `forestgen.lsystem.reading.read_listing`.
+    shapes : see `skeleton_of`.
+
+    Raises
+    ------
+    LsystemError : the program is wrong, or its word has died out.
+    """
+    program = compile_listing(listing)
+    *_, last = derive(program, steps, seed)
+    words = interpret(program, last, seed)
+    if not len(words):
+        raise LsystemError("the plant has died out", where=listing.name, got=f"no word after {steps} steps")
+    return skeleton_of(draw_word(words, 0, options_from(listing.turtle, listing.dialect, listing.name)), shapes)
 
 
 def _first_branch_as_trunk(d: Drawing) -> Drawing:

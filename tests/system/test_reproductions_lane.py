@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from forestgen.community.population import Population
+from forestgen.community.size_statistics import self_thinning_slope
 from forestgen.community.statistics import cover_by_species, hopkins_index
 from forestgen.core.progress import Silent
 from forestgen.recipe.assets import find_asset
@@ -20,7 +22,6 @@ from forestgen.stages.community import snapshots
 from forestgen.stages.plan import Plan, check_plan
 
 SEEDS = range(10)
-pytestmark = pytest.mark.slow
 
 
 def plan_of(recipe: str, seed: int) -> Plan:
@@ -43,32 +44,35 @@ def hopkins(population: Population, size_m: tuple[float, float], species: int | 
     return hopkins_index(population.position_m[keep, :2], size_m, np.random.default_rng(0))
 
 
+def thinning_slope(history: Sequence[Population]) -> float:
+    """As `forestgen simulate` measures it."""
+    density = np.array([len(one) for one in history], float)
+    fit = self_thinning_slope(density, np.array([np.mean(one.radius_m**3) for one in history]))
+    assert fit is not None
+    return fit.value
+
+
 def show(name: str, values: NDArray[np.float64]) -> None:
     mean, spread = values.mean(axis=0), values.std(axis=0, ddof=1)
     print(f"{name}: " + ", ".join(f"{m:.4g} +- {s:.2g}" for m, s in zip(mean, spread, strict=True)))  # noqa: T201
 
 
+@pytest.mark.slow
 def test_self_thinning() -> None:
     """Figures 4.3 and 4.4."""
     steps = (10, 45, 95)
     slopes, indices = [], []
     for seed in SEEDS:
-        density, mass, mature, found = [], [], [], []
-        for one in snapshots(plan_of("self_thinning", seed), Silent()):
-            density.append(len(one))
-            mass.append(np.mean(one.radius_m**3))
-            mature.append(np.mean(one.radius_m >= 3))
-            if one.step in steps:
-                found.append(hopkins(one, (100.0, 100.0)))
-        line = (np.array(density) <= 0.3 * density[0]) & (np.array(mature) < 0.01)
-        slopes.append([np.polyfit(np.log(np.array(density)[line]), np.log(np.array(mass)[line]), 1)[0]])
-        indices.append(found)
+        history = list(snapshots(plan_of("self_thinning", seed), Silent()))
+        slopes.append([thinning_slope(history)])
+        indices.append([hopkins(history[step], (100.0, 100.0)) for step in steps])
     show("self-thinning slope", np.array(slopes))
     show("Hopkins index at steps 10, 45, 95 (thesis: 0.8, 0.4, 0.4)", np.array(indices))
     assert np.mean(slopes) == pytest.approx(-1.5, abs=0.1)
     np.testing.assert_allclose(np.mean(indices, axis=0), [0.8, 0.54, 0.54], atol=0.05)
 
 
+@pytest.mark.slow
 def test_succession() -> None:
     """Figure 4.5 and Table 7.1."""
     steps = (20, 150, 300, 1000)
@@ -92,6 +96,7 @@ def test_succession() -> None:
     np.testing.assert_allclose(indices.mean(axis=0), [0.6, 0.7, 0.7, 0.73], atol=0.1)
 
 
+@pytest.mark.slow
 def test_propagation() -> None:
     """Figure 4.6 and Table 7.1."""
     steps = (20, 500, 1000)
@@ -109,6 +114,7 @@ def test_propagation() -> None:
     assert counts.mean(axis=0)[2] == pytest.approx(4650, rel=0.1)
 
 
+@pytest.mark.slow
 def test_size_hierarchy() -> None:
     """Figure 2.2."""
     distances, values = [], []
@@ -120,3 +126,20 @@ def test_size_hierarchy() -> None:
     print(f"Shapiro's p above 0.01: {np.sum(np.array(values) > 0.01)} of {len(values)}")  # noqa: T201
     assert np.max(distances) < 0.04
     assert np.sum(np.array(values) > 0.01) >= 7
+
+
+def test_one_seed_of_each() -> None:
+    """The same within wider bounds, for every day."""
+    thinning = list(snapshots(plan_of("self_thinning", 3), Silent()))
+    assert thinning_slope(thinning) == pytest.approx(-1.5, abs=0.12)
+    assert hopkins(thinning[45], (100.0, 100.0)) == pytest.approx(0.54, abs=0.06)
+    plan = plan_of("succession", 3)
+    young = {one.step: one for one in islice(snapshots(plan, Silent()), 151) if one.step in (20, 150)}
+    assert len(young[20]) == pytest.approx(2688, rel=0.2)
+    assert len(young[150]) == pytest.approx(1593, rel=0.2)
+    assert np.argmax(list(cover_by_species(young[20], plan.site).values())) == 0
+    assert np.argmax(list(cover_by_species(young[150], plan.site).values())) == 1
+    (early,) = [one for one in islice(snapshots(plan_of("propagation", 3), Silent()), 21) if one.step == 20]
+    assert hopkins(early, (105.0, 105.0), 0) == pytest.approx(1.1, abs=0.15)
+    *_, last = snapshots(plan_of("size_hierarchy", 3), Silent())
+    assert stats.kstest(stats.zscore(np.log(last.radius_m)), "norm").statistic < 0.04

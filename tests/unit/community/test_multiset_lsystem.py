@@ -342,6 +342,9 @@ def test_programs_that_write_no_plants(tree, site, text, words):
 def test_parameters_that_the_program_does_not_have():
     with pytest.raises(ValidationError, match=r"(?s)no parameter sowings.*initial_plants_per_ha.*sowing"):
         MODEL.Parameters(program="propagation", parameters={"sowings": 1.0})
+    for value in (-500.0, [1.0], "many"):
+        with pytest.raises(ValidationError):
+            MODEL.Parameters(program="self_thinning", parameters={"initial_plants_per_ha": value})
     with pytest.raises(ValidationError, match=r"species' ecology set shade_tolerance"):
         MODEL.Parameters(parameters={"shade_tolerance": [1.0]})
     with pytest.raises(ValidationError, match=r"site, step and species set step_yr"):
@@ -396,3 +399,26 @@ def test_shipped_programs_say_what_they_are():
     for name in list_assets("lsystems"):
         path: Path = find_asset("lsystems", name)
         assert path.suffix == ".sys" or path.read_text().startswith("// ")
+
+
+def test_a_parameter_named_word_does_not_disturb_resuming(tree, site):
+    text = "axiom: { T(1,1,1,0,3)?E(1), T(9,9,1,0,2)?E(1) }\nT(x,y,r,sp,word)?E(c) --> T(x,y,r,sp,word)?E(1)"
+    text += "%T(x+1,y+1,r,sp,word+1)?E(1)"
+    population = MODEL.population(run(program(text), site, [tree()], 1, 2))
+    again = MODEL.resume(program(text), site, [tree()], 1, population)
+    assert same(again, run(program(text), site, [tree()], 1, 2))
+    assert same(MODEL.step(again), run(program(text), site, [tree()], 1, 3))
+
+
+def test_words_of_commas_resume(tree, site):
+    text = "axiom: { X, T(1,1,1,0)?E(1) }\nX --> X\nX --> Y,Z(-0.5)\nT(x,y,r,sp) --> T(x,y,r,sp)"
+    text = text.replace("X --> X\n", "")
+    population = MODEL.population(run(program(text), site, [tree()], 1, 2))
+    again = MODEL.resume(program(text), site, [tree()], 1, population)
+    assert same(again, run(program(text), site, [tree()], 1, 2))
+
+
+def test_the_limit_of_plants_is_exact(tree, site):
+    assert len(MODEL.population(MODEL.init(cohort(10_000, most_plants=2400), site, [tree()], 1))) == 2400
+    with pytest.raises(ResourceError, match="most_plants = 2,399"):
+        MODEL.init(cohort(10_000, most_plants=2399), site, [tree()], 1)

@@ -443,3 +443,38 @@ def test_functions_have_the_numbers_of_their_names() -> None:
 
 def test_productions_may_follow_a_block() -> None:
     assert words("axiom: A\ninterpretation\nA --> F\nproductions:\nA --> AA", 2) == ["AAAA"]
+
+
+# --- what an attacker found
+
+
+def test_a_define_goes_before_a_function_of_the_same_name() -> None:
+    text = "#define max(a,b) (a+b)\n#define k max(1,2)\naxiom: A(max(1,2))B(k)C(1)\nC(x) --> C(max(x,2))"
+    assert words(text, 1) == ["A(3)B(3)C(3)"]
+
+
+@pytest.mark.parametrize("name", ["floor", "ceil", "trunc"])
+def test_rounding_large_numbers(name: str) -> None:
+    found = last(f"axiom: A(1e19)B(-1e300)\nA(x) --> A({name}(x))\nB(x) --> B({name}(x))", 1).parameter
+    assert found.tolist() == [1e19, -1e300]
+
+
+def test_a_macro_in_its_own_argument() -> None:
+    assert words("#define f(x) (x+1)\naxiom: A(1)\nA(x) --> A(f(f(x)))", 1) == ["A(3)"]
+
+
+def test_the_right_side_of_a_decided_or_never_runs() -> None:
+    assert words("axiom: A(1)\nA(x) : 5 || 1/0 --> B", 1) == ["B"]
+
+
+def test_functions_keep_their_capitals() -> None:
+    assert words("function Ramp: (0,0) (1,1)\naxiom: A(func(Ramp,0.5))", 0) == ["A(0.5)"]
+
+
+def test_doubling_defines_are_computed_once() -> None:
+    doubling = "#define a0 (1+1)\n" + "".join(f"#define a{i} (a{i - 1}+a{i - 1})\n" for i in range(1, 40))
+    assert words(doubling + "axiom: A(a39)", 0) == [f"A({2**40})"]
+
+
+def test_long_statements_are_read_in_linear_time() -> None:
+    assert len(words("axiom: A\n" + "  A\n" * 50_000, 0)[0]) == 50_001

@@ -9,10 +9,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from forestgen.core.errors import LsystemError
 from forestgen.lsystem.multiset import RESERVED, Kind
+from forestgen.lsystem.parsing import parse_text
+from forestgen.lsystem.reading import read_listing
 from forestgen.lsystem.turtle import draw, options_from
-from forestgen.plants.from_turtle import skeleton_of
+from forestgen.plants.from_turtle import grow_program, skeleton_of
 from forestgen.plants.meshing import wood_mesh
+from forestgen.recipe.assets import find_asset
 
 
 def drawing_of(text, dialect="cpfg", **header):
@@ -99,3 +103,24 @@ def test_random_drawings_can_be_meshed(parts, dialect):
     drawn = drawing_of(text, dialect)
     widths = np.concatenate([drawn.radius, drawn.start_radius]).astype(np.float32)
     assert np.all(np.isin(skeleton.radius_m[skeleton.radius_m > 1e-5], widths))
+
+
+@pytest.mark.parametrize("steps", [0, 1, 2, 3])
+def test_the_age_of_a_plant_is_the_number_of_derivation_steps(steps):
+    """Randleff-Rasmussen 2004: the tree of Figure 5.2 has six segments for each segment a step before."""
+    skeleton = grow_program(read_listing(find_asset("lsystems", "fig_5_2")), steps, 1)
+    length = np.linalg.norm(np.diff(skeleton.position_m, axis=0, prepend=0), axis=1)
+    assert np.sum(skeleton.radius_m > 1e-3) >= 6**steps
+    assert len(length) == len(skeleton.parent)
+    assert skeleton.position_m[:, 2].max() == pytest.approx(10 * 2**steps, rel=0.5)
+    assert len(wood_mesh(skeleton).faces) > 0 if steps < 3 else True
+
+
+def test_an_abop_plant_grows_from_its_file():
+    skeleton = grow_program(read_listing(find_asset("lsystems", "weed")), 3, 0)
+    assert np.sum(skeleton.parent >= 0) >= 5**3
+
+
+def test_a_plant_that_dies_out_says_so():
+    with pytest.raises(LsystemError, match="died out"):
+        grow_program(parse_text("axiom: A\nA --> *", "a.lsys"), 1, 0)
