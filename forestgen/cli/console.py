@@ -128,6 +128,12 @@ def _stopping_cleanly() -> Iterator[None]:
             signal.setitimer(signal.ITIMER_REAL, _AGAIN_S, _AGAIN_S)
         raise _StoppedError(stopped[0])
 
+    def unraisable(about: sys.UnraisableHookArgs) -> None:
+        """Where Python can only report an exception, in a callback, ours need not be: the timer raises it again."""
+        if not isinstance(about.exc_value, _StoppedError):
+            hook(about)
+
+    hook, sys.unraisablehook = sys.unraisablehook, unraisable
     before = {}
     for name in (*_STOPPED, "SIGALRM"):
         number = getattr(signal, name, None)  # Windows has no SIGHUP and no SIGALRM
@@ -141,6 +147,7 @@ def _stopping_cleanly() -> Iterator[None]:
             raise _StoppedError(stopped[0]) from error
         raise
     finally:
+        sys.unraisablehook = hook
         if stopped and hasattr(signal, "setitimer"):
             signal.setitimer(signal.ITIMER_REAL, 0.0)
         for number, handler in before.items():
