@@ -196,6 +196,7 @@ def _print(path: Path, measured: PointStatistics, notes: Sequence[str]) -> None:
     for row in _rows(measured):
         indices.add_row(*row)
     out.print(indices)
+    out.print(Text("errors are standard errors; Hopkins is above 1 for clusters, the others below 1"))
     out.print()
     out.print(_ripley_table(measured))
     for note in notes:

@@ -102,6 +102,17 @@ class MultisetParameters(CommunityParameters):
         5_000_000, ge=1, le=500_000_000, description="stop with a message where the community grows beyond this"
     )
 
+    @model_validator(mode="before")
+    @classmethod
+    def _program_brings_its_environment(cls, data: Any) -> Any:
+        """A program that has an environment's name runs with it, unless another is named."""
+        if not isinstance(data, Mapping) or data.get("environment") is not None:
+            return data
+        program = data.get("program")
+        name = program.get("name") if isinstance(program, Mapping) else program
+        stem = str(name).removesuffix(".lsys")
+        return {**data, "environment": stem} if stem in ENVIRONMENTS.ids() else data
+
     @model_validator(mode="after")
     def _fits_program_and_environment(self) -> Self:
         listing = parse_text(self.program.text, self.program.name)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import math
 import re
 from collections.abc import Callable
@@ -99,7 +100,22 @@ class _Builder:
                 expected="predecessor --> successor, or axiom:, derivation length:, ignore:, ...",
                 got=text.strip().split("\n")[0][:60],
             )
+        self.refuse_slips(reader, text)
         self.productions[self.block].append(reader.production(text, self.group if self.block == "productions" else 0))
+
+    def refuse_slips(self, reader: Reader, text: str) -> None:
+        """Slips that would be read as something else, far from what was meant."""
+        head = re.match(r"([A-Za-z][A-Za-z ]{2,30}?)\s*:", text)
+        near = difflib.get_close_matches(head[1].lower(), _STATEMENTS, n=1, cutoff=0.7) if head else []
+        if head and near:
+            reader.fail(f"there is no statement {head[1]}:", reader.origin, hint=f"did you mean {near[0]}: ?")
+        number = re.search(r"\s(\d*\.\d+)\s*$", text)
+        if number and ":" not in text.partition("-->")[2]:
+            line = text.count("\n", 0, number.start(1)) + 1
+            place = reader.place(line, number.start(1) - text.rfind("\n", 0, number.start(1)))
+            reader.fail(
+                "a number among the modules", place, got=number[1], hint=f"a probability is written : {number[1]}"
+            )
 
     def update(self, **changes: Any) -> None:
         self.listing = replace(self.listing, **changes)
@@ -288,6 +304,10 @@ _ONCE = {
     "endeach",
     "end",
 }
+_STATEMENTS = [
+    "lsystem", "dialect", "derivation length", "axiom", "consider", "ignore", "maximum depth", "group", "start",
+    "starteach", "endeach", "define", "production", "function", "angle", "step", "width", "tropism", "heading",
+]  # fmt: skip
 _HANDLERS: dict[str, Any] = {
     "lsystem": _Builder.header,
     "production": _Builder.productions_begin,

@@ -23,7 +23,8 @@ A program tells by the names of its #defines and arrays what it wants to know. T
 and species: site_width_m, site_height_m, site_area_ha, step_yr, number_of_species, and arrays with an element for each
 species, of the ecology's keys below and of height_scale, height_exponent. All others are set by ``parameters``.
 
-``environment`` is one of domination (the default: of two circles that intersect the smaller gets nothing),
+``environment`` is one of domination (the default: of two circles that intersect the smaller gets nothing; a program
+that has an environment's name brings that one),
 firbank_watkinson, leps_kindlmann, aikman_watkinson; or a mapping with `model` and its own keys.
 
 ========================  ======================  ==========  ============  ==========
