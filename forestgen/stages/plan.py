@@ -27,7 +27,7 @@ _MOST_OPTICAL_DEPTH = 1000
 # Kept free for the operating system and for what no estimate sees.
 _SHARE_OF_MEMORY = 0.8
 # Measured by tests/system/test_memory.py as the peak resident memory of whole runs.
-_LOADED_SIMULATOR_BYTES = 350_000_000
+_LOADED_SIMULATOR_BYTES = 500_000_000
 _LOADED_RENDERER_BYTES = 900_000_000  # libraries, kernels, the ground's texture and what it was made from
 _BYTES_PER_SAMPLE = 5 + 16  # an identity sample, and the sorting of it
 _BYTES_PER_PIXEL = 500  # radiance sums in double precision, buffers, channels on their way to files
@@ -38,7 +38,7 @@ _BYTES_PER_PLANT = 18_000  # an instance in two scenes; the renderer's objects a
 _BYTES_PER_PLANT_UNDER_CLOUDS = 9_000  # a third scene
 _GROUND_CELL_M, _MOST_GROUND_CELLS, _GROUND_BEYOND = 0.75, 1200, 160  # see scene/terrain.py
 _BYTES_PER_CLOUD_CELL = 60
-_FILM_BYTES = 30_000_000  # numbers and pictures that stages/history.py keeps
+_FILM_BYTES = 60_000_000  # numbers and pictures that stages/history.py keeps
 
 
 @dataclass(frozen=True)
