@@ -232,6 +232,8 @@ def test_a_full_file_system_in_earnest(tmp_path: Path) -> None:
     recipe = tiny(tmp_path, ("size_m: [6, 5]", "size_m: [60, 50]"))
     done = subprocess.run(
         command("simulate", recipe, "-o", tmp_path / "out"),
+        # Python would cut the bytecode that it keeps of modules short, too, and not notice.
+        env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1", "NUMBA_CACHE_DIR": str(tmp_path.parent / "kernels")},
         preexec_fn=limit,
         capture_output=True,
         text=True,
