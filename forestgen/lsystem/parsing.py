@@ -56,7 +56,7 @@ def parse_text(text: str, name: str) -> Listing:
             builder.take(statement)
     except RecursionError as error:
         raise LsystemError("an expression is too long or too deep", where=name) from error
-    return builder.finish(text)
+    return builder.finish()
 
 
 class _Builder:
@@ -271,7 +271,7 @@ class _Builder:
             reader.fail(f"#define {name} has bad parameters", statement.place, expected="different names", got=given)
         self.update(macros={**self.listing.macros, name: Macro(parameters, body, self.seen[name])})
 
-    def finish(self, text: str) -> Listing:
+    def finish(self) -> Listing:
         if "axiom" not in self.seen:
             raise LsystemError(
                 "the program has no axiom", where=f"{self.name}:1:1", expected="axiom: and a string of modules"

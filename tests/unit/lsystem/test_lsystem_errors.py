@@ -13,9 +13,10 @@ from forestgen.lsystem.parsing import parse_text
 from forestgen.lsystem.reading import read_listing
 
 
-def run(text: str, steps: int = 3, most_modules: int = 200_000) -> None:
-    for _ in derive(compile_listing(parse_text(text, "bad.lsys")), steps, 0, most_modules=most_modules):
-        pass
+def run(text: str, steps: int = 3, most_modules: int = 200_000) -> int:
+    """Number of modules after some steps."""
+    *_, last = derive(compile_listing(parse_text(text, "bad.lsys")), steps, 0, most_modules=most_modules)
+    return len(last.multiset.code)
 
 
 @pytest.mark.parametrize(
@@ -104,7 +105,7 @@ def test_an_explosion_stops_at_the_limit() -> None:
 
 
 def test_a_program_that_fits_the_limit_runs() -> None:
-    run("axiom: F\nF --> FFF", steps=8, most_modules=3**8)
+    assert run("axiom: F\nF --> FFF", steps=8, most_modules=3**8) == 3**8
 
 
 def test_files_that_are_no_programs(tmp_path: Path) -> None:
