@@ -44,9 +44,3 @@ def mesh_file(meshes: Mapping[str, tuple[Mesh, tuple[float, float, float]]], suf
     else:
         data = scene.to_geometry().export(file_type=suffix[1:])
     return data.encode() if isinstance(data, str) else bytes(data)
-
-
-def surface_area_m2(mesh: Mesh) -> float:
-    """Sum of the triangles' areas, one side."""
-    a, b, c = (mesh.vertices_m[mesh.faces[:, k]].astype(np.float64) for k in range(3))
-    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)

@@ -31,3 +31,9 @@ class Mesh:
     @property
     def triangles(self) -> int:
         return len(self.faces)
+
+
+def surface_area_m2(mesh: Mesh) -> float:
+    """Sum of the triangles' areas, one side."""
+    a, b, c = (mesh.vertices_m[mesh.faces[:, k]].astype(np.float64) for k in range(3))
+    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)

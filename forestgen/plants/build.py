@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, Protocol
 
 import numpy as np
 
 from forestgen.core.errors import RecipeError
+from forestgen.core.parts import Part
+from forestgen.geometry.mesh import surface_area_m2
 from forestgen.plants.exemplar import Exemplar, OrganMesh
+from forestgen.plants.fitting import fit
+from forestgen.plants.foliage import place
 from forestgen.plants.meshing import organ_meshes
 from forestgen.plants.registry import GENERATORS
 
@@ -57,14 +62,26 @@ def build_exemplar(
     radius_m : community radius.
     """
     height_m, width_m = size_m(species, radius_m)
-    skeleton = GENERATORS.load(generator_parameters.generator).grow(generator_parameters, height_m, width_m, rng)
-    trunk = generator_parameters.trunk
-    organs = organ_meshes(
-        skeleton, generator_parameters.shapes, trunk.material, trunk.branch_material or trunk.material, trunk.flare
-    )
+    wood_rng, foliage_rng = rng.spawn(2)
+    plant = generator_parameters
+    skeleton = GENERATORS.load(plant.generator).grow(plant, height_m, width_m, wood_rng)
+    rules = [rule for rule in plant.foliage if rule.suits(height_m)]
+    placed = tuple(place(rule, skeleton, height_m, foliage_rng) for rule in rules)
+    skeleton = replace(skeleton, organs=(*skeleton.organs, *placed))
+    templates = {name: shape.template() for name, shape in plant.shapes.items()}
+    skeleton = fit(skeleton, templates, plant.fit, height_m, width_m)
+    organs = organ_meshes(skeleton, plant.shapes, plant.wood)
     _check_materials(species_name, organs, species.materials)
     low, high = _box(organs)
-    return Exemplar(species_name, organs, radius_m, float(high[2]), float(np.mean((high - low)[:2])))
+    return Exemplar(
+        species=species_name,
+        organs=organs,
+        radius_m=radius_m,
+        height_m=float(high[2]),
+        crown_width_m=float(np.mean((high - low)[:2])),
+        leaf_area_m2=sum(surface_area_m2(organ.mesh) for organ in organs if organ.part == Part.LEAF),
+        wood_volume_m3=skeleton.volume_m3(),
+    )
 
 
 def _box(organs: tuple[OrganMesh, ...]) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:

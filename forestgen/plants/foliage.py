@@ -13,7 +13,7 @@ from forestgen.geometry import blades
 from forestgen.geometry.mesh import Mesh
 from forestgen.geometry.vectors import rotate, unit
 from forestgen.plants.branching import around
-from forestgen.plants.curves import Curve, evaluate, evaluate_one
+from forestgen.plants.curves import Curve, PositiveCurve, evaluate, evaluate_one
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
 
 Floats = NDArray[np.float64]
@@ -84,12 +84,12 @@ class Foliage(BaseModel):
     droop_deg: Curve = Field(((0.0, 0.0),), description="turn towards the ground over the zone, degrees")
     roll_jitter_deg: float = Field(0.0, ge=0, description="standard deviation of the turn about its midrib, degrees")
     facing: Literal["up", "axis"] = Field("up", description="upper side turned to the sky or along the axis")
-    size: Curve = Field(((0.0, 1.0),), description="factor on the shape's size over the zone")
+    size: PositiveCurve = Field(((0.0, 1.0),), description="factor on the shape's size over the zone")
     size_jitter: float = Field(0.0, ge=0, lt=0.5, description="standard deviation of the size, as a share")
-    size_by_height: Curve = Field(
+    size_by_height: PositiveCurve = Field(
         ((0.0, 1.0),), description="factor on size and spacing over the plant's height in metres"
     )
-    spacing_by_height: Curve = Field(
+    spacing_by_height: PositiveCurve = Field(
         ((0.0, 1.0),), description="one more factor on the spacing, over the plant's height in metres"
     )
     terminal: bool = Field(False, description="one more at the very tip, along the axis")
@@ -123,7 +123,7 @@ def place(rule: Foliage, skeleton: Skeleton, height_m: float, rng: np.random.Gen
     size = growth * evaluate(rule.size, share) * np.clip(1 + rule.size_jitter * rng.normal(size=len(axis)), 0.4, 1.6)
     roll = np.radians(rule.roll_jitter_deg) * rng.normal(size=len(axis))
     upper = np.broadcast_to(_UP, tangent.shape) if rule.facing == "up" else tangent
-    frame = _frames(foot, along, upper, roll, size)
+    frame = organ_frames(foot, along, upper, roll, size)
     return OrganPlacements(rule.shape, frame.astype(np.float32), node.astype(np.int32))
 
 
@@ -181,7 +181,7 @@ def _droop(along: Floats, angle_rad: Floats) -> Floats:
     return rotate(along, unit(lever), angle_rad * np.linalg.norm(lever, axis=1))
 
 
-def _frames(foot: Floats, along: Floats, upper: Floats, roll_rad: Floats, size: Floats) -> Floats:
+def organ_frames(foot: Floats, along: Floats, upper: Floats, roll_rad: Floats, size: Floats) -> Floats:
     """(M, 3, 4) right-handed frames: y = along, z = upper made perpendicular and rolled about y."""
     across = np.cross(along, upper)
     weak = np.linalg.norm(across, axis=1) < 1e-3

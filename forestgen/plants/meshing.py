@@ -14,6 +14,7 @@ from forestgen.geometry.sweep import Polylines, sides_for_radius, sweep
 from forestgen.geometry.vectors import concatenate, unit
 from forestgen.plants.exemplar import OrganMesh
 from forestgen.plants.foliage import OrganShape
+from forestgen.plants.parameters import Wood
 from forestgen.plants.skeleton import Skeleton
 
 Floats = NDArray[np.float64]
@@ -37,17 +38,11 @@ def wood_mesh(skeleton: Skeleton, trunk: bool, flare: float) -> Mesh:
     return sweep(lines, sides_for_radius(lines.radius_m[lines.offset[:-1]]))
 
 
-def organ_meshes(
-    skeleton: Skeleton,
-    shapes: Mapping[str, OrganShape],
-    trunk_material: str,
-    branch_material: str,
-    flare: float,
-) -> tuple[OrganMesh, ...]:
+def organ_meshes(skeleton: Skeleton, shapes: Mapping[str, OrganShape], wood: Wood) -> tuple[OrganMesh, ...]:
     """All surfaces of a plant, one mesh per part and material; empty ones are left out."""
     parts: dict[tuple[Part, str], list[Mesh]] = {}
-    parts[Part.TRUNK, trunk_material] = [wood_mesh(skeleton, True, flare)]
-    parts[Part.BRANCH, branch_material] = [wood_mesh(skeleton, False, flare)]
+    parts[Part.TRUNK, wood.material] = [wood_mesh(skeleton, True, wood.flare)]
+    parts[Part.BRANCH, wood.branch_material or wood.material] = [wood_mesh(skeleton, False, wood.flare)]
     for placement in skeleton.organs:
         shape = shapes[placement.shape]
         mesh = instance(shape.template(), placement.frame)

@@ -35,3 +35,15 @@ class Skeleton:
                 raise ValueError(f"{name} must have shape {shape}, got {getattr(self, name).shape}")
         if n and (self.parent[0] != -1 or np.any(self.parent >= np.arange(n))):
             raise ValueError("parents must precede children, and node 0 must be the root")
+
+    def volume_m3(self) -> float:
+        """Sum of the segments' frusta; an axis' first segment counts from the surface of the axis that bears it."""
+        child = np.flatnonzero(self.parent >= 0)
+        bearer = self.parent[child]
+        way = self.position_m[child].astype(np.float64) - self.position_m[bearer]
+        length = np.linalg.norm(way, axis=1)
+        tip, base = self.radius_m[child].astype(np.float64), self.radius_m[bearer].astype(np.float64)
+        begins = self.axis[child] != self.axis[bearer]
+        length[begins] = np.maximum(length[begins] - base[begins], 0.0)
+        base[begins] = np.minimum(base, tip)[begins]
+        return float(np.sum(length * (base * base + base * tip + tip * tip)) * np.pi / 3.0)

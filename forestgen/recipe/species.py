@@ -95,6 +95,17 @@ class Material(Section):
         return self
 
 
+class Tissue(Section):
+    """What turns volume and area into mass, dry."""
+
+    wood_density_kg_per_m3: Annotated[
+        Positive, Field(le=1500, description="Dry wood over its fresh volume, kg/m³.")
+    ] = 500.0
+    leaf_mass_per_area_kg_per_m2: Annotated[
+        Positive, Field(le=2, description="Dry leaf over one side's area, kg/m².")
+    ] = 0.08
+
+
 class Species(Section):
     """One species of the recipe, complete: its file and the recipe's overrides merged."""
 
@@ -112,6 +123,10 @@ class Species(Section):
     ] = None
     ecology: Annotated[Ecology, Field(description="How the species grows, competes and spreads.")]
     allometry: Annotated[Allometry, Field(description="Size of a plant from its radius.")]
+    tissue: Annotated[Tissue, Field(description="Density of wood and leaves, for mass.")] = Tissue()
+    sources: Annotated[
+        tuple[Text, ...], Field(max_length=20, description="Where the proportions come from, one reference each.")
+    ] = ()
     plant: Annotated[Plant, Field(description="What makes its geometry.")]
     materials: Annotated[
         dict[Name, Material], Field(default_factory=dict, description="Materials of the plant's organs, by name.")

@@ -14,14 +14,13 @@ from numpy.typing import NDArray
 
 from forestgen.core.errors import OutputError, RecipeError
 from forestgen.core.frames import look_at
-from forestgen.core.parts import Part
 from forestgen.core.progress import Progress
 from forestgen.core.randomness import child_rng
 from forestgen.core.timing import Timings
 from forestgen.dataset.files import output_error, write_bytes
 from forestgen.dataset.png import write_rgb
 from forestgen.dataset.tonemap import tone_map
-from forestgen.geometry.export import FORMATS, mesh_file, surface_area_m2
+from forestgen.geometry.export import FORMATS, mesh_file
 from forestgen.plants.build import build_exemplar
 from forestgen.plants.exemplar import Exemplar
 from forestgen.recipe.load import load_recipe_data
@@ -167,14 +166,13 @@ def _described(exemplar: Exemplar, mesh_path: Path, picture_path: Path) -> Singl
     for organ in exemplar.organs:
         part = organ.part.name.lower()
         by_part[part] = by_part.get(part, 0) + organ.mesh.triangles
-    leaves = sum(surface_area_m2(organ.mesh) for organ in exemplar.organs if organ.part == Part.LEAF)
     return SinglePlant(
         species=exemplar.species,
         height_m=exemplar.height_m,
         crown_width_m=exemplar.crown_width_m,
         triangles=exemplar.triangles,
         by_part=by_part,
-        leaf_area_m2=leaves,
+        leaf_area_m2=exemplar.leaf_area_m2,
         mesh_path=mesh_path,
         picture_path=picture_path,
     )

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from forestgen.atmosphere.grid import CloudGrid
 from forestgen.core.frames import look_at
 from forestgen.core.parts import Part
-from forestgen.geometry.mesh import Mesh
+from forestgen.geometry.mesh import Mesh, surface_area_m2
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.scene.spec import Camera, Instances, Material, SceneSpec, Sky, Terrain
 from forestgen.scene.terrain import build_terrain, flat
@@ -48,7 +48,15 @@ def simple_tree(species: str, height_m: float, leaves: int, rng: np.random.Gener
         OrganMesh(Part.TRUNK, "bark", post(height_m * 0.9, height_m * 0.012)),
         OrganMesh(Part.LEAF, "leaf", crown),
     )
-    return Exemplar(species, organs, height_m * 0.1, height_m, height_m * 0.35)
+    return Exemplar(
+        species=species,
+        organs=organs,
+        radius_m=height_m * 0.1,
+        height_m=height_m,
+        crown_width_m=height_m * 0.35,
+        leaf_area_m2=surface_area_m2(organs[1].mesh),
+        wood_volume_m3=np.pi / 3 * (0.012 * height_m) ** 2 * 0.9 * height_m,
+    )
 
 
 def camera_at(

@@ -35,7 +35,7 @@ orders[o]          the functions below         -      -           see `Order`; M
 .branch_angle_deg  branch_ang(o, rel)          degree 50          angle of a branch from the bearing axis
 .branch_length     branch_len(o, rel)          share  0.5         of max_len[o+1]; order 0: of the silhouette's
 .phyllotaxis_deg   phyllo_ang[o]               degree 137.5       turn from one node to the next
-shapes, foliage    K                           -      -           what organs look like, where they sit
+wood, shapes, ...  K                           -      -           as for every generator
 ================== =========================== ====== =========== ========================================
 
 Recipe
@@ -46,7 +46,8 @@ Recipe
       generator: silhouette
       silhouette: ovoid
       crown_base: [[1, 0.1], [20, 0.38]]           # position: height of the plant in metres
-      trunk: {diameter_ratio: 0.013, material: bark}
+      wood: {material: bark, branch_material: twig}
+      trunk: {diameter_ratio: 0.013}
       orders:
         - {longest_m: 24, internode_m: [[0, 0.3], [1, 0.08]], branch_angle_deg: [[0, 75], [1, 40]]}
         - {longest_m: 2.6, internode_m: 0.2, diameter_m: [[0, 0.05], [1, 0.003]]}
@@ -59,28 +60,26 @@ Decisions
   a sapling is the top of a tree and not its miniature. Only the silhouette is relative to the plant's own height.
 - branch_len(0, rel) is the length at which a branch that leaves under branch_ang meets the silhouette.
 - Real branches bend: `upturn_deg_per_m` turns an axis to the sky (or the ground) as a torque, `wander_deg` bends it
-  at random with memory. The grown plant is then stretched, height and width apart, to fit H and W.
+  at random with memory. The grown plant is then stretched, height and width apart, to fit H and W (`fit`).
 - The tip carries organs by rules of spacing (`Foliage`) rather than one K, since K grows on several internodes.
 """
 
 from __future__ import annotations
 
-from typing import Literal, Self
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, Field
 
 from forestgen.plants.branching import Grown, Shoots, Sites, grow, lateral_sites
-from forestgen.plants.curves import Curve, FallingCurve, evaluate, evaluate_one
-from forestgen.plants.fitting import fit
-from forestgen.plants.foliage import Foliage, OrganShape, place
+from forestgen.plants.curves import Curve, FallingCurve, PositiveCurve, evaluate, evaluate_one
+from forestgen.plants.parameters import STRICT, Fit, PlantParameters
 from forestgen.plants.skeleton import Skeleton
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-_STRICT = ConfigDict(frozen=True, extra="forbid")
 _PARENT_SHARE = 0.7  # a branch is at most this share of the radius of the axis that bears it
 Silhouette = Literal["ellipsoid", "ovoid", "cone", "column"]
 
@@ -88,34 +87,33 @@ Silhouette = Literal["ellipsoid", "ovoid", "cone", "column"]
 class Trunk(BaseModel):
     """Stems: axes of order 0, from the ground up."""
 
-    model_config = _STRICT
+    model_config = STRICT
 
-    diameter_ratio: Curve = Field(((0.0, 0.014),), description="base diameter by height, over the height in metres")
+    diameter_ratio: PositiveCurve = Field(
+        ((0.0, 0.014),), description="base diameter by height, over the height in metres"
+    )
     taper: FallingCurve = Field(
         ((0.0, 1.0), (0.9, 0.18), (1.0, 0.02)), description="share of the base diameter over the stem, 0 base, 1 tip"
     )
-    flare: float = Field(0.35, ge=0, description="widening at the root collar, as a share of the radius")
     lean_deg: float = Field(1.5, ge=0, description="standard deviation of a single stem's lean at its foot, degrees")
-    stems: Curve = Field(((0.0, 1.0),), description="number of stems over the plant's height in metres")
+    stems: PositiveCurve = Field(((0.0, 1.0),), description="number of stems over the plant's height in metres")
     stem_spread_deg: float = Field(8.0, ge=0, description="lean of the further stems of a clump, degrees")
-    material: str = Field(description="name of one of the species' materials")
-    branch_material: str | None = Field(None, description="the same for branches; the trunk's if not given")
 
 
 class Order(BaseModel):
     """One branch order. Curves run over rel, from 0 at the base of the longest branch to 1 at the tip."""
 
-    model_config = _STRICT
+    model_config = STRICT
 
     longest_m: float = Field(gt=0, description="max_len[o]: length of the longest branch, metres")
-    internode_m: Curve = Field(description="int_len(o, rel), metres")
+    internode_m: PositiveCurve = Field(description="int_len(o, rel), metres")
     internode_jitter: float = Field(0.0, ge=0, description="standard deviation of the internodes' logarithm")
     diameter_m: FallingCurve = Field(((0.0, 0.01),), description="int_width(o, rel), metres; order 0 has `trunk`")
     upturn_deg_per_m: Curve = Field(((0.0, 0.0),), description="bend to the sky, of a horizontal axis, degrees/metre")
     wander_deg: float = Field(0.0, ge=0, description="random bend, degrees per square root of a metre")
     branch_angle_deg: Curve = Field(((0.0, 50.0),), description="branch_ang(o, rel), degrees from the bearing axis")
     branch_angle_jitter_deg: float = Field(0.0, ge=0, description="standard deviation of that angle, degrees")
-    branch_length: Curve = Field(
+    branch_length: PositiveCurve = Field(
         ((0.0, 1.0),), description="branch_len(o, rel): share of max_len[o+1]; order 0: of the silhouette's length"
     )
     branch_length_jitter: float = Field(0.0, ge=0, lt=0.5, description="standard deviation of that length, as a share")
@@ -129,10 +127,8 @@ class Order(BaseModel):
     planar: bool = Field(False, description="the first branch stands out horizontally: with 180 degrees, flat sprays")
 
 
-class Parameters(BaseModel):
+class Parameters(PlantParameters):
     """The `plant:` block of a species' file."""
-
-    model_config = _STRICT
 
     generator: Literal["silhouette"] = "silhouette"
     silhouette: Silhouette = Field("ellipsoid", description="form of the crown")
@@ -140,16 +136,8 @@ class Parameters(BaseModel):
         ((0.0, 0.3),), description="crown's lower end, share of height, over the height in metres"
     )
     trunk: Trunk
-    orders: tuple[Order, ...] = Field(min_length=1, max_length=4, description="the stem, its branches, and so on")
-    shapes: dict[str, OrganShape] = Field(description="forms of the organs, by name")
-    foliage: tuple[Foliage, ...] = Field(description="where organs sit")
-
-    @model_validator(mode="after")
-    def _names(self) -> Self:
-        for rule in self.foliage:
-            if rule.shape not in self.shapes:
-                raise ValueError(f"foliage names the shape {rule.shape!r}; there are: {', '.join(self.shapes)}")
-        return self
+    orders: tuple[Order, ...] = Field(min_length=1, max_length=8, description="the stem, its branches, and so on")
+    fit: Fit = Field("stretch", description="as for every generator; height and width fit by default")
 
 
 def envelope(silhouette: Silhouette, height: Floats) -> Floats:
@@ -233,11 +221,8 @@ class SilhouetteGenerator:
     Parameters = Parameters  # the class that a recipe's `plant` block is checked against
 
     def grow(self, parameters: _Parameters, height_m: float, width_m: float, rng: np.random.Generator) -> Skeleton:
-        """One plant, its top at `height_m` and its mean horizontal extent `width_m`, organs placed."""
-        skeleton = grow_wood(parameters, height_m, width_m, rng)
-        organs = tuple(place(rule, skeleton, height_m, rng) for rule in parameters.foliage if rule.suits(height_m))
-        templates = {name: shape.template() for name, shape in parameters.shapes.items()}
-        return fit(skeleton, organs, templates, height_m, width_m)
+        """Stems and branches that fill the silhouette."""
+        return grow_wood(parameters, height_m, width_m, rng)
 
 
 def grow_wood(parameters: Parameters, height_m: float, width_m: float, rng: np.random.Generator) -> Skeleton:

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from forestgen.geometry.export import FORMATS, mesh_file, surface_area_m2
-from forestgen.geometry.mesh import Mesh
+from forestgen.geometry.export import FORMATS, mesh_file
+from forestgen.geometry.mesh import Mesh, surface_area_m2
 
 
 def wedge() -> Mesh:

@@ -1,0 +1,68 @@
+"""What every plant generator's parameters have in common: wood, organs, and the fit to the plant's size."""
+
+from __future__ import annotations
+
+from typing import Any, Literal, Protocol, Self
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from forestgen.plants.foliage import Foliage, OrganShape
+from forestgen.plants.skeleton import Skeleton
+
+STRICT = ConfigDict(frozen=True, extra="forbid")
+
+Fit = Literal["stretch", "scale", "scale_all", "none"]
+
+
+class Wood(BaseModel):
+    """Surface of stems and branches."""
+
+    model_config = STRICT
+
+    material: str = Field(description="name of one of the species' materials")
+    branch_material: str | None = Field(None, description="the same for branches; the trunk's if not given")
+    flare: float = Field(0.35, ge=0, le=3, description="widening at the root collar, as a share of the radius")
+    branch_height_ratio: float = Field(
+        1.0, ge=0.3, le=3, description="height over width of a branch's elliptical section; the area stays"
+    )
+
+
+class PlantParameters(BaseModel):
+    """The `plant:` block of a species' file, less the generator's own keys."""
+
+    model_config = STRICT
+
+    generator: str
+    wood: Wood = Field(description="surface of stems and branches")
+    shapes: dict[str, OrganShape] = Field(default_factory=dict, description="forms of the organs, by name")
+    foliage: tuple[Foliage, ...] = Field((), description="where organs sit, beside those that the generator places")
+    fit: Fit = Field(
+        "scale",
+        description="stretch: height and width apart until both fit, thickness and organs as they are; scale: the wood "
+        "as a whole until the height fits; scale_all: wood and organs; none: as grown",
+    )
+
+    @model_validator(mode="after")
+    def _names(self) -> Self:
+        for rule in self.foliage:
+            if rule.shape not in self.shapes:
+                raise ValueError(f"foliage names the shape {rule.shape!r}; there are: {', '.join(self.shapes)}")
+        return self
+
+
+class Generator(Protocol):
+    """A plant generator: one file in plants/generators, one line in plants/registry.py."""
+
+    Parameters: type[PlantParameters]
+
+    def grow(self, parameters: Any, height_m: float, width_m: float, rng: np.random.Generator) -> Skeleton:
+        """A plant about `height_m` tall and `width_m` wide, with the organs that the generator itself places.
+
+        Foliage rules and the fit to the exact size follow in `plants/build.py`.
+
+        Raises
+        ------
+        RecipeError : the parameters lead nowhere, or to a plant too large for memory (see `plants/budget.py`).
+        """
+        ...
