@@ -7,6 +7,7 @@ propagation_maps.png  recipes/reproductions/propagation.yaml at three steps (Lan
 self_thinning.png     the line of recipes/reproductions/self_thinning.yaml (Lane 2002, Figure 4.4)
 
 With names behind it, `uv run python docs/pictures.py self_thinning succession_maps`, it makes these alone.
+The plants' pictures, library.jpg and species/, are made by docs/species_sheet.py.
 """
 
 from __future__ import annotations

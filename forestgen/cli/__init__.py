@@ -138,37 +138,105 @@ def simulate(
     commands.simulate(recipe, overrides or [], map_steps or [], resume, from_step, output, overwrite, Bars())
 
 
-@app.command(epilog="Example: forestgen plant spruce --height 12 --seed 3 -o spruce.glb")
+@app.command(epilog="Example: forestgen plant spruce --height-m 12 --seed 3 --out tree.glb --out tree.png")
 def plant(
     species: Annotated[
-        str, typer.Argument(metavar="SPECIES", help="A species' name (`forestgen models` lists them) or its YAML file.")
-    ],
+        Optional[str],  # noqa: UP045
+        typer.Argument(metavar="SPECIES", help="A species' name, see --list, or its YAML file.", show_default=False),
+    ] = None,
+    list_species: Annotated[bool, typer.Option("--list", help="List the species that come with forestgen.")] = False,
     height_m: Annotated[
         Optional[float],  # noqa: UP045
+        typer.Option("--height-m", metavar="METRES", help="By default that of a mature plant.", show_default=False),
+    ] = None,
+    seed: Annotated[int, typer.Option("--seed", metavar="N", help="Another seed is another plant.")] = 0,
+    outputs: Annotated[
+        Optional[list[Path]],  # noqa: UP045
         typer.Option(
-            "--height",
-            metavar="METRES",
-            help="Height in metres; by default that of a mature plant.",
+            "--out",
+            "-o",
+            metavar="FILE",
+            help="A mesh: .glb, .ply, .obj (with its .mtl), .usd, .usda, .usdc, .usdz; or a picture: .png. May be "
+            "repeated; by default outputs/SPECIES.glb and .png.",
             show_default=False,
         ),
     ] = None,
-    seed: Annotated[int, typer.Option("--seed", metavar="N", help="Another seed is another plant.")] = 0,
-    output: Annotated[
-        Optional[Path],  # noqa: UP045
+    count: Annotated[
+        int, typer.Option("--count", metavar="N", help="So many plants, of seeds from --seed on: tree-0001.glb, ...")
+    ] = 1,
+    frames: Annotated[
+        Optional[int],  # noqa: UP045
         typer.Option(
-            "--output",
-            "-o",
-            metavar="FILE",
-            help="Mesh file: .glb, .ply or .obj; by default outputs/SPECIES.glb. A picture, .png, goes beside it.",
+            "--frames",
+            metavar="N",
+            help="So many poses in the wind, of a species of the generator strands: tree-0001.glb, ...",
+            show_default=False,
+        ),
+    ] = None,
+    frames_per_s: Annotated[float, typer.Option("--frames-per-s", metavar="N", help="Pace of the frames.")] = 12.0,
+    detail: Annotated[
+        Optional[int],  # noqa: UP045
+        typer.Option(
+            "--detail",
+            metavar="0..2",
+            min=0,
+            max=2,
+            help="How finely leaves and flowers are drawn: 2 for close views; by default as the species' file says.",
+            show_default=False,
+        ),
+    ] = None,
+    size_px: Annotated[
+        tuple[int, int], typer.Option("--size-px", metavar="W H", help="Size of the picture.", show_default="540 720")
+    ] = (
+        540,
+        720,
+    ),
+    samples: Annotated[
+        int, typer.Option("--samples", metavar="N", min=1, max=65536, help="Light paths a pixel of the picture.")
+    ] = 64,
+    distance_m: Annotated[
+        Optional[float],  # noqa: UP045
+        typer.Option(
+            "--distance-m",
+            metavar="METRES",
+            help="How far the camera stands from the plant; by default as far as a normal lens asks for.",
+            show_default=False,
+        ),
+    ] = None,
+    look_at_m: Annotated[
+        Optional[float],  # noqa: UP045
+        typer.Option(
+            "--look-at-m",
+            metavar="METRES",
+            help="Look at this height through a normal lens, not at the whole plant.",
             show_default=False,
         ),
     ] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace existing files.")] = False,
 ) -> None:
     """Grow one plant: mesh, picture, numbers."""
-    from forestgen.cli import commands
+    from forestgen.cli import plants
 
-    commands.plant(species, height_m, seed, output, overwrite, Bars())
+    if list_species:
+        plants.library()
+        return
+    if species is None:
+        raise typer.BadParameter("name a species, or give --list", param_hint="SPECIES")
+    plants.plant(
+        species,
+        outputs or [],
+        Bars(),
+        overwrite=overwrite,
+        growth={
+            "height_m": height_m,
+            "seed": seed,
+            "count": count,
+            "frames": frames,
+            "frames_per_s": frames_per_s,
+            "detail": detail,
+        },
+        view={"size_px": size_px, "samples": samples, "distance_m": distance_m, "look_at_m": look_at_m},
+    )
 
 
 @app.command(epilog="Example: forestgen validate recipes/quickstart.yaml --set seed=3")

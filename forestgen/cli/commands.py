@@ -226,17 +226,3 @@ def _page(name: str) -> str:
         got=repr(name),
         hint=f"did you mean {near[0]!r}?" if near else None,
     )
-
-
-def plant(species: str, height_m: float | None, seed: int, chosen: Path | None, overwrite: bool, bars: Bars) -> None:
-    from forestgen.stages.single_plant import grow_single_plant
-
-    target = chosen or Path("outputs") / f"{Path(species).stem}.glb"
-    with bars.running():
-        made = grow_single_plant(species, height_m, seed, target, overwrite=overwrite, progress=bars)
-    out = output()
-    _say(out, f"{made.species}: {made.height_m:.2f} m tall, crown {made.crown_width_m:.2f} m wide")
-    parts = ", ".join(f"{number:,} {part}" for part, number in made.by_part.items())
-    _say(out, f"  {made.triangles:,} triangles: {parts}")
-    _say(out, f"  leaf area {made.leaf_area_m2:.3g} m² (one side)")
-    _say(out, f"files: {made.mesh_path}, {made.picture_path}")

@@ -15,6 +15,10 @@ COMMUNITY_MODELS = Registry(
             "forestgen.community.models.multiset_lsystem:MODEL",
             "self-thinning, succession, propagation, or a program of yours (Lane 2002, multiset L-systems)",
         ),
+        "placed": (
+            "forestgen.community.models.placed:MODEL",
+            "plants at given places: an inventory or a figure; nothing grows but older",
+        ),
     },
 )
 

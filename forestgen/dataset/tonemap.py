@@ -23,12 +23,13 @@ _RED, _GREEN, _BLUE = np.float32(0.2126), np.float32(0.7152), np.float32(0.0722)
 _DARKEST, _INFINITE = 1e-20, 1e30
 
 
-def tone_map(radiance: NDArray[np.float32]) -> NDArray[np.uint8]:
+def tone_map(radiance: NDArray[np.float32], exposure: float | None = None) -> NDArray[np.uint8]:
     """sRGB picture of linear Rec. 709 radiance.
 
     Parameters
     ----------
     radiance : (H, W, 3) float32. NaN and negative values count as 0, infinite ones as white.
+    exposure : factor on radiance, for pictures that are compared; by default the one that the picture's key asks for.
 
     Returns
     -------
@@ -37,8 +38,10 @@ def tone_map(radiance: NDArray[np.float32]) -> NDArray[np.uint8]:
     light = np.nan_to_num(radiance, nan=0.0, posinf=_INFINITE, neginf=0.0).clip(0.0)
     red, green, blue = np.moveaxis(light, -1, 0)
     luminance = _RED * red + _GREEN * green + _BLUE * blue
-    exposure, white = _exposure(luminance)
-    return _encode(_curve(light * exposure, white))
+    if exposure is not None:
+        return _encode(_curve(light * np.float32(exposure), LEAST_WHITE))
+    metered, white = _exposure(luminance)
+    return _encode(_curve(light * metered, white))
 
 
 def _exposure(luminance: NDArray[np.float32]) -> tuple[np.float32, float]:

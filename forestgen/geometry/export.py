@@ -1,46 +1,131 @@
-"""Meshes -> mesh files, through trimesh."""
+"""Meshes -> files: .glb, .ply, .obj and OpenUSD's .usd, .usda, .usdc, .usdz.
+
+=======  =======  ========  ==========================  ====================================================
+suffix   up       normals   colour                      besides
+=======  =======  ========  ==========================  ====================================================
+.glb     y        yes       materials, textures inside  names, extras; geometry/gltf.py
+.ply     z        yes       vertices, sRGB              each face's part as a number; geometry/ply.py
+.obj     z        yes       materials in a .mtl         a group a piece; textures beside it; geometry/obj.py
+.usd     z        yes       materials                   custom data; textures beside it, or inside a .usdz;
+                                                        geometry/usd.py
+=======  =======  ========  ==========================  ====================================================
+
+All are in metres. The same pieces give the same bytes.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
+from forestgen.core.parts import Part
 from forestgen.geometry.mesh import Mesh
 
-FORMATS = (".glb", ".ply", ".obj")
+FORMATS = (".glb", ".ply", ".obj", ".usd", ".usda", ".usdc", ".usdz")
+
+Colour = tuple[float, float, float]
+Value = str | int | float
 
 
-def mesh_file(meshes: Mapping[str, tuple[Mesh, tuple[float, float, float]]], suffix: str) -> bytes:
-    """Bytes of a mesh file.
+@dataclass(frozen=True)
+class Surface:
+    """How a piece looks."""
+
+    name: str
+    reflectance: Colour  # linear Rec. 709
+    transmittance: Colour = (0.0, 0.0, 0.0)
+    roughness: float = 0.8
+    sheet: bool = False  # seen from both sides, as a leaf
+    colour_image: NDArray[np.uint8] | None = None  # (H, W, 3) sRGB, row 0 at v = 0; in place of the reflectance
+    normal_image: NDArray[np.uint8] | None = None  # (H, W, 3) (normal + 1) / 2 along u, v and outwards, row 0 at v = 0
+
+
+@dataclass(frozen=True)
+class Piece:
+    """One mesh of a plant."""
+
+    name: str
+    part: Part
+    mesh: Mesh
+    surface: Surface
+    properties: Mapping[str, Value] = field(default_factory=dict)  # custom data, keys with units
+
+
+@dataclass(frozen=True)
+class Model:
+    """All pieces of a plant."""
+
+    name: str
+    pieces: Sequence[Piece]
+    properties: Mapping[str, Value] = field(default_factory=dict)
+
+    @property
+    def surfaces(self) -> list[Surface]:
+        """The pieces' different surfaces by name, in their order."""
+        return list({piece.surface.name: piece.surface for piece in self.pieces}.values())
+
+
+def model_files(model: Model, file_name: str) -> dict[str, bytes]:
+    """Name -> content of a model's files: `file_name` first, then what goes beside it.
 
     Parameters
     ----------
-    meshes : name -> mesh (metres, z up) and its colour, linear Rec. 709.
-    suffix : one of `FORMATS`. A .glb is turned to y up, as its standard demands; the others stay z up.
+    file_name : ends with one of `FORMATS`.
     """
-    import trimesh
-
-    scene = trimesh.Scene()
-    for name, (mesh, colour) in meshes.items():
-        body = trimesh.Trimesh(mesh.vertices_m, mesh.faces, vertex_normals=mesh.normals, process=False)
-        rgba = [*np.asarray(colour, dtype=np.float64), 1.0]
-        if suffix == ".glb":
-            material = trimesh.visual.material.PBRMaterial(
-                name=name, baseColorFactor=rgba, roughnessFactor=0.8, metallicFactor=0.0, doubleSided=True
-            )
-            body.visual = trimesh.visual.TextureVisuals(material=material)
-        else:
-            srgb = np.where(
-                np.array(rgba[:3]) <= 0.0031308,
-                np.array(rgba[:3]) * 12.92,
-                1.055 * np.array(rgba[:3]) ** (1 / 2.4) - 0.055,
-            )
-            body.visual.face_colors = [*np.round(255 * srgb).astype(int), 255]
-        scene.add_geometry(body, node_name=name, geom_name=name)
+    suffix = "." + file_name.rsplit(".", 1)[-1].lower()
     if suffix == ".glb":
-        scene.apply_transform(np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]], dtype=np.float64))
-        data = scene.export(file_type="glb")
-    else:
-        data = scene.to_geometry().export(file_type=suffix[1:])
-    return data.encode() if isinstance(data, str) else bytes(data)
+        from forestgen.geometry.gltf import glb
+
+        return {file_name: glb(model)}
+    if suffix == ".ply":
+        from forestgen.geometry.ply import ply
+
+        return {file_name: ply(model)}
+    if suffix == ".obj":
+        from forestgen.geometry.obj import obj_files
+
+        return obj_files(model, file_name)
+    from forestgen.geometry.usd import usd_files
+
+    return usd_files(model, file_name)
+
+
+def texture_files(model: Model, file_name: str) -> dict[tuple[str, str], tuple[str, bytes]]:
+    """(surface, "colour" or "normal") -> name and PNG of a texture that goes beside `file_name`."""
+    stem = file_name.rsplit(".", 1)[0]
+    return {
+        (surface.name, kind): (f"{stem}-{surface.name}-{kind}.png", png(image))
+        for surface in model.surfaces
+        for kind, image in images_of(surface).items()
+    }
+
+
+def images_of(surface: Surface) -> dict[str, NDArray[np.uint8]]:
+    """A surface's images as mesh files want them: "colour", and "normal" with its second axis up from row to row."""
+    images = {}
+    if surface.colour_image is not None:
+        images["colour"] = surface.colour_image
+    if surface.normal_image is not None:
+        images["normal"] = surface.normal_image.copy()
+        images["normal"][..., 1] = 255 - images["normal"][..., 1]  # ours runs along v, that is down the rows
+    return images
+
+
+def png(image: NDArray[np.uint8]) -> bytes:
+    """A PNG of an (H, W, 3) picture."""
+    from PIL import Image
+
+    buffer = io.BytesIO()
+    Image.fromarray(np.ascontiguousarray(image)).save(buffer, format="PNG", compress_level=6)
+    return buffer.getvalue()
+
+
+def srgb(colour: Colour) -> NDArray[np.uint8]:
+    """(3,) sRGB of a linear colour (IEC 61966-2-1)."""
+    linear = np.clip(np.asarray(colour, dtype=np.float64), 0.0, 1.0)
+    encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    return np.round(255 * encoded).astype(np.uint8)

@@ -48,13 +48,21 @@ def vertex_normals(vertices: Floats, faces: NDArray[np.integer]) -> Floats:
 
 
 def concatenate(meshes: Sequence[Mesh]) -> Mesh:
-    """One mesh of several that all have normals."""
+    """One mesh of several that all have normals; uv if one has it, and zeros for those that have not."""
+    if len(meshes) == 1 and meshes[0].normals is not None:
+        return meshes[0]
     starts = np.cumsum([0, *(len(mesh.vertices_m) for mesh in meshes)])
     normals = [mesh.normals for mesh in meshes if mesh.normals is not None]
     if len(normals) != len(meshes):
         raise ValueError("every mesh needs normals")
+    uv = None
+    if any(mesh.uv is not None for mesh in meshes):
+        uv = np.concatenate(
+            [mesh.uv if mesh.uv is not None else np.zeros((len(mesh.vertices_m), 2), np.float32) for mesh in meshes]
+        )
     return Mesh(
         np.concatenate([mesh.vertices_m for mesh in meshes]),
         np.concatenate([mesh.faces + np.uint32(s) for mesh, s in zip(meshes, starts, strict=False)]),
         np.concatenate(normals),
+        uv,
     )

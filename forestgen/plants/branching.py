@@ -8,7 +8,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.core.errors import RecipeError
 from forestgen.geometry.vectors import any_perpendicular, rotate, unit
+from forestgen.plants.budget import check_budget
 from forestgen.plants.curves import Function, evaluate
 
 Floats = NDArray[np.float64]
@@ -16,6 +18,8 @@ Ints = NDArray[np.int64]
 
 _UP = np.array([0.0, 0.0, 1.0])
 _LAST_INTERNODE = 0.4  # a rest shorter than this share of an internode joins the one before it
+_MOST_INTERNODES = 20_000  # of one axis
+_NODE_BYTES = 600  # of an internode while it grows and is meshed
 _WANDER_MEMORY = 0.6  # correlation of one internode's turn with the turn before
 
 
@@ -76,6 +80,7 @@ def grow(shoots: Shoots, rules: OrderRules, rng: np.random.Generator) -> Grown:
 
     An axis of length l starts at s = longest - l, so a short axis is the top of a longer one.
     """
+    _check_size(shoots, rules)
     count = len(shoots.length_m)
     s = rules.longest_m - shoots.length_m
     position, direction = shoots.start_m.copy(), shoots.direction.copy()
@@ -91,6 +96,24 @@ def grow(shoots: Shoots, rules: OrderRules, rng: np.random.Generator) -> Grown:
         rows.append((active, len(rows), position[active], direction[active], s[active]))
         active = active[s[active] < rules.longest_m - 1e-9]
     return _by_axis(rows, count, rules.longest_m)
+
+
+def _check_size(shoots: Shoots, rules: OrderRules) -> None:
+    """Refuse axes of more internodes than memory, or patience, holds."""
+    if not len(shoots.length_m):
+        return
+    shortest = float(evaluate(rules.internode_m, np.linspace(0.0, 1.0, 101)).min()) * np.exp(-rules.internode_jitter)
+    check_budget(
+        "internodes", float(np.sum(shoots.length_m / shortest)), _NODE_BYTES, "longer internode_m, fewer orders"
+    )
+    longest = float(shoots.length_m.max())
+    if longest > _MOST_INTERNODES * shortest:
+        raise RecipeError(
+            f"an axis of {longest:g} m would have {longest / shortest:,.0f} internodes",
+            where="plant",
+            expected=f"at most {_MOST_INTERNODES:,}",
+            hint="longer internode_m",
+        )
 
 
 def _internodes(s: Floats, rules: OrderRules, rng: np.random.Generator) -> Floats:
@@ -149,6 +172,7 @@ def lateral_sites(grown: Grown, rules: OrderRules, rng: np.random.Generator) -> 
     whorl = grown.step % rules.nodes_per_whorl == 0
     inner = grown.remaining_m > 1e-9
     per_node = np.where(inner, np.where(whorl, rules.branches_per_node, 1), 0)
+    check_budget("branches", float(np.sum(per_node)), _NODE_BYTES, "fewer branches_per_node, longer internode_m")
     node = np.repeat(np.arange(len(grown.axis)), per_node)
     rank = np.arange(len(node)) - np.repeat(np.cumsum(per_node) - per_node, per_node)
     azimuth = (

@@ -11,11 +11,16 @@ import numpy as np
 from forestgen.core.errors import RecipeError
 from forestgen.core.parts import Part
 from forestgen.geometry.mesh import surface_area_m2
+from forestgen.plants.budget import check_budget
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.plants.fitting import fit
 from forestgen.plants.foliage import place
+from forestgen.plants.levels import FULL, Level, simplified
 from forestgen.plants.meshing import organ_meshes
 from forestgen.plants.registry import GENERATORS
+from forestgen.plants.variation import vary
+
+_TRIANGLE_BYTES = 150  # of an organ's triangle while it is meshed
 
 
 class Power(Protocol):
@@ -52,7 +57,13 @@ def size_m(species: Species, radius_m: float) -> tuple[float, float]:
 
 
 def build_exemplar(
-    species_name: str, species: Species, generator_parameters: Any, radius_m: float, rng: np.random.Generator
+    species_name: str,
+    species: Species,
+    generator_parameters: Any,
+    radius_m: float,
+    rng: np.random.Generator,
+    *,
+    level: Level = FULL,
 ) -> Exemplar:
     """Grow and mesh one plant.
 
@@ -60,17 +71,23 @@ def build_exemplar(
     ----------
     generator_parameters : the generator's own `Parameters`; their `generator` names it in `GENERATORS`.
     radius_m : community radius.
+    level : how much detail; the plant is the same one at every level.
     """
     height_m, width_m = size_m(species, radius_m)
-    wood_rng, foliage_rng = rng.spawn(2)
+    wood_rng, foliage_rng, level_rng, variation_rng = rng.spawn(4)
     plant = generator_parameters
     skeleton = GENERATORS.load(plant.generator).grow(plant, height_m, width_m, wood_rng)
+    if plant.variation is not None:
+        skeleton = vary(skeleton, plant.variation, variation_rng)
     rules = [rule for rule in plant.foliage if rule.suits(height_m)]
     placed = tuple(place(rule, skeleton, height_m, foliage_rng) for rule in rules)
     skeleton = replace(skeleton, organs=(*skeleton.organs, *placed))
     templates = {name: shape.template() for name, shape in plant.shapes.items()}
     skeleton = fit(skeleton, templates, plant.fit, height_m, width_m)
-    organs = organ_meshes(skeleton, plant.shapes, plant.wood)
+    triangles = sum(len(organs.node) * templates[organs.shape].triangles for organs in skeleton.organs)
+    check_budget("triangles in leaves and flowers", triangles, _TRIANGLE_BYTES, "fewer organs, a lower detail")
+    seen = simplified(skeleton, templates, level, level_rng)
+    organs = organ_meshes(seen, plant.shapes, plant.wood, pixel_m=level.pixel_m)
     _check_materials(species_name, organs, species.materials)
     low, high = _box(organs)
     return Exemplar(

@@ -97,11 +97,21 @@ def _not_negative(curve: Function) -> Function:
     return curve
 
 
+def _positive(curve: Function) -> Function:
+    if isinstance(curve, Formula):
+        least = float(evaluate(curve, np.linspace(0.0, 1.0, 101)).min())
+    else:
+        least = min(value for _, value in (curve.points if isinstance(curve, Smooth) else curve))
+    if least <= 0.0:
+        raise ValueError(f"the values of this curve must be above 0, got {least:g}")
+    return curve
+
+
 _pairs = {
     "type": "array",
     "items": {"type": "array", "prefixItems": [{"type": "number"}] * 2, "minItems": 2, "maxItems": 2},
 }
-_SCHEMA = {
+CURVE_SCHEMA: dict[str, Any] = {
     "anyOf": [
         {"type": "number"},
         {**_pairs, "minItems": 2},
@@ -121,12 +131,14 @@ _SCHEMA = {
 }
 
 #: A function of the position, see this module's page.
-Curve = Annotated[Any, BeforeValidator(_read), WithJsonSchema(_SCHEMA)]
+Curve = Annotated[Any, BeforeValidator(_read), WithJsonSchema(CURVE_SCHEMA)]
 #: A curve whose values are never negative: lengths, sizes, numbers.
-PositiveCurve = Annotated[Any, BeforeValidator(_read), AfterValidator(_not_negative), WithJsonSchema(_SCHEMA)]
+PositiveCurve = Annotated[Any, BeforeValidator(_read), AfterValidator(_not_negative), WithJsonSchema(CURVE_SCHEMA)]
+#: A curve whose values are always above zero: lengths that a loop steps by.
+StrictlyPositiveCurve = Annotated[Any, BeforeValidator(_read), AfterValidator(_positive), WithJsonSchema(CURVE_SCHEMA)]
 #: A curve whose values are never negative and never ascend.
 FallingCurve = Annotated[
-    Any, BeforeValidator(_read), AfterValidator(_not_negative), AfterValidator(_falling), WithJsonSchema(_SCHEMA)
+    Any, BeforeValidator(_read), AfterValidator(_not_negative), AfterValidator(_falling), WithJsonSchema(CURVE_SCHEMA)
 ]
 
 

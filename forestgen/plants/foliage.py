@@ -1,66 +1,29 @@
-"""Leaves, needles and flowers: what they look like and where they sit on a skeleton."""
+"""Where leaves, needles and flowers sit on a skeleton; what they look like: plants/organs.py."""
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Literal, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from forestgen.core.parts import Part
-from forestgen.geometry import blades
-from forestgen.geometry.mesh import Mesh
 from forestgen.geometry.vectors import rotate, unit
 from forestgen.plants.branching import around
+from forestgen.plants.budget import check_budget
 from forestgen.plants.curves import Curve, PositiveCurve, evaluate, evaluate_one
+from forestgen.plants.organs import OrganShape
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
+
+__all__ = ["Foliage", "OrganShape", "organ_frames", "place"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 _UP = np.array([0.0, 0.0, 1.0])
+_ORGAN_BYTES = 2000  # of an organ while it is placed, and of its smallest blade
+_HINT = "foliage of the shape {!r}: a larger spacing_m, or a smaller within_m, count or per_node"
 _DEEPEST_SEAT_M = 0.008  # an organ's foot sits on the bark, but no further than this from the axis
-_PARTS = {"leaf": Part.LEAF, "flower": Part.FLOWER, "fruit": Part.FRUIT}
-
-
-class OrganShape(BaseModel):
-    """The form of one kind of organ."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    form: Literal["round_deltoid", "lanceolate", "needle_shoot", "four_petals", "bud"] = Field(
-        description="outline, see geometry/blades.py"
-    )
-    part: Literal["leaf", "flower", "fruit"] = Field("leaf", description="the label of its surface")
-    material: str = Field(description="name of one of the species' materials")
-    length_m: float = Field(gt=0, description="length of the blade, petal or bud without its stalk, metres")
-    width_m: float = Field(gt=0, description="greatest width, metres")
-    stalk_m: float = Field(0.0, ge=0, description="length of the stalk, metres")
-    fold_deg: float = Field(0.0, ge=0, lt=80, description="rise of each half above the midrib, degrees")
-    curl_deg: float = Field(0.0, description="bend of the tip below the foot's direction, degrees")
-    opening_deg: float = Field(60.0, description="petals' angle from the stalk, degrees")
-    fine: bool = Field(False, description="twice the points in the outline of a leaf, for plants seen close by")
-    pairs: int = Field(4, ge=1, description="needle tufts on each side of a shoot")
-
-    def template(self) -> Mesh:
-        """The organ in its own frame: foot at the origin, y along it, z its upper side, metres."""
-        size = (self.length_m, self.width_m)
-        match self.form:
-            case "round_deltoid":
-                return blades.round_deltoid(*size, self.stalk_m, self.fold_deg, self.curl_deg, fine=self.fine)
-            case "lanceolate":
-                return blades.lanceolate(*size, self.stalk_m, self.fold_deg, self.curl_deg, fine=self.fine)
-            case "needle_shoot":
-                return blades.needle_shoot(*size, self.pairs)
-            case "four_petals":
-                return blades.four_petals(*size, self.stalk_m, self.opening_deg)
-            case "bud":
-                return blades.bud(*size, self.stalk_m)
-
-    @property
-    def label(self) -> Part:
-        return _PARTS[self.part]
 
 
 class Foliage(BaseModel):
@@ -72,16 +35,21 @@ class Foliage(BaseModel):
     heights_m: tuple[float, float] = Field(
         (0.0, 1e3), description="heights of the plants that this rule serves, metres; the upper end is excluded"
     )
-    orders: tuple[int, ...] = Field(description="branch orders that bear it; 0 is the stem")
-    spacing_m: float = Field(gt=0, description="distance between neighbours along the axis, metres")
-    within_m: float = Field(1e3, gt=0, description="no further than this from the axis' tip, metres")
+    orders: tuple[int, ...] = Field(min_length=1, description="branch orders that bear it; 0 is the stem")
+    spacing_m: float | None = Field(None, gt=0, description="distance between nodes along the axis, metres")
+    count: int | None = Field(None, ge=1, le=10_000, description="nodes on each axis, in place of spacing_m")
+    per_node: int = Field(1, ge=1, le=500, description="organs at a node, evenly about the axis: 2 for opposite leaves")
+    within_m: float = Field(1e3, gt=0, description="no further than this from the end of the axis, metres")
+    end: Literal["tip", "base"] = Field("tip", description="the end that within_m counts from")
+    thinner_than_m: float = Field(1e3, gt=0, description="only where the axis has a smaller diameter, metres")
     zone: tuple[float, float] = Field((0.0, 1.0), description="part of the axis that bears it: 0 base, 1 tip")
-    divergence_deg: float = Field(137.5, description="turn about the axis from one organ to the next, degrees")
+    divergence_deg: float = Field(137.5, description="turn about the axis from one node to the next, degrees")
     turn_jitter_deg: float = Field(12.0, ge=0, description="standard deviation of that turn, degrees")
     planar: bool = Field(False, description="the first organ stands out horizontally, not at a random turn")
     angle_deg: Curve = Field(((0.0, 60.0),), description="angle from the axis over the zone, degrees")
     angle_jitter_deg: float = Field(0.0, ge=0, description="standard deviation of that angle, degrees")
     droop_deg: Curve = Field(((0.0, 0.0),), description="turn towards the ground over the zone, degrees")
+    light: float = Field(0.0, ge=0, le=1, description="how far organs give up rise and droop to lie flat to the light")
     roll_jitter_deg: float = Field(0.0, ge=0, description="standard deviation of the turn about its midrib, degrees")
     facing: Literal["up", "axis"] = Field("up", description="upper side turned to the sky or along the axis")
     size: PositiveCurve = Field(((0.0, 1.0),), description="factor on the shape's size over the zone")
@@ -95,28 +63,42 @@ class Foliage(BaseModel):
     terminal: bool = Field(False, description="one more at the very tip, along the axis")
     missing: float = Field(0.0, ge=0, lt=1, description="share of places left empty")
 
+    @model_validator(mode="after")
+    def _spaced_or_counted(self) -> Self:
+        if (self.spacing_m is None) == (self.count is None):
+            raise ValueError("either spacing_m, the distance between nodes, or count, the nodes on each axis")
+        return self
+
     def suits(self, height_m: float) -> bool:
         """Whether a plant of this height follows the rule."""
         return self.heights_m[0] <= height_m < self.heights_m[1]
 
 
 def place(rule: Foliage, skeleton: Skeleton, height_m: float, rng: np.random.Generator) -> OrganPlacements:
-    """Frames of all organs of one rule on a skeleton."""
+    """Frames of all organs of one rule on a skeleton.
+
+    Raises
+    ------
+    RecipeError : more organs than memory holds.
+    """
     growth = evaluate_one(rule.size_by_height, height_m)
     axes = _Axes(skeleton, rule.orders)
-    spacing_m = rule.spacing_m * growth * evaluate_one(rule.spacing_by_height, height_m)
-    axis, distance, share, rank = _stations(rule, axes, spacing_m)
+    spacing_m = (rule.spacing_m or 0.0) * growth * evaluate_one(rule.spacing_by_height, height_m)
+    station = _stations(rule, axes, spacing_m)
+    axis, rank = station.axis, station.rank
+    node, foot, tangent = axes.at(axis, station.distance_m)
     keep = rng.random(len(axis)) >= rule.missing
-    axis, distance, share, rank = axis[keep], distance[keep], share[keep], rank[keep]
-    node, foot, tangent = axes.at(axis, distance)
+    keep &= 2.0 * skeleton.radius_m[node] < rule.thinner_than_m
+    node, foot, tangent, axis, rank = node[keep], foot[keep], tangent[keep], axis[keep], rank[keep]
+    share, member = station.share[keep], station.member[keep]
     phase = rng.uniform(0.0, 2.0 * np.pi, len(axes.length))[axis]
     azimuth = np.where(rule.planar, np.round(phase / (2.0 * np.pi)) * np.pi, phase)
-    azimuth = (
-        azimuth + np.radians(rule.divergence_deg) * rank + np.radians(rule.turn_jitter_deg) * rng.normal(size=len(axis))
-    )
+    azimuth = azimuth + np.radians(rule.divergence_deg) * rank + 2.0 * np.pi * member
+    azimuth = azimuth + np.radians(rule.turn_jitter_deg) * rng.normal(size=len(axis))
     angle = np.radians(evaluate(rule.angle_deg, share) + rule.angle_jitter_deg * rng.normal(size=len(axis)))
     angle = np.where(rank < 0, 0.0, angle)
     along = _droop(around(tangent, azimuth, angle), np.radians(evaluate(rule.droop_deg, share)))
+    along = unit(along * [1.0, 1.0, 1.0 - 0.999 * rule.light])
     radius = np.minimum(skeleton.radius_m[node].astype(np.float64), _DEEPEST_SEAT_M)
     seat = along - np.sum(along * tangent, axis=1, keepdims=True) * tangent
     foot = foot + 0.7 * radius[:, None] * unit(seat)
@@ -155,25 +137,47 @@ class _Axes:
         return node, self.start[node] + np.clip(share, 0.0, 1.0)[:, None] * way, unit(way)
 
 
-def _stations(rule: Foliage, axes: _Axes, spacing_m: float) -> tuple[Ints, Floats, Floats, Ints]:
-    """Axis, distance from its base, position within the zone, rank from the tip (-1: terminal) of every organ."""
+class _Stations(NamedTuple):
+    """Where organs sit, (M,) each."""
+
+    axis: Ints
+    distance_m: Floats  # from the axis' base
+    share: Floats  # position within the zone
+    rank: Ints  # number of the node from the tip; -1: terminal
+    member: Floats  # place of an organ about its node, share of a turn
+
+
+def _stations(rule: Foliage, axes: _Axes, spacing_m: float) -> _Stations:
     top = axes.length * rule.zone[1]
-    bottom = np.maximum(axes.length * rule.zone[0], axes.length - rule.within_m)
-    bottom = np.maximum(bottom, axes.hidden)
-    room = top - bottom
-    count = np.where(room > 0.0, np.floor(room / spacing_m + 0.5).astype(np.int64), 0)
+    bottom = np.maximum(axes.length * rule.zone[0], axes.hidden)
+    if rule.end == "tip":
+        bottom = np.maximum(bottom, axes.length - rule.within_m)
+    else:
+        top = np.minimum(top, axes.hidden + rule.within_m)
+    room = np.maximum(top - bottom, 0.0)
+    if rule.count is not None:
+        step = room / rule.count
+        nodes = np.where(room > 0.0, float(rule.count), 0.0)
+    else:
+        step = np.full(len(room), spacing_m)
+        with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
+            nodes = np.where(room > 0.0, np.floor(room / step + 0.5), 0.0)
+    check_budget("organs of one kind", float(nodes.sum()) * rule.per_node, _ORGAN_BYTES, _HINT.format(rule.shape))
+    count = nodes.astype(np.int64)
     axis = np.repeat(np.arange(len(room)), count)
     rank = np.arange(len(axis)) - np.repeat(np.cumsum(count) - count, count)
-    distance = top[axis] - (rank + 0.35) * spacing_m
-    distance = np.maximum(distance, bottom[axis])
+    distance = np.maximum(top[axis] - (rank + 0.35) * step[axis], bottom[axis])
     share = (distance - bottom[axis]) / np.maximum(room[axis], 1e-12)
+    member = np.tile(np.arange(rule.per_node) / rule.per_node, len(axis))
+    axis, distance, share, rank = (np.repeat(array, rule.per_node) for array in (axis, distance, share, rank))
     if rule.terminal:
         every = np.flatnonzero(axes.length > axes.hidden)
         axis = np.concatenate([axis, every])
         rank = np.concatenate([rank, np.full(len(every), -1)])
         distance = np.concatenate([distance, axes.length[every]])
         share = np.concatenate([share, np.ones(len(every))])
-    return axis, distance, share, rank
+        member = np.concatenate([member, np.zeros(len(every))])
+    return _Stations(axis, distance, share, rank, member)
 
 
 def _droop(along: Floats, angle_rad: Floats) -> Floats:

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.errors import LsystemError
+from forestgen.geometry.vectors import unit
 from forestgen.lsystem.compiler import compile_listing
-from forestgen.lsystem.derivation import derive, interpret
+from forestgen.lsystem.derivation import MOST_MODULES, derive, interpret
+from forestgen.lsystem.parsing import parse_text
+from forestgen.lsystem.program import Program
 from forestgen.lsystem.syntax import Listing
-from forestgen.lsystem.turtle import Drawing, draw_word, options_from
+from forestgen.lsystem.sys_format import parse_sys_text
+from forestgen.lsystem.turtle import Drawing, Polygons, draw_word, options_from
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
 
 _THREAD_M = 1e-6  # radius of what joins pieces between which the turtle moved without drawing
@@ -20,17 +24,18 @@ _COLLAR = 0.02  # share of a segment in which it becomes wider than the node tha
 _WIDER = 1.01  # what is less than this times wider than its node needs no collar
 
 
-def skeleton_of(drawing: Drawing, shapes: Mapping[str, str] | None = None) -> Skeleton:
+def skeleton_of(drawing: Drawing, shapes: Mapping[str, str] | None = None, polygons: str | None = None) -> Skeleton:
     """The drawing's axes with their thickness, and its surfaces as organs.
 
     A skeleton's thickness runs evenly from node to node. A segment that begins wider than the node that bears it, on
     the same axis, gets a node of its own near its foot; pieces between which the turtle moved are joined by a thread
     of a micrometre. Where all of a plant begins with branches, the first becomes its trunk, the others further stems; a
-    plant that has no wood there gets a trunk that cannot be seen. Polygons are not part of a skeleton.
+    plant that has no wood there gets a trunk that cannot be seen.
 
     Parameters
     ----------
     shapes : name of the organ shape of each surface; None: the surface's own.
+    polygons : name of the organ shape, the triangle (0, 0), (1, 0), (0, 1), that polygons are made of; None: left out.
     """
     d = _with_trunk(_first_branch_as_trunk(drawing))
     source, is_collar = _nodes_with_collars(d)
@@ -47,13 +52,16 @@ def skeleton_of(drawing: Drawing, shapes: Mapping[str, str] | None = None) -> Sk
     thread = ~d.is_drawn[source] & (parent >= 0)
     radius[thread] = _THREAD_M
     axis, order = _axes(d.axis[source], d.order[source], thread)
+    organs = _organs(d, last_row, shapes or {})
+    if polygons is not None and len(d.polygons.node):
+        organs = (*organs, _triangles(d.polygons, last_row, polygons))
     return Skeleton(
         parent=parent.astype(np.int32),
         position_m=position.astype(np.float32),
         radius_m=radius.astype(np.float32),
         order=np.minimum(order, 255).astype(np.uint8),
         axis=axis,
-        organs=_organs(d, last_row, shapes or {}),
+        organs=organs,
     )
 
 
@@ -69,12 +77,49 @@ def grow_program(listing: Listing, steps: int, seed: int, shapes: Mapping[str, s
     ------
     LsystemError : the program is wrong, or its word has died out.
     """
-    program = compile_listing(listing)
-    *_, last = derive(program, steps, seed)
-    words = interpret(program, last, seed)
+    drawing, _ = draw_program(compile_listing(listing), steps, seed)
+    return skeleton_of(drawing, shapes)
+
+
+def parse_program(text: str, name: str) -> Listing:
+    """The program in a text, in the language that its name's suffix tells, .sys or .lsys.
+
+    Raises
+    ------
+    LsystemError : the text is not understood; with line and column.
+    """
+    return parse_sys_text(text, name) if name.endswith(".sys") else parse_text(text, name)
+
+
+def draw_program(
+    program: Program,
+    steps: int,
+    seed: int,
+    *,
+    unit_m: float | None = None,
+    surfaces: Collection[str] | None = None,
+    most_modules: int = MOST_MODULES,
+) -> tuple[Drawing, float]:
+    """What the turtle draws of a program's first word after some derivation steps, and metres a unit.
+
+    Parameters
+    ----------
+    unit_m : metres a unit; None: the program's.
+    surfaces : names that may follow ~; None: all.
+
+    Raises
+    ------
+    LsystemError : the program is wrong, or its word has died out.
+    TooManyModulesError : its words grow longer than `most_modules`.
+    """
+    listing = program.listing
+    *_, last = derive(program, steps, seed, most_modules=most_modules)
+    words = interpret(program, last, seed, most_modules=most_modules)
     if not len(words):
         raise LsystemError("the plant has died out", where=listing.name, got=f"no word after {steps} steps")
-    return skeleton_of(draw_word(words, 0, options_from(listing.turtle, listing.dialect, listing.name)), shapes)
+    options = options_from(listing.turtle, listing.dialect, listing.name)
+    options = options if unit_m is None else replace(options, scale=unit_m)
+    return draw_word(words, 0, options, surfaces), options.scale
 
 
 def _first_branch_as_trunk(d: Drawing) -> Drawing:
@@ -96,7 +141,8 @@ def _with_trunk(d: Drawing) -> Drawing:
     columns["parent"][1] = 0
     columns["is_drawn"][1] = True
     node = d.surfaces.node + (d.surfaces.node > 0)
-    return replace(d, surfaces=replace(d.surfaces, node=node), **columns)
+    polygons = replace(d.polygons, node=d.polygons.node + (d.polygons.node > 0))
+    return replace(d, surfaces=replace(d.surfaces, node=node), polygons=polygons, **columns)
 
 
 _COLUMNS = ("parent", "position", "start_radius", "radius", "order", "axis", "colour", "is_drawn", "module")
@@ -134,3 +180,25 @@ def _organs(d: Drawing, row: NDArray[np.int64], shapes: Mapping[str, str]) -> tu
         frame, node = placed.frame[chosen].astype(np.float32), row[placed.node[chosen]].astype(np.int32)
         found.append(OrganPlacements(shapes.get(str(symbol), str(symbol)), frame, node))
     return tuple(found)
+
+
+def _triangles(polygons: Polygons, row: NDArray[np.int64], shape: str) -> OrganPlacements:
+    """The polygons as fans of triangles: frames of the triangle (0, 0), (1, 0), (0, 1).
+
+    A fan lies around the polygon's first vertex, as a leaf's does around its foot. Triangles without area are left out.
+    The z column, along the triangle's normal, is sqrt(2 A) long, so that the cube root of the frame's determinant is
+    that too, and scaled normals come out as unit vectors.
+    """
+    offset = polygons.offset
+    count = np.maximum(np.diff(offset) - 2, 0)
+    owner = np.repeat(np.arange(len(count)), count)
+    rank = np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count)
+    first = offset[:-1][owner]
+    foot = polygons.vertex[first]
+    one, other = polygons.vertex[first + rank + 1] - foot, polygons.vertex[first + rank + 2] - foot
+    normal = np.cross(one, other)
+    double_area = np.linalg.norm(normal, axis=1)
+    kept = double_area > 1e-12 * np.maximum(np.sum(one * one, axis=1), np.sum(other * other, axis=1))
+    upright = unit(normal[kept]) * np.sqrt(double_area[kept])[:, None]
+    frame = np.stack([one[kept], other[kept], upright, foot[kept]], axis=-1)
+    return OrganPlacements(shape, frame.astype(np.float32), row[polygons.node[owner[kept]]].astype(np.int32))

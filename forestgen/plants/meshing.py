@@ -1,4 +1,18 @@
-"""From a skeleton and its organs to meshes: swept wood and instanced blades."""
+"""From a skeleton and its organs to meshes: swept wood and instanced blades.
+
+Every axis is a closed tube of its own. A branch begins on the middle of the axis that bears it, deep inside, and comes
+out through a collar: close rings that swell towards the bearer's surface, by each vertex' own distance from it, so that
+the collar follows the bearer's curve and reaches further up in the axil. Stems that begin at the ground reach below it,
+and flare. An axis that ends where others of like thickness begin ends in a dome.
+
+What is measured
+----------------
+`wood_mesh(..., plain=True)` leaves out flare, relief, collars and domes. The signed volume of its closed tubes is the
+sum of the frusta of the polylines meshed (`branch_lines`, `stem_line`), within 2%: tips of twigs end in points, bends
+above 120 degrees are pinched. Those polylines reach into the bearer and below the ground, which `Skeleton.volume_m3`
+does not count. Flare and collars add to that what a real root collar and branch collars do; relief adds nothing on
+average.
+"""
 
 from __future__ import annotations
 
@@ -8,12 +22,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.parts import Part
-from forestgen.geometry.blades import instance
+from forestgen.geometry.instancing import instance
 from forestgen.geometry.mesh import Mesh
 from forestgen.geometry.sweep import Polylines, sides_for_radius, sweep
 from forestgen.geometry.vectors import concatenate, unit
+from forestgen.plants.collars import sweep_with_collars
 from forestgen.plants.exemplar import OrganMesh
-from forestgen.plants.foliage import OrganShape
+from forestgen.plants.far_organs import far_piece
+from forestgen.plants.levels import mean_size
+from forestgen.plants.organs import OrganShape
 from forestgen.plants.parameters import Wood
 from forestgen.plants.skeleton import Skeleton
 
@@ -21,34 +38,162 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 _FOOT_M = 0.3  # stems reach this far below the ground, so that none hangs over a slope
+_STANDS = 0.3  # least z of a stem's direction at its foot: one that lies on the ground gets no foot
 _MESHED_FLARE_RADIUS_M = 0.012  # thinner stems get no flare and no bark relief
-_COLLAR = np.array([0.0, 0.05, 0.12, 0.22, 0.36, 0.55, 0.77, 1.0])  # extra rings of the flare, shares of its height
+_FLARE_RINGS = np.array([0.0, 0.05, 0.12, 0.22, 0.36, 0.55, 0.77, 1.0])  # extra rings, shares of the flare's height
+_THREAD_M = 2e-5  # axes no thicker than this join pieces and are not wood; see plants/from_turtle.py
+_THREAD = 1e-4  # the same as a share of the plant's greatest radius
+_POINTED_M = 0.002  # radius up to which an end is a point, which saves a third of a twig's triangles
+_POINTED = 0.15  # the same as a share of the radius before
+_DOMED = 0.4  # an axis that ends where another of this share of its radius begins gets a dome
 
 
-def wood_mesh(skeleton: Skeleton, trunk: bool, flare: float) -> Mesh:
-    """Swept tubes of the stems (`trunk`) or of all branches."""
+def wood_mesh(
+    skeleton: Skeleton,
+    trunk: bool,
+    flare: float,
+    *,
+    height_ratio: float = 1.0,
+    tile_m: tuple[float, float] = (1.0, 1.0),
+    plain: bool = False,
+) -> Mesh:
+    """Closed tubes of the stems (`trunk`) or of all branches.
+
+    Parameters
+    ----------
+    flare : widening at the root collar, as a share of the radius.
+    height_ratio : height over width of the branches' sections; stems are round.
+    tile_m : extent of one repeat of the bark's texture, round and along an axis.
+    plain : tubes as measured: no flare, relief, collars or domes.
+    """
     first, last = _axis_ranges(skeleton)
-    is_trunk = skeleton.order[first] == 0
-    chosen = is_trunk if trunk else ~is_trunk
-    first, last = first[chosen], last[chosen]
+    standing = (skeleton.order[first] == 0) & (skeleton.parent[first] <= 0)
+    bears = _bears_at_its_end(skeleton, first, last) & (not plain)
+    meshes = []
     if trunk:
-        meshes = [_stem(_stem_line(skeleton, int(a), int(b)), flare) for a, b in zip(first, last, strict=True)]
-        return concatenate(meshes)
-    lines = branch_lines(skeleton, first, last)
-    return sweep(lines, sides_for_radius(lines.radius_m[lines.offset[:-1]]))
+        for a, b, forks in zip(first[standing], last[standing], bears[standing], strict=True):
+            line = stem_line(skeleton, int(a), int(b), rings=not plain)
+            if line is not None:
+                meshes.append(_stem(_domed(line, np.array([forks])), flare, tile_m, plain))
+    chosen = ~standing & ((skeleton.order[first] == 0) == trunk) & _is_wood(skeleton, first)
+    if np.any(chosen):
+        ratio = 1.0 if trunk else height_ratio
+        lines = _domed(branch_lines(skeleton, first[chosen], last[chosen]), bears[chosen])
+        meshes.append(_limbs(skeleton, lines, skeleton.parent[first[chosen]], ratio, tile_m, plain))
+    return concatenate(meshes) if meshes else sweep(_no_lines(), np.zeros(0, np.int64))
 
 
-def organ_meshes(skeleton: Skeleton, shapes: Mapping[str, OrganShape], wood: Wood) -> tuple[OrganMesh, ...]:
-    """All surfaces of a plant, one mesh per part and material; empty ones are left out."""
+def organ_meshes(
+    skeleton: Skeleton, shapes: Mapping[str, OrganShape], wood: Wood, *, pixel_m: float = 0.0
+) -> tuple[OrganMesh, ...]:
+    """All surfaces of a plant, one mesh per part and material; empty ones are left out.
+
+    Parameters
+    ----------
+    pixel_m : what a pixel covers of the plant, metres; collars do not show from far. 0 is all detail.
+    """
     parts: dict[tuple[Part, str], list[Mesh]] = {}
-    parts[Part.TRUNK, wood.material] = [wood_mesh(skeleton, True, wood.flare)]
-    parts[Part.BRANCH, wood.branch_material or wood.material] = [wood_mesh(skeleton, False, wood.flare)]
+    stem, limb = (Part.DEAD_WOOD, Part.DEAD_WOOD) if wood.dead else (Part.TRUNK, Part.BRANCH)
+    parts[stem, wood.material] = [wood_mesh(skeleton, True, wood.flare, tile_m=wood.bark_tile_m)]
+    branches = wood_mesh(
+        skeleton,
+        False,
+        wood.flare,
+        height_ratio=wood.branch_height_ratio,
+        tile_m=wood.branch_tile_m,
+        plain=pixel_m > 0.0,
+    )
+    parts.setdefault((limb, wood.branch_material or wood.material), []).append(branches)
     for placement in skeleton.organs:
-        shape = shapes[placement.shape]
-        mesh = instance(shape.template(), placement.frame)
-        parts.setdefault((shape.label, shape.material), []).append(mesh)
+        organ_pixel_m = pixel_m / mean_size(placement.frame) if pixel_m else 0.0
+        for piece in shapes[placement.shape].pieces():
+            mesh = far_piece(piece.mesh, organ_pixel_m)
+            parts.setdefault((piece.part, piece.material), []).append(instance(mesh, placement.frame))
     joined = ((part, material, concatenate(meshes)) for (part, material), meshes in parts.items())
     return tuple(OrganMesh(part, material, mesh) for part, material, mesh in joined if mesh.triangles)
+
+
+def branch_lines(skeleton: Skeleton, first: Ints, last: Ints) -> Polylines:
+    """Axes from the middle of the axis that bears them, so that no gap shows, to their tips.
+
+    Parameters
+    ----------
+    first, last : (A,) first node of each axis, and one beyond its last.
+    """
+    lengths = last - first + 1
+    offset = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
+    index = np.arange(offset[-1]) - np.repeat(offset[:-1], lengths) + np.repeat(first - 1, lengths)
+    foot = offset[:-1]
+    index[foot] = skeleton.parent[first]
+    radius = skeleton.radius_m[index].astype(np.float64)
+    radius[foot] = radius[foot + 1]
+    return Polylines(skeleton.position_m[index].astype(np.float64), radius, offset)
+
+
+def stem_line(skeleton: Skeleton, first: int, last: int, *, rings: bool = False) -> Polylines | None:
+    """A stem from below the ground, with close `rings` where the root collar flares; None if it has no length."""
+    index = np.arange(first, last)
+    if skeleton.parent[first] >= 0:
+        index = np.concatenate([[skeleton.parent[first]], index])
+    if len(index) < 2:
+        return None
+    points = skeleton.position_m[index].astype(np.float64)
+    radius = skeleton.radius_m[index].astype(np.float64)
+    if skeleton.parent[first] >= 0:  # a further stem of a clump has its own girth at the common foot
+        radius[0] = radius[1]
+    if rings and radius[0] > _MESHED_FLARE_RADIUS_M:
+        points, radius = _with_flare_rings(points, radius)
+    if _is_standing(points):
+        points = np.concatenate([points[:1] - _FOOT_M * unit(points[1] - points[0]), points])
+        radius = np.concatenate([radius[:1], radius])
+    return Polylines(points, radius, np.array([0, len(points)]))
+
+
+def _with_flare_rings(points: Floats, radius: Floats) -> tuple[Floats, Floats]:
+    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    stops = np.union1d(arc, _FLARE_RINGS * min(14.0 * radius[0], 0.5 * arc[-1]))
+    stops = np.array(_apart(stops.tolist(), 0.3 * float(radius[0])))  # slivers would show in the shading
+    line = np.stack([np.interp(stops, arc, points[:, k]) for k in range(3)], axis=1)
+    return line, np.interp(stops, arc, radius)
+
+
+def _apart(stops: list[float], least_m: float) -> list[float]:
+    """The first of the ascending stops, those at least so far from the one kept before, and the last."""
+    kept = stops[:1]
+    for stop in stops[1:-1]:
+        if stop - kept[-1] >= least_m and stops[-1] - stop >= 0.5 * least_m:
+            kept.append(stop)
+    return [*kept, stops[-1]]
+
+
+def _stem(line: Polylines, flare: float, tile_m: tuple[float, float], plain: bool) -> Mesh:
+    """A stem with its flare, whose ridges run into the main roots, and faint relief further up."""
+    base = float(line.radius_m[0])
+    sides = sides_for_radius(line.radius_m[:1])
+    pointed = _is_pointed(line)
+    if base < _MESHED_FLARE_RADIUS_M or plain:
+        return sweep(line, sides, pointed=pointed, tile_m=tile_m)
+    sides = np.maximum(3 * sides // 2, 16)  # the stem's outline is what one sees from near
+    step = np.linalg.norm(np.diff(line.points_m, axis=0), axis=1)
+    height = np.concatenate([[0.0], np.cumsum(step)]) - (_FOOT_M if _is_standing(line.points_m) else 0.0)
+    count = int(sides[0])
+    angle = np.arange(count) * (2.0 * np.pi / count)
+    phase = 40.0 * line.points_m[min(8, len(height) - 1), :2]  # differs from tree to tree, needs no random number
+    near_ground = np.exp(-np.maximum(height, 0.0) / (3.5 * base))[:, None]
+    ridges = 1.0 + 0.55 * np.cos(5.0 * angle + phase[0]) + 0.35 * np.cos(3.0 * angle + phase[1])
+    waves = 0.03 * np.sin(3.0 * angle + 1.7 * height[:, None]) + 0.025 * np.sin(2.0 * angle - 2.9 * height[:, None])
+    return sweep(line, sides, pointed=pointed, radial_factor=1.0 + flare * near_ground * ridges + waves, tile_m=tile_m)
+
+
+def _limbs(
+    skeleton: Skeleton, lines: Polylines, bearer: Ints, height_ratio: float, tile_m: tuple[float, float], plain: bool
+) -> Mesh:
+    """Axes that other axes bear; `bearer` (A,) is the node that bears each."""
+    pointed = _is_pointed(lines)
+    if not plain:
+        return sweep_with_collars(skeleton, lines, bearer, pointed=pointed, height_ratio=height_ratio, tile_m=tile_m)
+    sides = sides_for_radius(lines.radius_m[lines.offset[:-1]])
+    return sweep(lines, sides, pointed=pointed, height_ratio=height_ratio, tile_m=tile_m)
 
 
 def _axis_ranges(skeleton: Skeleton) -> tuple[Ints, Ints]:
@@ -57,54 +202,42 @@ def _axis_ranges(skeleton: Skeleton) -> tuple[Ints, Ints]:
     return first, np.append(first[1:], len(skeleton.axis))
 
 
-def branch_lines(skeleton: Skeleton, first: Ints, last: Ints) -> Polylines:
-    """Branches from the middle of the axis that bears them, so that no gap shows, to their tips."""
-    lengths = last - first + 1
-    offset = np.concatenate([[0], np.cumsum(lengths)])
-    index = np.arange(offset[-1]) - np.repeat(offset[:-1], lengths) + np.repeat(first - 1, lengths)
-    foot = offset[:-1]
+def _is_wood(skeleton: Skeleton, first: Ints) -> NDArray[np.bool_]:
+    """Which axes are thicker than the threads that join pieces."""
+    thickest = np.maximum.reduceat(skeleton.radius_m, first)
+    return np.asarray(thickest > max(_THREAD_M, _THREAD * float(thickest.max())), dtype=np.bool_)
+
+
+def _bears_at_its_end(skeleton: Skeleton, first: Ints, last: Ints) -> NDArray[np.bool_]:
+    """Which axes end in a node that bears another axis of like thickness."""
     bearer = skeleton.parent[first]
-    index[foot] = bearer
-    radius = skeleton.radius_m[index].astype(np.float64)
-    radius[foot] = np.minimum(0.8 * radius[foot], 1.15 * radius[foot + 1])
-    radius[foot] = np.maximum(radius[foot], radius[foot + 1])
-    return Polylines(skeleton.position_m[index].astype(np.float64), radius, offset.astype(np.int64))
+    alike = (bearer >= 0) & (skeleton.radius_m[first] >= _DOMED * skeleton.radius_m[bearer])
+    return np.asarray(np.isin(last - 1, bearer[alike]), dtype=np.bool_)
 
 
-def _stem_line(skeleton: Skeleton, first: int, last: int) -> Polylines:
-    """A stem from below the ground, with close rings where the root collar flares."""
-    index = np.arange(first, last)
-    if skeleton.parent[first] >= 0:
-        index = np.concatenate([[skeleton.parent[first]], index])
-    points = skeleton.position_m[index].astype(np.float64)
-    radius = skeleton.radius_m[index].astype(np.float64)
-    if skeleton.parent[first] >= 0:  # a further stem of a clump has its own girth at the common foot
-        radius[0] = radius[1]
-    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    stops = (
-        np.union1d(arc, _COLLAR * min(14.0 * radius[0], 0.5 * arc[-1])) if radius[0] > _MESHED_FLARE_RADIUS_M else arc
-    )
-    stops = stops[np.diff(stops, prepend=-1.0) > 0.3 * radius[0]]  # slivers would show in the shading
-    stops = np.append(stops[stops < arc[-1]], arc[-1])
-    line = np.stack([np.interp(stops, arc, points[:, k]) for k in range(3)], axis=1)
-    foot = line[0] - _FOOT_M * unit(line[1] - line[0] + [0.0, 0.0, 1e-9])
-    line = np.concatenate([[foot], line])
-    girth = np.concatenate([[radius[0]], np.interp(stops, arc, radius)])
-    return Polylines(line, girth, np.array([0, len(line)]))
+def _domed(lines: Polylines, chosen: NDArray[np.bool_]) -> Polylines:
+    """The chosen lines with two more points each: a dome in two steps on their flat ends."""
+    if not np.any(chosen):
+        return lines
+    end = lines.offset[1:][chosen] - 1
+    along = unit(lines.points_m[end] - lines.points_m[end - 1]) * lines.radius_m[end, None]
+    half = np.sqrt(0.5)
+    points = (lines.points_m[end, None] + along[:, None] * np.array([half, 1.0])[:, None]).reshape(-1, 3)
+    radius = (lines.radius_m[end, None] * np.array([half, 0.0])).reshape(-1)
+    at = np.repeat(end + 1, 2)
+    offset = lines.offset + 2 * np.concatenate([[0], np.cumsum(chosen)])
+    return Polylines(np.insert(lines.points_m, at, points, axis=0), np.insert(lines.radius_m, at, radius), offset)
 
 
-def _stem(line: Polylines, flare: float) -> Mesh:
-    """A stem with its flare, whose ridges run into the main roots, and faint relief further up."""
-    base = float(line.radius_m[0])
-    sides = sides_for_radius(line.radius_m[:1])
-    if base < _MESHED_FLARE_RADIUS_M:
-        return sweep(line, sides)
-    step = np.linalg.norm(np.diff(line.points_m, axis=0), axis=1)
-    height = np.concatenate([[0.0], np.cumsum(step)]) - _FOOT_M
-    count = int(sides[0])
-    angle = np.arange(count) * (2.0 * np.pi / count)
-    phase = 40.0 * line.points_m[min(8, len(height) - 1), :2]  # differs from tree to tree, needs no random number
-    near_ground = np.exp(-np.maximum(height, 0.0) / (3.5 * base))[:, None]
-    ridges = 1.0 + 0.55 * np.cos(5.0 * angle + phase[0]) + 0.35 * np.cos(3.0 * angle + phase[1])
-    relief = 0.03 * np.sin(3.0 * angle + 1.7 * height[:, None]) + 0.025 * np.sin(2.0 * angle - 2.9 * height[:, None])
-    return sweep(line, sides, radial_factor=1.0 + flare * near_ground * ridges + relief)
+def _is_standing(points: Floats) -> bool:
+    """Whether a stem rises from the ground, rather than lying on it or growing down."""
+    return bool(unit(points[1] - points[0])[2] > _STANDS)
+
+
+def _is_pointed(lines: Polylines) -> NDArray[np.bool_]:
+    end = lines.offset[1:] - 1
+    return lines.radius_m[end] <= np.maximum(_POINTED_M, _POINTED * lines.radius_m[end - 1])
+
+
+def _no_lines() -> Polylines:
+    return Polylines(np.zeros((0, 3)), np.zeros(0), np.zeros(1, np.int64))

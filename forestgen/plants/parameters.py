@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, Protocol, Self
+from typing import Annotated, Any, Literal, Protocol, Self
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from forestgen.plants.foliage import Foliage, OrganShape
 from forestgen.plants.skeleton import Skeleton
+from forestgen.plants.variation import Variation
 
 STRICT = ConfigDict(frozen=True, extra="forbid")
+
+Tile = Annotated[float, Field(ge=0.01, le=10)]
 
 Fit = Literal["stretch", "scale", "scale_all", "none"]
 
@@ -22,10 +25,17 @@ class Wood(BaseModel):
 
     material: str = Field(description="name of one of the species' materials")
     branch_material: str | None = Field(None, description="the same for branches; the trunk's if not given")
+    dead: bool = Field(False, description="labelled dead_wood rather than trunk and branch")
     flare: float = Field(0.35, ge=0, le=3, description="widening at the root collar, as a share of the radius")
     branch_height_ratio: float = Field(
         1.0, ge=0.3, le=3, description="height over width of a branch's elliptical section; the area stays"
     )
+    bark_tile_m: tuple[Tile, Tile] = Field(
+        (0.5, 0.5),
+        description="width round the stem and height of one repeat of the bark's texture, metres; where the material "
+        "has a `bark`, its `tile_m` counts",
+    )
+    branch_tile_m: tuple[Tile, Tile] = Field((0.25, 0.5), description="the same for branches")
 
 
 class PlantParameters(BaseModel):
@@ -37,6 +47,9 @@ class PlantParameters(BaseModel):
     wood: Wood = Field(description="surface of stems and branches")
     shapes: dict[str, OrganShape] = Field(default_factory=dict, description="forms of the organs, by name")
     foliage: tuple[Foliage, ...] = Field((), description="where organs sit, beside those that the generator places")
+    variation: Variation | None = Field(
+        None, description="growth responses that make each plant of the same base model another one"
+    )
     fit: Fit = Field(
         "scale",
         description="stretch: height and width apart until both fit, thickness and organs as they are; scale: the wood "
@@ -49,6 +62,15 @@ class PlantParameters(BaseModel):
             if rule.shape not in self.shapes:
                 raise ValueError(f"foliage names the shape {rule.shape!r}; there are: {', '.join(self.shapes)}")
         return self
+
+
+def with_detail(parameters: PlantParameters, detail: int) -> PlantParameters:
+    """The same plant with its organs drawn at a level of detail, 0 to 2, where their forms have one."""
+    shapes = {
+        name: shape.model_copy(update={"detail": detail}) if hasattr(shape, "detail") else shape
+        for name, shape in parameters.shapes.items()
+    }
+    return parameters.model_copy(update={"shapes": shapes})
 
 
 class Generator(Protocol):

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+_LEAST_SINE = 0.3  # of the angle between a branch and its bearer: a narrower fork leaves it no deeper than this
+
 
 @dataclass(frozen=True)
 class OrganPlacements:
@@ -37,13 +39,23 @@ class Skeleton:
             raise ValueError("parents must precede children, and node 0 must be the root")
 
     def volume_m3(self) -> float:
-        """Sum of the segments' frusta; an axis' first segment counts from the surface of the axis that bears it."""
+        """Volume of the wood: sum of the segments' frusta above the ground.
+
+        An axis' first segment counts from the surface of the axis that bears it: its centre line leaves a round bearer
+        of radius R at R / sin(angle) from the bearer's middle. It is as thick there as at its own first node. Not
+        counted are the stem's foot below the ground, flare, bark and collars, which the mesh adds.
+        """
         child = np.flatnonzero(self.parent >= 0)
         bearer = self.parent[child]
-        way = self.position_m[child].astype(np.float64) - self.position_m[bearer]
+        position = self.position_m.astype(np.float64)
+        way = position[child] - position[bearer]
         length = np.linalg.norm(way, axis=1)
         tip, base = self.radius_m[child].astype(np.float64), self.radius_m[bearer].astype(np.float64)
         begins = self.axis[child] != self.axis[bearer]
-        length[begins] = np.maximum(length[begins] - base[begins], 0.0)
+        along = position[bearer] - position[np.maximum(self.parent[bearer], 0)]  # zero at the root: no angle is known
+        product = length * np.linalg.norm(along, axis=1)
+        sine = np.linalg.norm(np.cross(way, along), axis=1) / np.where(product > 0.0, product, 1.0)
+        sine = np.where(product > 0.0, np.maximum(sine, _LEAST_SINE), 1.0)
+        length[begins] = np.maximum(length[begins] - (base / sine)[begins], 0.0)
         base[begins] = np.minimum(base, tip)[begins]
         return float(np.sum(length * (base * base + base * tip + tip * tip)) * np.pi / 3.0)

@@ -97,6 +97,7 @@ def merge_species(data: dict[str, Any], sources: SourceMap, folder: Path) -> Non
             )
         path = find_asset("species", source, folder=folder, where=where)
         base, base_sources = read_yaml(path, error=AssetError)
+        _embed(base.get("plant"), base_sources, ("plant", "program"), path.parent)
         recipe_sources, place = SourceMap(), sources.place(keys)
         recipe_sources.take(sources, keys, keys)
         sources.take(base_sources, (), keys)
@@ -107,16 +108,24 @@ def merge_species(data: dict[str, Any], sources: SourceMap, folder: Path) -> Non
 
 
 def embed_program(data: dict[str, Any], sources: SourceMap, folder: Path) -> None:
-    """Replace a community's ``program: NAME`` in place by the L-system program's name and text.
+    """Replace ``program: NAME`` of the community and of plants in place by the L-system program's name and text.
 
-    So a recipe's hash covers the program, and a drawn recipe holds all that it needs.
+    So a recipe's hash covers the program, and a drawn recipe holds all that it needs. A species file's own program was
+    embedded when the file was read: its path is relative to that file.
     """
-    community = data.get("community")
-    if not isinstance(community, dict) or not isinstance(community.get("program"), str):
+    _embed(data.get("community"), sources, ("community", "program"), folder)
+    species = data.get("species")
+    for name, entry in species.items() if isinstance(species, dict) else ():
+        if isinstance(entry, dict):
+            _embed(entry.get("plant"), sources, ("species", name, "plant", "program"), folder)
+
+
+def _embed(section: Any, sources: SourceMap, keys: Keys, folder: Path) -> None:
+    """Replace the section's ``program``, whose key path is `keys`, if it is a name."""
+    if not isinstance(section, dict) or not isinstance(section.get("program"), str):
         return
-    name = community["program"]
-    path = find_asset("lsystems", name, folder=folder, where=sources.where(("community", "program")))
-    community["program"] = {
+    path = find_asset("lsystems", section["program"], folder=folder, where=sources.where(keys))
+    section["program"] = {
         "name": path.name,
         "text": read_text(path, "an L-system program", most_bytes=_LARGEST_PROGRAM_BYTES, error=AssetError),
     }

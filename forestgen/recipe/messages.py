@@ -6,7 +6,7 @@ import difflib
 import types
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, Union, get_args, get_origin
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 
@@ -132,7 +132,9 @@ class Explainer:
             return self._at(keys, "bad value", expected, show(value))
         if kind == "missing":
             return self._missing(keys)
-        keys = self._real(keys)
+        if kind in ("union_tag_invalid", "union_tag_not_found"):
+            return self._which_form(keys, value, str(context["discriminator"]).strip("'"))
+        keys = self._real(self._written_keys(keys))
         if kind == "mistake":
             got = context["got"] or show(value)
             keys += tuple(context["at"])
@@ -157,8 +159,21 @@ class Explainer:
         hint = None
         if not self.prefix and len(keys) == 3 and keys[0] == "species":
             hint = "write the whole species, or take it from a file: from: NAME"
-        where = self.sources.where(self.prefix + keys)
+        where = self.sources.where(self.prefix + self._written_keys(keys))
         return _Finding(where, f"the key {keys[-1]!r} is missing", description, None, hint)
+
+    def _which_form(self, keys: Keys, value: object, discriminator: str) -> _Finding:
+        """A mapping whose key `discriminator` does not name one of the forms that it may have."""
+        tags = [str(tag) for arm in _arms(_annotation_at(self.model, keys)) for tag in _tags(arm, discriminator)]
+        expected = f"one of {', '.join(tags)}"
+        keys = self._written_keys(keys)
+        if not isinstance(value, Mapping) or discriminator not in value:
+            where = self.sources.where(self.prefix + keys)
+            return _Finding(where, f"the key {discriminator!r} is missing", expected)
+        tag = value[discriminator]
+        near = difflib.get_close_matches(str(tag), tags, n=1, cutoff=0.5)
+        hint = f"did you mean {near[0]!r}?" if near else None
+        return self._at((*keys, discriminator), "bad value", expected, show(tag), hint)
 
     def _unknown_key(self, keys: Keys) -> _Finding:
         owner = _class_at(self.model, keys[:-1])
@@ -167,7 +182,7 @@ class Explainer:
             names.append("from")
         near = difflib.get_close_matches(str(keys[-1]), names, n=1, cutoff=0.5)
         return _Finding(
-            self.sources.where(self.prefix + keys),
+            self.sources.where(self.prefix + self._written_keys(keys)),
             f"unknown key {str(keys[-1])!r}",
             f"one of {', '.join(names)}" if names else "no further key",
             None,
@@ -182,6 +197,21 @@ class Explainer:
             if get_origin(arm) is tuple and Ellipsis not in arguments:
                 return len(arguments)
         return None
+
+    def _written_keys(self, keys: Keys) -> Keys:
+        """`keys` without the forms' names, which the schema library puts between a mapping and its keys."""
+        value: Any = self.data
+        written: list[str | int] = []
+        named = False
+        for key in keys:
+            if isinstance(value, Mapping) and key not in value and not named and key in list(value.values()):
+                named = True
+                continue
+            written.append(key)
+            inside = isinstance(value, Mapping) and key in value
+            inside = inside or (isinstance(value, list | tuple) and isinstance(key, int) and key < len(value))
+            value, named = (value[key] if inside else None), False
+        return tuple(written)
 
     def _real(self, keys: Keys) -> Keys:
         """`keys` without the union's arms that the schema library appends."""
@@ -255,12 +285,20 @@ def _inside(arm: Any, key: str | int) -> Any:
     origin, arguments = get_origin(arm), get_args(arm)
     if isinstance(arm, type) and issubclass(arm, BaseModel):
         field = arm.model_fields.get(str(key))
-        return None if field is None else field.annotation
+        if field is None:
+            return arm if any((str(key),) == _tags(arm, name) for name in arm.model_fields) else None
+        return field.annotation
     if origin is tuple and isinstance(key, int):
         return arguments[0] if Ellipsis in arguments else arguments[key] if key < len(arguments) else None
     if origin in (list, dict) and arguments:
         return arguments[-1]
     return None
+
+
+def _tags(arm: Any, discriminator: str) -> tuple[Any, ...]:
+    """What a form's key `discriminator` may say, where it says which form it is."""
+    field = arm.model_fields.get(discriminator) if isinstance(arm, type) and issubclass(arm, BaseModel) else None
+    return get_args(field.annotation) if field is not None and get_origin(field.annotation) is Literal else ()
 
 
 def _class_at(model: type[BaseModel], keys: Keys) -> type[BaseModel] | None:

@@ -74,9 +74,63 @@ class Community(OpenSection):
 class Plants(Section):
     """What each plant looks like."""
 
+    geometry: Annotated[
+        Literal["plants", "silhouettes"],
+        Field(
+            description="plants: stems, branches and leaves. silhouettes: solids of revolution of the crowns' forms, "
+            "for looking at a stand before its plants (Lane 2002, Figure 6.2)."
+        ),
+    ] = "plants"
+
     exemplars_per_species: Annotated[
-        Whole, Field(ge=1, le=1000, description="Different plants modelled for each species; the others repeat them.")
+        Whole,
+        Field(
+            ge=1,
+            le=1000,
+            description="Sizes modelled for each species: the centres of clusters of its plants' radii. Every plant is "
+            "one of these, scaled to its exact height.",
+        ),
     ] = 10
+    variants_per_size: Annotated[
+        Whole,
+        Field(
+            ge=1,
+            le=100,
+            description="Plants modelled for each size, of different seeds; a plant's own number decides which it is. "
+            "Time and memory grow with it.",
+        ),
+    ] = 1
+    traits: Annotated[
+        tuple[Text, ...],
+        Field(
+            max_length=20,
+            description="What counts beside the radius when plants are grouped into sizes: age_yr, height_m, or a "
+            "column of the community model's own. One standard deviation of a trait counts half as much as one of the "
+            "radius' logarithm.",
+        ),
+    ] = ()
+    levels: Annotated[
+        Flag,
+        Field(
+            description="Whether plants far from every camera show fewer, larger leaves and twigs, of the same area, "
+            "chosen so that they stay below a pixel."
+        ),
+    ] = False
+    cache: Annotated[
+        Flag,
+        Field(
+            description="Whether to keep the modelled plants on disk and take them from there when the same ones are "
+            "asked for again; nothing else changes. FORESTGEN_CACHE names the folder."
+        ),
+    ] = True
+
+    @field_validator("traits")
+    @classmethod
+    def _each_once(cls, value: tuple[str, ...]) -> tuple[str, ...]:
+        for index, trait in enumerate(value):
+            if trait in value[:index]:
+                raise mistake("each trait once", problem="a trait named twice", got=repr(trait), at=(index,))
+        return value
 
 
 class Sun(Section):

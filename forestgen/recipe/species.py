@@ -6,7 +6,7 @@ or holds the whole species itself.
 
 from __future__ import annotations
 
-from typing import Annotated, Self
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,6 +74,57 @@ class Plant(OpenSection):
     generator: Annotated[Text, Field(min_length=1, max_length=100, description="Id of the plant generator.")]
 
 
+BarkPattern = Literal["furrowed", "plated", "scaly", "smooth", "papery", "ringed", "fibrous", "end_grain"]
+TileSide = Annotated[Positive, Field(ge=0.01, le=10)]
+
+
+class Bark(Section):
+    """Pattern and relief of a surface, whose mean colour stays the material's reflectance; see plants/bark.py."""
+
+    pattern: Annotated[BarkPattern, Field(description="What the bark looks like.")]
+    tile_m: Annotated[
+        tuple[TileSide, TileSide],
+        Field(description="Width round the stem and height of the texture's one repeat, metres."),
+    ] = (0.5, 0.75)
+    scale_m: Annotated[
+        Positive | None,
+        Field(
+            ge=0.0005,
+            le=1,
+            description="Width of a ridge, plate, scale, ring or mark, metres; null: the pattern's own.",
+        ),
+    ] = None
+    depth_m: Annotated[
+        NonNegative | None, Field(le=0.1, description="Deepest crack, metres; null: the pattern's own.")
+    ] = None
+    dark: Annotated[
+        Colour | None, Field(description="Colour of cracks, linear Rec. 709, before the mean is set; null: chosen.")
+    ] = None
+    light: Annotated[
+        Colour | None, Field(description="Colour of what stands out, before the mean is set; null: chosen.")
+    ] = None
+    marks: Annotated[
+        Fraction | None,
+        Field(le=0.5, description="Share of lenticels, checks or cracks, 0 to 0.5; null: the pattern's own."),
+    ] = None
+    mark_colour: Annotated[
+        Colour | None, Field(description="Colour of the marks of smooth and papery bark; null: as dark.")
+    ] = None
+    lichen: Annotated[Fraction, Field(le=0.9, description="Share of the surface that lichen covers.")] = 0.0
+    lichen_colour: Annotated[Colour, Field(description="Colour of lichen, before the mean is set.")] = (0.3, 0.33, 0.24)
+
+    @model_validator(mode="after")
+    def _repeats(self) -> Self:
+        if self.scale_m is not None and self.scale_m > 0.5 * min(self.tile_m):
+            raise mistake(
+                f"at most half of tile_m: {0.5 * min(self.tile_m):g} m",
+                problem="the texture's repeat is too small for features of this size",
+                got=f"{self.scale_m:g} m",
+                at=("scale_m",),
+            )
+        return self
+
+
 class Material(Section):
     """Colour of an organ, linear Rec. 709; reflectance and transmittance together stay within 1."""
 
@@ -81,7 +132,22 @@ class Material(Section):
     transmittance: Annotated[
         Colour, Field(description="Fraction let through of red, green, blue; linear Rec. 709.")
     ] = (0.0, 0.0, 0.0)
-    roughness: Annotated[Fraction, Field(description="Roughness of the gloss, 0 to 1.")] = 0.5
+    roughness: Annotated[
+        Fraction,
+        Field(
+            description="Roughness of the gloss, 0 to 1, for mesh files. Rendered leaves and bark have no gloss: all "
+            "that they reflect is diffuse."
+        ),
+    ] = 0.5
+    bark: Annotated[
+        Bark | None, Field(description="Pattern of an opaque surface; null: one colour. The reflectance is its mean.")
+    ] = None
+
+    @model_validator(mode="after")
+    def _bark_is_opaque(self) -> Self:
+        if self.bark is not None and max(self.transmittance) > 0:
+            raise mistake("no transmittance, or no bark", problem="bark lets no light through", got="both")
+        return self
 
     @model_validator(mode="after")
     def _conserves_energy(self) -> Self:

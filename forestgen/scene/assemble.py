@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from forestgen.community.population import Population
 from forestgen.core.randomness import child_rng
 from forestgen.plants.exemplar import Exemplar
-from forestgen.scene.spec import Instances
+from forestgen.scene.spec import Camera, Instances
 from forestgen.scene.terrain import HeightField
 
 
@@ -27,11 +27,15 @@ def place_instances(
 ) -> Instances:
     """One instance a plant: its exemplar scaled to the plant's exact height and turned by the plant's own angle.
 
-    The angle belongs to the plant_id, so a plant keeps it through time and whatever else grows beside it.
+    The angle belongs to the plant_id, so a plant keeps it through time and whatever else grows beside it; a community
+    that knows how its plants stand gives it in a column `azimuth_deg`, clockwise from north, NaN where it does not.
     """
     heights = np.array([exemplar.height_m for exemplar in exemplars])
     scale = population.height_m / heights[exemplar_of_plant]
     angle = np.array([child_rng(seed, "plant", int(i)).random() for i in population.plant_id]) * 2 * np.pi
+    if "azimuth_deg" in population.columns:
+        turned = -np.radians(population.columns["azimuth_deg"].astype(np.float64))
+        angle = np.where(np.isnan(turned), angle, turned)
     cos, sin = np.cos(angle) * scale, np.sin(angle) * scale
     zero = np.zeros_like(cos)
     rows = [[cos, -sin, zero], [sin, cos, zero], [zero, zero, scale]]
@@ -43,3 +47,30 @@ def place_instances(
     return Instances(
         exemplar=exemplar_of_plant.astype(np.uint32), transform=transform, plant_id=population.plant_id.copy()
     )
+
+
+def pixel_size_m(
+    cameras: Sequence[Camera],
+    position_m: NDArray[np.float64],
+    height_m: NDArray[np.float64],
+    width_m: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """(N,) what a pixel covers of each plant, across, at its nearest point to the camera that sees it largest; metres.
+
+    A plant behind a camera counts as if it were in front: its shadow may be in view.
+
+    Parameters
+    ----------
+    position_m : (N, 3) feet of the plants, world.
+    height_m, width_m : (N,) of the upright cylinders that hold the plants.
+    """
+    finest = np.full(len(position_m), np.inf)
+    for camera in cameras:
+        x, y, z = camera.position_m
+        away = np.hypot(position_m[:, 0] - x, position_m[:, 1] - y) - 0.5 * width_m
+        above = np.maximum(z - (position_m[:, 2] + height_m), position_m[:, 2] - z)
+        distance = np.hypot(np.maximum(away, 0.0), np.maximum(above, 0.0))
+        # Pixels of a flat image cover least at its corners, where the depth is least for the same distance.
+        corner = np.hypot(*camera.size_px) / 2.0 / camera.focal_px
+        finest = np.minimum(finest, distance / np.hypot(1.0, corner) / camera.focal_px)
+    return finest

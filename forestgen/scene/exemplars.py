@@ -1,23 +1,55 @@
-"""From many plants to few exemplars: k-means of size per species (Lane 2002, chapter 6; Deussen et al. 1998)."""
+"""From many plants to few exemplars: k-means of size and traits per species.
+
+Each species' plants fall into at most `exemplars_per_species` clusters. One plant stands for a cluster, or several of
+the same size and different seed (variants), which the cluster's plants share among them.
+
+The clusters are of the radius, in its logarithm, so that errors are relative: a sapling's counts as much as a tree's.
+A trait, such as the age, is a further dimension. It is standardised among the species' plants (mean 0, standard
+deviation 1) and multiplied by `TRAIT_WEIGHT` times the standard deviation of the logarithm of the radius, at least
+`LEAST_SPREAD`: a trait counts half as much as the size, since the size is what the geometry follows. Values that are no
+numbers count as the mean.
+
+References
+----------
+Lane, B. (2002). Models of plant communities for image synthesis. MSc thesis, University of Calgary, chapter 6.
+Deussen, O. et al. (1998). Realistic modeling and rendering of plant ecosystems. SIGGRAPH 1998, 275-286, section 5.
+"""
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.community.population import Population
+from forestgen.core.errors import RecipeError
 from forestgen.core.randomness import child_seed
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+TRAIT_WEIGHT = 0.5  # of a trait against the radius
+LEAST_SPREAD = 0.1  # standard deviation of the radius' logarithm at least, where traits are weighed against it
+_OWN_TRAITS = ("age_yr", "height_m")  # columns that every population has, beside the radius
 
 
 @dataclass(frozen=True)
 class ExemplarPlan:
-    """Which exemplars to grow, and which plant uses which."""
+    """Which exemplars to grow, and which plant uses which. Every exemplar has plants."""
 
     species: NDArray[np.uint16]  # (E,) index into the population's species_names
-    radius_m: NDArray[np.float64]  # (E,) size of each exemplar
+    radius_m: Floats  # (E,) size of each exemplar
+    rank: Ints  # (E,) of its cluster among the species', by radius: 0, 1, ...
+    variant: Ints  # (E,) which of the plants of that size
+    level: Ints  # (E,) index of its level of detail, see plants/levels.py: 0 is all detail
     exemplar_of_plant: NDArray[np.uint32]  # (N,) index into the exemplars
+
+    def __len__(self) -> int:
+        return len(self.radius_m)
 
 
 @dataclass(frozen=True)
@@ -31,39 +63,138 @@ class SizeError:
     crown_width_rms: float  # of (scaled exemplar's crown width / the plant's own allometric width - 1)
 
 
-def plan_exemplars(population: Population, per_species: int, seed: int) -> ExemplarPlan:
-    """Cluster each species' radii into at most `per_species` sizes; species without plants get none.
+def check_traits(traits: Sequence[str], population: Population, where: str) -> None:
+    """Refuse a trait that is no numeric column of the population.
 
-    k-means runs on the logarithm of the radius, so that errors are relative: a sapling's counts as much as a tree's.
+    Raises
+    ------
+    RecipeError : with the columns that there are.
     """
-    species: list[int] = []
-    radii: list[float] = []
-    assignment = np.zeros(len(population), dtype=np.uint32)
+    known = [*_OWN_TRAITS, *(name for name, column in population.columns.items() if _is_numeric(column))]
+    for trait in traits:
+        if trait not in known:
+            near = difflib.get_close_matches(trait, known, n=1)
+            raise RecipeError(
+                "the plants have no such trait",
+                where=where,
+                expected="one of " + ", ".join(known),
+                got=repr(trait),
+                hint=f"did you mean {near[0]!r}?" if near else None,
+            )
+
+
+def _is_numeric(column: NDArray[np.generic]) -> bool:
+    return column.ndim == 1 and np.issubdtype(column.dtype, np.number)
+
+
+def plan_exemplars(
+    population: Population, per_species: int, seed: int, *, traits: Sequence[str] = (), variants: int = 1
+) -> ExemplarPlan:
+    """Cluster each species' plants into at most `per_species` sizes; species without plants get none.
+
+    Parameters
+    ----------
+    traits : columns of the population that count beside the radius, see `check_traits`.
+    variants : exemplars of each size. A plant's is its own, whatever else grows.
+    """
+    columns = [np.asarray(_column(population, trait), dtype=np.float64) for trait in traits]
+    own = np.array([child_seed(seed, "variant", int(i)) % variants for i in population.plant_id], dtype=np.int64)
+    parts: list[ExemplarPlan] = []
     for index, name in enumerate(population.species_names):
         rows = np.flatnonzero(population.species == index)
         if not len(rows):
             continue
-        centres, labels = _cluster(np.log(population.radius_m[rows]), per_species, child_seed(seed, "k-means", name))
-        assignment[rows] = len(species) + labels
-        species += [index] * len(centres)
-        radii += list(np.exp(centres))
-    return ExemplarPlan(np.asarray(species, dtype=np.uint16), np.asarray(radii), assignment)
+        features = _features(population.radius_m[rows], [column[rows] for column in columns])
+        centres, labels = _cluster(features, per_species, child_seed(seed, "k-means", name))
+        part = ExemplarPlan(
+            species=np.full(len(centres), index, dtype=np.uint16),
+            radius_m=np.exp(centres[:, 0]),
+            rank=np.arange(len(centres)),
+            variant=np.zeros(len(centres), dtype=np.int64),
+            level=np.zeros(len(centres), dtype=np.int64),
+            exemplar_of_plant=labels.astype(np.uint32),
+        )
+        parts.append(_split(part, own[rows], "variant"))
+    return _joined(parts, population.species)
 
 
-def _cluster(values: NDArray[np.float64], clusters: int, seed: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Sorted centres and each value's centre."""
-    distinct = np.unique(values)
+def with_levels(plan: ExemplarPlan, level_of_plant: Ints) -> ExemplarPlan:
+    """The plan with an exemplar for each level of detail at which plants see it.
+
+    Parameters
+    ----------
+    level_of_plant : (N,) index of the level of detail of each plant.
+    """
+    return _split(plan, level_of_plant, "level")
+
+
+def _split(plan: ExemplarPlan, value_of_plant: Ints, field: Literal["variant", "level"]) -> ExemplarPlan:
+    """An exemplar for each pair of exemplar and value that some plant has, in the order of both."""
+    pairs = np.stack([plan.exemplar_of_plant.astype(np.int64), value_of_plant], axis=1)
+    used, chosen = np.unique(pairs, axis=0, return_inverse=True)
+    origin = used[:, 0]
+    return ExemplarPlan(
+        species=plan.species[origin],
+        radius_m=plan.radius_m[origin],
+        rank=plan.rank[origin],
+        variant=used[:, 1] if field == "variant" else plan.variant[origin],
+        level=used[:, 1] if field == "level" else plan.level[origin],
+        exemplar_of_plant=chosen.reshape(-1).astype(np.uint32),
+    )
+
+
+def _joined(parts: Sequence[ExemplarPlan], species: NDArray[np.uint16]) -> ExemplarPlan:
+    """One plan of each species' own, which are in the order of the species."""
+    assignment = np.zeros(len(species), dtype=np.uint32)
+    before = 0
+    for part in parts:
+        assignment[species == part.species[0]] = before + part.exemplar_of_plant
+        before += len(part)
+    empty_whole, empty = np.zeros(0, dtype=np.int64), np.zeros(0)
+    return ExemplarPlan(
+        species=np.concatenate([empty_whole, *(part.species for part in parts)]).astype(np.uint16),
+        radius_m=np.concatenate([empty, *(part.radius_m for part in parts)]),
+        rank=np.concatenate([empty_whole, *(part.rank for part in parts)]),
+        variant=np.concatenate([empty_whole, *(part.variant for part in parts)]),
+        level=np.concatenate([empty_whole, *(part.level for part in parts)]),
+        exemplar_of_plant=assignment,
+    )
+
+
+def _column(population: Population, trait: str) -> NDArray[np.generic]:
+    column: NDArray[np.generic] = (
+        getattr(population, trait) if trait in _OWN_TRAITS else np.asarray(population.columns[trait])
+    )
+    return column
+
+
+def _features(radius_m: Floats, traits: Sequence[Floats]) -> Floats:
+    """(n, 1 + traits) the logarithm of the radius, and each trait by its weight."""
+    size = np.log(radius_m)
+    weight = TRAIT_WEIGHT * max(float(size.std()), LEAST_SPREAD)
+    columns = [size]
+    for trait in traits:
+        known = np.isfinite(trait)
+        mean, spread = (float(f(trait[known])) if known.any() else 0.0 for f in (np.mean, np.std))
+        columns.append(np.where(known, weight * (trait - mean) / spread, 0.0) if spread > 0.0 else np.zeros_like(size))
+    return np.stack(columns, axis=1)
+
+
+def _cluster(features: Floats, clusters: int, seed: int) -> tuple[Floats, Ints]:
+    """Centres, sorted by their first feature and then the next, and each row's centre."""
+    distinct, rank = np.unique(features, axis=0, return_inverse=True)
     if len(distinct) <= clusters:
-        return distinct, np.searchsorted(distinct, values)
+        return distinct, rank.reshape(-1)
     from sklearn.cluster import KMeans
     from threadpoolctl import threadpool_limits
 
     with threadpool_limits(1):  # partial sums must not depend on the number of threads
-        model = KMeans(n_clusters=clusters, random_state=seed, n_init=1).fit(values[:, None])
-    order = np.argsort(model.cluster_centers_[:, 0])
-    rank = np.empty(clusters, dtype=np.int64)
-    rank[order] = np.arange(clusters)
-    return model.cluster_centers_[order, 0].astype(np.float64), rank[model.labels_]
+        model = KMeans(n_clusters=clusters, random_state=seed, n_init=1).fit(features)
+    centres = model.cluster_centers_.astype(np.float64)
+    order = np.lexsort(centres.T[::-1])
+    place = np.empty(clusters, dtype=np.int64)
+    place[order] = np.arange(clusters)
+    return centres[order], place[model.labels_]
 
 
 def size_errors(

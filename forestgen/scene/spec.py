@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from forestgen.atmosphere.grid import CloudGrid
 from forestgen.geometry.mesh import Mesh
+from forestgen.plants.bark import SurfaceTexture
 from forestgen.plants.exemplar import Exemplar
 
 
@@ -19,7 +20,8 @@ class Material:
 
     reflectance: tuple[float, float, float]
     transmittance: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    roughness: float = 0.5  # of a leaf's gloss; ignored for opaque surfaces
+    roughness: float = 0.5  # of the gloss, for mesh files; the renderer's surfaces have none
+    texture: SurfaceTexture | None = None  # of an opaque surface with uv; its mean colour is the reflectance
 
 
 @dataclass(frozen=True)

@@ -12,16 +12,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from pydantic import BaseModel
-
 from forestgen.community.disturbance import Ground
 from forestgen.community.model import CommunityParameters, Site, SpeciesEcology
 from forestgen.community.registry import COMMUNITY_MODELS
 from forestgen.core.errors import RecipeError, ResourceError
 from forestgen.core.memory import free_bytes
+from forestgen.plants.bark import with_bark_tiles
+from forestgen.plants.parameters import PlantParameters
 from forestgen.plants.registry import GENERATORS
 from forestgen.recipe.load import DrawnRecipe, LoadedRecipe
 from forestgen.recipe.species import Species
+from forestgen.scene.exemplars import check_traits
 
 _MOST_OPTICAL_DEPTH = 1000
 # Kept free for the operating system and for what no estimate sees.
@@ -33,7 +34,9 @@ _BYTES_PER_SAMPLE = 5 + 16  # an identity sample, and the sorting of it
 _BYTES_PER_PIXEL = 500  # radiance sums in double precision, buffers, channels on their way to files
 _BYTES_PER_TRIANGLE = 200  # mesh, two scenes with their trees, normals' table
 _BYTES_PER_TRIANGLE_UNDER_CLOUDS = 60  # a third scene
-_TRIANGLES_PER_EXEMPLAR = 145_000  # a mature spruce
+# Of a mature plant, over its height times its width squared: poplar 280, spruce 310, oak 200; and of a herb in all.
+_TRIANGLES_PER_M3, _TRIANGLES_OF_A_HERB = 320, 20_000
+_DETAIL_OF_ALL_LEVELS = 2.0  # a size at every level of detail, against one with all detail
 _BYTES_PER_PLANT = 18_000  # an instance in two scenes; the renderer's objects are large
 _BYTES_PER_PLANT_UNDER_CLOUDS = 9_000  # a third scene
 _GROUND_CELL_M, _MOST_GROUND_CELLS, _GROUND_BEYOND = 0.75, 1200, 160  # see scene/terrain.py
@@ -48,7 +51,7 @@ class Plan:
     drawn: DrawnRecipe
     model: Any  # a CommunityModel
     model_parameters: CommunityParameters
-    generator_parameters: Mapping[str, BaseModel]  # by species
+    generator_parameters: Mapping[str, PlantParameters]  # by species
 
     @property
     def site(self) -> Site:
@@ -83,7 +86,8 @@ def make_plan(drawn: DrawnRecipe) -> Plan:
     for name, species in drawn.species.items():
         keys = ("species", name, "plant")
         generator = GENERATORS.load(species.plant.generator, where=drawn.where(*keys, "generator"))
-        generators[name] = drawn.parse(generator.Parameters, species.plant.parameters, keys)
+        plant = drawn.parse(generator.Parameters, species.plant.parameters, keys)
+        generators[name] = with_bark_tiles(plant, species.materials)
     _check_clouds(drawn)
     parameters = drawn.parse(model.Parameters, community.parameters, ("community",))
     _check_named_species(drawn, parameters)
@@ -102,6 +106,8 @@ def check_plan(loaded: LoadedRecipe, *, simulate_only: bool = False) -> Plan:
     plans = [make_plan(drawn) for drawn in loaded.probes()]
     for plan in plans:
         check_memory(plan, simulate_only=simulate_only)
+        if not simulate_only:
+            _check_traits(plan)
     return plans[0]
 
 
@@ -205,7 +211,6 @@ def estimate_bytes(plan: Plan, *, simulate_only: bool = False, plants: int = 0) 
     if simulate_only:
         return {"community": community + _FILM_BYTES, "libraries": _LOADED_SIMULATOR_BYTES}
     pixels = max(camera.size_px[0] * camera.size_px[1] for camera in recipe.cameras)
-    exemplars = recipe.plants.exemplars_per_species * len(plan.drawn.species)
     clouds = recipe.sky.clouds
     cloudy = clouds.type != "none"
     cells = (clouds.extent_m / 40) ** 2 * max(8, clouds.thickness_m / 20) if cloudy else 0.0
@@ -219,10 +224,31 @@ def estimate_bytes(plan: Plan, *, simulate_only: bool = False, plants: int = 0) 
         "libraries": _LOADED_RENDERER_BYTES,
         "ground": 2 * across * along * per_triangle,
         "images": pixels * (_BYTES_PER_PIXEL + recipe.labels.samples * _BYTES_PER_SAMPLE),
-        "exemplars": exemplars * _TRIANGLES_PER_EXEMPLAR * per_triangle,
+        "exemplars": _exemplar_triangles(plan) * per_triangle,
         "plants": plants * per_plant,
         "clouds": int(cells * _BYTES_PER_CLOUD_CELL),
     }
+
+
+def _exemplar_triangles(plan: Plan) -> int:
+    """Triangles of all exemplars, as if each were a mature plant of its species."""
+    section = plan.drawn.recipe.plants
+    each = section.exemplars_per_species * section.variants_per_size * (_DETAIL_OF_ALL_LEVELS if section.levels else 1)
+    boxes_m3 = [
+        species.mature_height_m * float(species.allometry.width(species.ecology.max_radius_m)) ** 2
+        for species in plan.drawn.species.values()
+    ]
+    return int(each * sum(_TRIANGLES_OF_A_HERB + _TRIANGLES_PER_M3 * box_m3 for box_m3 in boxes_m3))
+
+
+def _check_traits(plan: Plan) -> None:
+    """Refuse a trait that the model's plants will not have: seen on a small piece of land before the first step."""
+    traits = plan.drawn.recipe.plants.traits
+    if not traits:
+        return
+    site = Site((min(plan.site.size_m[0], 50.0), min(plan.site.size_m[1], 50.0)))
+    state = plan.model.init(plan.model_parameters, site, plan.ecologies, plan.drawn.image_seed)
+    check_traits(traits, plan.model.population(state), plan.drawn.where("plants", "traits"))
 
 
 def check_memory(plan: Plan, *, simulate_only: bool = False, plants: int = 0) -> None:
@@ -237,7 +263,7 @@ def check_memory(plan: Plan, *, simulate_only: bool = False, plants: int = 0) ->
         "community": (("community",), "make the site smaller, or lower species' seedlings_per_ha_per_yr"),
         "ground": (("site", "size_m"), "make the site smaller"),
         "images": (("cameras",), "make the images smaller, or lower labels.samples"),
-        "exemplars": (("plants", "exemplars_per_species"), "lower plants.exemplars_per_species"),
+        "exemplars": (("plants", "exemplars_per_species"), "lower plants.exemplars_per_species or variants_per_size"),
         "plants": (("site", "size_m"), f"{plants:,} plants grew: make the site smaller, or stop after fewer steps"),
         "clouds": (("sky", "clouds"), "make sky.clouds.extent_m smaller"),
         "libraries": ((), "close other programs"),

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from forestgen.atmosphere.grid import CloudGrid
 from forestgen.atmosphere.procedural import cumulus_field
@@ -15,16 +16,30 @@ from forestgen.core.errors import RecipeError
 from forestgen.core.frames import look_at
 from forestgen.core.progress import Progress
 from forestgen.core.randomness import child_rng
-from forestgen.plants.build import build_exemplar
+from forestgen.plants.bark import bark_texture
+from forestgen.plants.build import size_m
+from forestgen.plants.cache import ExemplarRequest, exemplar_store
 from forestgen.plants.exemplar import Exemplar
+from forestgen.plants.growing import grow_exemplars
+from forestgen.plants.levels import level_for, level_of_index
+from forestgen.plants.registry import GENERATORS
+from forestgen.plants.solids import as_solids
 from forestgen.recipe.schema import Camera as CameraSection
 from forestgen.recipe.species import Species
-from forestgen.scene.assemble import place_instances, stand_on
-from forestgen.scene.exemplars import ExemplarPlan, SizeError, plan_exemplars, size_errors
+from forestgen.scene.assemble import pixel_size_m, place_instances, stand_on
+from forestgen.scene.exemplars import (
+    ExemplarPlan,
+    SizeError,
+    check_traits,
+    plan_exemplars,
+    size_errors,
+    with_levels,
+)
 from forestgen.scene.spec import Camera, Material, SceneSpec, Sky
 from forestgen.scene.terrain import HeightField, build_terrain, flat, rolling
 from forestgen.stages.plan import Plan
 
+MOST_CACHED_IMAGES = 16  # a data set of many images would only wash the cache out
 Timer = Callable[[str], AbstractContextManager[None]]
 
 
@@ -40,13 +55,14 @@ class BuiltScene:
 def build_scene(plan: Plan, population: Population, progress: Progress, timer: Timer) -> BuiltScene:
     """Grow the exemplars, shape the ground, hang the clouds, place plants and cameras."""
     recipe, seed = plan.drawn.recipe, plan.drawn.image_seed
-    with timer("plants"):
-        exemplar_plan = plan_exemplars(population, recipe.plants.exemplars_per_species, seed)
-        exemplars = grow_exemplars(plan, exemplar_plan, progress)
     with timer("scene"):
         height = _height_field(plan)
         population = stand_on(population, height)
         cameras = tuple(place_camera(camera, height) for camera in recipe.cameras)
+    with timer("plants"):
+        exemplar_plan = choose_exemplars(plan, population, cameras)
+        exemplars = grow_planned(plan, exemplar_plan, progress)
+    with timer("scene"):
         terrain = build_terrain(height, child_rng(seed, "terrain", "colour"))
         albedo = float(np.mean(terrain.far_reflectance))  # of the region, which the sky and the clouds see
         sun = recipe.sky.sun
@@ -79,26 +95,82 @@ def _check_below_clouds(plan: Plan, spec: SceneSpec) -> None:
         )
 
 
-def grow_exemplars(plan: Plan, exemplar_plan: ExemplarPlan, progress: Progress) -> tuple[Exemplar, ...]:
-    """One plant a cluster of sizes; its randomness belongs to the species and the cluster's rank."""
+def choose_exemplars(plan: Plan, population: Population, cameras: Sequence[Camera]) -> ExemplarPlan:
+    """Sizes, variants and levels of detail that the plants need.
+
+    Raises
+    ------
+    RecipeError : a trait that the plants do not have.
+    """
+    section = plan.drawn.recipe.plants
+    check_traits(section.traits, population, plan.drawn.where("plants", "traits"))
+    chosen = plan_exemplars(
+        population,
+        section.exemplars_per_species,
+        plan.drawn.image_seed,
+        traits=section.traits,
+        variants=section.variants_per_size,
+    )
+    if not section.levels or not len(population):
+        return chosen
+    pixel_m = pixel_size_m(cameras, population.position_m, population.height_m, _widths_m(plan, population))
+    own_height_m = np.ones(len(population))
+    for index, name in enumerate(population.species_names):
+        rows = population.species == index
+        exemplar_radius_m = chosen.radius_m[chosen.exemplar_of_plant[rows]]
+        own_height_m[rows] = plan.drawn.species[name].allometry.height(exemplar_radius_m)
+    scale = population.height_m / own_height_m  # of the instance
+    return with_levels(chosen, level_for(pixel_m / scale))
+
+
+def grow_planned(plan: Plan, exemplar_plan: ExemplarPlan, progress: Progress) -> tuple[Exemplar, ...]:
+    """The exemplars of a plan; see `exemplar_requests`."""
+    kept = plan.drawn.recipe.plants.cache and plan.drawn.image_index < MOST_CACHED_IMAGES
+    with progress.stage("plants", len(exemplar_plan)) as advance:
+        requests = exemplar_requests(plan, exemplar_plan)
+        grown = grow_exemplars(requests, store=exemplar_store() if kept else None, advance=advance)
+    if plan.drawn.recipe.plants.geometry == "silhouettes":
+        return tuple(_silhouette(request, one) for request, one in zip(requests, grown, strict=True))
+    return grown
+
+
+def _silhouette(request: ExemplarRequest, exemplar: Exemplar) -> Exemplar:
+    """The plant's solid: of its generator's own curve where there is one, otherwise as wide as the plant grew."""
+    profile_of = getattr(GENERATORS.load(request.parameters.generator), "crown_profile", None)
+    size = size_m(request.species, request.radius_m)
+    return as_solids(exemplar, None if profile_of is None else profile_of(request.parameters, *size))
+
+
+def exemplar_requests(plan: Plan, exemplar_plan: ExemplarPlan) -> list[ExemplarRequest]:
+    """What to grow. A plant's randomness belongs to its species, its cluster's rank and its variant, at any level."""
     names = list(plan.drawn.species)
-    grown = []
-    rank: dict[str, int] = {}
-    with progress.stage("plants", len(exemplar_plan.species)) as advance:
-        for species_index, radius in zip(exemplar_plan.species, exemplar_plan.radius_m, strict=True):
-            name = names[species_index]
-            number = rank[name] = rank.get(name, -1) + 1
-            rng = child_rng(plan.drawn.image_seed, "exemplar", name, number)
-            species = plan.drawn.species[name]
-            grown.append(build_exemplar(name, species, plan.generator_parameters[name], float(radius), rng))
-            advance(1)
-    return tuple(grown)
+    requests = []
+    for index in range(len(exemplar_plan)):
+        name = names[exemplar_plan.species[index]]
+        rank, variant = int(exemplar_plan.rank[index]), int(exemplar_plan.variant[index])
+        requests.append(
+            ExemplarRequest(
+                species_name=name,
+                species=plan.drawn.species[name],
+                parameters=plan.generator_parameters[name],
+                radius_m=float(exemplar_plan.radius_m[index]),
+                seed=plan.drawn.image_seed,
+                identity=("exemplar", name, rank, variant) if variant else ("exemplar", name, rank),
+                level=level_of_index(int(exemplar_plan.level[index])),
+            )
+        )
+    return requests
 
 
 def materials_of(species: Mapping[str, Species]) -> dict[tuple[str, str], Material]:
     """Materials of all species by (species, material)."""
     return {
-        (name, key): Material(m.reflectance, m.transmittance, m.roughness)
+        (name, key): Material(
+            m.reflectance,
+            m.transmittance,
+            m.roughness,
+            None if m.bark is None else bark_texture(m.bark, m.reflectance, f"{name}/{key}"),
+        )
         for name, one in species.items()
         for key, m in one.materials.items()
     }
@@ -141,14 +213,19 @@ def _errors(
     plan: Plan, population: Population, exemplar_plan: ExemplarPlan, exemplars: tuple[Exemplar, ...]
 ) -> list[SizeError]:
     """Error of the approximation, each plant's width by its species' allometry."""
-    width = np.ones(len(population))
-    for index, name in enumerate(population.species_names):
-        rows = population.species == index
-        width[rows] = plan.drawn.species[name].allometry.width(population.radius_m[rows])
     return size_errors(
         population,
         exemplar_plan,
         np.array([exemplar.height_m for exemplar in exemplars]),
         np.array([exemplar.crown_width_m for exemplar in exemplars]),
-        width,
+        _widths_m(plan, population),
     )
+
+
+def _widths_m(plan: Plan, population: Population) -> NDArray[np.float64]:
+    """(N,) crown width of each plant by its species' allometry."""
+    width = np.ones(len(population))
+    for index, name in enumerate(population.species_names):
+        rows = population.species == index
+        width[rows] = plan.drawn.species[name].allometry.width(population.radius_m[rows])
+    return width

@@ -1,38 +1,64 @@
-"""One plant on its own: mesh, picture, numbers."""
+"""Plants on their own: meshes, pictures, numbers."""
 
 from __future__ import annotations
 
-import errno
 import math
-import os
-from contextlib import suppress
-from dataclasses import dataclass
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
-from forestgen.core.errors import OutputError, RecipeError
-from forestgen.core.frames import look_at
+from forestgen.core.errors import RecipeError
+from forestgen.core.parts import Part
 from forestgen.core.progress import Progress
 from forestgen.core.randomness import child_rng
-from forestgen.core.timing import Timings
-from forestgen.dataset.files import output_error, write_bytes
-from forestgen.dataset.png import write_rgb
-from forestgen.dataset.tonemap import tone_map
-from forestgen.geometry.export import FORMATS, mesh_file
-from forestgen.plants.build import build_exemplar
-from forestgen.plants.exemplar import Exemplar
-from forestgen.recipe.load import load_recipe_data
-from forestgen.recipe.schema import Recipe
+from forestgen.geometry.export import FORMATS, Model, Piece, Surface, Value, model_files, png
+from forestgen.geometry.mesh import surface_area_m2
+from forestgen.plants.bark import texture_images
+from forestgen.plants.build import build_exemplar, size_m
+from forestgen.plants.exemplar import Exemplar, OrganMesh
+from forestgen.plants.parameters import with_detail
+from forestgen.recipe.load import DrawnRecipe, load_recipe_data
 from forestgen.recipe.species import TALLEST_M, Species
-from forestgen.scene.spec import Camera, Instances, SceneSpec, Sky
-from forestgen.scene.terrain import build_terrain, flat
-from forestgen.stages.frames import render_frame
-from forestgen.stages.plan import make_plan
+from forestgen.scene.spec import Camera, Material
+from forestgen.stages.plan import Plan, make_plan
+from forestgen.stages.plant_files import FileSet, check_writable
 from forestgen.stages.scene import materials_of
+from forestgen.stages.studio import Shot, camera_of, photograph
+from forestgen.stages.sway import check_sways, sway
 
-_PICTURE_PX = (540, 720)
+PICTURE = ".png"
+_MOST_FILES = 9999  # names have four digits
+_MOST_SEEDS = 2**63  # mesh files hold them as signed integers
+_SHORTEST_M = 0.02
+
+
+@dataclass(frozen=True)
+class Order:
+    """What to grow, and where it goes."""
+
+    species: str  # a shipped name, or a file
+    outputs: tuple[Path, ...]  # each file's suffix is its format
+    height_m: float | None = None  # None: a mature plant's
+    seed: int = 0
+    count: int = 1  # more than one: of seeds seed, seed + 1, ..., files numbered from 0001
+    frames: int | None = None  # so many poses of one plant in the wind, files numbered from 0001
+    frames_per_s: float = 12.0
+    detail: int | None = None  # of organs, 0 to 2; None: as the species' file says
+    shot: Shot = field(default_factory=Shot)
+    overwrite: bool = False
+
+    @property
+    def name(self) -> str:
+        """The species' name; a file's, with what a name may not hold replaced."""
+        return name_of(self.species)
+
+    def paths(self, number: int) -> list[Path]:
+        """Files of one plant or frame; of several, the first tree.glb is tree-0001.glb."""
+        if self.count == 1 and self.frames is None:
+            return list(self.outputs)
+        return [path.with_name(f"{path.stem}-{number:04d}{path.suffix}") for path in self.outputs]
 
 
 @dataclass(frozen=True)
@@ -40,139 +66,212 @@ class SinglePlant:
     """What was made."""
 
     species: str
+    seed: int
     height_m: float
     crown_width_m: float
-    triangles: int
-    by_part: dict[str, int]
-    leaf_area_m2: float
-    mesh_path: Path
-    picture_path: Path
+    triangles: dict[str, int]  # by part
+    leaf_area_m2: float  # one side
+    leaf_area_index: float  # leaf area over the crown's projection, pi/4 width^2
+    wood_kg: float  # dry
+    leaf_kg: float  # dry
+    files: dict[Path, int]  # size in bytes
 
 
-def grow_single_plant(
-    species: str, height_m: float | None, seed: int, mesh_path: Path, *, overwrite: bool, progress: Progress
-) -> SinglePlant:
-    """Grow a plant of a species (a shipped name or a file), write its mesh, and a picture beside it.
+def grow_plants(order: Order, progress: Progress) -> list[SinglePlant]:
+    """Grow plants of a species and write what was ordered: all files, or none.
 
     Raises
     ------
-    RecipeError, AssetError : unknown species, a height that is none, an unknown mesh format.
+    RecipeError, AssetError : unknown species, a height that is none, an unknown format, a view of nothing.
     OutputError : a file exists and may not be replaced, or cannot be written.
     """
-    picture_path = mesh_path.with_suffix(".png")
-    _check_paths(mesh_path, picture_path, overwrite)
-    name = Path(species).stem
-    alone = {"species": {name: {"from": species}}, "community": {"model": "multiset_lsystem"}}
-    loaded = load_recipe_data({"forestgen": 1, "seed": seed, **alone}, "forestgen plant")
-    plan = make_plan(loaded.draw(0))
-    radius_m = _radius_m(plan.drawn.species[name], height_m)
-    kind = plan.drawn.species[name]
-    with progress.stage("plant", 1) as advance:
-        rng = child_rng(seed, "exemplar", name)
-        exemplar = build_exemplar(name, kind, plan.generator_parameters[name], radius_m, rng)
-        advance(1)
-    meshes = {
-        f"{organ.part.name.lower()}-{organ.material}": (organ.mesh, kind.materials[organ.material].reflectance)
-        for organ in exemplar.organs
-    }
-    picture = _picture(exemplar, plan.drawn.recipe, seed, progress)
-    _write(mesh_path, mesh_file(meshes, mesh_path.suffix.lower()), picture_path, picture)
-    return _described(exemplar, mesh_path, picture_path)
+    _check(order)
+    name = order.name
+    plan = plan_of(order.species, order.seed, order.detail)
+    if order.frames is not None:
+        check_sways(name, plan.generator_parameters[name])
+    radius_m = radius_of_m(plan.drawn.species[name], order.height_m)
+    made: list[SinglePlant] = []
+    camera = None
+    with FileSet(overwrite=order.overwrite) as files:
+        for number, (seed, exemplar) in enumerate(_grown(order, plan, radius_m, progress), start=1):
+            if camera is None or order.frames is None:  # frames are all seen from one place
+                camera = camera_of(exemplar, order.shot)
+            sizes = {}
+            for path, content in _contents(order, number, plan, seed, exemplar, camera, progress):
+                files.write(path, content)
+                sizes[path] = len(content)
+            made.append(described(exemplar, plan.drawn.species[name], seed, sizes))
+    return made
 
 
-def _check_paths(mesh_path: Path, picture_path: Path, overwrite: bool) -> None:
-    if mesh_path.suffix.lower() not in FORMATS:
-        got = f"{str(mesh_path)!r:.200}"
-        raise RecipeError("unknown mesh format", where="--output", expected=" or ".join(FORMATS), got=got)
-    for path in (mesh_path, picture_path):
-        try:
-            if path.is_dir():
-                raise OutputError(
-                    "the output is a folder", where=str(path), expected="a file", hint="choose another name"
-                )
-            if path.exists() and not overwrite:
-                raise OutputError("the file exists", where=str(path), hint="choose another name, or --overwrite")
-            folder = next(parent for parent in path.absolute().parents if parent.exists())
-        except OSError as error:
-            raise output_error(error, path) from error
-        if not (folder.is_dir() and os.access(folder, os.W_OK | os.X_OK)):
-            reason = errno.EACCES if folder.is_dir() else errno.ENOTDIR
-            raise output_error(OSError(reason, os.strerror(reason)), path)
+def _check(order: Order) -> None:
+    """What can be known to be wrong before anything grows."""
+    for option, number in (("--count", order.count), ("--frames", order.frames)):
+        if number is not None and not 1 <= number <= _MOST_FILES:
+            raise RecipeError("no such number", where=option, expected=f"1 to {_MOST_FILES}", got=str(number))
+    if order.frames is not None and order.count > 1:
+        raise RecipeError("frames are of one plant", where="--frames", expected="--count or --frames, not both")
+    if not (math.isfinite(order.frames_per_s) and 0 < order.frames_per_s <= 1000):
+        got = f"{order.frames_per_s:g}"
+        raise RecipeError("no such pace", where="--frames-per-s", expected="above 0, at most 1000", got=got)
+    if order.seed + order.count > _MOST_SEEDS:
+        expected = f"less than {_MOST_SEEDS - order.count + 1}"
+        raise RecipeError("no such seed", where="--seed", expected=expected, got=str(order.seed))
+    order.shot.check()
+    wanted = (*FORMATS, PICTURE)
+    for path in order.outputs:
+        if path.suffix.lower() not in wanted:
+            expected = ", ".join(wanted[:-1]) + f" or {wanted[-1]}"
+            raise RecipeError("unknown format", where="--out", expected=expected, got=f"{str(path)!r:.200}")
+    if len(set(order.outputs)) < len(order.outputs):
+        twice = next(path for path in order.outputs if order.outputs.count(path) > 1)
+        raise RecipeError("the same file twice", where="--out", got=str(twice))
+    for number in range(1, (order.frames or order.count) + 1):
+        paths = order.paths(number)
+        beside = [path.with_suffix(".mtl") for path in paths if path.suffix.lower() == ".obj"]
+        check_writable([*paths, *beside], overwrite=order.overwrite)
 
 
-def _radius_m(species: Species, height_m: float | None) -> float:
+def name_of(species: str) -> str:
+    """Name of a shipped species or of a species file: ``my oak.yaml`` is my-oak."""
+    return re.sub(r"[^A-Za-z0-9_-]", "-", Path(species).stem).lstrip("-_")[:64] or "plant"
+
+
+def default_outputs(species: str) -> tuple[Path, ...]:
+    """outputs/SPECIES.glb and .png."""
+    return tuple(Path("outputs") / f"{name_of(species)}{suffix}" for suffix in (".glb", PICTURE))
+
+
+def drawn_of(species: str, seed: int) -> DrawnRecipe:
+    """A recipe that has this species alone; the generator's own keys are not yet checked."""
+    alone = {"species": {name_of(species): {"from": species}}, "community": {"model": "multiset_lsystem"}}
+    return load_recipe_data({"forestgen": 1, "seed": seed, **alone}, "forestgen plant").draw(0)
+
+
+def plan_of(species: str, seed: int, detail: int | None = None) -> Plan:
+    """Plan of `drawn_of`, its organs at a level of detail."""
+    plan = make_plan(drawn_of(species, seed))
+    if detail is None:
+        return plan
+    finer = {name: with_detail(one, detail) for name, one in plan.generator_parameters.items()}
+    return replace(plan, generator_parameters=finer)
+
+
+def grow(plan: Plan, name: str, radius_m: float, seed: int) -> Exemplar:
+    """The plant of a species, a radius and a seed."""
+    rng = child_rng(seed, "exemplar", name)
+    return build_exemplar(name, plan.drawn.species[name], plan.generator_parameters[name], radius_m, rng)
+
+
+def _grown(order: Order, plan: Plan, radius_m: float, progress: Progress) -> Iterator[tuple[int, Exemplar]]:
+    """Seed and plant."""
+    name = order.name
+    if order.frames is not None:
+        species, parameters = plan.drawn.species[name], plan.generator_parameters[name]
+        anew = partial(child_rng, order.seed, "exemplar", name)
+        with progress.stage("frames", order.frames) as advance:
+            for exemplar in sway(name, species, parameters, radius_m, anew, order.frames, order.frames_per_s):
+                yield order.seed, exemplar
+                advance(1)
+        return
+    with progress.stage("plants", order.count) as advance:
+        for seed in range(order.seed, order.seed + order.count):
+            yield seed, grow(plan, name, radius_m, seed)
+            advance(1)
+
+
+def radius_of_m(species: Species, height_m: float | None) -> float:
     """Community radius of a plant of that height: the allometry's inverse."""
+    mature_m = species.ecology.max_radius_m
     if height_m is None:
-        return species.ecology.max_radius_m
-    if not (math.isfinite(height_m) and 0.02 <= height_m <= TALLEST_M):
-        raise RecipeError("no such plant", where="--height", expected=f"0.02 to {TALLEST_M:g} m", got=f"{height_m:g}")
+        return mature_m
+    if not (math.isfinite(height_m) and _SHORTEST_M <= height_m <= TALLEST_M):
+        expected = f"{_SHORTEST_M:g} to {TALLEST_M:g} m"
+        raise RecipeError("no such plant", where="--height-m", expected=expected, got=f"{height_m:g}")
     law = species.allometry.height_m
-    return float((height_m / law.scale) ** (1 / law.exponent)) if law.exponent else species.ecology.max_radius_m
+    if law.exponent:
+        return float((height_m / law.scale) ** (1 / law.exponent))
+    if not math.isclose(height_m, law.scale, rel_tol=0.01):
+        raise RecipeError(
+            "plants of this species are all of one height",
+            where="--height-m",
+            expected=f"{law.scale:g} m",
+            got=f"{height_m:g} m",
+            hint="leave --height-m out",
+        )
+    return mature_m
 
 
-def _picture(exemplar: Exemplar, recipe: Recipe, seed: int, progress: Progress) -> NDArray[np.uint8]:
-    spec = _studio(exemplar, recipe)
-    frame = render_frame(spec, spec.cameras[0], recipe, seed, progress, Timings())
-    return tone_map(frame.radiance.mean if frame.radiance.denoised is None else frame.radiance.denoised)
+def mature_size_m(species: Species) -> tuple[float, float]:
+    """Height and crown width of a mature plant by its allometry."""
+    return size_m(species, species.ecology.max_radius_m)
 
 
-def _studio(exemplar: Exemplar, recipe: Recipe) -> SceneSpec:
-    """The plant alone on flat ground, filling an upright picture."""
-    low, high = exemplar.bounds_m()
-    size = max(high[2], 1.25 * float((high - low)[:2].max()))
-    distance, middle = 1.9 * size, 0.5 * float(high[2])
-    position = (0.0, -distance, 0.55 * float(high[2]))
-    width, height = _PICTURE_PX
-    hfov = 2 * math.degrees(math.atan(0.58 * size / distance * width / height))
-    camera = Camera("plant", position, look_at(position, (0.0, 0.0, middle)), _PICTURE_PX, hfov)
-    transform = np.eye(4)[None, :3]
-    terrain = build_terrain(flat((10.0, 10.0)), child_rng(0, "studio"))
-    sun = recipe.sky.sun
-    return SceneSpec(
-        exemplars=(exemplar,),
-        materials=materials_of(recipe.species),
-        instances=Instances(np.zeros(1, np.uint32), transform, np.ones(1, np.uint32)),
-        terrain=terrain,
-        sky=Sky(sun.elevation_deg, sun.azimuth_deg, recipe.sky.turbidity, float(terrain.texture.mean())),
-        clouds=None,
-        cameras=(camera,),
-    )
+def _contents(
+    order: Order, number: int, plan: Plan, seed: int, exemplar: Exemplar, camera: Camera, progress: Progress
+) -> Iterator[tuple[Path, bytes]]:
+    """One plant's files."""
+    materials = materials_of(plan.drawn.species)
+    for path in order.paths(number):
+        if path.suffix.lower() == PICTURE:
+            picture = photograph(exemplar, materials, camera, plan.drawn.recipe, order.shot.samples, seed, progress)
+            yield path, png(picture)
+        else:
+            model = model_of(exemplar, plan.drawn.species[exemplar.species], materials, seed)
+            for name, content in model_files(model, path.name).items():
+                yield path.with_name(name), content
 
 
-def _write(mesh_path: Path, mesh: bytes, picture_path: Path, picture: NDArray[np.uint8]) -> None:
-    """Both files or none: they are written under hidden names and renamed when both are complete."""
-    partials = {path: path.with_name(f".{path.stem}.partial{path.suffix}") for path in (mesh_path, picture_path)}
-    made = [folder for folder in (mesh_path.parent, *mesh_path.parent.parents) if not folder.exists()]
-    try:
-        mesh_path.parent.mkdir(parents=True, exist_ok=True)
-        write_bytes(partials[mesh_path], mesh)
-        write_rgb(partials[picture_path], picture)
-        for path, partial in partials.items():
-            partial.replace(path)
-    except BaseException as error:
-        for partial in partials.values():
-            partial.unlink(missing_ok=True)
-        for folder in made:
-            with suppress(OSError):
-                folder.rmdir()
-        if isinstance(error, OSError | OutputError):
-            cause = error if isinstance(error, OSError) else error.__cause__
-            raise output_error(cause if isinstance(cause, OSError) else OSError(str(error)), mesh_path) from error
-        raise
-
-
-def _described(exemplar: Exemplar, mesh_path: Path, picture_path: Path) -> SinglePlant:
-    by_part: dict[str, int] = {}
+def model_of(exemplar: Exemplar, species: Species, materials: Mapping[tuple[str, str], Material], seed: int) -> Model:
+    """A plant for mesh files."""
+    pieces = []
     for organ in exemplar.organs:
-        part = organ.part.name.lower()
-        by_part[part] = by_part.get(part, 0) + organ.mesh.triangles
+        surface = _surface(organ, materials[exemplar.species, organ.material])
+        area: dict[str, Value] = {"area_m2": surface_area_m2(organ.mesh)}
+        pieces.append(Piece(f"{organ.part.name.lower()}-{organ.material}", organ.part, organ.mesh, surface, area))
+    one = described(exemplar, species, seed, {})
+    properties: dict[str, Value] = {
+        "species": one.species,
+        "description": species.description,
+        "seed": seed,
+        "height_m": one.height_m,
+        "crown_width_m": one.crown_width_m,
+        "leaf_area_m2": one.leaf_area_m2,
+        "leaf_area_index": one.leaf_area_index,
+        "wood_kg": one.wood_kg,
+        "leaf_kg": one.leaf_kg,
+    }
+    return Model(exemplar.species, pieces, properties)
+
+
+def _surface(organ: OrganMesh, material: Material) -> Surface:
+    """A material as mesh files know it; its texture needs a mesh with uv."""
+    sheet = organ.part in (Part.LEAF, Part.FLOWER)
+    look = (material.reflectance, material.transmittance, material.roughness, sheet)
+    if material.texture is None:
+        return Surface(organ.material, *look)
+    if organ.mesh.uv is None:
+        return Surface(f"{organ.material}-plain", *look)
+    return Surface(organ.material, *look, *texture_images(material.texture))
+
+
+def described(exemplar: Exemplar, species: Species, seed: int, files: dict[Path, int]) -> SinglePlant:
+    """A plant's numbers."""
+    triangles: dict[str, int] = {}
+    for organ in exemplar.organs:
+        part = organ.part.name.lower().replace("_", " ")
+        triangles[part] = triangles.get(part, 0) + organ.mesh.triangles
+    crown_m2 = math.pi / 4 * exemplar.crown_width_m**2
     return SinglePlant(
         species=exemplar.species,
+        seed=seed,
         height_m=exemplar.height_m,
         crown_width_m=exemplar.crown_width_m,
-        triangles=exemplar.triangles,
-        by_part=by_part,
+        triangles=triangles,
         leaf_area_m2=exemplar.leaf_area_m2,
-        mesh_path=mesh_path,
-        picture_path=picture_path,
+        leaf_area_index=exemplar.leaf_area_m2 / crown_m2 if crown_m2 else 0.0,
+        wood_kg=species.tissue.wood_density_kg_per_m3 * exemplar.wood_volume_m3,
+        leaf_kg=species.tissue.leaf_mass_per_area_kg_per_m2 * exemplar.leaf_area_m2,
+        files=files,
     )

@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 from command_line import CAMERAS, run, start, tiny, tree
 
+from forestgen.dataset.files import output_error
+
 # What is wrong with a recipe: text to replace in it, its replacement, and what the message must say.
 _ROCK = """{rock: {
   ecology: {growth_m_per_yr: 1, max_radius_m: 1, shade_tolerance: 0, old_age_survival: 0, seedlings_per_ha_per_yr: 1},
@@ -286,15 +288,27 @@ def test_strange_views_and_skies_are_rendered(tmp_path: Path) -> None:
 
 
 PLANTS = {
-    ("nix",): (2, ["species.nix", "fireweed, poplar, spruce", "'nix'"]),
+    ("nix",): (2, ["species.nix", "fireweed, ", "'nix'"]),
+    ("sprouce",): (2, ["did you mean 'spruce'?"]),
     ("./nix.yaml",): (2, ["no such species file", "nix.yaml"]),
-    ("poplar", "--height", "0"): (2, ["--height", "0.02 to 200 m", "0"]),
-    ("poplar", "--height", "-3"): (2, ["--height", "-3"]),
-    ("poplar", "--height", "nan"): (2, ["--height", "nan"]),
+    ("poplar", "--height-m", "0"): (2, ["--height-m", "0.02 to 200 m", "0"]),
+    ("poplar", "--height-m", "-3"): (2, ["--height-m", "-3"]),
+    ("poplar", "--height-m", "nan"): (2, ["--height-m", "nan"]),
+    ("poplar", "--height-m", "1e9"): (2, ["--height-m", "1e+09"]),
     ("poplar", "--seed", "-1"): (2, ["seed", "at least 0", "-1"]),
-    ("poplar", "-o", "tree.stl"): (2, ["--output", ".glb or .ply or .obj", "tree.stl"]),
+    ("poplar", "--count", "0"): (2, ["--count", "1 to 9999", "0"]),
+    ("poplar", "--frames", "4"): (2, ["--frames", "cannot sway", "strands", "silhouette"]),
+    ("beech", "--frames", "4", "--count", "2"): (2, ["--frames", "not both"]),
+    ("beech", "--frames", "4", "--frames-per-s", "nan"): (2, ["--frames-per-s", "nan"]),
+    ("fireweed", "--size-px", "0", "9"): (2, ["--size-px", "8 to 8192", "0 9"]),
+    ("fireweed", "--distance-m", "nan"): (2, ["--distance-m", "nan"]),
+    ("fireweed", "--distance-m", "0.05", "-o", "a.png"): (2, ["--distance-m", "the camera stands in the plant"]),
+    ("fireweed", "--look-at-m", "9", "-o", "a.png"): (2, ["--look-at-m", "0 to 1.5", "9"]),
+    ("poplar", "-o", "tree.stl"): (2, ["--out", ".glb, .ply, .obj", "or .png", "tree.stl"]),
+    ("poplar", "-o", "a.glb", "-o", "a.glb"): (2, ["--out", "the same file twice", "a.glb"]),
     ("poplar", "-o", "taken.glb"): (4, ["taken.glb", "the file exists", "--overwrite"]),
-    ("poplar", "-o", "other.glb"): (4, ["other.png", "the file exists"]),
+    ("poplar", "-o", "other.obj"): (4, ["other.mtl", "the file exists"]),
+    ("poplar", "--count", "2", "-o", "many.glb"): (4, ["many-0002.glb", "the file exists"]),
     ("poplar", "-o", "taken.glb/x.glb"): (4, ["taken.glb/x.glb", "Not a directory"]),
     ("poplar", "-o", "folder.glb"): (4, ["folder.glb", "the output is a folder"]),
 }
@@ -304,7 +318,8 @@ PLANTS = {
 def test_a_plant_that_cannot_be(arguments: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "taken.glb").write_text("mine")
-    (tmp_path / "other.png").write_text("mine")
+    (tmp_path / "other.mtl").write_text("mine")
+    (tmp_path / "many-0002.glb").write_text("mine")
     (tmp_path / "folder.glb").mkdir()
     before = tree(tmp_path)
     code, parts = PLANTS[arguments]
@@ -312,18 +327,28 @@ def test_a_plant_that_cannot_be(arguments: tuple[str, ...], tmp_path: Path, monk
     assert tree(tmp_path) == before
 
 
-def test_a_plant_whose_picture_cannot_be_written_leaves_no_mesh(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from forestgen.stages import single_plant
+def test_of_a_plants_files_all_appear_or_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The disk is full when the third file of five comes; what was there stays as it was."""
+    from forestgen.stages import plant_files
 
-    def full(*_: object) -> None:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    written = 0
 
-    monkeypatch.setattr(single_plant, "write_rgb", full)
-    monkeypatch.setattr(single_plant, "_picture", lambda *_: None)
-    run("plant", "fireweed", "-o", tmp_path / "new" / "a.glb").refused(4, "a.glb", "No space left on device")
-    assert tree(tmp_path) == {}
+    def fills(path: Path, content: bytes) -> None:
+        nonlocal written
+        written += 1
+        path.write_bytes(content[: 10 if written == 3 else None])
+        if written == 3:
+            full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            raise output_error(full, path) from full
+
+    monkeypatch.setattr(plant_files, "write_bytes", fills)
+    (tmp_path / "old.ply").write_text("mine")
+    before = tree(tmp_path)
+    files = [word for name in ("old.ply", "new/a.obj", "new/b/c.usd") for word in ("-o", tmp_path / name)]
+    answer = run("plant", "fireweed", "--overwrite", *files)
+    answer.refused(4, "a.mtl", "No space left on device")
+    assert ".partial" not in answer.err
+    assert tree(tmp_path) == before
 
 
 # Simulation, growing plants, and rendering; seconds are those of an idle machine and need not be met.

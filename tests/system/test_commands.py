@@ -18,6 +18,7 @@ from ruamel.yaml import YAML
 
 from forestgen.cli import app, doctor
 
+SPECIES = Path(__file__).parents[2] / "scenes" / "species"
 COMMANDS = ("render", "simulate", "plant", "validate", "schema", "models", "stats", "lsystem", "doctor")
 HEAVY = (
     "numpy",
@@ -177,22 +178,11 @@ def test_default_folders_are_new_each_time(tmp_path: Path, monkeypatch: pytest.M
     assert {path.name for path in (tmp_path / "outputs").iterdir()} == {"tiny-community", "tiny-community-2"}
 
 
-@pytest.fixture
-def _no_picture(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A grey card in the place of the rendered picture."""
-    from forestgen.stages import single_plant
-
-    monkeypatch.setattr(single_plant, "_picture", lambda *_: np.full((4, 3, 3), 128, dtype=np.uint8))
-
-
 def test_a_plant_and_its_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from PIL import Image
 
-    from forestgen.stages import single_plant
-
-    monkeypatch.setattr(single_plant, "_PICTURE_PX", (48, 64))
     monkeypatch.chdir(tmp_path)
-    answer = run("plant", "fireweed")
+    answer = run("plant", "fireweed", "--size-px", "48", "64", "--samples", "4")
     assert answer.code == 0, answer.err
     assert set(tree(tmp_path)) == {"outputs", "outputs/fireweed.glb", "outputs/fireweed.png"}
     with Image.open("outputs/fireweed.png") as picture:
@@ -200,7 +190,7 @@ def test_a_plant_and_its_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert pixels.shape == (64, 48, 3)
     green = (pixels[..., 1] > pixels[..., 0]) & (pixels[..., 1] > pixels[..., 2])
     assert green[8:56, 16:32].any()
-    for part in ("m tall", "m wide", "triangles", "leaf", "m²", "outputs/fireweed.glb"):
+    for part in ("m tall", "m wide", "triangles", "leaf", "m²", "index", "of wood", "outputs/fireweed.glb"):
         assert part in answer.out
 
 
@@ -212,14 +202,13 @@ TALL = [("fireweed", 1.5), ("poplar", 18.0), ("spruce", 26.0)]
     ("species", "height_m"), [*HEIGHTS, *(pytest.param(*one, marks=pytest.mark.slow) for one in TALL)]
 )
 @pytest.mark.parametrize("suffix", [".glb", ".ply", ".obj"])
-@pytest.mark.usefixtures("_no_picture")
 def test_a_plant_is_as_tall_as_asked_in_every_format(
     species: str, height_m: float, suffix: str, tmp_path: Path
 ) -> None:
     import trimesh
 
     path = tmp_path / f"plant{suffix}"
-    answer = run("plant", species, "--height", height_m, "-o", path)
+    answer = run("plant", species, "--height-m", height_m, "--out", path)
     assert answer.code == 0, answer.err
     mesh = trimesh.load(path, force="scene").to_geometry()
     up = 1 if suffix == ".glb" else 2  # glTF is y up
@@ -232,15 +221,51 @@ def test_a_plant_is_as_tall_as_asked_in_every_format(
     assert said
     assert len(mesh.faces) == int(said[1].replace(",", ""))
     assert f"{height_m:.2f} m tall" in answer.out
-    assert {one.name for one in tmp_path.iterdir()} == {path.name, "plant.png"}
+    beside = {one.name for one in tmp_path.iterdir()} - {path.name}
+    textures = {name for name in beside if re.fullmatch(r"plant-\w+-(colour|normal)\.png", name)}
+    assert beside - textures == ({"plant.mtl"} if suffix == ".obj" else set())
+    assert not textures or suffix == ".obj"
 
 
-@pytest.mark.usefixtures("_no_picture")
 def test_a_plants_seed_is_its_own(tmp_path: Path) -> None:
     for name, seed in (("a", 1), ("b", 1), ("c", 2)):
         assert run("plant", "fireweed", "--seed", seed, "-o", tmp_path / f"{name}.ply").code == 0
     a, b, c = ((tmp_path / f"{name}.ply").read_bytes() for name in "abc")
-    assert a == b != c
+    assert a.split(b"end_header")[1] == b.split(b"end_header")[1] != c.split(b"end_header")[1]
+
+
+def test_several_plants_are_of_seeds_in_a_row(tmp_path: Path) -> None:
+    several = run("plant", "fireweed", "--seed", "7", "--count", "3", "-o", tmp_path / "a.ply")
+    assert several.code == 0, several.err
+    assert set(tree(tmp_path)) == {"a-0001.ply", "a-0002.ply", "a-0003.ply"}
+    assert [line.split()[0] for line in several.out.splitlines()[2:5]] == ["7", "8", "9"]
+    assert run("plant", "fireweed", "--seed", "8", "-o", tmp_path / "b.ply").code == 0
+    assert (tmp_path / "b.ply").read_bytes() == (tmp_path / "a-0002.ply").read_bytes()
+
+
+def test_frames_are_one_tree_that_moves(tmp_path: Path) -> None:
+    import trimesh
+
+    answer = run("plant", "beech", "--height-m", "2", "--frames", "3", "--frames-per-s", "2", "-o", tmp_path / "s.glb")
+    assert answer.code == 0, answer.err
+    frames = [trimesh.load(tmp_path / f"s-000{k}.glb", process=False).to_geometry() for k in (1, 2, 3)]
+    assert all(np.array_equal(one.faces, frames[0].faces) for one in frames)
+    moved = np.linalg.norm(frames[1].vertices - frames[0].vertices, axis=1)
+    assert 1e-3 < moved.max() < 0.3
+    foot = frames[0].vertices[:, 1] < 0.0
+    assert moved[foot].max() < 1e-3
+
+
+def test_the_list_of_species_grows_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    from forestgen.stages import single_plant
+
+    monkeypatch.delattr(single_plant, "build_exemplar")
+    answer = run("plant", "--list")
+    assert answer.code == 0, answer.err
+    lines = answer.out.splitlines()[1:-1]
+    rows = {line.split()[0]: line for line in lines if not line.startswith(" ")}  # long descriptions are wrapped
+    assert list(rows) == [path.stem for path in sorted(SPECIES.glob("*.yaml"))]
+    assert re.fullmatch(r"spruce +\d\d\.\d m +\d\.\d+ m +\w+ +white spruce, Picea glauca.*", rows["spruce"])
 
 
 def test_doctor_finds_this_machine_ready() -> None:

@@ -25,7 +25,7 @@ Parameters
 ================== =========================== ====== =========== ========================================
 name               symbol                      unit   default     meaning
 ================== =========================== ====== =========== ========================================
-silhouette         shape of branch_len(0, .)   -      ellipsoid   ellipsoid, ovoid, cone or column
+silhouette         shape of branch_len(0, .)   -      ellipsoid   a name, a drawn curve or a formula
 crown_base         -                           share  0.3         crown's lower end over the plant's height
 trunk              int_width(0, .), stems      -      -           see `Trunk`
 orders[o]          the functions below         -      -           see `Order`; MAX_ORDER is their number
@@ -51,7 +51,7 @@ Recipe
       orders:
         - {longest_m: 24, internode_m: [[0, 0.3], [1, 0.08]], branch_angle_deg: [[0, 75], [1, 40]]}
         - {longest_m: 2.6, internode_m: 0.2, diameter_m: [[0, 0.05], [1, 0.003]]}
-      shapes: {leaf: {form: round_deltoid, material: leaf, length_m: 0.07, width_m: 0.07}}
+      shapes: {leaf: {form: simple, material: leaf, length_m: 0.07, width_m: 0.07}}
       foliage: [{shape: leaf, orders: [0, 1], spacing_m: 0.05, within_m: 0.4}]
 
 Decisions
@@ -73,15 +73,17 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, Field
 
 from forestgen.plants.branching import Grown, Shoots, Sites, grow, lateral_sites
-from forestgen.plants.curves import Curve, FallingCurve, PositiveCurve, evaluate, evaluate_one
+from forestgen.plants.budget import check_budget
+from forestgen.plants.crown_form import Silhouette, envelope, silhouette_length
+from forestgen.plants.curves import Curve, FallingCurve, PositiveCurve, StrictlyPositiveCurve, evaluate, evaluate_one
 from forestgen.plants.parameters import STRICT, Fit, PlantParameters
 from forestgen.plants.skeleton import Skeleton
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+_STEM_BYTES = 100_000  # of a stem with its branches, at least
 _PARENT_SHARE = 0.7  # a branch is at most this share of the radius of the axis that bears it
-Silhouette = Literal["ellipsoid", "ovoid", "cone", "column"]
 
 
 class Trunk(BaseModel):
@@ -96,6 +98,9 @@ class Trunk(BaseModel):
         ((0.0, 1.0), (0.9, 0.18), (1.0, 0.02)), description="share of the base diameter over the stem, 0 base, 1 tip"
     )
     lean_deg: float = Field(1.5, ge=0, description="standard deviation of a single stem's lean at its foot, degrees")
+    length_ratio: StrictlyPositiveCurve = Field(
+        ((0.0, 1.0),), description="stem length over the plant's height, by that height; rosettes below 1, canes above"
+    )
     stems: PositiveCurve = Field(((0.0, 1.0),), description="number of stems over the plant's height in metres")
     stem_spread_deg: float = Field(8.0, ge=0, description="lean of the further stems of a clump, degrees")
 
@@ -105,9 +110,9 @@ class Order(BaseModel):
 
     model_config = STRICT
 
-    longest_m: float = Field(gt=0, description="max_len[o]: length of the longest branch, metres")
-    internode_m: PositiveCurve = Field(description="int_len(o, rel), metres")
-    internode_jitter: float = Field(0.0, ge=0, description="standard deviation of the internodes' logarithm")
+    longest_m: float = Field(gt=0, le=1000, description="max_len[o]: length of the longest branch, metres")
+    internode_m: StrictlyPositiveCurve = Field(description="int_len(o, rel), metres")
+    internode_jitter: float = Field(0.0, ge=0, le=2, description="standard deviation of the internodes' logarithm")
     diameter_m: FallingCurve = Field(((0.0, 0.01),), description="int_width(o, rel), metres; order 0 has `trunk`")
     upturn_deg_per_m: Curve = Field(((0.0, 0.0),), description="bend to the sky, of a horizontal axis, degrees/metre")
     wander_deg: float = Field(0.0, ge=0, description="random bend, degrees per square root of a metre")
@@ -118,8 +123,10 @@ class Order(BaseModel):
     )
     branch_length_jitter: float = Field(0.0, ge=0, lt=0.5, description="standard deviation of that length, as a share")
     shortest_m: float = Field(0.05, gt=0, description="a branch on this axis that would be shorter does not grow")
-    branches_per_node: int = Field(1, ge=0, description="branches of a whorl")
-    nodes_per_whorl: int = Field(1, ge=1, description="a whorl every so many nodes; one branch on those between")
+    branches_per_node: int = Field(1, ge=0, le=1000, description="branches of a whorl")
+    nodes_per_whorl: int = Field(
+        1, ge=1, le=1000, description="a whorl every so many nodes; one branch on those between"
+    )
     between_length: float = Field(1.0, gt=0, le=1, description="length of the branches between whorls, as a share")
     missing: float = Field(0.0, ge=0, lt=1, description="share of branches that failed")
     phyllotaxis_deg: float = Field(137.5, description="phyllo_ang[o]: turn from one node to the next, degrees")
@@ -131,49 +138,17 @@ class Parameters(PlantParameters):
     """The `plant:` block of a species' file."""
 
     generator: Literal["silhouette"] = "silhouette"
-    silhouette: Silhouette = Field("ellipsoid", description="form of the crown")
+    silhouette: Silhouette = Field(
+        "ellipsoid",
+        description="form of the crown: ellipsoid, ovoid, cone, column, or a curve of its radius over the height "
+        "within it, 0 its base and 1 its top, in any unit: the greatest value is the width that the plant has",
+    )
     crown_base: Curve = Field(
         ((0.0, 0.3),), description="crown's lower end, share of height, over the height in metres"
     )
     trunk: Trunk
     orders: tuple[Order, ...] = Field(min_length=1, max_length=8, description="the stem, its branches, and so on")
     fit: Fit = Field("stretch", description="as for every generator; height and width fit by default")
-
-
-def envelope(silhouette: Silhouette, height: Floats) -> Floats:
-    """Crown radius as a share of the greatest, at a height within the crown, 0 its base and 1 its top; 0 outside."""
-    u = np.clip(height, 0.0, 1.0)
-    match silhouette:
-        case "ellipsoid":
-            form = np.sqrt(np.maximum(1.0 - (2.0 * u - 1.0) ** 2, 0.0))
-        case "ovoid":  # an ellipsoid with its widest part at 38% and a blunter foot
-            form = np.sqrt(np.maximum(1.0 - (2.0 * u**0.716 - 1.0) ** 2, 0.0)) ** 0.85
-        case "cone":
-            form = np.minimum(1.0, 0.7 + 3.0 * u) * (1.0 - u) ** 0.92 / 0.907
-        case "column":
-            form = np.minimum(1.0, np.minimum(0.6 + 4.0 * u, np.sqrt(np.maximum(1.0 - u, 0.0) * 5.0)))
-    return np.asarray(np.where((height < 0.0) | (height > 1.0), 0.0, form), dtype=np.float64)
-
-
-def silhouette_length(
-    silhouette: Silhouette, foot: Floats, angle_rad: Floats, crown_m: float, width_m: float
-) -> Floats:
-    """(M,) length of straight branches from the axis of the crown to its silhouette, metres.
-
-    Parameters
-    ----------
-    foot : (M,) height of the branch's foot within the crown, 0 its base and 1 its top.
-    angle_rad : (M,) from the vertical.
-    crown_m, width_m : height and width of the crown.
-    """
-    sine, cosine = np.maximum(np.sin(angle_rad), 0.15), np.cos(angle_rad)
-    share = np.linspace(0.0, 1.0, 65)[1:]
-    farthest = 0.5 * width_m / sine
-    outward = share * (0.5 * width_m)
-    height = foot[:, None] + share * (farthest * cosine / crown_m)[:, None]
-    inside = outward <= 0.5 * width_m * envelope(silhouette, height)
-    reached = np.where(np.all(inside, axis=1), len(share), np.argmin(inside, axis=1))
-    return np.asarray(np.where(foot < 0.0, 0.0, farthest * (reached / len(share))), dtype=np.float64)
 
 
 _Parameters = Parameters  # the generator's attribute hides the name
@@ -224,6 +199,12 @@ class SilhouetteGenerator:
         """Stems and branches that fill the silhouette."""
         return grow_wood(parameters, height_m, width_m, rng)
 
+    def crown_profile(self, parameters: _Parameters, height_m: float, width_m: float) -> tuple[Floats, Floats]:
+        """(K,) heights and (K,) radii of the silhouette, metres, from the crown's base to its top."""
+        base = evaluate_one(parameters.crown_base, height_m)
+        share = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, 49))  # closer where an ellipsoid closes
+        return height_m * (base + (1.0 - base) * share), 0.5 * width_m * envelope(parameters.silhouette, share)
+
 
 def grow_wood(parameters: Parameters, height_m: float, width_m: float, rng: np.random.Generator) -> Skeleton:
     """Stems and branches, before the fit."""
@@ -231,7 +212,7 @@ def grow_wood(parameters: Parameters, height_m: float, width_m: float, rng: np.r
     trunk, orders = parameters.trunk, parameters.orders
     shoots = _stems(trunk, height_m, rng)
     grown = grow(shoots, orders[0], rng)
-    base = 0.5 * height_m * evaluate_one(trunk.diameter_ratio, height_m) * (shoots.length_m / height_m)
+    base = 0.5 * height_m * evaluate_one(trunk.diameter_ratio, height_m) * (shoots.length_m / shoots.length_m[0])
     radius = base[grown.axis] * evaluate(trunk.taper, 1.0 - grown.remaining_m / shoots.length_m[grown.axis])
     assembly.radius[0][:] = base[0]
     index = assembly.add(0, grown, shoots, radius)
@@ -254,12 +235,15 @@ def grow_wood(parameters: Parameters, height_m: float, width_m: float, rng: np.r
 
 
 def _stems(trunk: Trunk, height_m: float, rng: np.random.Generator) -> Shoots:
-    count = max(1, round(evaluate_one(trunk.stems, height_m)))
+    wanted = evaluate_one(trunk.stems, height_m)
+    check_budget("stems", wanted, _STEM_BYTES, "fewer trunk.stems")
+    count = max(1, round(wanted))
     azimuth = rng.uniform(0.0, 2.0 * np.pi) + 2.0 * np.pi * (np.arange(count) + 0.25 * rng.normal(size=count)) / count
     lean = np.radians(np.abs(trunk.lean_deg * rng.normal(size=count)))
     lean[1:] += np.radians(trunk.stem_spread_deg) * rng.uniform(0.6, 1.3, count - 1)
     direction = np.stack([np.sin(lean) * np.cos(azimuth), np.sin(lean) * np.sin(azimuth), np.cos(lean)], axis=1)
-    length = height_m * np.concatenate([[1.0], rng.uniform(0.7, 0.95, count - 1)])
+    length = height_m * evaluate_one(trunk.length_ratio, height_m) * np.ones(count)
+    length[1:] *= rng.uniform(0.7, 0.95, count - 1)
     return Shoots(np.zeros((count, 3)), direction, length, np.zeros(count, np.int64))
 
 

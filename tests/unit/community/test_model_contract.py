@@ -15,6 +15,8 @@ from forestgen.community.model import CommunityParameters, Site, simulate
 from forestgen.community.registry import COMMUNITY_MODELS
 
 MODELS = COMMUNITY_MODELS.ids()
+GROWING = tuple(name for name in MODELS if name != "placed")  # plants arrive by themselves
+NEEDED = {"placed": {"plants": [{"species": "tree", "position_m": [x, 2 * x]} for x in range(9)]}}
 SITE = Site((30.0, 20.0))
 STEPS = 24
 DISTURBANCES = (
@@ -41,7 +43,8 @@ def identical(a, b) -> bool:
 
 def run(name, species, seed, **more):
     model = COMMUNITY_MODELS.load(name)
-    parameters = model.Parameters(steps=STEPS, **{"disturbances": DISTURBANCES, **more.pop("parameters", {})})
+    chosen = {"disturbances": DISTURBANCES, **NEEDED.get(name, {}), **more.pop("parameters", {})}
+    parameters = model.Parameters(steps=STEPS, **chosen)
     return list(simulate(model, parameters, SITE, species, seed, steps=STEPS, **more))
 
 
@@ -96,7 +99,7 @@ def test_each_disturbance_happens_once_at_its_time(name, species, tree):
 @pytest.mark.parametrize("name", MODELS)
 def test_removing_and_planting(name, species):
     model = COMMUNITY_MODELS.load(name)
-    parameters = model.Parameters(steps=20)
+    parameters = model.Parameters(steps=20, **NEEDED.get(name, {}))
     state = model.init(parameters, SITE, species, 5)
     for _ in range(20):
         state = model.step(state)
@@ -130,6 +133,11 @@ def test_no_more_plants_than_expected(name, rate, tree):
         assert (
             (bound == 0) == (max(map(max, numbers)) == 0) == (model.why_barren(parameters, SITE, species) is not None)
         )
+
+
+@pytest.mark.parametrize("name", GROWING)
+def test_what_keeps_plants_from_arriving_is_named(name, species, tree):
+    model = COMMUNITY_MODELS.load(name)
     assert "0 for every species" in model.why_barren(model.Parameters(), SITE, [tree(seedlings_per_ha_per_yr=0.0)])
     assert "steps is 0" in model.why_barren(model.Parameters(steps=0), SITE, species)
 

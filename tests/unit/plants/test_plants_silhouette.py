@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,8 +15,11 @@ from pydantic import ValidationError
 from forestgen.core.errors import RecipeError
 from forestgen.core.randomness import child_rng
 from forestgen.plants.branching import Shoots, grow, lateral_sites
-from forestgen.plants.curves import evaluate
-from forestgen.plants.generators.silhouette import GENERATOR, Order, Parameters, envelope, silhouette_length
+from forestgen.plants.build import build_exemplar, size_m
+from forestgen.plants.crown_form import envelope, silhouette_length
+from forestgen.plants.curves import Formula, Smooth, evaluate
+from forestgen.plants.foliage import place
+from forestgen.plants.generators.silhouette import GENERATOR, Order, Parameters
 from forestgen.plants.registry import GENERATORS
 from forestgen.plants.skeleton import Skeleton
 
@@ -86,6 +90,73 @@ def test_branches_end_on_the_ellipsoid() -> None:
     assert np.all(on >= 0.9)
 
 
+HOURGLASS = ((0.0, 1.0), (0.5, 0.25), (1.0, 0.75))
+FORMULA = Formula("0.2 + x * (1 - x)")
+
+
+@pytest.mark.parametrize("drawn", [HOURGLASS, Smooth(HOURGLASS), FORMULA])
+def test_a_drawn_silhouette_is_reached_by_horizontal_branches(drawn: Any) -> None:
+    foot = np.linspace(0.0, 1.0, 21)
+    length = silhouette_length(drawn, foot, np.full(21, np.pi / 2), 10.0, 4.0)
+    greatest = evaluate(drawn, np.linspace(0, 1, 1001)).max()
+    np.testing.assert_allclose(length, 2.0 * evaluate(drawn, foot) / greatest, atol=2.0 / 64 + 1e-9)
+
+
+@pytest.mark.parametrize("drawn", [[[0, 0], [1, 0]], [[0, -1], [1, 1]], [[0, 1]], "hourglas", {"formula": "0 * x"}])
+def test_a_silhouette_without_width_is_refused(drawn: Any) -> None:
+    raw = read("poplar")[1].model_dump() | {"silhouette": drawn}
+    with pytest.raises(ValidationError, match="silhouette"):
+        Parameters.model_validate(raw)
+
+
+def grown_size(name: str, seed: int, height_m: float, **changes: Any) -> tuple[float, float, float, float]:
+    """Height and width asked for, height and width of the geometry."""
+    traits, parameters = read(name)
+    parameters = parameters.model_copy(update=changes)
+    radius = (height_m / traits.allometry.height_m.scale) ** (1 / traits.allometry.height_m.exponent)
+    exemplar = build_exemplar(name, traits, parameters, radius, child_rng(seed, name))
+    return (*size_m(traits, radius), exemplar.height_m, exemplar.crown_width_m)
+
+
+@pytest.mark.parametrize(
+    ("name", "height_m", "changes"),
+    [
+        ("poplar", 12.0, {}),
+        ("poplar", 2.0, {}),
+        ("poplar", 9.0, {"silhouette": HOURGLASS}),
+        ("poplar", 9.0, {"silhouette": FORMULA}),
+        ("spruce", 14.0, {}),
+        ("spruce", 1.0, {}),
+        ("fireweed", 1.2, {}),
+    ],
+)
+def test_height_and_width_of_the_geometry_are_the_plants(name: str, height_m: float, changes: dict[str, Any]) -> None:
+    for seed in (1, 2):
+        height, width, grown_height, grown_width = grown_size(name, seed, height_m, **changes)
+        assert grown_height == pytest.approx(height, rel=0.03)
+        assert grown_width == pytest.approx(width, rel=0.03)
+
+
+@pytest.mark.parametrize(("longest_m", "internode_m"), [(24.0, 1e-6), (1000.0, 0.01)])
+def test_an_endless_axis_is_refused(longest_m: float, internode_m: float) -> None:
+    order = Order.model_validate({"longest_m": longest_m, "internode_m": internode_m})
+    with pytest.raises(RecipeError, match="internodes"):
+        grow(shoots(longest_m), order, np.random.default_rng(0))
+
+
+@pytest.mark.parametrize("bad", [0, -0.1, [[0, 0.1], [1, 0]], {"formula": "x"}])
+def test_internodes_have_a_length(bad: Any) -> None:
+    with pytest.raises(ValidationError, match="above 0"):
+        Order.model_validate({"longest_m": 1.0, "internode_m": bad})
+
+
+def test_twelve_orders_are_too_many() -> None:
+    raw = read("poplar")[1].model_dump()
+    raw["orders"] = raw["orders"] * 3
+    with pytest.raises(ValidationError, match="at most 8"):
+        Parameters.model_validate(raw)
+
+
 def test_horizontal_branches_have_the_silhouettes_radius() -> None:
     length = silhouette_length("ellipsoid", np.array([0.5]), np.array([np.pi / 2]), 10.0, 4.0)
     assert length[0] == pytest.approx(2.0)
@@ -119,14 +190,16 @@ def check(skeleton: Skeleton) -> None:
 @given(seed=st.integers(0, 2**32), size=st.floats(0.02, 1.0), name=st.sampled_from(["poplar", "spruce", "fireweed"]))
 def test_skeleton_is_sound_at_every_size_and_seed(seed: int, size: float, name: str) -> None:
     height = size * {"poplar": 12.0, "spruce": 12.0, "fireweed": 1.6}[name]
-    check(GENERATOR.grow(read(name)[1], height, 0.3 * height, np.random.default_rng(seed)))
+    parameters, rng = read(name)[1], np.random.default_rng(seed)
+    skeleton = GENERATOR.grow(parameters, height, 0.3 * height, rng)
+    rules = [rule for rule in parameters.foliage if rule.suits(height)]
+    check(replace(skeleton, organs=tuple(place(rule, skeleton, height, rng) for rule in rules)))
 
 
 def test_same_seed_same_bytes(species: tuple[str, Any, Parameters]) -> None:
     name, _, parameters = species
     first, again, other = (GENERATOR.grow(parameters, 1.3, 0.4, child_rng(seed, name)) for seed in (7, 7, 8))
     assert first.position_m.tobytes() == again.position_m.tobytes()
-    assert all(a.frame.tobytes() == b.frame.tobytes() for a, b in zip(first.organs, again.organs, strict=True))
     assert first.position_m.tobytes() != other.position_m.tobytes()
 
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from forestgen.community.population import Population
-from forestgen.scene.exemplars import plan_exemplars, size_errors
+from forestgen.core.errors import RecipeError
+from forestgen.scene.exemplars import check_traits, plan_exemplars, size_errors, with_levels
 
 
 def population(radius_m, species=None, names=("a", "b"), height_m=None) -> Population:
@@ -103,3 +106,88 @@ def test_as_many_exemplars_as_plants_leave_no_error():
     plan = plan_exemplars(plants, 3, seed=0)
     [error] = size_errors(plants, plan, plan.radius_m * 5, plan.radius_m, plants.radius_m)
     assert error.radius_rms == error.crown_width_rms == 0.0
+
+
+def with_columns(plants: Population, age_yr=None, **columns) -> Population:
+    return replace(plants, age_yr=plants.age_yr if age_yr is None else np.asarray(age_yr, float), columns=columns)
+
+
+def test_a_trait_separates_what_the_size_does_not():
+    rng = np.random.default_rng(5)
+    young = rng.random(200) < 0.5
+    plants = with_columns(population(np.full(200, 1.3)), np.where(young, 5.0, 80.0) + rng.normal(0, 1, 200))
+    assert len(plan_exemplars(plants, 2, seed=0)) == 1
+    plan = plan_exemplars(plants, 2, seed=0, traits=["age_yr"])
+    assert len(plan) == 2
+    np.testing.assert_allclose(plan.radius_m, 1.3)
+    assert {tuple(np.unique(plan.exemplar_of_plant[group])) for group in (young, ~young)} == {(0,), (1,)}
+    np.testing.assert_array_equal(plan.rank, [0, 1])
+
+
+def test_a_trait_counts_half_as_much_as_the_size_and_in_no_unit():
+    rng = np.random.default_rng(6)
+    size, trait = rng.normal(size=(2, 4000))
+    plants = with_columns(population(np.exp(0.5 * size)), vigour=trait)
+    plan = plan_exemplars(plants, 2, seed=0, traits=["vigour"])
+    one = plan.exemplar_of_plant == 0
+    # Two clusters of a cloud twice as long in one direction part along it.
+    apart = [abs(values[one].mean() - values[~one].mean()) for values in (size, trait)]
+    assert apart[0] > 1.4 > 0.4 > apart[1]
+    scaled = with_columns(plants, vigour=1e6 * trait + 3e4)
+    again = plan_exemplars(scaled, 2, seed=0, traits=["vigour"])
+    np.testing.assert_array_equal(again.exemplar_of_plant, plan.exemplar_of_plant)
+
+
+def test_traits_that_are_no_numbers_or_all_alike_do_no_harm():
+    rng = np.random.default_rng(7)
+    trait = rng.normal(size=300)
+    trait[::7] = np.nan
+    plants = with_columns(population(rng.lognormal(0, 0.5, 300)), odd=trait, same=np.ones(300))
+    assert len(plan_exemplars(plants, 5, seed=0, traits=["odd", "same"])) == 5
+    plain, same = (plan_exemplars(plants, 5, seed=0, traits=traits) for traits in ([], ["same"]))
+    np.testing.assert_allclose(plain.radius_m, same.radius_m)
+
+
+def test_an_unknown_trait_is_refused_with_the_columns_there_are():
+    plants = with_columns(population([1.0]), vigour=np.ones(1), word=np.array(["a"]))
+    check_traits(["age_yr", "height_m", "vigour"], plants, "here")
+    with pytest.raises(RecipeError, match=r"here[\s\S]*age_yr, height_m, vigour\n[\s\S]*vigor[\s\S]*vigour") as refused:
+        check_traits(["vigor"], plants, "here")
+    assert "word" not in str(refused.value)
+
+
+def test_variants_share_a_size_and_a_plant_keeps_its_own():
+    rng = np.random.default_rng(8)
+    plants = population(rng.lognormal(0, 0.8, 300), names=("a",))
+    plain, plan = (plan_exemplars(plants, 6, seed=2, variants=variants) for variants in (1, 3))
+    assert len(plan) == 18
+    np.testing.assert_array_equal(plan.rank[plan.exemplar_of_plant], plain.rank[plain.exemplar_of_plant])
+    np.testing.assert_array_equal(plan.radius_m[plan.exemplar_of_plant], plain.radius_m[plain.exemplar_of_plant])
+    assert len({*zip(plan.rank, plan.variant, strict=True)}) == 18
+    mine = plan.variant[plan.exemplar_of_plant]
+    assert np.bincount(mine).min() > 70  # of 100; 4 standard deviations are 33
+    kept = rng.random(300) < 0.6  # the others die
+    fewer = replace(
+        plants,
+        **{
+            name: getattr(plants, name)[kept]
+            for name in ("plant_id", "species", "position_m", "radius_m", "height_m", "age_yr", "status")
+        },
+    )
+    later = plan_exemplars(fewer, 6, seed=2, variants=3)
+    np.testing.assert_array_equal(later.variant[later.exemplar_of_plant], mine[kept])
+
+
+def test_a_variant_that_no_plant_has_is_not_grown():
+    plan = plan_exemplars(population([1.0, 2.0]), 10, seed=0, variants=50)
+    assert len(plan) == 2
+    assert sorted(plan.exemplar_of_plant) == [0, 1]
+
+
+def test_levels_split_exemplars_by_what_their_plants_need():
+    plants = population([1.0, 1.0, 2.0, 2.0, 3.0], [0, 0, 0, 0, 1])
+    plan = with_levels(plan_exemplars(plants, 10, seed=0), np.array([0, 2, 1, 1, 0]))
+    np.testing.assert_allclose(plan.radius_m, [1, 1, 2, 3])
+    np.testing.assert_array_equal(plan.level, [0, 2, 1, 0])
+    np.testing.assert_array_equal(plan.species, [0, 0, 0, 1])
+    np.testing.assert_array_equal(plan.exemplar_of_plant, [0, 1, 2, 2, 3])

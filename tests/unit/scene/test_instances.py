@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 from scene_plants import population
 
-from forestgen.scene.assemble import place_instances, stand_on
-from forestgen.testing.scenes import simple_tree
+from forestgen.scene.assemble import pixel_size_m, place_instances, stand_on
+from forestgen.testing.scenes import camera_at, simple_tree
 
 
 def placed(count: int = 40, seed: int = 3):
@@ -73,3 +73,19 @@ def test_feet_stand_on_the_ground():
     stood = stand_on(plants, lambda x, y: 0.1 * x - 0.2 * y)
     np.testing.assert_allclose(stood.position_m[:, 2], 0.1 * plants.position_m[:, 0] - 0.2 * plants.position_m[:, 1])
     np.testing.assert_array_equal(stood.position_m[:, :2], plants.position_m[:, :2])
+
+
+def test_a_pixel_covers_what_the_nearest_camera_sees_of_the_nearest_part() -> None:
+    near = camera_at((0.0, 0.0, 2.0), (0.0, 10.0, 2.0), (200, 100), 90.0)  # 100 pixels of focal length
+    far = replace(near, position_m=(0.0, -1000.0, 2.0))
+    feet = np.array([[0.0, 50.0, 0.0], [0.0, 0.5, 0.0], [0.0, 60.0, 0.0], [0.0, -50.0, 0.0]])
+    height, width = np.array([20.0, 20.0, 1.0, 20.0]), np.array([4.0, 4.0, 4.0, 4.0])
+    covered = pixel_size_m([far, near], feet, height, width)
+    corner = np.hypot(1.0, np.hypot(100, 50) / 100)
+    expected = np.array([48.0, 0.0, np.hypot(58.0, 1.0), 48.0]) / 100.0 / corner
+    np.testing.assert_allclose(covered, expected, atol=1e-12)
+    np.testing.assert_array_equal(pixel_size_m([near, far], feet, height, width), covered)
+    # No point of the image sees a finer pixel than that: the first plant's nearest edge, in the image's corner.
+    x, y = (np.array([100.0, 50.0]) - 0.5) / 100.0
+    depth = 48.0 / np.sqrt(1 + x**2 + y**2)
+    assert depth / 100.0 >= covered[0]

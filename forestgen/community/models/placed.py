@@ -1,0 +1,326 @@
+"""Plants at given places: an inventory, a figure, a stand that somebody measured.
+
+A step of Δt years makes every plant older, and nothing else: plants neither grow, compete, arrive nor die. Only
+disturbances (`community.disturbances`) change who is there.
+
+A plant is given by its species, its place and one of two sizes: the radius r of its neighbourhood, or its height, from
+which r follows by the species' allometry: ``r = (H / A_H)^(1 / c_H)``. Without either it has the species' largest
+radius.
+
+========================  ============  ==========  ============  ==========
+parameter                 symbol        unit        range         default
+========================  ============  ==========  ============  ==========
+steps                                               0 to 100000   0
+step_yr                   Δt            yr          0 < Δt        1
+plants: species
+plants: position_m        x, y          m           on the site
+plants: radius_m          r             m           0 < r <= R    R
+plants: height_m          H             m           0 < H         by r
+plants: age_yr                          yr          0 <=          0
+plants: azimuth_deg                     degree      -360 to 360   random
+table                                                             none
+max_radius_m              R             m           0 < R         of species
+height_m scale, exponent  A_H, c_H      m, 1                      of species
+========================  ============  ==========  ============  ==========
+
+Recipe::
+
+    community:
+      model: placed
+      plants:
+        - {species: spruce, position_m: [4, 5.5], height_m: 17}
+        - {species: poplar, position_m: [9, 2], radius_m: 1.2, azimuth_deg: 90}
+
+    community:
+      model: placed
+      table: |                          # an inventory: a line of names, then a plant a line
+        species, x_m, y_m, height_m
+        spruce,  4,   5.5, 17
+        poplar,  9,   2,   11.3
+
+Decisions
+---------
+- `plants` come first, then the rows of `table`; plant_id counts from 1 in that order. A table's columns may also be
+  radius_m, age_yr and azimuth_deg; an empty cell is a value that is not given. Decimals have a point.
+- The table is written into the recipe, so that the recipe alone says what is drawn.
+- azimuth_deg turns the plant's geometry about the vertical, clockwise from above: at 0 its own x axis points east. It
+  is the column azimuth_deg of the population; a plant that does not say has one of its own, drawn from the seed.
+- Plants do not dominate one another: those of the largest radius are mature, the others growing.
+- Several plants may stand on one spot. A plant beyond the site is refused, as is a size that its species cannot have.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, field_validator
+
+from forestgen.community.arrivals import new_ids, of_species, refuse_overflow
+from forestgen.community.disturbance import Ground, Planting, planted
+from forestgen.community.inventory import PlacedPlant, rows
+from forestgen.community.model import CommunityParameters, Site, SpeciesEcology
+from forestgen.community.population import Population, Status
+from forestgen.core.errors import RecipeError
+from forestgen.core.randomness import child_rng
+from forestgen.recipe.fields import Whole
+from forestgen.recipe.sources import Keys
+
+_BYTES_PER_PLANT = 1200  # the parameters' own objects, a state, its successor, a snapshot
+_BYTES_AT_LEAST = 256 * 1024
+
+
+class PlacedParameters(CommunityParameters):
+    """What a recipe says about the model besides its species."""
+
+    steps: Whole = Field(0, ge=0, le=100_000, description="number of steps, in which plants only age")
+    step_yr: float = Field(1.0, gt=0, description="duration of a step, years")
+    plants: tuple[PlacedPlant, ...] = Field((), description="the plants")
+    table: str | None = Field(None, description="more plants, as lines of comma-separated values below their names")
+
+    @field_validator("plants", mode="before")
+    @classmethod
+    def _no_plants_is_an_empty_list(cls, value: object) -> object:
+        return () if value is None else value
+
+    @field_validator("table", mode="after")
+    @classmethod
+    def _is_a_table(cls, value: str | None) -> str | None:
+        if value is not None:
+            rows(value)
+        return value
+
+    @property
+    def everyone(self) -> tuple[PlacedPlant, ...]:
+        """The plants of the list and of the table, in order."""
+        return self.plants if self.table is None else (*self.plants, *rows(self.table))
+
+    def named_species(self) -> Iterator[tuple[Keys, str]]:
+        yield from super().named_species()
+        yield from ((("plants", index, "species"), plant.species) for index, plant in enumerate(self.plants))
+        if self.table is not None:
+            yield from ((("table",), plant.species) for plant in rows(self.table))
+
+
+@dataclass(frozen=True)
+class Plants:
+    """One row a plant, in order of plant_id."""
+
+    x_m: NDArray[np.float64]  # (N, 2) metres, world x and y
+    r_m: NDArray[np.float64]  # (N,) metres
+    height_m: NDArray[np.float64]  # (N,) metres, as given or by the allometry
+    sp: NDArray[np.uint16]  # (N,) index of species
+    azimuth_deg: NDArray[np.float64]  # (N,) turn about the vertical, clockwise from above
+    first_age_yr: NDArray[np.float64]  # (N,) at the step of arrival
+    plant_id: NDArray[np.uint32]  # (N,)
+    first_step: NDArray[np.int32]  # (N,) step of arrival
+
+    def __len__(self) -> int:
+        return len(self.r_m)
+
+
+@dataclass(frozen=True)
+class State:
+    """Everything that the future of a simulation depends on."""
+
+    parameters: PlacedParameters
+    species: tuple[SpeciesEcology, ...]
+    seed: int
+    step: int
+    next_id: int  # the id of the next plant to arrive
+    plants: Plants
+
+
+def _place(
+    plants: Sequence[PlacedPlant],
+    parameters: PlacedParameters,
+    site: Site,
+    species: Sequence[SpeciesEcology],
+    seed: int,
+) -> Plants:
+    """The plants that the recipe gives.
+
+    Raises
+    ------
+    RecipeError : one that stands beyond the site, or that no plant of its species is like.
+    """
+    ground = Ground(site.size_m, periodic=False)
+    index = {one.name: i for i, one in enumerate(species)}
+    n = len(plants)
+    sizes = np.empty((n, 2))
+    for i, plant in enumerate(plants):
+        listed = i < len(parameters.plants)
+        where = f"community.plants.{i}" if listed else f"community.table, row {i - len(parameters.plants) + 1}"
+        if not ground.holds(*plant.position_m):
+            width, depth = site.size_m
+            raise RecipeError(
+                "this plant does not stand on the site",
+                where=where,
+                expected=f"x from 0 to {width:g} and y from 0 to {depth:g} metres",
+                got=f"[{plant.position_m[0]:g}, {plant.position_m[1]:g}]",
+                hint="move the plant, or enlarge site.size_m",
+            )
+        sizes[i] = _size(plant, species[index[plant.species]], where)
+    ids = new_ids(1, n)
+    azimuth = [
+        _azimuth(seed, int(one)) if plant.azimuth_deg is None else plant.azimuth_deg
+        for one, plant in zip(ids, plants, strict=True)
+    ]
+    return Plants(
+        x_m=np.array([plant.position_m for plant in plants], dtype=np.float64).reshape(n, 2),
+        r_m=sizes[:, 0].copy(),
+        height_m=sizes[:, 1].copy(),
+        sp=np.array([index[plant.species] for plant in plants], dtype=np.uint16),
+        azimuth_deg=np.array(azimuth, dtype=np.float64),
+        first_age_yr=np.array([plant.age_yr for plant in plants], dtype=np.float64),
+        plant_id=ids,
+        first_step=np.zeros(n, dtype=np.int32),
+    )
+
+
+def _size(plant: PlacedPlant, species: SpeciesEcology, where: str) -> tuple[float, float]:
+    """Radius and height, metres."""
+    largest, scale, exponent = species.max_radius_m, species.height_scale, species.height_exponent
+    if plant.height_m is None:
+        radius = largest if plant.radius_m is None else plant.radius_m
+        if radius > largest:
+            raise RecipeError(
+                f"no {species.name} is so large",
+                where=where,
+                expected=f"a radius_m of at most ecology.max_radius_m = {largest:g} m",
+                got=f"{radius:g} m",
+            )
+        return radius, scale * radius**exponent
+    tallest = scale * largest**exponent
+    if exponent == 0.0:
+        shortest = tallest * (1 - 1e-9)
+        radius = largest
+    else:
+        shortest = 0.0
+        radius = math.exp(min((math.log(plant.height_m) - math.log(scale)) / exponent, 700.0))
+    if not shortest <= plant.height_m <= tallest * (1 + 1e-9) or radius <= 0.0:
+        raise RecipeError(
+            f"no {species.name} is so {'tall' if plant.height_m > tallest else 'short'}",
+            where=where,
+            expected=f"a height_m of {'at most' if exponent else 'exactly'} {tallest:g} m, which its largest plant has",
+            got=f"{plant.height_m:g} m",
+            hint="set the species' height_m, its mature height",
+        )
+    return min(radius, largest), plant.height_m
+
+
+def _azimuth(seed: int, plant_id: int) -> float:
+    return float(child_rng(seed, "placed azimuth", plant_id).uniform(0.0, 360.0))
+
+
+class Placed:
+    """The model; see the module's page."""
+
+    Parameters = PlacedParameters
+
+    def init(self, parameters: PlacedParameters, site: Site, species: Sequence[SpeciesEcology], seed: int) -> State:
+        """The plants at their places."""
+        plants = _place(parameters.everyone, parameters, site, species, seed)
+        return State(parameters, tuple(species), seed, 0, 1 + len(plants), plants)
+
+    def step(self, state: State) -> State:
+        """Time passes."""
+        return replace(state, step=state.step + 1)
+
+    def population(self, state: State) -> Population:
+        """Snapshot; z is 0."""
+        plants, species = state.plants, state.species
+        mature = plants.r_m >= of_species(species, "max_radius_m")[plants.sp] if len(species) else plants.r_m < 0
+        position_m = np.zeros((len(plants), 3))
+        position_m[:, :2] = plants.x_m
+        age_yr = plants.first_age_yr + (state.step - plants.first_step) * state.parameters.step_yr
+        return Population(
+            time_yr=state.step * state.parameters.step_yr,
+            species_names=tuple(one.name for one in species),
+            plant_id=plants.plant_id,
+            species=plants.sp,
+            position_m=position_m,
+            radius_m=plants.r_m,
+            height_m=plants.height_m,
+            age_yr=age_yr,
+            status=np.where(mature, np.uint8(Status.MATURE), np.uint8(Status.GROWING)),
+            columns={
+                "azimuth_deg": plants.azimuth_deg,
+                "first_age_yr": plants.first_age_yr,
+                "first_step": plants.first_step,
+            },
+            step=state.step,
+            state={"next_id": state.next_id},
+        )
+
+    def resume(
+        self,
+        parameters: PlacedParameters,
+        site: Site,
+        species: Sequence[SpeciesEcology],
+        seed: int,
+        population: Population,
+    ) -> State:
+        """The state of a snapshot."""
+        plants = Plants(
+            x_m=np.ascontiguousarray(population.position_m[:, :2]),
+            r_m=population.radius_m,
+            height_m=population.height_m,
+            sp=population.species,
+            azimuth_deg=population.columns["azimuth_deg"],
+            first_age_yr=population.columns["first_age_yr"],
+            plant_id=population.plant_id,
+            first_step=population.columns["first_step"],
+        )
+        return State(parameters, tuple(species), seed, population.step, int(population.state["next_id"]), plants)
+
+    def remove(self, state: State, plant_id: NDArray[np.uint32]) -> State:
+        """The others."""
+        keep = ~np.isin(state.plants.plant_id, plant_id)
+        return replace(state, plants=Plants(*(values[keep] for values in vars(state.plants).values())))
+
+    def plant(self, state: State, planting: Planting) -> State:
+        """New plants beside those that are there."""
+        n = len(planting)
+        refuse_overflow(state.next_id, n)
+        ids = new_ids(state.next_id, n)
+        scale = of_species(state.species, "height_scale")[planting.species]
+        exponent = of_species(state.species, "height_exponent")[planting.species]
+        new = Plants(
+            x_m=planting.position_m,
+            r_m=planting.radius_m,
+            height_m=scale * planting.radius_m**exponent,
+            sp=planting.species,
+            azimuth_deg=np.array([_azimuth(state.seed, int(one)) for one in ids], dtype=np.float64),
+            first_age_yr=np.zeros(n),
+            plant_id=ids,
+            first_step=np.full(n, state.step, dtype=np.int32),
+        )
+        both = {name: np.concatenate([a, getattr(new, name)]) for name, a in vars(state.plants).items()}
+        return replace(state, next_id=state.next_id + n, plants=Plants(**both))
+
+    def expected_plants(self, parameters: PlacedParameters, site: Site, species: Sequence[SpeciesEcology]) -> float:
+        """Who is placed, and who will be planted."""
+        return float(len(parameters.everyone) + planted(parameters.disturbances))
+
+    def why_barren(self, parameters: PlacedParameters, site: Site, species: Sequence[SpeciesEcology]) -> str | None:
+        """Why no plant will ever stand there, or None if some will."""
+        if self.expected_plants(parameters, site, species) > 0:
+            return None
+        return "no plant is placed: community.plants is empty, and there is no community.table"
+
+    def estimate_bytes(self, parameters: PlacedParameters, site: Site, species: Sequence[SpeciesEcology]) -> int:
+        """Bytes for all plants at once.
+
+        It is what a plan asks first, so it also looks at every plant: what is wrong is said before anything is built.
+        """
+        known = {one.name for one in species}
+        if all(plant.species in known for plant in parameters.everyone):
+            _place(parameters.everyone, parameters, site, species, 0)
+        return _BYTES_AT_LEAST + math.ceil(self.expected_plants(parameters, site, species) * _BYTES_PER_PLANT)
+
+
+MODEL = Placed()

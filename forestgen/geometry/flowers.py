@@ -1,0 +1,145 @@
+"""Flower heads: each is several patches, one a material, in the frame of its stalk's foot; y is the flower's axis."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.geometry.leaves import Blade, blade
+from forestgen.geometry.outlines import Entire
+from forestgen.geometry.patches import Patch, attitude, bend, copies, join, placed, revolve, strip, tube, whorl
+
+Floats = NDArray[np.float64]
+
+_GOLDEN_RAD = np.pi * (3.0 - np.sqrt(5.0))
+
+
+def lifted(patch: Patch, height_m: float) -> Patch:
+    """The patch moved along y."""
+    return placed(patch, np.eye(3), np.array([0.0, height_m, 0.0]))
+
+
+def stem(length_m: float, diameter_m: float, detail: int) -> Patch:
+    """A flower's round stalk."""
+    path = np.column_stack([np.zeros(2), [0.0, length_m], np.zeros(2)])
+    return tube(path, np.full(2, 0.5 * diameter_m), (3, 3, 6)[detail])
+
+
+def daisy(
+    diameter_m: float, disc_m: float, petals: int, petal_width_m: float, opening_deg: float, detail: int
+) -> tuple[Patch, Patch, Patch]:
+    """Rays in two whorls, the domed disc, and the green involucre below; the flower's foot is in the origin."""
+    reach = 0.5 * (diameter_m - 0.8 * disc_m)
+    ray = blade(Blade(Entire(0.6, 0.8, 0.35), reach, petal_width_m, fold_deg=6.0, curl_deg=14.0, detail=min(detail, 1)))
+    rays = []
+    for k, count in enumerate((petals - petals // 2, petals // 2)):
+        turn = k * np.pi / max(count, 1)
+        opening = np.radians(opening_deg - 7.0 * k)
+        rays.append(lifted(whorl(ray, count, opening, 0.4 * disc_m, turn), 0.02 * disc_m * k))
+    sides, rows = ((6, 3), (10, 4), (20, 7))[detail]
+    angle = np.linspace(0.0, 0.5 * np.pi, rows)
+    dome = np.column_stack([0.5 * disc_m * np.cos(angle), 0.30 * disc_m * np.sin(angle)])
+    dome[-1, 0] = 0.0
+    disc = revolve(dome, sides)
+    if detail == 2:  # florets
+        bump = 1.0 + 0.05 * np.cos(np.arange(len(disc.points)) * 2.4)
+        disc = disc._replace(points=disc.points * bump[:, None])
+    cup = np.column_stack([[0.0, 0.22, 0.46, 0.52], [-0.30, -0.26, -0.12, 0.02]]) * disc_m
+    return join(rays), disc, revolve(cup, sides)
+
+
+def four_petals(length_m: float, width_m: float, opening_deg: float, detail: int) -> tuple[Patch, Patch, Patch]:
+    """Petals, sepals between them, and stamens with the style: a fireweed's flower, foot in the origin."""
+    petal = blade(
+        Blade(
+            Entire(0.66, 0.9, 0.45),
+            length_m,
+            width_m,
+            fold_deg=5.0,
+            curl_deg=20.0,
+            waves=1.0,
+            wave_height=0.12,
+            detail=detail,
+        )
+        if detail
+        else Blade(Entire(0.66, 0.9, 0.45), length_m, width_m, detail=0)
+    )
+    opening = np.radians(opening_deg)
+    petals = whorl(petal, 4, opening, 0.04 * length_m, np.pi / 4.0)
+    sepal = strip(0.9 * length_m, 0.17 * width_m * np.array([0.8, 1.0, 0.0]), folded=False)
+    sepals = whorl(sepal, 4, opening + 0.15, 0.03 * length_m)
+    count = (0, 4, 8)[detail]
+    parts = [tube(_line(0.85 * length_m, 0.5, 3), 0.022 * length_m * np.array([1.0, 0.8, 0.0]), 3)]
+    if count:
+        thread = strip(0.7 * length_m, 0.035 * length_m * np.array([1.0, 0.8]), folded=False)
+        anther = lifted(revolve(np.array([[0.0, 0.0], [0.035, 0.05], [0.0, 0.12]]) * length_m, 3), 0.68 * length_m)
+        parts.append(whorl(join([thread, anther]), count, 0.5 * opening, 0.02 * length_m, 0.2))
+    return petals, sepals, join(parts)
+
+
+def lily(
+    length_m: float, tepal_width_m: float, opening_deg: float, recurve_deg: float, detail: int
+) -> tuple[Patch, Patch, Patch]:
+    """Six recurved tepals that form a trumpet; filaments and style; anthers."""
+    form = Entire(0.55, 0.75, 0.9)
+    tepals = []
+    for k, share in enumerate((1.0, 0.78)):  # the outer three are narrower
+        petal = _recurved(
+            blade(
+                Blade(
+                    form,
+                    length_m,
+                    tepal_width_m * share,
+                    fold_deg=12.0,
+                    waves=1.5,
+                    wave_height=0.1,
+                    detail=max(detail, 1),
+                )
+            ),
+            length_m,
+            np.radians(recurve_deg),
+        )
+        tepals.append(whorl(petal, 3, np.radians(opening_deg), 0.05 * length_m, k * np.pi / 3.0))
+    curve = 0.35
+    thread = tube(_line(0.72 * length_m, curve, 4), 0.010 * length_m * np.ones(4), 3)
+    threads = whorl(thread, 6, np.radians(0.55 * opening_deg), 0.02 * length_m, np.pi / 6.0)
+    style = tube(_line(0.85 * length_m, 0.15, 4), length_m * np.array([0.014, 0.012, 0.012, 0.0]), 3)
+    end = _line(0.72 * length_m, curve, 4)[-1]
+    anther = revolve(np.array([[0.0, -0.06], [0.022, -0.03], [0.022, 0.03], [0.0, 0.06]]) * length_m, (3, 4, 6)[detail])
+    across = placed(anther, np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), end)
+    anthers = whorl(across, 6, np.radians(0.55 * opening_deg), 0.02 * length_m, np.pi / 6.0)
+    return join(tepals), join([threads, style]), anthers
+
+
+def _line(length_m: float, bend_rad: float, stops: int) -> Floats:
+    path = np.column_stack([np.zeros(stops), np.linspace(0.0, length_m, stops), np.zeros(stops)])
+    return bend(path, length_m, bend_rad, 1.5)
+
+
+def _recurved(petal: Patch, length_m: float, angle_rad: float) -> Patch:
+    return petal._replace(points=bend(petal.points, length_m, angle_rad, 2.5))
+
+
+def catkin(length_m: float, diameter_m: float, scales: int, detail: int) -> Patch:
+    """A hanging spike of scales about an axis."""
+    if detail == 0:
+        return _spindle(length_m, diameter_m, 4)
+    core = _spindle(length_m, 0.75 * diameter_m, 6)
+    size = 1.5 * np.sqrt(np.pi * diameter_m * length_m / scales)
+    scale = blade(Blade(Entire(0.5, 0.6, 0.8), size, 0.9 * size, fold_deg=15.0, curl_deg=-20.0, detail=detail - 1))
+    k = np.arange(scales)
+    share = (k + 0.5) / scales
+    turn = k * _GOLDEN_RAD
+    outward = np.column_stack([np.cos(turn), np.zeros(scales), np.sin(turn)])
+    angle = np.radians(34.0)
+    along = np.sin(angle) * outward + np.cos(angle) * np.array([0.0, 1.0, 0.0])
+    upper = np.sin(angle) * np.array([0.0, 1.0, 0.0]) - np.cos(angle) * outward
+    radius = 0.30 * diameter_m * np.sin(np.pi * (0.12 + 0.8 * share)) ** 0.5
+    feet = np.column_stack([np.zeros(scales), share * length_m * 0.97, np.zeros(scales)]) + radius[:, None] * outward
+    grow = np.clip(np.sin(np.pi * (0.15 + 0.75 * share)) ** 0.4, 0.4, 1.0)
+    return join([core, copies(scale, attitude(along, upper) * grow[:, None, None], feet)])
+
+
+def _spindle(length_m: float, diameter_m: float, sides: int) -> Patch:
+    profile = np.array([[0.0, 0.0], [0.42, 0.1], [0.5, 0.4], [0.4, 0.8], [0.0, 1.0]]) * [diameter_m, length_m]
+    return revolve(profile, sides)

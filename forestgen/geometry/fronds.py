@@ -1,0 +1,301 @@
+"""Fronds of palms and ferns, blades of grass and their seed heads."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.geometry.leaves import Blade, blade
+from forestgen.geometry.outlines import Entire, Lobed
+from forestgen.geometry.patches import Patch, area_m2, attitude, bend, bent, copies, join, placed, revolve, strip, tube
+
+Floats = NDArray[np.float64]
+
+_UP = np.array([0.0, 0.0, 1.0])
+_ALONG = np.array([0.0, 1.0, 0.0])
+_PALM_LEAFLET = 0.68  # area of a leaflet over its length times its width
+
+
+def _sideways(angle_rad: Floats, lift_rad: Floats | float, side: Floats) -> Floats:
+    """(N, 3, 3) attitudes of leaflets at an angle from a rachis along y, lifted out of its plane; side is +1 or -1."""
+    lift = np.broadcast_to(lift_rad, angle_rad.shape)
+    out = np.column_stack([side * np.cos(lift), np.zeros(len(side)), np.sin(lift)])
+    along = np.cos(angle_rad)[:, None] * _ALONG + np.sin(angle_rad)[:, None] * out
+    upper = np.column_stack([-side * np.sin(lift), np.zeros(len(side)), np.cos(lift)])
+    return attitude(along, upper)
+
+
+def rachis(length_m: float, diameter_m: float, detail: int) -> Patch:
+    """The axis of a frond along y, tapering to a point: 3 or 5 sides."""
+    stops = (4, 8, 16)[detail]
+    share = np.linspace(0.0, 1.0, stops)
+    path = np.column_stack([np.zeros(stops), share * length_m, np.zeros(stops)])
+    radius = 0.5 * diameter_m * (1.0 - share) ** 0.7
+    return tube(path, radius, (3, 3, 5)[detail])
+
+
+def _of_area(made: Callable[[float], Patch], wanted_m2: float) -> Patch:
+    """What `made` gives of a factor on its blades' width, such that the area is `wanted_m2`."""
+    broad = 1.0
+    for _ in range(3):
+        patch = made(broad)
+        broad *= wanted_m2 / area_m2(patch)
+    return made(broad)
+
+
+def palm_frond(
+    length_m: float,
+    stalk_m: float,
+    leaflets: int,
+    leaflet_length_m: float,
+    leaflet_width_m: float,
+    *,
+    arch_deg: float,
+    lift_deg: float,
+    droop_deg: float,
+    detail: int,
+) -> Patch:
+    """Leaflets of a feather palm, before the rachis is bent (see `arched`).
+
+    Parameters
+    ----------
+    length_m, stalk_m : of the whole frond, and of its bare foot.
+    leaflets : on each side.
+    lift_deg : of the leaflets above the rachis' plane, so that the frond is V-shaped.
+    droop_deg : bend of each leaflet.
+    """
+    widths = leaflet_width_m * np.array(
+        ([1.0, 0.0], [0.5, 1.0, 0.75, 0.0], [0.3, 0.9, 1.0, 0.85, 0.5, 0.0])[detail],
+    )
+    share = (np.arange(leaflets) + 0.5) / leaflets
+    place = stalk_m + (length_m - stalk_m) * share**0.95
+    size = np.clip(0.45 + 2.2 * share, 0.0, 1.0) * (1.0 - 0.62 * np.clip((share - 0.45) / 0.55, 0.0, 1.0) ** 2)
+    angle = np.radians(72.0 - 48.0 * share**1.3)
+    jitter = 0.12 * np.sin(12.9898 * np.arange(2 * leaflets))
+    feet = np.column_stack([np.zeros(leaflets), place, np.zeros(leaflets)])
+
+    def made(broad: float) -> Patch:
+        leaflet = strip(leaflet_length_m, broad * widths, keel_rad=np.radians(25.0), folded=detail == 2)
+        leaflet = bent(leaflet, leaflet_length_m, np.radians(droop_deg), 1.3)
+        parts = []
+        for side, wobble in ((1.0, jitter[::2]), (-1.0, jitter[1::2])):
+            turn = _sideways(angle + wobble, np.radians(lift_deg) + 1.3 * wobble, np.full(leaflets, side))
+            parts.append(copies(leaflet, turn * size[:, None, None], feet))
+        return bent(join(parts), length_m, np.radians(arch_deg), 1.6)
+
+    return _of_area(made, 2.0 * float(np.sum(size**2)) * _PALM_LEAFLET * leaflet_length_m * leaflet_width_m)
+
+
+def fan_frond(
+    radius_m: float,
+    stalk_m: float,
+    segments: int,
+    *,
+    spread_deg: float,
+    split: float,
+    droop_deg: float,
+    detail: int,
+) -> Patch:
+    """The pleated blade of a fan palm at the end of its stalk.
+
+    Parameters
+    ----------
+    segments : folded rays of the fan.
+    spread_deg : angle between its outermost rays.
+    split : share of the radius over which the rays are apart.
+    """
+    edge = np.radians(spread_deg) * (np.arange(segments + 1) / segments - 0.5)
+    middle = 0.5 * (edge[1:] + edge[:-1])
+    half = 0.5 * (edge[1] - edge[0])
+    inner = radius_m * (1.0 - split)
+    width = 2.0 * inner * np.tan(half)
+    reach = radius_m * (1.0 - 0.25 * (np.abs(middle) / max(np.abs(edge[0]), 1e-9)) ** 2)
+    if detail == 0:
+        profile, at = width * np.array([0.0, 1.0, 0.0]), np.array([0.0, 1.0 - split, 1.0])
+    else:
+        profile, at = width * np.array([0.0, 1.0, 0.8, 0.5, 0.0]), np.array([0.0, 1.0, 1.3, 1.7, 2.0])
+        at = np.where(at <= 1.0, at * (1.0 - split), 1.0 - split + (at - 1.0) * split)
+    keel = np.radians(22.0)
+    ray = _ray(at * radius_m, profile, keel, folded=detail > 0)
+    ray = bent(ray, radius_m, np.radians(droop_deg), 2.5)
+    along = np.column_stack([np.sin(middle), np.cos(middle), np.zeros(segments)])
+    linear = attitude(along, np.tile(_UP, (segments, 1))) * (reach / radius_m)[:, None, None]
+    return copies(ray, linear, np.tile([0.0, stalk_m, 0.0], (segments, 1)))
+
+
+def _ray(y: Floats, width: Floats, keel_rad: float, *, folded: bool) -> Patch:
+    """A ribbon pointed at both ends, of widths at uneven steps."""
+    body = strip(1.0, width[1:], keel_rad=keel_rad, folded=folded)
+    rows = np.repeat(y[1:-1], 3 if folded else 2)
+    points = body.points.copy()
+    points[:, 1] = np.append(rows, y[-1])
+    points = np.concatenate([points, [[0.0, y[0], 0.0]]])
+    foot, columns = len(points) - 1, 3 if folded else 2
+    ends = [(foot, k, k + 1) for k in range(columns - 1)]
+    uv = np.concatenate([body.uv, [[0.5, 0.0]]])
+    uv[:, 1] = points[:, 1] / y[-1]
+    return Patch(points, np.concatenate([body.faces, np.array(ends, np.int64)]), uv)
+
+
+def fern_frond(
+    length_m: float,
+    width_m: float,
+    pinnae: int,
+    *,
+    divisions: int,
+    arch_deg: float,
+    detail: int,
+) -> Patch:
+    """The blade of a fern: pinnae in pairs along the rachis, longest at its foot, each divided again.
+
+    Parameters
+    ----------
+    pinnae : pairs.
+    divisions : pinnules on each side of the longest pinna; drawn each from detail 1 on.
+    """
+    target = area_m2(_fern_blade(length_m, width_m, pinnae, divisions, 2, 1.0))
+
+    def made(broad: float) -> Patch:
+        sheet = _fern_blade(length_m, width_m, pinnae, divisions, detail, broad)
+        return bent(sheet, length_m, np.radians(arch_deg), 1.4)
+
+    return made(1.0) if detail == 2 else _of_area(made, target)
+
+
+def _fern_blade(length_m: float, width_m: float, pinnae: int, divisions: int, detail: int, broad: float) -> Patch:
+    share = (np.arange(pinnae) + 0.35) / pinnae
+    place = length_m * (1.0 - (1.0 - share) ** 1.25)
+    reach = 0.5 * width_m * (1.0 - share) ** 1.05 + 0.004 * length_m
+    parts = []
+    for k in range(pinnae):
+        gap = (place[min(k + 1, pinnae - 1)] - place[max(k - 1, 0)]) / (2.0 if 0 < k < pinnae - 1 else 1.0)
+        breadth = 1.12 * max(gap, 0.02 * length_m * (1 - share[k]) + 1e-4)
+        pinna = _pinna(reach[k], breadth, max(2, round(divisions * reach[k] / reach[0])), detail, broad)
+        angle = np.array([np.radians(68.0 - 22.0 * share[k])] * 2)
+        side = np.array([1.0, -1.0])
+        shift = 0.12 * gap * side
+        feet = np.column_stack([np.zeros(2), np.maximum(place[k] + shift, 0.0), np.zeros(2)])
+        parts.append(copies(pinna, _sideways(angle, 0.10 + 0.05 * np.sin(3.0 * k), side), feet))
+    return join(parts)
+
+
+def _pinna(length_m: float, breadth_m: float, pinnules: int, detail: int, broad: float) -> Patch:
+    """One pinna along y with its pinnules; at detail 0 a plain blade."""
+    if detail == 0:
+        return bent(strip(length_m, broad * breadth_m * np.array([0.75, 0.7, 0.0]), folded=False), length_m, 0.3, 1.5)
+    share = (np.arange(pinnules) + 0.4) / pinnules
+    size = 0.72 * breadth_m * (1.0 - share**1.6 * 0.85)
+    step = length_m / pinnules
+    if detail == 1:
+        one = strip(1.0, np.array([0.5, 0.0]), folded=False)
+        one = Patch(one.points * [broad, 1.0, 1.0], one.faces, one.uv)
+    else:
+        one = _pinnule()
+    parts = []
+    for side in (1.0, -1.0):
+        turn = _sideways(np.radians(66.0 - 20.0 * share), 0.05, np.full(pinnules, side))
+        linear = turn * size[:, None, None]
+        linear[:, :, 0] *= np.clip(1.9 * step / np.maximum(size, 1e-9), 0.3, 1.3)[:, None]
+        feet = np.column_stack([np.zeros(pinnules), share * length_m, np.zeros(pinnules)])
+        parts.append(copies(one, linear, feet))
+    tip = strip(1.6 * step, np.array([0.5 * step * broad, 0.0]), folded=False)
+    parts.append(placed(tip, np.eye(3), np.array([0.0, length_m - 1.2 * step, 0.0])))
+    axis = strip(length_m, np.array([0.05 * breadth_m, 0.0]), folded=False)
+    parts.append(placed(axis, np.eye(3), np.array([0.0, 0.0, 0.0003])))
+    return bent(join(parts), length_m, 0.35, 1.5)
+
+
+@lru_cache(maxsize=1)
+def _pinnule() -> Patch:
+    """A lobed pinnule of length 1."""
+    form = Lobed(lobes=3, sinus=0.5, roundness=2.2, slant=0.2, widest=0.25, base=0.4, tip=0.9)
+    return blade(Blade(form, 1.0, 0.40, fold_deg=6.0, curl_deg=18.0, detail=1))
+
+
+def grass_blade(
+    length_m: float, width_m: float, *, arch_deg: float, keel_deg: float, twist_deg: float, detail: int
+) -> Patch:
+    """A long blade that tapers, keeled at its foot, arching over more and more towards its tip."""
+    stops = (3, 6, 12)[detail]
+    share = np.linspace(0.0, 1.0, stops)
+    width = _grass_width(share)
+    turn = np.radians(twist_deg)
+
+    def made(broad: float) -> Patch:
+        ribbon = strip(length_m, broad * width_m * width, keel_rad=np.radians(keel_deg), folded=detail == 2)
+        x, y, z = ribbon.points.T
+        c, s = np.cos(turn * (y / length_m) ** 2), np.sin(turn * (y / length_m) ** 2)
+        twisted = ribbon._replace(points=np.column_stack([x * c + z * s, y, z * c - x * s]))
+        return bent(twisted, length_m, np.radians(arch_deg), 2.2)
+
+    fine = np.linspace(0.0, 1.0, 401)
+    return _of_area(made, length_m * width_m * float(np.trapezoid(_grass_width(fine), fine)))
+
+
+def _grass_width(share: Floats) -> Floats:
+    """Width of a grass leaf along its length, share of the greatest: even, then a long taper to a point."""
+    even = 0.72 + 0.28 * np.sin(np.pi * np.minimum(share / 0.7, 1.0))
+    return np.asarray(even * np.clip((1.0 - share) / 0.6, 0.0, 1.0) ** 0.75, dtype=np.float64)
+
+
+def grass_panicle(
+    length_m: float, width_m: float, branches: int, spikelets: int, spikelet_m: float, *, nod_deg: float, detail: int
+) -> tuple[Patch, Patch]:
+    """Axis with its branches, and the spikelets: two patches.
+
+    Parameters
+    ----------
+    width_m : of the panicle where it is widest; 0 makes a spike.
+    branches, spikelets : of the axis, and on each branch.
+    """
+    share = (np.arange(branches) + 0.5) / branches
+    turn = np.arange(branches) * np.pi * (3.0 - np.sqrt(5.0))
+    reach = np.maximum(0.5 * width_m * np.sin(np.pi * (0.2 + 0.8 * share)) ** 0.8, 0.4 * spikelet_m)
+    angle = np.radians(62.0 - 35.0 * share)
+    outward = np.column_stack([np.cos(turn), np.zeros(branches), np.sin(turn)])
+    along = np.sin(angle)[:, None] * outward + np.cos(angle)[:, None] * _ALONG
+    feet = np.column_stack([np.zeros(branches), share * length_m, np.zeros(branches)])
+    wire = strip(1.0, np.array([0.012 * length_m, 0.0]), folded=False)
+    linear = attitude(along, outward * np.cos(angle)[:, None] - np.sin(angle)[:, None] * _ALONG)
+    stems = [copies(wire, linear * np.stack([np.ones(branches), reach, np.ones(branches)], 1)[:, None, :], feet)]
+    stops = (3, 4, 8)[detail]
+    path = np.column_stack([np.zeros(stops), np.linspace(0.0, length_m, stops), np.zeros(stops)])
+    stems.append(tube(path, 0.006 * length_m * np.append(np.linspace(1.0, 0.4, stops - 1), 0.0), 3))
+    grain = _spikelet(spikelet_m, detail)
+    place = (np.arange(spikelets) + 1.0) / spikelets
+    feet = (feet[:, None] + (reach[:, None] * place)[:, :, None] * along[:, None]).reshape(-1, 3)
+    lean = np.repeat(along, spikelets, axis=0)
+    roll = np.arange(len(lean)) * 2.4
+    side = np.column_stack([np.cos(roll), np.zeros(len(lean)), np.sin(roll)])
+    grains = copies(grain, attitude(lean + 0.35 * side, side), feet)
+    nod = np.radians(nod_deg)
+    return bent(join(stems), length_m, nod, 1.3), bent(grains, length_m, nod, 1.3)
+
+
+def _spikelet(length_m: float, detail: int) -> Patch:
+    if detail == 0:
+        return strip(length_m, length_m * np.array([0.5, 0.0]), folded=False)
+    if detail == 1:
+        return blade(Blade(Entire(0.4, 1.0, 1.2), length_m, 0.3 * length_m, fold_deg=30.0, detail=0))
+    profile = np.array([[0.0, 0.0], [0.13, 0.3], [0.11, 0.6], [0.0, 1.0]]) * length_m
+    return revolve(profile, 4)
+
+
+def stem(length_m: float, diameter_m: float, detail: int) -> Patch:
+    """A round stalk along y, open at both ends."""
+    path = np.column_stack([np.zeros(2), [0.0, length_m], np.zeros(2)])
+    return tube(path, np.full(2, 0.5 * diameter_m), (3, 3, 6)[detail])
+
+
+def frond_axis(stipe_m: float, length_m: float, diameter_m: float, arch_deg: float, detail: int) -> Patch:
+    """Stipe and rachis of a fern: straight below the blade, bent with it above."""
+    stops = (3, 6, 12)[detail]
+    upper = np.column_stack([np.zeros(stops), np.linspace(0.0, length_m, stops), np.zeros(stops)])
+    upper = bend(upper, length_m, np.radians(arch_deg), 1.4) + np.array([0.0, stipe_m, 0.0])
+    radius = 0.5 * diameter_m * (1.0 - np.linspace(0.0, 1.0, stops)) ** 0.8
+    if stipe_m > 0.0:
+        upper, radius = np.concatenate([[[0.0, 0.0, 0.0]], upper]), np.append(0.5 * diameter_m, radius)
+    return tube(upper, radius, (3, 3, 5)[detail])

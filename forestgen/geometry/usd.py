@@ -1,0 +1,139 @@
+"""OpenUSD files: an Xform of the plant, a Mesh a piece, UsdPreviewSurface materials; metres, z up.
+
+Custom data under the key ``forestgen`` holds the plant's and the pieces' properties. Image rows run up from v = 0 here,
+so v is written as 1 - v. A .usd is a binary crate as a .usdc is; a .usda is text; a .usdz holds its textures.
+"""
+
+from __future__ import annotations
+
+import re
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from forestgen.geometry.export import Model, Piece, Surface, texture_files
+
+
+def usd_files(model: Model, file_name: str) -> dict[str, bytes]:
+    """Name -> content of the .usd, .usda, .usdc or .usdz, and of the textures beside it."""
+    from pxr import Sdf, UsdUtils
+
+    textures = texture_files(model, file_name)
+    names = {key: name for key, (name, _) in textures.items()}
+    stem, _, suffix = file_name.rpartition(".")
+    packed = suffix.lower() == "usdz"
+    with tempfile.TemporaryDirectory(prefix="forestgen-usd-") as folder:
+        for name, content in textures.values():
+            (Path(folder) / name).write_bytes(content)
+        written = Path(folder) / (f"{_identifier(stem)}.usdc" if packed else f"plant.{suffix.lower()}")
+        layer = _stage(model, names)
+        layer.Export(str(written))
+        if packed:
+            package = Path(folder) / "plant.usdz"
+            if not UsdUtils.CreateNewUsdzPackage(Sdf.AssetPath(str(written)), str(package)):
+                raise RuntimeError("OpenUSD could not write the .usdz package")
+            return {file_name: package.read_bytes()}
+        return {file_name: written.read_bytes(), **dict(textures.values())}
+
+
+def _identifier(name: str) -> str:
+    """A name that USD takes: letters, digits and underscores, no digit first."""
+    cleaned = re.sub(r"[^A-Za-z0-9_]", "_", name) or "_"
+    return f"_{cleaned}" if cleaned[0].isdigit() else cleaned
+
+
+def _stage(model: Model, textures: dict[tuple[str, str], str]) -> Any:
+    """The layer of a new stage in memory."""
+    from pxr import Sdf, Usd, UsdGeom, UsdShade
+
+    layer = Sdf.Layer.CreateAnonymous(".usda")
+    stage = Usd.Stage.Open(layer)
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+    root = f"/{_identifier(model.name)}"
+    plant = UsdGeom.Xform.Define(stage, root).GetPrim()
+    Usd.ModelAPI(plant).SetKind("component")
+    plant.SetCustomDataByKey("forestgen", dict(model.properties))
+    stage.SetDefaultPrim(plant)
+    UsdGeom.Scope.Define(stage, f"{root}/materials")
+    materials = {
+        surface.name: _material(stage, f"{root}/materials/{_identifier(surface.name)}", surface, textures)
+        for surface in model.surfaces
+    }
+    for piece in model.pieces:
+        mesh = _mesh(stage, f"{root}/{_identifier(piece.name)}", piece)
+        UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(materials[piece.surface.name])
+    return layer
+
+
+def _mesh(stage: Any, path: str, piece: Piece) -> Any:
+    from pxr import Gf, Sdf, UsdGeom, Vt
+
+    mesh, usd = piece.mesh, UsdGeom.Mesh.Define(stage, path)
+    usd.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(mesh.vertices_m)))
+    usd.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(mesh.faces), 3, dtype=np.int32)))
+    usd.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(mesh.faces.astype(np.int32).ravel()))
+    usd.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+    usd.CreateDoubleSidedAttr(piece.surface.sheet)
+    extent = np.stack([mesh.vertices_m.min(axis=0), mesh.vertices_m.max(axis=0)])
+    usd.CreateExtentAttr(Vt.Vec3fArray.FromNumpy(extent))
+    if mesh.normals is not None:
+        usd.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(mesh.normals)))
+        usd.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
+    variables = UsdGeom.PrimvarsAPI(usd)
+    if mesh.uv is not None:
+        flipped = np.stack([mesh.uv[:, 0], 1 - mesh.uv[:, 1]], axis=1)
+        place = variables.CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.vertex)
+        place.Set(Vt.Vec2fArray.FromNumpy(flipped))
+    usd.CreateDisplayColorAttr([Gf.Vec3f(*piece.surface.reflectance)])
+    custom = {"part": piece.part.name.lower(), "transmittance": list(piece.surface.transmittance), **piece.properties}
+    usd.GetPrim().SetCustomDataByKey("forestgen", {key: _value(value) for key, value in custom.items()})
+    return usd
+
+
+def _value(value: Any) -> Any:
+    from pxr import Vt
+
+    return Vt.DoubleArray(value) if isinstance(value, list) else value
+
+
+def _material(stage: Any, path: str, surface: Surface, textures: dict[tuple[str, str], str]) -> Any:
+    from pxr import Gf, Sdf, UsdShade
+
+    kinds = Sdf.ValueTypeNames
+    material = UsdShade.Material.Define(stage, path)
+    shader = UsdShade.Shader.Define(stage, f"{path}/surface")
+    shader.CreateIdAttr("UsdPreviewSurface")
+    shader.CreateInput("roughness", kinds.Float).Set(surface.roughness)
+    shader.CreateInput("metallic", kinds.Float).Set(0.0)
+    material.CreateSurfaceOutput().ConnectToSource(shader.ConnectableAPI(), "surface")
+    diffuse = shader.CreateInput("diffuseColor", kinds.Color3f)
+    diffuse.Set(Gf.Vec3f(*surface.reflectance))
+    if not any(key[0] == surface.name for key in textures):
+        return material
+    reader = UsdShade.Shader.Define(stage, f"{path}/place")
+    reader.CreateIdAttr("UsdPrimvarReader_float2")
+    reader.CreateInput("varname", kinds.String).Set("st")
+    reader.CreateOutput("result", kinds.Float2)
+
+    def connect(kind: str, target: Any, space: str, scale: tuple[float, ...], bias: tuple[float, ...]) -> None:
+        if (surface.name, kind) not in textures:
+            return
+        texture = UsdShade.Shader.Define(stage, f"{path}/{kind}")
+        texture.CreateIdAttr("UsdUVTexture")
+        texture.CreateInput("file", kinds.Asset).Set(Sdf.AssetPath(f"./{textures[surface.name, kind]}"))
+        texture.CreateInput("st", kinds.Float2).ConnectToSource(reader.ConnectableAPI(), "result")
+        texture.CreateInput("sourceColorSpace", kinds.Token).Set(space)
+        for name in ("wrapS", "wrapT"):
+            texture.CreateInput(name, kinds.Token).Set("repeat")
+        texture.CreateInput("scale", kinds.Float4).Set(Gf.Vec4f(*scale))
+        texture.CreateInput("bias", kinds.Float4).Set(Gf.Vec4f(*bias))
+        texture.CreateOutput("rgb", kinds.Float3)
+        target.ConnectToSource(texture.ConnectableAPI(), "rgb")
+
+    connect("colour", diffuse, "sRGB", (1, 1, 1, 1), (0, 0, 0, 0))
+    # Values of 0 to 1 stand for -1 to 1.
+    connect("normal", shader.CreateInput("normal", kinds.Normal3f), "raw", (2, 2, 2, 1), (-1, -1, -1, 0))
+    return material

@@ -1,0 +1,218 @@
+"""Patterns of bark: relief and tone of one tile.
+
+Each pattern is a function of the tile, a stream of random numbers, the size of its features and the share of its marks
+(lenticels, fissures, checks). It returns a `Relief`. Sizes beside the pattern's `scale_m` are shares of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from forestgen.plants.bark_noise import Image, Tile, step, upper_share
+
+Rng = np.random.Generator
+
+
+@dataclass(frozen=True)
+class Relief:
+    """Arrays are (rows, columns)."""
+
+    height: Image  # 0 at the bottom of the deepest crack, 1 at the top
+    tone: Image  # 0: the dark colour, 1: the light one
+    marks: Image | None = None  # 1 where the marks' own colour covers the rest
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """A pattern and what it is by default."""
+
+    make: Callable[[Tile, Rng, float, float], Relief]
+    scale_m: float  # width of a ridge, a plate, a scale, a ring or a mark
+    depth_m: float
+    marks: float  # share of the surface
+
+
+def furrowed(tile: Tile, rng: Rng, scale_m: float, marks: float) -> Relief:
+    """Long ridges that part and meet again, broken by cracks across, with dark furrows between (oak, old poplar)."""
+    s = scale_m
+    lean = (0.32 * s * tile.noise(rng, (3 * s, 9 * s)), 0.7 * s * tile.noise(rng, (3 * s, 7 * s)))
+    rough = 0.045 * s * tile.noise(rng, (0.5 * s, 0.9 * s), 1.7)
+    cells = tile.cells(rng, (s, 7.0 * s), (lean[0] + rough, lean[1]))
+    ridge = np.asarray(1.0 - np.exp(-((cells.border_m / (0.24 * s)) ** 1.6)), dtype=np.float32)
+    blocks = tile.cells(rng, (0.9 * s, 1.7 * s), (0.7 * lean[0], lean[1] + 3.0 * rough))
+    across = step(blocks.border_m, 0.01 * s, 0.10 * s)
+    grain = tile.noise(rng, (0.18 * s, 0.9 * s), 1.8)
+    fine = tile.noise(rng, (0.10 * s, 0.12 * s), 1.5)
+    height = ridge * (0.80 + 0.20 * across) + 0.05 * grain + 0.02 * fine
+    age = cells.values(rng) - 0.5
+    patina = tile.noise(rng, (4 * s, 6 * s))
+    tone = 0.92 * ridge**1.3 * (0.72 + 0.28 * across) + 0.09 * grain * ridge + 0.05 * fine + 0.16 * age * ridge
+    return Relief(height, tone + 0.07 * patina * ridge)
+
+
+def plated(tile: Tile, rng: Rng, scale_m: float, marks: float) -> Relief:
+    """Large flat plates, themselves of flakes on flakes, with wide dark cracks between (pine, maple)."""
+    s = scale_m
+    warp_u, warp_v = 0.22 * s * tile.noise(rng, (1.5 * s, 3 * s)), 0.35 * s * tile.noise(rng, (1.5 * s, 2 * s))
+    rough = 0.035 * s * tile.noise(rng, (0.25 * s, 0.3 * s), 1.7)
+    plates = tile.cells(rng, (s, 2.1 * s), (warp_u + rough, warp_v + rough))
+    crack = step(plates.border_m, 0.015 * s, 0.13 * s)
+    flakes = tile.cells(rng, (0.32 * s, 0.42 * s), (warp_u + 2.5 * rough, warp_v + 2.5 * rough))
+    layer = flakes.values(rng)
+    edge = step(flakes.border_m, 0.0, 0.022 * s)
+    fine = tile.noise(rng, (0.08 * s, 0.12 * s), 1.5)
+    height = crack * (0.72 + 0.20 * layer + 0.08 * edge) + 0.015 * fine
+    tone = crack * (0.42 + 0.30 * layer + 0.16 * edge + 0.24 * (plates.values(rng) - 0.5)) + 0.05 * fine
+    return Relief(height, tone + 0.04 * tile.noise(rng, (0.05 * s, 0.5 * s), 2.0) * crack)
+
+
+def scaly(tile: Tile, rng: Rng, scale_m: float, marks: float) -> Relief:
+    """Small rounded plates that come loose at their lower edge (spruce)."""
+    s = scale_m
+    warp = [0.20 * s * tile.noise(rng, (2.2 * s, 2.2 * s), 2.6) for _ in range(2)]
+    scales = tile.cells(rng, (s, 1.25 * s), (warp[0], warp[1]))
+    crack = step(scales.border_m + 0.03 * s * tile.noise(rng, (0.4 * s, 0.4 * s), 2.0), 0.0, 0.085 * s)
+    dome = np.minimum(scales.border_m / (0.4 * s), 1.0)
+    tilt = np.clip(0.5 - 0.55 * scales.offset_v, 0.0, 1.0)
+    layer = scales.values(rng)
+    fine = tile.noise(rng, (0.16 * s, 0.2 * s), 1.5)
+    height = crack * (0.30 + 0.22 * dome + 0.25 * tilt + 0.23 * layer) + 0.03 * fine
+    old = tile.noise(rng, (5 * s, 8 * s))
+    tone = (0.35 + 0.65 * crack) * (0.28 + 0.26 * tilt + 0.44 * layer**1.5 + 0.10 * dome) + 0.05 * fine + 0.07 * old
+    return Relief(height, tone)
+
+
+def smooth(tile: Tile, rng: Rng, scale_m: float, marks: float) -> Relief:
+    """Smooth bark with faint lines across, and dark lozenges where it breathes (beech, young poplar)."""
+    s = scale_m
+    blotch = tile.noise(rng, (9 * s, 7 * s), 2.2)
+    lines = tile.noise(rng, (2.0 * s, 0.22 * s), 2.0)
+    fine = tile.noise(rng, (0.3 * s, 0.3 * s), 1.3)
+    swell = tile.noise(rng, (6 * s, 3 * s))
+    streak = tile.noise(rng, (1.5 * s, 9 * s), 2.4)
+    tone = 0.66 + 0.08 * blotch + 0.035 * lines + 0.05 * fine + 0.04 * streak
+    height = 0.75 + 0.05 * swell + 0.015 * lines + 0.010 * fine
+    if marks <= 0:
+        return Relief(height, tone)
+    dark, lip = _lozenges(tile, rng, s, marks)
+    return Relief(height - 0.40 * dark + 0.16 * lip, tone + 0.10 * lip, dark)
+
+
+def _lozenges(tile: Tile, rng: Rng, s: float, marks: float) -> tuple[Image, Image]:
+    """Diamond-shaped lenticels about `s` wide, in loose rows across, and the raised lips about them."""
+    pitch = s * np.sqrt(0.30 / marks)
+    wave = 0.25 * s * tile.noise(rng, (8 * s, 8 * s))
+    spots = tile.cells(rng, (1.2 * pitch, 0.9 * pitch), (wave, wave))
+    size = (0.35 + 0.75 * spots.values(rng) ** 2) * s
+    u, v = np.abs(spots.offset_u) * 1.2 * pitch, np.abs(spots.offset_v) * 0.9 * pitch
+    far = (u + 0.85 * v) / (0.5 * size) + 0.07 * tile.noise(rng, (0.3 * s, 0.3 * s), 2.0)
+    dark = step(far, 1.05, 0.8)
+    slit = step(u / (0.55 * size) + v / (0.10 * size), 1.2, 0.7)
+    return np.asarray(dark * (0.72 + 0.28 * slit)), step(far, 1.7, 1.1) * (1.0 - dark)
+
+
+def papery(tile: Tile, rng: Rng, scale_m: float, marks: float) -> Relief:
+    """White bark that peels across the stem, with dark dashes across and, where it is old, black rough patches."""
+    s = scale_m
+    blotch = tile.noise(rng, (4 * s, 2 * s), 2.0)
+    bands = tile.noise(rng, (9 * s, 0.16 * s), 1.6)
+    fine = tile.noise(rng, (0.5 * s, 0.05 * s), 1.2)
+    wave = 0.05 * s * tile.noise(rng, (3 * s, 1.5 * s))
+    dashes = np.zeros_like(fine)
+    for width, pitch_v in ((1.0, 0.30), (0.55, 0.17)):
+        pitch = (1.7 * width * s, pitch_v * s)
+        spots = tile.cells(rng, pitch, (wave, wave))
+        long = (0.15 + 0.85 * spots.values(rng) ** 1.5) * 0.55 * width * s
+        u, v = np.abs(spots.offset_u) * pitch[0] / long, np.abs(spots.offset_v) * pitch[1] / (0.035 * s + 0.035 * long)
+        kept = spots.values(rng) < np.float32(min(1.0, 6.0 * marks))
+        dashes = np.maximum(dashes, kept * step(u * u + v * v + 0.25 * fine, 1.1, 0.5))
+    rough = tile.noise(rng, (0.35 * s, 0.22 * s), 1.5)
+    patch = upper_share(tile.noise(rng, (2.2 * s, 3.2 * s), 2.2) + 0.30 * rough, 0.6 * marks, 0.12)
+    dark = np.maximum(dashes, patch)
+    peel = step(bands, 1.1, 1.9)
+    tone = 0.80 + 0.06 * blotch + 0.05 * bands + 0.04 * fine - 0.28 * peel
+    height = 0.72 + 0.03 * bands + 0.12 * peel - 0.10 * dashes - patch * (0.30 - 0.16 * rough)
+    return Relief(height, tone, dark)
+
+
+def ringed(tile: Tile, rng: Rng, scale_m: float, marks: float) -> Relief:
+    """Scars of fallen leaves round the stem, one above the other, and cracks along it (palm)."""
+    _, v = tile.places_m()
+    rings = max(1, round(tile.size_m[1] / scale_m))
+    s = tile.size_m[1] / rings
+    wobble = 0.10 * tile.noise(rng, (0.6 * tile.size_m[0], 2 * s)) + 0.03 * tile.noise(rng, (1.2 * s, s), 2.0)
+    phase = v / s + wobble
+    inside = (phase - np.floor(phase)).astype(np.float32)
+    fibre = tile.noise(rng, (0.07 * s, 0.8 * s), 1.8)
+    fine = tile.noise(rng, (0.1 * s, 0.1 * s), 1.4)
+    groove = step(inside, 0.0, 0.10) * step(inside, 1.0, 0.93)
+    cracks = upper_share(tile.noise(rng, (0.22 * s, 1.6 * s), 2.2), marks, 0.12)
+    height = groove * (0.62 + 0.30 * (1.0 - inside) ** 2) + 0.03 * fibre - 0.25 * cracks
+    shade = rng.random(rings, dtype=np.float32)[np.floor(phase).astype(np.int64) % rings]
+    tone = groove * (0.50 + 0.22 * (1.0 - inside) + 0.20 * (shade - 0.5)) + 0.09 * fibre + 0.05 * fine
+    return Relief(height, tone * (1.0 - 0.75 * cracks) + 0.06 * tile.noise(rng, (4 * s, 5 * s)))
+
+
+def fibrous(tile: Tile, rng: Rng, scale_m: float, marks: float) -> Relief:
+    """Fibres along the stem and long checks: weathered wood, cedar, stems of herbs."""
+    s = scale_m
+    sway = 0.35 * s * tile.noise(rng, (5 * s, 30 * s))
+    strands = tile.cells(rng, (s, 22 * s), (sway + 0.06 * s * tile.noise(rng, (s, 6 * s), 2.0), 4 * sway))
+    fibre = tile.noise(rng, (0.12 * s, 7 * s), 1.7)
+    fine = tile.noise(rng, (0.08 * s, 1.0 * s), 1.4)
+    band = tile.noise(rng, (1.5 * s, 25 * s), 2.0)
+    checks = upper_share(tile.noise(rng, (0.7 * s, 26 * s), 2.2) + 0.12 * fibre, marks, 0.10)
+    round_top = 1.0 - np.exp(-strands.border_m / (0.18 * s))
+    height = 0.55 + 0.20 * round_top + 0.07 * fibre + 0.02 * fine - 0.55 * checks
+    tone = 0.40 + 0.20 * round_top + 0.10 * fibre + 0.07 * fine + 0.11 * band + 0.18 * (strands.values(rng) - 0.5)
+    return Relief(height, tone * (1.0 - 0.85 * checks))
+
+
+def end_grain(tile: Tile, rng: Rng, scale_m: float, marks: float) -> Relief:
+    """A cut stem's year rings about the middle of a square tile, with radial checks and a rim of bark."""
+    u, v = (place / size - 0.5 for place, size in zip(tile.places_m(), tile.size_m, strict=True))
+    size_m = tile.size_m
+    uneven = 0.012 * tile.noise(rng, (0.45 * size_m[0], 0.45 * size_m[1]), 2.5)
+    radius = (np.hypot(u, v) * 2.0).astype(np.float32)  # 1 at the rim
+    warped = radius * (1.0 + uneven)
+    count = max(3, round(0.5 * size_m[0] / scale_m))
+    widths = rng.lognormal(0.0, 0.35, count) * np.linspace(1.5, 0.7, count)  # young rings are wide
+    bounds = np.append(0.0, np.cumsum(widths) / widths.sum())
+    year = np.interp(np.minimum(warped, 1.0), bounds, np.arange(count + 1)).astype(np.float32)
+    late = (year - np.floor(year)) ** 3
+    angle = np.arctan2(v, u).astype(np.float32)
+    ray = rng.standard_normal(720)
+    rays = np.interp(angle, np.linspace(-np.pi, np.pi, 721), np.append(ray, ray[0])).astype(np.float32)
+    checks = _radial_checks(rng, angle, warped, marks)
+    fine = tile.noise(rng, (0.006, 0.006), 1.3)
+    heart = step(warped, 0.62, 0.50)
+    rim = step(warped, 0.955, 0.975)
+    tone = 0.82 - 0.42 * late - 0.20 * heart + 0.03 * rays + 0.03 * fine
+    tone = tone * (1.0 - 0.85 * checks) * (1.0 - 0.9 * rim)
+    height = 0.8 - 0.05 * late + 0.03 * fine - 0.7 * checks + 0.1 * rim
+    return Relief(height, tone)
+
+
+def _radial_checks(rng: Rng, angle: Image, radius: Image, marks: float) -> Image:
+    """Wedges that open towards the rim."""
+    checks = np.zeros_like(radius)
+    for _ in range(round(60 * marks)):
+        towards, inner, width = rng.uniform(-np.pi, np.pi), rng.uniform(0.05, 0.75), rng.uniform(0.010, 0.035)
+        turn = np.abs(np.angle(np.exp(1j * (angle - towards + 0.05 * np.sin(9.0 * radius + towards)))))
+        checks = np.maximum(checks, step((turn * radius).astype(np.float32), width * 0.5, 0.0) * step(radius, inner, 1))
+    return np.asarray(checks, dtype=np.float32)
+
+
+PATTERNS = {
+    "furrowed": Pattern(furrowed, 0.045, 0.016, 0.0),
+    "plated": Pattern(plated, 0.11, 0.014, 0.0),
+    "scaly": Pattern(scaly, 0.022, 0.004, 0.0),
+    "smooth": Pattern(smooth, 0.016, 0.003, 0.0),
+    "papery": Pattern(papery, 0.05, 0.004, 0.08),
+    "ringed": Pattern(ringed, 0.06, 0.012, 0.06),
+    "fibrous": Pattern(fibrous, 0.012, 0.006, 0.05),
+    "end_grain": Pattern(end_grain, 0.004, 0.003, 0.10),
+}

@@ -1,0 +1,346 @@
+"""Strand trees: branches are bundles of strands that divide until each holds one.
+
+Reference
+---------
+Zamuda, A., Brest, J., Guid, N., Žumer, V. (2007). Construction of virtual trees within ecosystems with EcoMod tool.
+Algorithm 1 and Eqs. 1-6. After Holton, M. (1994). Strands, gravity, and botanical tree imagery. Computer Graphics
+Forum 13(1), 57-67.
+
+Equations
+---------
+::
+
+    branchsegment(g, w, S_0, L_0, l_0):
+        d = k_d sqrt(S_0);  S_0 = 1: leaves, and no more
+        S_1 = ceil(1 + k_s (S_0 - 2));           S_2 = S_0 - S_1
+        r_i = max(min(sqrt(S_i / S_0), M), m);   L_i = r_i L_0;      l_i = k_l L_i
+        alpha_1 = k_c sqrt(S_2 / S_0) alpha;     alpha_2 = alpha - alpha_1
+        alpha_x(t) = sin(t + R_x) w_s (1 - k_f) l_0,  alpha_z(t) likewise;   alpha_w: see below
+        M_i = M_0 T_y(l_0) R_w0(alpha_w) R_{y x y_m}(alpha_m) R_y(alpha_p) R_x(alpha_x) R_z(+-alpha_i + alpha_z)
+        branchsegment(g, w + 1, S_1, L_1, l_1)        major: continues the axis
+        branchsegment(g + 1, w + 1, S_2, L_2, l_2)    minor: a new axis
+
+    k_s = max(min(k_s^g k_s^w, 1), 1/2)      (1)      M   = M^g M^w        (4)
+    alpha = min(alpha^g alpha^w, 180)        (2)      k_l = k_l^g k_l^w    (5)
+    alpha_m = +-180 at most, alpha_m^g alpha_m^w (3)  m   = m^g m^w        (6)
+
+g is the Gravelius order (0 the trunk, one more at each minor sub-branch), w the Weibull order (segments from the foot).
+
+Parameters
+----------
+==================== ================ ======= ============== ========================================================
+name                 symbol           unit    default        meaning
+==================== ================ ======= ============== ========================================================
+strands              S                -       1000           strands in all, by height in metres; 1 to 200,000
+trunk_length_m       l_0              m       5              length of the trunk's base segment, by height; up to 20
+scale_by_height      -                -       1              factor on all lengths and diameters, by height
+thickness_m          k_d              m       0.01           diameter of one strand; up to 0.05
+thickness_exponent   -                -       0.5            d = k_d S_0^exponent; 0.3 to 1
+gravicentralism      k_c              -       0.3            0: the trunk runs straight; 1: both sub-branches give way
+phyllotaxis_deg      alpha_p          degree  85             turn of the plane of division, 0 to 360
+split                k_s^g k_s^w      -       0.75           share of strands that stays; 1/2 to 1, and 0 to 2
+angle_deg            alpha^g alpha^w  degree  45             angle between the two sub-branches; 0 to 180, and 0 to 2
+shortest             m^g m^w          -       0              least ratio r; 0 to 10, and 0 to 2
+longest              M^g M^w          -       1              greatest ratio r; 0 to 10, and 0 to 2
+length               k_l^g k_l^w      -       1              segment's length over its relative length; 0 to 10, 0 to 2
+gravimorphism_deg    alpha_m^g ...    degree  0              droop at a division; -180 to 180, and 0 to 2
+lod                  l_LOD            -       0              branches of so many strands are not divided further
+stiffness            k_f              -       1              1: no sway in the undirected wind
+wind                 w_g, w_s, w, t   -       none           see `Wind` in plants/strand_wind.py
+leaves               l_type, ...      -       none           see `Leaves` in plants/strand_leaves.py
+split_jitter         -                -       0              the individual: standard deviation of k_s,
+angle_jitter_deg     -                degree  0              of the angles of a light sub-branch,
+phyllotaxis_jit...   -                degree  0              of alpha_p (`phyllotaxis_jitter_deg`),
+length_jitter        -                -       0              and of the logarithm of l
+wood, shapes, ...    -                -       -              as for every generator
+==================== ================ ======= ============== ========================================================
+
+The six local parameters have two curves each, `gravelius` over g and `weibull` over w, evaluated at whole numbers.
+
+Recipe
+------
+::
+
+    plant:
+      generator: strands
+      fit: none
+      strands: 1000
+      trunk_length_m: 5
+      split: {gravelius: [[0, 0.75], [15, 0.9]]}
+      shortest: {gravelius: [[0, 1], [7.5, 0.45], [15, 1]]}
+      wood: {material: bark}
+      shapes: {leaf: {form: simple, material: leaf, length_m: 0.1, width_m: 0.07}}
+      leaves: {shape: leaf, arrangement: spiral, density: 5, size_m: 0.2862}
+
+Decisions
+---------
+- The paper's text refers to Eqs. 3, 4, 5 and 6 for m, M, k_l and alpha_m; the equations themselves give alpha_m, M,
+  k_l and m. The equations and their ranges count.
+- L_0 starts at 1 and l_0 is a length of its own: the trunk's base is 5 m long, the segments above it about 1 m. So the
+  paper's beech stands 27 m high and its pine 23 m.
+- Algorithm 1 turns both sub-branches by a positive angle about z. alpha is the angle between them (section II.B), so
+  the minor one turns by -alpha_2 here.
+- Matrices are printed for row vectors. Here they multiply columns, in the same frames. The inverse matrices, whose
+  printed order fits neither, are the inverses.
+- The paper does not say where y_m points. Here it is down, the way gravity pulls, so a positive alpha_m droops: the
+  pine's negative ones raise its branches' tips, as a pine's are. A turn ends where down (or up) is reached. It counts
+  as if there were no directed wind, as printed.
+- With k_c = 0.98 as printed the pine's trunk turns by 27 degrees at every division, a screw that leans by some 19
+  degrees; 1 - k_c in its place would give a straight one. The print counts; the library's pine has a small k_c.
+- The wind's turn is about w in the plant frame: the printed place of R_w0 would turn it about an axis of the
+  sub-branch that is known in its bearer's frame only. Angles of the wind are in degrees, since sliders end at 10.
+- alpha_w = S_0/S w_g, as printed, bends a trunk most. Drag on a branch grows with its leaves, S_0, its stiffness with
+  d^4, S_0^2, so thin branches bend more: (1 - S_0/S) w_g is the default (`bends`). The paper's w = [0 1 0] is the
+  trunk's own direction: [0, 0, 1] here, which turns without bending.
+- The pine has 6000 strands where the slider ends at 5000: the bound here is 200,000. rho_l is the number of leaves on
+  a branch of one strand: 5000 leaves on the paper's beech.
+- l_LOD is 0 in both models and not explained. Here a branch of at most `lod` strands is one segment, with the leaves
+  of one strand, larger by the root of its strands.
+- The curve of the pine's k_s^w has two points at 42.89; positions must ascend, so write 42.89 and 42.8901.
+- Where 2000 strands make a trunk of half a metre, the square root makes a twig of a centimetre. A larger
+  `thickness_exponent` gives a library's tree thinner twigs; sections then shrink from bearer to sub-branches.
+- A young tree is not an old one's miniature: `strands` and `scale_by_height` say how many branches it has and how large
+  they are. 1, the default, is the paper's.
+- Jitters are not in the paper. The plant's phases in the wind and its form come from separate random streams, so wind
+  does not alter the form.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import AfterValidator, BaseModel, Field, model_validator
+
+from forestgen.core.errors import RecipeError
+from forestgen.plants.budget import check_budget
+from forestgen.plants.curves import Curve, Formula, PositiveCurve, Smooth, evaluate, evaluate_one
+from forestgen.plants.parameters import STRICT, PlantParameters
+from forestgen.plants.skeleton import OrganPlacements, Skeleton
+from forestgen.plants.strand_kernel import JITTERS, ORDERS, Branching, Pose, divide
+from forestgen.plants.strand_leaves import Leaves, carried, leaf_places
+from forestgen.plants.strand_wind import Wind, pose
+
+Floats = NDArray[np.float64]
+
+MOST_STRANDS = 200_000
+_SEGMENT_BYTES = 1200  # a segment's place in all arrays of its making, its node, and its share of a tube
+
+
+def _within(low: float, high: float) -> AfterValidator:
+    """Values of a curve must lie in a range; a formula's are cut to it when they are evaluated."""
+
+    def check(curve: Any) -> Any:
+        if not isinstance(curve, Formula):
+            points = curve.points if isinstance(curve, Smooth) else curve
+            wrong = [value for _, value in points if not low <= value <= high]
+            if wrong:
+                raise ValueError(f"the values of this curve must lie between {low:g} and {high:g}, got {wrong[0]:g}")
+        return curve
+
+    return AfterValidator(check)
+
+
+_OverDepth = Annotated[Curve, _within(0.0, 2.0)]
+
+
+class _Local(BaseModel):
+    """A local parameter: the product of two curves."""
+
+    model_config = STRICT
+
+    weibull: _OverDepth = Field(default=((0.0, 1.0),), description="factor over the Weibull order w, 0 to 2")
+
+
+class Split(_Local):
+    """k_s: the share of strands that the major sub-branch keeps."""
+
+    gravelius: Annotated[Curve, _within(0.5, 1.0)] = Field(default=((0.0, 0.75),), description="over g, 1/2 to 1")
+
+
+class Angle(_Local):
+    """alpha: the angle between the two sub-branches."""
+
+    gravelius: Annotated[Curve, _within(0.0, 180.0)] = Field(
+        default=((0.0, 45.0),), description="over g, 0 to 180 degrees"
+    )
+
+
+class Shortest(_Local):
+    """m: least ratio of a sub-branch's length to its bearer's."""
+
+    gravelius: Annotated[Curve, _within(0.0, 10.0)] = Field(default=((0.0, 0.0),), description="over g, 0 to 10")
+
+
+class Longest(_Local):
+    """M: greatest ratio of a sub-branch's length to its bearer's."""
+
+    gravelius: Annotated[Curve, _within(0.0, 10.0)] = Field(default=((0.0, 1.0),), description="over g, 0 to 10")
+
+
+class Length(_Local):
+    """k_l: a segment's length over its relative length."""
+
+    gravelius: Annotated[Curve, _within(0.0, 10.0)] = Field(default=((0.0, 1.0),), description="over g, 0 to 10 metres")
+
+
+class Gravimorphism(_Local):
+    """alpha_m: turn to the ground (or, negative, to the sky) at a division."""
+
+    gravelius: Annotated[Curve, _within(-180.0, 180.0)] = Field(
+        default=((0.0, 0.0),), description="over g, -180 to 180 degrees"
+    )
+
+
+class Parameters(PlantParameters):
+    """The `plant:` block of a species' file."""
+
+    generator: Literal["strands"] = "strands"
+    strands: Annotated[PositiveCurve, _within(1.0, MOST_STRANDS)] = Field(
+        ((0.0, 1000.0),), description="S: strands in all, by the plant's height in metres; 1 to 200,000"
+    )
+    trunk_length_m: Annotated[PositiveCurve, _within(0.0, 20.0)] = Field(
+        ((0.0, 5.0),), description="l_0: length of the trunk's base segment, by the plant's height in metres"
+    )
+    scale_by_height: PositiveCurve = Field(
+        ((0.0, 1.0),), description="factor on all lengths and diameters of wood, by the plant's height in metres"
+    )
+    thickness_m: float = Field(0.01, gt=0, le=0.05, description="k_d: diameter of a branch of one strand, metres")
+    thickness_exponent: float = Field(
+        0.5, ge=0.3, le=1, description="power of the strands that a diameter grows with; 0.5: sections are conserved"
+    )
+    gravicentralism: float = Field(0.3, ge=0, le=1, description="k_c: how far the major sub-branch gives way")
+    phyllotaxis_deg: float = Field(85.0, ge=0, le=360, description="alpha_p: turn of the plane of division, degrees")
+    split: Split = Field(Split(), description="k_s: the share of strands that the major sub-branch keeps")
+    angle_deg: Angle = Field(Angle(), description="alpha: the angle between the two sub-branches, degrees")
+    shortest: Shortest = Field(Shortest(), description="m: least ratio of a sub-branch's length to its bearer's")
+    longest: Longest = Field(Longest(), description="M: greatest ratio of a sub-branch's length to its bearer's")
+    length: Length = Field(Length(), description="k_l: a segment's length over its relative length, metres")
+    gravimorphism_deg: Gravimorphism = Field(
+        Gravimorphism(), description="alpha_m: turn to the ground at a division, degrees; negative: to the sky"
+    )
+    lod: int = Field(0, ge=0, le=10_000, description="branches of so many strands or fewer are not divided further")
+    stiffness: float = Field(1.0, ge=0, le=1, description="k_f: 1: no sway in the undirected wind")
+    wind: Wind = Field(Wind(), description="the wind that the plant stands in")
+    leaves: Leaves | None = Field(None, description="leaves of the branches that carry one strand")
+    split_jitter: float = Field(0.0, ge=0, le=0.5, description="standard deviation of k_s")
+    angle_jitter_deg: float = Field(
+        0.0, ge=0, le=90, description="standard deviation of a sub-branch's angles, degrees; less for the heavier one"
+    )
+    phyllotaxis_jitter_deg: float = Field(0.0, ge=0, le=180, description="standard deviation of alpha_p, degrees")
+    length_jitter: float = Field(0.0, ge=0, le=1, description="standard deviation of the logarithm of a length")
+
+    @model_validator(mode="after")
+    def _leaf_has_shape(self) -> Self:
+        if self.leaves is not None and self.leaves.shape not in self.shapes:
+            raise ValueError(f"leaves name the shape {self.leaves.shape!r}; there are: {', '.join(self.shapes)}")
+        return self
+
+
+_Parameters = Parameters  # the generator's attribute hides the name
+
+
+def tables(parameters: Parameters) -> tuple[Floats, Floats]:
+    """(6, ORDERS) auxiliary local parameters over g and over w, within their ranges; angles in radians."""
+    p = parameters
+    order = np.arange(ORDERS, dtype=np.float64)
+    rows: list[tuple[_Local, Any, tuple[float, float], float]] = [
+        (p.split, p.split.gravelius, (0.5, 1.0), 1.0),
+        (p.angle_deg, p.angle_deg.gravelius, (0.0, 180.0), np.pi / 180.0),
+        (p.shortest, p.shortest.gravelius, (0.0, 10.0), 1.0),
+        (p.longest, p.longest.gravelius, (0.0, 10.0), 1.0),
+        (p.length, p.length.gravelius, (0.0, 10.0), 1.0),
+        (p.gravimorphism_deg, p.gravimorphism_deg.gravelius, (-180.0, 180.0), np.pi / 180.0),
+    ]
+    by_order = [np.clip(evaluate(curve, order), *bounds) * unit for _, curve, bounds, unit in rows]
+    by_depth = [np.clip(evaluate(local.weibull, order), 0.0, 2.0) for local, _, _, _ in rows]
+    return np.array(by_order), np.array(by_depth)
+
+
+def branching_of(parameters: Parameters, height_m: float, rng: np.random.Generator) -> Branching:
+    """Who divides into what.
+
+    Raises
+    ------
+    RecipeError : the plant has no length, or too many segments for memory.
+    """
+    p = parameters
+    wanted = evaluate_one(p.strands, height_m)
+    strands = round(min(max(wanted, 1.0), float(MOST_STRANDS)))
+    check_budget("branch segments", 2.0 * strands, _SEGMENT_BYTES, "fewer strands")
+    jitter = np.array(
+        [
+            p.split_jitter,
+            np.radians(p.angle_jitter_deg),
+            np.radians(p.angle_jitter_deg),
+            np.radians(p.phyllotaxis_jitter_deg),
+            p.length_jitter,
+        ]
+    )
+    normals = rng.normal(size=(3 * strands, JITTERS)) if jitter.any() else np.zeros((1, JITTERS))
+    trunk_m = float(np.clip(evaluate_one(p.trunk_length_m, height_m), 0.0, 20.0))
+    branching = divide(
+        strands, max(1, p.lod), trunk_m, p.gravicentralism, np.radians(p.phyllotaxis_deg), *tables(p), jitter, normals
+    )
+    if not branching.length_m.sum() > 0.0:
+        raise RecipeError("no branch of the plant has a length", where="plant", hint="trunk_length_m and length")
+    scale = evaluate_one(p.scale_by_height, height_m)
+    return replace(branching, length_m=scale * branching.length_m, scale=scale)
+
+
+def skeleton_of(
+    parameters: Parameters, branching: Branching, stance: Pose, organs: tuple[OrganPlacements, ...] = ()
+) -> Skeleton:
+    """The segments as nodes: their thickness is d = k_d sqrt(S_0) throughout, or of the exponent chosen."""
+    strands = branching.strands.astype(np.float64)
+    return Skeleton(
+        parent=branching.parent.astype(np.int32),
+        position_m=stance.position_m.astype(np.float32),
+        radius_m=(0.5 * parameters.thickness_m * branching.scale * strands**parameters.thickness_exponent).astype(
+            np.float32
+        ),
+        order=np.minimum(branching.gravelius, 255).astype(np.uint8),
+        axis=branching.axis.astype(np.int32),
+        organs=organs,
+    )
+
+
+@dataclass(frozen=True)
+class Rest:
+    """A plant without wind, and what it needs to stand in one."""
+
+    branching: Branching
+    pose: Pose
+    organs: tuple[OrganPlacements, ...]  # the leaves that the generator places
+    phases_rad: Floats  # (N, 2) R_x and R_z of every segment
+
+
+def grow_at_rest(parameters: Parameters, height_m: float, rng: np.random.Generator) -> Rest:
+    """The tree without wind, in metres as Algorithm 1 gives them."""
+    form_rng, leaf_rng, wind_rng = rng.spawn(3)
+    branching = branching_of(parameters, height_m, form_rng)
+    phases_rad = wind_rng.uniform(0.0, 2.0 * np.pi, (len(branching.parent), 2))
+    rest = pose(branching, Wind(), parameters.stiffness, phases_rad)
+    organs: tuple[OrganPlacements, ...] = ()
+    if parameters.leaves is not None:
+        template = parameters.shapes[parameters.leaves.shape].template()
+        organs = (leaf_places(parameters.leaves, template, branching, rest, height_m, leaf_rng),)
+    return Rest(branching, rest, organs, phases_rad)
+
+
+class StrandGenerator:
+    """Grows plants by Algorithm 1."""
+
+    Parameters = Parameters  # the class that a recipe's `plant` block is checked against
+
+    def grow(self, parameters: _Parameters, height_m: float, width_m: float, rng: np.random.Generator) -> Skeleton:
+        """The tree in its wind, with its leaves; `width_m` is for the fit that follows."""
+        plant = grow_at_rest(parameters, height_m, rng)
+        stance = pose(plant.branching, parameters.wind, parameters.stiffness, plant.phases_rad)
+        organs = tuple(carried(placement, plant.pose, stance) for placement in plant.organs)
+        return skeleton_of(parameters, plant.branching, stance, organs)
+
+
+GENERATOR = StrandGenerator()

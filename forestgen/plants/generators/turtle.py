@@ -1,0 +1,283 @@
+"""Plants drawn by an L-system's turtle: any program, grown to the step that the plant's size asks for.
+
+Reference
+---------
+Prusinkiewicz, P., Lindenmayer, A. (1990). The Algorithmic Beauty of Plants. Chapters 1 to 5. The language is described
+in docs/lsystem.md.
+
+Equations
+---------
+::
+
+    word(0) = axiom,   word(n + 1) = word(n) rewritten,   n = round(steps(height))
+    plant   = the turtle's drawing of the first word of word(n)
+
+A program knows derivation steps, a plant of a community its height. `steps` is the curve that joins them; without
+one, every plant is as old as the program's ``derivation length`` says, and small plants are small copies of large ones.
+A program that defines ``height_m`` or ``width_m`` is told the plant's.
+
+Parameters
+----------
+================== ====== ========== ==============================================================================
+name               unit   default    meaning
+================== ====== ========== ==============================================================================
+program            -      -          a shipped program's name, or the path of a .lsys or .sys file
+steps              -      program's  derivation steps over the plant's height in metres, rounded
+values             -      program's  its #defines (numbers, or curves over the height), arrays and functions
+surfaces           -      by name    organ shape of each surface of ``~``
+polygons           -      not drawn  part and material of the turtle's polygons, ``{material: leaf}``
+unit_m             m      program's  metres that a unit of the program has
+most_modules       -      2,000,000  words longer than this are refused
+wood, shapes, ...  -      -          as for every generator
+================== ====== ========== ==============================================================================
+
+Recipe
+------
+::
+
+    plant:
+      generator: turtle
+      program: lily                                 # scenes/lsystems/lily.lsys, or ./mine.lsys beside this file
+      steps: [[0.1, 3], [1.2, 20]]
+      values: {leaf_angle: 65, nodes: [[0.2, 5], [1.2, 40]]}
+      surfaces: {K: leaf, B: flower}
+      wood: {material: stem}
+      shapes:
+        leaf: {form: simple, material: leaf, length_m: 0.12, width_m: 0.015}
+        flower: {form: four_petals, part: flower, material: petal, length_m: 0.08, width_m: 0.05}
+
+Decisions
+---------
+- ``~K(s)`` is s times the shape's size in metres, whatever unit the program draws in: a leaf does not become longer
+  because a segment does. So the default fit is ``scale``: the wood as a whole until the height fits, organs as they
+  are. ``fit: scale_all`` keeps the program's own proportions, ``fit: none`` its own size.
+- A surface that `surfaces` does not name is the shape of that name; one that is neither is an error.
+- A polygon is a fan of triangles around its first vertex, so it must be seen whole from there, as a leaf from its foot.
+  It follows the wood's scale whatever the fit.
+- The program's seed is drawn from the plant's stream: two exemplars of a stochastic program differ.
+- ?E keeps its parameters: no environment answers a plant that grows by itself.
+- Of a multiset the first word is drawn.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, BeforeValidator, Field, TypeAdapter, ValidationError, WithJsonSchema, model_validator
+
+from forestgen.core.errors import LsystemError, RecipeError
+from forestgen.geometry.patches import Patch
+from forestgen.lsystem.compiler import Value, compile_listing, settable, with_values
+from forestgen.lsystem.derivation import TooManyModulesError
+from forestgen.lsystem.program import Program
+from forestgen.lsystem.syntax import Listing
+from forestgen.plants.budget import check_budget
+from forestgen.plants.curves import Curve, evaluate_one
+from forestgen.plants.from_turtle import draw_program, parse_program, skeleton_of
+from forestgen.plants.organ_base import OrganForm, Pieces
+from forestgen.plants.parameters import STRICT, PlantParameters
+from forestgen.plants.skeleton import OrganPlacements, Skeleton
+
+MOST_STEPS = 10_000
+POLYGON = "polygon"  # name of the shape that polygons have
+_BYTES_PER_NODE = 3_000  # the drawing, the skeleton, and a tube of six sides around a segment
+_TOLD = ("height_m", "width_m")
+
+_curve: TypeAdapter[Any] = TypeAdapter(Curve)
+
+
+class ProgramText(BaseModel):
+    """An L-system program. A recipe names it; reading the recipe puts its text here."""
+
+    model_config = STRICT
+
+    name: str = Field(description="the file's name, for messages; its suffix tells .sys from .lsys")
+    text: str = Field(description="the program itself")
+
+
+def _embedded(value: Any) -> Any:
+    if isinstance(value, str):
+        raise ValueError("a program is {name, text} here; only a recipe's or a species file's reader finds it by name")
+    return value
+
+
+_PROGRAM_SCHEMA: dict[str, Any] = {
+    "anyOf": [{"type": "string"}, {"type": "object", "properties": {"name": {}, "text": {}}}],
+    "description": "the L-system: a shipped program's name, or the path of a .lsys or .sys file",
+}
+
+
+class PolygonFace(OrganForm):
+    """The surface of polygons, which the program gives their form."""
+
+    form: Literal["polygon"] = "polygon"
+
+    def patches(self) -> tuple[Pieces, ...]:
+        """The triangle that `from_turtle` bends and moves to each of a polygon's own."""
+        corners = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+        return (Pieces(self.material, (Patch(corners, np.array([[0, 1, 2]]), corners[:, :2]),)),)
+
+
+class Parameters(PlantParameters):
+    """The `plant:` block of a species' file."""
+
+    generator: Literal["turtle"] = "turtle"
+    program: Annotated[ProgramText, BeforeValidator(_embedded), WithJsonSchema(_PROGRAM_SCHEMA)] = Field(
+        description="the L-system: a shipped program's name, or the path of a .lsys or .sys file"
+    )
+    steps: Curve | None = Field(
+        None, description="derivation steps over the plant's height in metres; null: the program's derivation length"
+    )
+    values: dict[str, Any] = Field(
+        default_factory=dict,
+        description="values of the program's #defines (numbers, or curves over the plant's height in metres), arrays "
+        "(lists) and functions (control points)",
+    )
+    surfaces: dict[str, str] = Field(
+        default_factory=dict,
+        description="organ shape of each of the turtle's surfaces, ~K; by default that of its name",
+    )
+    polygons: PolygonFace | None = Field(None, description="part and material of polygons; null: they are not drawn")
+    unit_m: float | None = Field(None, gt=0, le=1e4, description="metres a unit; null: the program's scale")
+    most_modules: int = Field(2_000_000, ge=1, le=50_000_000, description="longest word that may be drawn")
+
+    @model_validator(mode="after")
+    def _fits_program(self) -> Self:
+        listing = _compiled(self.program.name, self.program.text, ()).listing
+        if self.steps is None and listing.derivation_length is None:
+            raise ValueError(f"steps are missing: {self.program.name} has no derivation length")
+        for shape in self.surfaces.values():
+            if shape not in self.shapes:
+                raise ValueError(f"there is no shape {shape!r}; there are: {', '.join(self.shapes)}")
+        if self.polygons is not None:
+            shapes: dict[str, Any] = self.shapes
+            shapes[POLYGON] = self.polygons
+        for name in self.values:
+            self._check_value(listing, name)
+        return self
+
+    def _check_value(self, listing: Listing, name: str) -> None:
+        if name in _TOLD:
+            raise ValueError(f"values: {name} is the plant's own")
+        if name not in settable(listing):
+            there_are = ", ".join(one for one in settable(listing) if one not in _TOLD) or "none"
+            raise ValueError(f"values: {self.program.name} defines no {name}; there are: {there_are}")
+        try:
+            value = self._value(listing, name, 1.0)
+            with_values(listing, {name: value})
+        except (ValidationError, TypeError, RecipeError) as error:
+            raise ValueError(f"values: {name} is no number and no curve over the height") from error
+        except LsystemError as error:
+            raise ValueError(f"values: {name} must be {error.expected}") from error
+
+    def _value(self, listing: Listing, name: str, height_m: float) -> Value:
+        """A #define's number at a height; arrays and functions as they are."""
+        written = self.values[name]
+        if name not in listing.macros:
+            listed: Value = _tuples(written)
+            return listed
+        return evaluate_one(_curve.validate_python(written), height_m)
+
+    def program_for(self, height_m: float, width_m: float) -> Program:
+        """The compiled program with the values of a plant of this size."""
+        listing = _compiled(self.program.name, self.program.text, ()).listing
+        values = {name: self._value(listing, name, height_m) for name in self.values}
+        known = set(settable(listing))
+        values |= {name: size for name, size in zip(_TOLD, (height_m, width_m), strict=True) if name in known}
+        return _compiled(self.program.name, self.program.text, tuple(sorted(values.items())))
+
+    def steps_at(self, height_m: float, program: Program) -> int:
+        """Derivation steps of a plant of this height."""
+        steps = float(program.derivation_length or 0) if self.steps is None else evaluate_one(self.steps, height_m)
+        if not 0 <= steps <= MOST_STEPS:
+            raise RecipeError(
+                "the plant's age is out of range",
+                where="plant.steps",
+                expected=f"0 to {MOST_STEPS:,} derivation steps",
+                got=f"{steps:g} at a height of {height_m:g} m",
+            )
+        return round(steps)
+
+
+_Parameters = Parameters  # the generator's attribute hides the name
+
+
+def _tuples(value: Any) -> Any:
+    return tuple(_tuples(one) for one in value) if isinstance(value, list | tuple) else value
+
+
+@lru_cache(maxsize=64)
+def _compiled(name: str, text: str, values: tuple[tuple[str, Any], ...]) -> Program:
+    listing = parse_program(text, name)
+    return compile_listing(with_values(listing, dict(values)) if values else listing)
+
+
+class TurtleGenerator:
+    """Draws the plants of L-systems."""
+
+    Parameters = Parameters  # the class that a recipe's `plant` block is checked against
+
+    def grow(self, parameters: _Parameters, height_m: float, width_m: float, rng: np.random.Generator) -> Skeleton:
+        """The drawing of the program's word, with its surfaces and polygons as organs."""
+        program = parameters.program_for(height_m, width_m)
+        steps = parameters.steps_at(height_m, program)
+        names = {name: name for name in parameters.shapes} | parameters.surfaces
+        seed = int(rng.integers(0, 2**63))
+        try:
+            drawing, scale = draw_program(
+                program, steps, seed, unit_m=parameters.unit_m, surfaces=names, most_modules=parameters.most_modules
+            )
+        except TooManyModulesError as error:
+            raise RecipeError(
+                "the plant's word grows too long",
+                where=f"plant.program {parameters.program.name}",
+                expected=f"at most {parameters.most_modules:,} modules",
+                got=f"more of them within {steps} steps",
+                hint="fewer steps, or a higher plant.most_modules",
+            ) from error
+        check_budget("segments", len(drawing.parent), _BYTES_PER_NODE, "fewer steps, or plant.steps by height")
+        faces = parameters.polygons and len(drawing.polygons.offset) > 1
+        if not np.any(drawing.is_drawn) and not len(drawing.surfaces.node) and not faces:
+            raise RecipeError(
+                "the program draws nothing",
+                where=f"plant.program {parameters.program.name}",
+                expected="F, or a surface",
+                got=f"a word without them after {steps} steps",
+            )
+        skeleton = skeleton_of(drawing, names, POLYGON if parameters.polygons else None)
+        placed = (one if one.shape == POLYGON else _unscaled(one, scale) for one in skeleton.organs)
+        skeleton = replace(skeleton, organs=tuple(placed))
+        return skeleton if parameters.fit in ("none", "scale_all") else _sized(skeleton, height_m)
+
+
+def _unscaled(placement: OrganPlacements, scale: float) -> OrganPlacements:
+    frame = placement.frame.copy()
+    frame[:, :, :3] /= np.float32(scale)
+    return replace(placement, frame=frame)
+
+
+def _sized(skeleton: Skeleton, height_m: float) -> Skeleton:
+    """Wood and polygons about as tall as the plant; the fit, which leaves organs as they are, does the rest."""
+    fans = [one.frame for one in skeleton.organs if one.shape == POLYGON and len(one.frame)]
+    corners = [(fan[:, 2, 3] + np.maximum(0.0, fan[:, 2, :2].max(axis=1))).max() for fan in fans]
+    tops = [skeleton.position_m[:, 2].max(), *corners]
+    factor = np.float32(height_m / max(float(max(tops)), 1e-9))
+
+    def moved(placement: OrganPlacements) -> OrganPlacements:
+        frame: NDArray[np.float32] = placement.frame.copy()
+        frame[:, :, slice(None) if placement.shape == POLYGON else 3] *= factor
+        return replace(placement, frame=frame)
+
+    return replace(
+        skeleton,
+        position_m=skeleton.position_m * factor,
+        radius_m=skeleton.radius_m * factor,
+        organs=tuple(moved(one) for one in skeleton.organs),
+    )
+
+
+GENERATOR = TurtleGenerator()

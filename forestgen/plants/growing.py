@@ -1,0 +1,69 @@
+"""Several exemplars at once: from disk where they are kept, otherwise grown, on all cores.
+
+Threads, not processes: most of the time goes to NumPy and to compiled loops, which leave Python's lock; and a process
+would first spend seconds on imports, and would run a user's script again. What grows depends on the requests alone,
+never on the number of threads.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+from forestgen.core.disk_cache import DiskCache
+from forestgen.core.randomness import child_rng
+from forestgen.core.threads import cores
+from forestgen.plants.build import build_exemplar
+from forestgen.plants.cache import ExemplarRequest, keep_exemplar, load_exemplar
+from forestgen.plants.exemplar import Exemplar
+
+
+def grow_exemplar(request: ExemplarRequest) -> Exemplar:
+    """The plant of a request, grown and meshed."""
+    rng = child_rng(request.seed, *request.identity)
+    return build_exemplar(
+        request.species_name, request.species, request.parameters, request.radius_m, rng, level=request.level
+    )
+
+
+def grow_exemplars(
+    requests: Sequence[ExemplarRequest],
+    *,
+    store: DiskCache | None = None,
+    workers: int | None = None,
+    advance: Callable[[int], None] = lambda done: None,
+) -> tuple[Exemplar, ...]:
+    """All exemplars, in the order of the requests.
+
+    Parameters
+    ----------
+    store : where exemplars are kept from run to run; None: nowhere.
+    workers : threads; None: as many as there are cores.
+    advance : is told, in the calling thread, how many more are done.
+
+    Raises
+    ------
+    RecipeError : a plant that cannot be grown: of several, the one that is asked for first.
+    """
+    threads = max(1, min(workers or cores(), len(requests)))
+
+    def one(request: ExemplarRequest) -> tuple[Exemplar, bool]:
+        found = load_exemplar(store, request) if store is not None else None
+        if found is not None:
+            return found, False
+        grown = grow_exemplar(request)
+        return grown, store is not None and keep_exemplar(store, request, grown)
+
+    results = []
+    with ThreadPoolExecutor(threads) as pool:
+        futures = [pool.submit(one, request) for request in requests]
+        try:
+            for future in futures:
+                results.append(future.result())
+                advance(1)
+        except BaseException:  # Ctrl-C too: only the plants that are being grown are waited for
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+    if store is not None and any(kept for _, kept in results):
+        store.trim()
+    return tuple(exemplar for exemplar, _ in results)

@@ -1,0 +1,266 @@
+"""Far versions of a plant: fewer and larger organs, fewer twigs, straighter axes, the same leaf area and silhouette.
+
+A level is told by what a pixel covers of the plant. Organs are pruned until one that remains is about as long as a
+pixel, and enlarged so that their area stays exactly the same; thin twigs likewise, so that the area that they show
+stays. Which organs remain is random, a part of every stretch of the plant, and nested: a coarser level's are among a
+finer level's. The box around the plant stays: the outermost organs always remain, and none grows beyond it.
+
+References
+----------
+Cook, R. L., Halstead, J., Planck, M., Ryu, D. (2007). Stochastic simplification of aggregate detail. ACM Transactions
+on Graphics 26(3), article 79: pruning in random order, and areas enlarged by one over the share that remains
+(section 3). Its correction of contrast (section 5) is for elements that differ in colour; ours share a material.
+
+Decisions
+---------
+- Wood is simplified as a skeleton, before it is meshed, which makes a far version cheaper to grow than a full one.
+  Edge collapse (geometry/simplify.py) keeps its form as well, and took ten times as long as growing the plant.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.geometry.mesh import Mesh
+from forestgen.plants.skeleton import OrganPlacements, Skeleton
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+PIXEL_STEPS_M = (0.2, 0.4)  # pixels for which far versions are made
+
+_ORGAN_PIXELS = 0.7  # length of an enlarged organ
+_TWIG_PIXELS = 0.1  # diameter of an enlarged twig
+_BEND_PIXELS = 0.05  # an axis may be moved this far when it is straightened
+_LEAST_ORGANS = 0.75  # share of the organs: half of them hide less of themselves, and cover 3% more in all
+_LEAST_TWIGS = 1.0 / 64.0  # share of the twigs
+_FEWEST_ORGANS = 200  # so many always remain: fewer would not stand for the rest
+_NOT_WORTH = 0.85  # a larger share saves nothing
+_STRETCH = 16  # organs of which the same share remains
+_MOST_PASSES = 6
+_DIRECTIONS = 200
+
+
+@dataclass(frozen=True)
+class Level:
+    """How much detail a plant shows."""
+
+    pixel_m: float = 0.0  # what a pixel covers of the plant where it is seen closest, metres; 0: all detail
+
+
+FULL = Level()
+
+
+def level_for(pixel_m: Floats) -> Ints:
+    """Index of the level for each view: 0 for all detail, k for ``PIXEL_STEPS_M[k - 1]``; any shape.
+
+    Parameters
+    ----------
+    pixel_m : what a pixel covers of the plant, metres.
+    """
+    return np.searchsorted(np.asarray(PIXEL_STEPS_M), pixel_m, side="right").astype(np.int64)
+
+
+def level_of_index(index: int) -> Level:
+    """The level that `level_for` numbers."""
+    return FULL if index == 0 else Level(PIXEL_STEPS_M[index - 1])
+
+
+def simplified(skeleton: Skeleton, templates: Mapping[str, Mesh], level: Level, rng: np.random.Generator) -> Skeleton:
+    """A skeleton with the detail that a level needs.
+
+    Parameters
+    ----------
+    skeleton : at its final size, with all organs.
+    templates : organ shapes by name.
+    rng : decides what remains; the same for all levels of a plant, so that they are nested.
+    """
+    if level.pixel_m <= 0.0:
+        return skeleton
+    organ_rng, twig_rng = rng.spawn(2)
+    organs = _pruned_organs(skeleton, templates, level.pixel_m, organ_rng)
+    thinned = _pruned_twigs(replace(skeleton, organs=organs), level.pixel_m, twig_rng)
+    return _straightened(thinned, level.pixel_m)
+
+
+# --- organs ----------------------------------------------------------------------------------------------------------
+
+
+def _pruned_organs(
+    skeleton: Skeleton, templates: Mapping[str, Mesh], pixel_m: float, rng: np.random.Generator
+) -> tuple[OrganPlacements, ...]:
+    boxes = [_boxes(one.frame, templates[one.shape]) for one in skeleton.organs]
+    nodes = skeleton.position_m.astype(np.float64)
+    low = np.min([nodes.min(axis=0), *(b.min(axis=0) for b, _ in boxes if len(b))], axis=0)
+    high = np.max([nodes.max(axis=0), *(b.max(axis=0) for _, b in boxes if len(b))], axis=0)
+    pruned = []
+    for one, (lowest, highest), own in zip(skeleton.organs, boxes, rng.spawn(len(boxes)), strict=True):
+        template = templates[one.shape]
+        size = _sizes(one.frame)
+        share = _organ_share(template, size, pixel_m)
+        if share > _NOT_WORTH:
+            pruned.append(one)
+            continue
+        outermost = np.any((lowest <= low) | (highest >= high), axis=1)
+        keep = (_keys(len(size), own) < share) | outermost
+        # Area goes with the square of the size; the outermost stay as they are.
+        others = keep & ~outermost
+        growth = np.sqrt(np.sum(size[~outermost] ** 2) / max(np.sum(size[others] ** 2), 1e-30))
+        frame = _enlarged(one.frame, template, np.where(outermost, 1.0, growth), low, high, keep)
+        pruned.append(OrganPlacements(one.shape, frame, one.node[keep]))
+    return tuple(pruned)
+
+
+def mean_size(frame: NDArray[np.float32]) -> float:
+    """Root mean square of the scale of (M, 3, 4) organ frames; 1 without organs."""
+    return float(np.sqrt(np.mean(_sizes(frame) ** 2))) if len(frame) else 1.0
+
+
+def _sizes(frame: NDArray[np.float32]) -> Floats:
+    return np.asarray(np.cbrt(np.abs(np.linalg.det(frame[:, :, :3].astype(np.float64)))), dtype=np.float64)
+
+
+def _support(template: Mesh) -> Floats:
+    """(K, 3) the vertices that are outermost in some of many directions: what a turned organ's box depends on."""
+    points = template.vertices_m.astype(np.float64)
+    k = np.arange(_DIRECTIONS) + 0.5
+    z, turn = 1.0 - 2.0 * k / _DIRECTIONS, np.pi * (1.0 + np.sqrt(5.0)) * k
+    radius = np.sqrt(1.0 - z * z)
+    direction = np.stack([radius * np.cos(turn), radius * np.sin(turn), z])
+    return points[np.unique(np.argmax(points @ direction, axis=0))] if len(points) else np.zeros((1, 3))
+
+
+def _organ_share(template: Mesh, size: Floats, pixel_m: float) -> float:
+    """Share of the organs that remains, so that an enlarged one is about a pixel long."""
+    if not len(size):
+        return 1.0
+    length = float(np.ptp(template.vertices_m, axis=0).max()) * float(np.sqrt(np.mean(size**2)))
+    share = (length / (_ORGAN_PIXELS * pixel_m)) ** 2
+    return max(share, _LEAST_ORGANS, _FEWEST_ORGANS / len(size))
+
+
+def _keys(count: int, rng: np.random.Generator) -> Floats:
+    """(count,) numbers in [0, 1), spread evenly over every stretch of neighbours: those below s are a share s."""
+    stretches = -(-count // _STRETCH)
+    order = rng.random((stretches, _STRETCH)).argsort(axis=1)
+    keys: Floats = (order + rng.random((stretches, _STRETCH))) / _STRETCH
+    return keys.reshape(-1)[:count]
+
+
+def _boxes(frame: NDArray[np.float32], template: Mesh) -> tuple[Floats, Floats]:
+    """Lowest and highest corner of every organ, (M, 3) each."""
+    points = _support(template)
+    low, high = np.empty((2, len(frame), 3))
+    for axis in range(3):
+        reach = frame[:, axis, :3].astype(np.float64) @ points.T
+        low[:, axis] = reach.min(axis=1, initial=np.inf) + frame[:, axis, 3]
+        high[:, axis] = reach.max(axis=1, initial=-np.inf) + frame[:, axis, 3]
+    return low, high
+
+
+def _enlarged(
+    frame: NDArray[np.float32], template: Mesh, growth: Floats, low: Floats, high: Floats, keep: Bools
+) -> NDArray[np.float32]:
+    """The frames that remain, enlarged about the organ's middle, and moved back into the plant's box."""
+    corners = template.vertices_m
+    middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0)).astype(np.float64)
+    linear = frame[keep, :, :3].astype(np.float64)
+    factor = growth[keep, None]
+    foot = frame[keep, :, 3] + (1.0 - factor) * (linear @ middle)
+    out = np.concatenate([linear * factor[:, None], foot[:, :, None]], axis=2)
+    lowest, highest = _boxes(out.astype(np.float32), template)
+    out[:, :, 3] += np.maximum(low - lowest, 0.0) - np.maximum(highest - high, 0.0)
+    return out.astype(np.float32)
+
+
+# --- wood ------------------------------------------------------------------------------------------------------------
+
+
+def _pruned_twigs(skeleton: Skeleton, pixel_m: float, rng: np.random.Generator) -> Skeleton:
+    """A share of the thin axes that bear no other, widened so that the area they show stays."""
+    parent, axis = skeleton.parent, skeleton.axis
+    first = np.flatnonzero(np.diff(axis, prepend=-1))
+    number = np.cumsum(np.diff(axis, prepend=-1) != 0) - 1  # of each node's axis, 0, 1, 2, ...
+    radius = np.maximum.reduceat(skeleton.radius_m, first).astype(np.float64)
+    begins = first[parent[first] >= 0]
+    bears = np.zeros(len(first), dtype=bool)
+    bears[number[parent[begins]]] = True
+    thin = ~bears & (skeleton.order[first] > 0) & (2.0 * radius < _TWIG_PIXELS * pixel_m)
+    for column in skeleton.position_m.T:  # the outermost stay
+        thin[number[[column.argmin(), column.argmax()]]] = False
+    if not thin.any():
+        return skeleton
+    shown = np.bincount(number, weights=_shown_area(skeleton))
+    width = float(np.sum(shown[thin] * 2.0 * radius[thin]) / np.sum(shown[thin]))
+    share = max(width / (_TWIG_PIXELS * pixel_m), _LEAST_TWIGS)
+    kept = thin.copy()
+    kept[thin] = _keys(int(thin.sum()), rng) < share
+    if share > _NOT_WORTH or not kept.any():
+        return skeleton
+    growth = np.where(kept, shown[thin].sum() / shown[kept].sum(), 1.0)
+    widened = replace(skeleton, radius_m=(skeleton.radius_m * growth[number]).astype(np.float32))
+    return _without(widened, (thin & ~kept)[number])
+
+
+def _shown_area(skeleton: Skeleton) -> Floats:
+    """(N,) length times radius of the segment that each node ends."""
+    way = skeleton.position_m - skeleton.position_m[np.maximum(skeleton.parent, 0)]
+    return np.asarray(np.linalg.norm(way, axis=1) * skeleton.radius_m, dtype=np.float64)
+
+
+def _straightened(skeleton: Skeleton, pixel_m: float) -> Skeleton:
+    """Without the nodes that lie within a small part of a pixel of a straight line.
+
+    A node that bears others goes only where its neighbours are closer than a pixel: what it bears hangs on the one
+    before it then.
+    """
+    for turn in range(_MOST_PASSES):
+        count = len(skeleton.parent)
+        index = np.arange(count)
+        chained = np.zeros(count, dtype=bool)  # the node before and the node behind are of the same axis
+        chained[1:-1] = (skeleton.axis[:-2] == skeleton.axis[1:-1]) & (skeleton.axis[2:] == skeleton.axis[1:-1])
+        children = np.bincount(skeleton.parent[1:], minlength=count)
+        near = np.zeros(count, dtype=bool)
+        near[1:-1] = np.linalg.norm(skeleton.position_m[2:] - skeleton.position_m[:-2], axis=1) < pixel_m
+        able = np.flatnonzero(chained & ((children == 1) | near) & (index % 2 == turn % 2))
+        before, after = skeleton.position_m[able - 1], skeleton.position_m[able + 1]
+        way = (after - before).astype(np.float64)
+        from_before = (skeleton.position_m[able] - before).astype(np.float64)
+        share = np.clip(np.sum(from_before * way, axis=1) / np.maximum(np.sum(way * way, axis=1), 1e-30), 0.0, 1.0)
+        bend = np.linalg.norm(from_before - share[:, None] * way, axis=1)
+        straight = (1.0 - share) * skeleton.radius_m[able - 1] + share * skeleton.radius_m[able + 1]
+        bend = np.maximum(bend, np.abs(skeleton.radius_m[able] - straight))
+        gone = np.zeros(count, dtype=bool)
+        gone[able[bend < _BEND_PIXELS * pixel_m]] = True
+        if turn and not gone.any():
+            break
+        skeleton = _without(skeleton, gone)
+    return skeleton
+
+
+def _without(skeleton: Skeleton, gone: Bools) -> Skeleton:
+    """The skeleton less some nodes; what hung on one of them hangs on the node before it."""
+    if not gone.any():
+        return skeleton
+    holder = np.arange(len(gone))  # of what hangs on a node: itself, or the last node before it that stays
+    while True:
+        lost = gone[holder]
+        if not lost.any():
+            break
+        holder[lost] = skeleton.parent[holder[lost]]
+    keep = ~gone
+    renumbered = (np.cumsum(keep) - 1)[holder].astype(np.int32)
+    above = skeleton.parent[keep]
+    return Skeleton(
+        parent=np.where(above >= 0, renumbered[np.maximum(above, 0)], -1).astype(np.int32),
+        position_m=skeleton.position_m[keep],
+        radius_m=skeleton.radius_m[keep],
+        order=skeleton.order[keep],
+        axis=skeleton.axis[keep],
+        organs=tuple(replace(one, node=renumbered[one.node]) for one in skeleton.organs),
+    )

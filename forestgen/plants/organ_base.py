@@ -1,0 +1,88 @@
+"""What every form of organ has in common: its label, its materials, its pieces."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Annotated, Literal, NamedTuple
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from forestgen.core.parts import Part
+from forestgen.geometry.mesh import Mesh
+from forestgen.geometry.patches import Patch, to_mesh
+
+_PARTS = {
+    "leaf": Part.LEAF,
+    "flower": Part.FLOWER,
+    "fruit": Part.FRUIT,
+    "trunk": Part.TRUNK,
+    "branch": Part.BRANCH,
+    "dead_wood": Part.DEAD_WOOD,
+}
+
+Size = Annotated[float, Field(ge=1e-4, le=30.0)]  # metres
+MaybeSize = Annotated[float, Field(ge=0.0, le=30.0)]  # metres
+Share = Annotated[float, Field(ge=0.0, le=1.0)]
+Bend = Annotated[float, Field(ge=-360.0, le=360.0)]  # degrees
+Detail = Annotated[
+    Literal[0, 1, 2],
+    Field(description="0: few triangles, for large trees; 1: the outline; 2: for a close view. The area is the same"),
+]
+PartName = Literal["leaf", "flower", "fruit", "trunk", "branch", "dead_wood"]
+
+
+class OrganPiece(NamedTuple):
+    """What of an organ has one label and one material."""
+
+    part: Part
+    material: str
+    mesh: Mesh  # the organ's frame: foot at the origin, y along it, z its upper side, metres; with normals and uv
+
+
+class Pieces(NamedTuple):
+    """Patches of an organ by material, before they are meshes."""
+
+    material: str
+    patches: tuple[Patch, ...]
+    part: Part | None = None  # None: the organ's own
+
+
+class OrganForm(BaseModel):
+    """The form of one kind of organ; subclasses have the keys that their form understands and no other."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    part: PartName = Field("leaf", description="the label of its surface")
+    material: str = Field(description="name of one of the species' materials")
+
+    def patches(self) -> tuple[Pieces, ...]:
+        """Geometry by material."""
+        raise NotImplementedError
+
+    def pieces(self) -> tuple[OrganPiece, ...]:
+        """The organ's surfaces, one for each of its labels and materials."""
+        return _pieces(self)
+
+    def template(self) -> Mesh:
+        """The whole organ as one mesh, in its own frame: foot at the origin, y along it, z its upper side, metres."""
+        return _template(self)
+
+    @property
+    def label(self) -> Part:
+        return _PARTS[self.part]
+
+
+@lru_cache(maxsize=512)
+def _pieces(form: OrganForm) -> tuple[OrganPiece, ...]:
+    joined: dict[tuple[Part, str], list[Patch]] = {}
+    for piece in form.patches():
+        part = form.label if piece.part is None else piece.part
+        joined.setdefault((part, piece.material), []).extend(patch for patch in piece.patches if len(patch.faces))
+    return tuple(
+        OrganPiece(part, material, to_mesh(*patches)) for (part, material), patches in joined.items() if patches
+    )
+
+
+@lru_cache(maxsize=512)
+def _template(form: OrganForm) -> Mesh:
+    return to_mesh(*(patch for piece in form.patches() for patch in piece.patches))

@@ -1,0 +1,241 @@
+"""Algorithm 1 of Zamuda et al. (2007) as two loops: who divides into what, and where it then stands.
+
+Branch segments are numbered as a skeleton's nodes: node 0 is the foot, node 1 the trunk's base segment; the nodes of
+an axis follow one another, and every segment comes after the one that bears it. The pages of this algorithm are in
+`generators/strands.py`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.core.compiled import compiled
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+ORDERS = 256  # entries of a table of local parameters; orders beyond take the last one
+SPLIT, ANGLE, SHORTEST, LONGEST, LENGTH, GRAVIMORPHISM = range(6)  # rows of the tables
+JITTERS = 5  # split, turn, tilt, azimuth, length
+
+
+@dataclass(frozen=True)
+class Branching:
+    """Who divides into what: N - 1 segments and the foot, node 0. It does not change in the wind."""
+
+    parent: Ints  # (N,) -1 for the foot
+    axis: Ints  # (N,) a major sub-branch continues its axis, a minor one begins the next
+    strands: Ints  # (N,) S_0
+    gravelius: Ints  # (N,) g
+    weibull: Ints  # (N,) w
+    length_m: Floats  # (N,) l_0, metres; 0 at the foot
+    turn_rad: Floats  # (N,) alpha_1 of a major segment, -alpha_2 of a minor one, about its bearer's z
+    tilt_rad: Floats  # (N,) the individual's own angle about x
+    azimuth_rad: Floats  # (N,) alpha_p about its bearer's y
+    lift_rad: Floats  # (N,) alpha_m of its bearer
+    scale: float = 1.0  # what the lengths were multiplied by, and diameters are to be
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Where the segments of a `Branching` stand."""
+
+    position_m: Floats  # (N, 3) ends of the segments, metres, plant frame
+    rotation: Floats  # (N, 3, 3) segment frame -> plant frame; y along the segment
+
+
+def divide(
+    strands: int,
+    least: int,
+    trunk_m: float,
+    gravicentralism: float,
+    phyllotaxis_rad: float,
+    by_order: Floats,
+    by_depth: Floats,
+    jitter: Floats,
+    normals: Floats,
+) -> Branching:
+    """Divide the strands until every branch has `least` of them or fewer.
+
+    Parameters
+    ----------
+    trunk_m : length of the base segment, metres.
+    by_order, by_depth : (6, ORDERS) auxiliary parameters over the Gravelius and the Weibull order; angles in radians.
+    jitter : (JITTERS,) standard deviations of k_s, alpha (twice), alpha_p (radians) and of the logarithm of l.
+    normals : (3 strands, JITTERS) standard normal numbers, or (1, JITTERS) zeros.
+    """
+    return Branching(
+        *_divide(strands, least, trunk_m, gravicentralism, phyllotaxis_rad, by_order, by_depth, jitter, normals)
+    )
+
+
+def stand(branching: Branching, sway_rad: Floats, bend_rad: Floats, axis: Floats) -> Pose:
+    """Place the segments one after the other.
+
+    Parameters
+    ----------
+    sway_rad : (N, 2) alpha_x(t) and alpha_z(t).
+    bend_rad : (N,) alpha_w.
+    axis : (3,) unit, the wind's axis w in the plant frame.
+    """
+    b = branching
+    return Pose(
+        *_stand(b.parent, b.length_m, b.turn_rad, b.tilt_rad, b.azimuth_rad, b.lift_rad, sway_rad, bend_rad, axis)
+    )
+
+
+def product(row: int, by_order: Floats, by_depth: Floats, g: int, w: int) -> float:
+    """Local parameter of an order (g, w): Eqs. 1 to 6."""
+    return float(_product(row, by_order, by_depth, g, w))
+
+
+@compiled
+def _product(row: int, by_order: Floats, by_depth: Floats, g: int, w: int) -> Any:
+    value = by_order[row, min(g, by_order.shape[1] - 1)] * by_depth[row, min(w, by_depth.shape[1] - 1)]
+    if row == SPLIT:
+        return max(min(value, 1.0), 0.5)
+    if row == ANGLE:
+        return min(value, np.pi)
+    if row == GRAVIMORPHISM:
+        return max(min(value, np.pi), -np.pi)
+    return value
+
+
+@compiled
+def _divide(  # type: ignore[no-untyped-def]
+    strands, least, trunk_m, gravicentralism, phyllotaxis, by_order, by_depth, jitter, normals
+) -> Any:
+    size = 2 * strands
+    parent = np.full(size, -1, np.int64)
+    axis = np.zeros(size, np.int64)
+    count = np.full(size, strands, np.int64)
+    gravelius = np.zeros(size, np.int64)
+    weibull = np.zeros(size, np.int64)
+    relative = np.ones(size)
+    length = np.zeros(size)
+    turn = np.zeros(size)
+    tilt = np.zeros(size)
+    azimuth = np.zeros(size)
+    lift = np.zeros(size)
+    # Axes that wait for their turn: a minor sub-branch is written here, and copied to its place when that is known.
+    waiting = np.zeros((strands, 4), np.int64)  # bearer, strands, g, w
+    forms = np.zeros((strands, 6))  # relative and actual length, turn, tilt, azimuth, lift
+    waiting[0] = (0, strands, 0, 0)
+    forms[0] = (1.0, trunk_m, 0.0, 0.0, 0.0, 0.0)
+    queued, done, node = 1, 0, 1
+    last = len(normals) - 1
+    while done < queued:
+        bearer, s, g, w = waiting[done]
+        ratio, actual, turned, tilted, turned_about, lifted = forms[done]
+        while True:
+            parent[node], axis[node], count[node], gravelius[node], weibull[node] = bearer, done, s, g, w
+            relative[node], length[node], turn[node], tilt[node] = ratio, actual, turned, tilted
+            azimuth[node], lift[node] = turned_about, lifted
+            if s <= least:
+                break
+            split = _product(SPLIT, by_order, by_depth, g, w)
+            split = max(min(split + jitter[0] * normals[min(node, last), 0], 1.0), 0.5)
+            # The smallest of shares must not make a whole number one more than it is.
+            major = max(1, min(s - 1, int(np.ceil(1.0 + split * (s - 2) - 1e-9))))
+            minor = s - major
+            alpha = _product(ANGLE, by_order, by_depth, g, w)
+            first = gravicentralism * np.sqrt(minor / s) * alpha
+            lifted = _product(GRAVIMORPHISM, by_order, by_depth, g, w)
+            longest = _product(LONGEST, by_order, by_depth, g, w)
+            shortest = _product(SHORTEST, by_order, by_depth, g, w)
+            scale = _product(LENGTH, by_order, by_depth, g, w)
+            minor_ratio = max(min(np.sqrt(minor / s), longest), shortest) * ratio
+            ratio *= max(min(np.sqrt(major / s), longest), shortest)
+            # The heavier sub-branch strays less from its angle, as Algorithm 1 has it turn less.
+            draw = normals[min(size + queued, last)]
+            sway = np.sqrt(major / s)
+            waiting[queued] = (node, minor, g + 1, w + 1)
+            forms[queued] = (
+                minor_ratio,
+                scale * minor_ratio * np.exp(jitter[4] * draw[4]),
+                first - alpha + jitter[1] * sway * draw[1],
+                jitter[2] * sway * draw[2],
+                phyllotaxis + jitter[3] * normals[min(node, last), 3],
+                lifted,
+            )
+            queued += 1
+            draw = normals[min(node, last)]
+            sway = np.sqrt(minor / s)
+            actual = scale * ratio * np.exp(jitter[4] * draw[4])
+            turned, tilted = first + jitter[1] * sway * draw[1], jitter[2] * sway * draw[2]
+            turned_about = phyllotaxis + jitter[3] * draw[3]
+            bearer, s, w = node, major, w + 1
+            node += 1
+        node += 1
+        done += 1
+    return (
+        parent[:node],
+        axis[:node],
+        count[:node],
+        gravelius[:node],
+        weibull[:node],
+        length[:node],
+        turn[:node],
+        tilt[:node],
+        azimuth[:node],
+        lift[:node],
+    )
+
+
+@compiled
+def _turned(frame: Floats, axis: Floats, angle: float) -> Floats:
+    """The (3, 3) frame times a rotation about a unit axis of its own."""
+    c, s = np.cos(angle), np.sin(angle)
+    x, y, z = axis
+    rest = 1.0 - c
+    turn = np.empty((3, 3))
+    turn[0] = (c + x * x * rest, x * y * rest - z * s, x * z * rest + y * s)
+    turn[1] = (y * x * rest + z * s, c + y * y * rest, y * z * rest - x * s)
+    turn[2] = (z * x * rest - y * s, z * y * rest + x * s, c + z * z * rest)
+    out = np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = frame[i, 0] * turn[0, j] + frame[i, 1] * turn[1, j] + frame[i, 2] * turn[2, j]
+    return out
+
+
+@compiled
+def _stand(  # type: ignore[no-untyped-def]
+    parent, length, turn, tilt, azimuth, lift, sway, bend, axis
+) -> Any:
+    n = len(parent)
+    position = np.zeros((n, 3))
+    rotation = np.zeros((n, 3, 3))
+    still = np.zeros((n, 3, 3))  # the same without directed wind: gravimorphism asks where down would be at rest
+    ex, ey, ez = np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])
+    # The paper's y, along the trunk, is up: the plant frame's z.
+    rotation[0, 0, 0], rotation[0, 2, 1], rotation[0, 1, 2] = 1.0, 1.0, -1.0
+    still[0] = rotation[0]
+    local = np.empty(3)
+    for i in range(1, n):
+        bearer = parent[i]
+        frame, calm = rotation[bearer], still[bearer]
+        if bearer > 0:
+            # y_m = down seen from the bearer; y x y_m in the bearer's frame is (z of y_m, 0, -x of y_m).
+            x, y, z = -calm[2, 0], -calm[2, 1], -calm[2, 2]
+            sine = np.sqrt(x * x + z * z)
+            if lift[i] != 0.0 and sine > 1e-9:
+                local[0], local[1], local[2] = z / sine, 0.0, -x / sine
+                away = np.arctan2(sine, y)
+                angle = max(min(lift[i], away), away - np.pi)
+                frame, calm = _turned(frame, local, angle), _turned(calm, local, angle)
+            for about, angle in ((ey, azimuth[i]), (ex, tilt[i] + sway[i, 0]), (ez, turn[i] + sway[i, 1])):
+                if angle != 0.0:
+                    frame, calm = _turned(frame, about, angle), _turned(calm, about, angle)
+            if bend[i] != 0.0:
+                for k in range(3):  # the wind's axis seen from the segment
+                    local[k] = frame[0, k] * axis[0] + frame[1, k] * axis[1] + frame[2, k] * axis[2]
+                frame = _turned(frame, local, bend[i])
+        rotation[i], still[i] = frame, calm
+        for k in range(3):
+            position[i, k] = position[bearer, k] + length[i] * frame[k, 1]
+    return position, rotation

@@ -1,0 +1,127 @@
+"""Plants at given places: where and how large the recipe says, and nothing but older."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from forestgen.community.model import Site, simulate
+from forestgen.community.models.placed import MODEL, PlacedParameters
+from forestgen.community.population import Status
+from forestgen.core.errors import RecipeError
+from forestgen.recipe.load import load_recipe_data
+from forestgen.stages.plan import check_plan
+
+SITE = Site((20.0, 10.0))
+TABLE = """
+species, x_m, y_m, height_m, age_yr
+tree, 1.5, 2, 4,
+shrub, 20, 10, , 30
+"""
+
+
+@pytest.fixture
+def species(tree):
+    return [tree(), tree(name="shrub", height_scale=2.0, height_exponent=0.5)]
+
+
+def placed(species, steps=0, **given):
+    parameters = PlacedParameters(steps=steps, **given)
+    return list(simulate(MODEL, parameters, SITE, species, 7, steps=steps))
+
+
+def test_plants_stand_as_given_and_grow_older(species):
+    plants = [
+        {"species": "shrub", "position_m": [3, 4], "radius_m": 0.25, "age_yr": 2.5, "azimuth_deg": 90},
+        {"species": "tree", "position_m": [0, 10]},
+    ]
+    first, *_, last = placed(species, 3, plants=plants, step_yr=0.5, table=TABLE)
+    assert first.plant_id.tolist() == [1, 2, 3, 4]
+    assert first.position_m.tolist() == [[3, 4, 0], [0, 10, 0], [1.5, 2, 0], [20, 10, 0]]
+    assert first.species.tolist() == [1, 0, 0, 1]
+    assert first.status.tolist() == [Status.GROWING, Status.MATURE, Status.GROWING, Status.MATURE]
+    assert first.height_m == pytest.approx([1.0, 8 * 2**0.75, 4.0, 2 * 2**0.5])
+    assert first.radius_m == pytest.approx([0.25, 2, 0.5 ** (1 / 0.75), 2])
+    assert first.age_yr.tolist() == [2.5, 0, 0, 30]
+    assert (last.age_yr - first.age_yr).tolist() == [1.5] * 4
+    for name in ("position_m", "radius_m", "height_m", "status"):
+        assert np.array_equal(getattr(first, name), getattr(last, name))
+
+
+def test_a_height_is_kept_to_the_bit_and_its_radius_gives_it_back(species):
+    heights = np.linspace(0.01, 13.4, 50)
+    plants = [{"species": "tree", "position_m": [1, 1], "height_m": h} for h in heights]
+    (population,) = placed(species, plants=plants)
+    assert population.height_m.tolist() == heights.tolist()
+    assert 8 * population.radius_m**0.75 == pytest.approx(heights)
+
+
+def test_the_turn_is_given_or_the_plants_own(species):
+    plants = [{"species": "tree", "position_m": [1, 1], "azimuth_deg": a} for a in (None, 30, None)]
+    (one,) = placed(species, plants=plants)
+    (other,) = placed(species, plants=[*plants[:2], plants[1], plants[2]])
+    angle = one.columns["azimuth_deg"]
+    assert angle[1] == 30
+    assert angle[0] != angle[2]
+    assert other.columns["azimuth_deg"][0] == angle[0]
+    many = [{"species": "tree", "position_m": [1, 1]}] * 400
+    drawn = placed(species, plants=many)[0].columns["azimuth_deg"]
+    assert np.histogram(drawn, 4, (0, 360))[0].min() > 70
+
+
+@pytest.mark.parametrize(
+    ("plant", "message"),
+    [
+        ({"position_m": [20.1, 5]}, r"plants\.0.*does not stand on the site"),
+        ({"position_m": [5, -0.1]}, "x from 0 to 20 and y from 0 to 10"),
+        ({"radius_m": 2.5}, "no tree is so large"),
+        ({"height_m": 14}, "no tree is so tall"),
+        ({"height_m": 1e-320}, "no tree is so short"),
+    ],
+)
+def test_what_cannot_stand_there_is_refused(species, plant, message):
+    with pytest.raises(RecipeError, match=r"(?s)" + message):
+        placed(species, plants=[{"species": "tree", "position_m": [1, 1], **plant}])
+
+
+def test_a_species_of_one_height_takes_no_other(tree):
+    constant = [tree(height_exponent=0.0)]
+    assert placed(constant, plants=[{"species": "tree", "position_m": [1, 1], "height_m": 8}])[0].radius_m == 2.0
+    for height in (7.9, 8.1):
+        with pytest.raises(RecipeError, match="exactly 8 m"):
+            placed(constant, plants=[{"species": "tree", "position_m": [1, 1], "height_m": height}])
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        ("inventory.csv", "not a table"),
+        ("species, x_m\ntree, 1", "does not name its columns"),
+        ("species, x_m, y_m, colour\ntree, 1, 2, red", "does not name its columns"),
+        ("species, x_m, y_m, x_m\ntree, 1, 2, 1", "does not name its columns"),
+        ("species, x_m, y_m\ntree, 1, 2\ntree, 1", "row 2 of the table has another number"),
+        ("species, x_m, y_m\ntree, 1, two", "bad y_m in row 1"),
+        ("species, x_m, y_m\ntree, 1,", "row 1 of the table is no plant"),
+        ("species, x_m, y_m, height_m\ntree, 1, 2, -4", "greater than 0"),
+        ("species, x_m, y_m, height_m\ntree, 1, 2, nan", "finite"),
+        ("species, x_m, y_m, height_m, radius_m\ntree, 1, 2, 3, 1", "the allometry gives one"),
+    ],
+)
+def test_a_bad_table_has_a_message(table, message):
+    with pytest.raises(ValidationError, match=message):
+        PlacedParameters(table=table)
+
+
+def test_a_plan_refuses_what_the_simulation_would():
+    recipe = {
+        "forestgen": 1,
+        "site": {"size_m": [20, 10]},
+        "species": {"spruce": {"from": "spruce"}},
+        "community": {"model": "placed", "plants": [{"species": "spruce", "position_m": [30, 5]}]},
+    }
+    with pytest.raises(RecipeError, match="does not stand on the site"):
+        check_plan(load_recipe_data(recipe, "test"), simulate_only=True)
+    recipe["community"] = {"model": "placed", "table": "species, x_m, y_m\nspurce, 1, 2"}
+    with pytest.raises(RecipeError, match="did you mean 'spruce'"):
+        check_plan(load_recipe_data(recipe, "test"), simulate_only=True)
