@@ -6,6 +6,7 @@ Run `uv run python docs/generate.py` after changing either; a test fails while a
 
 from __future__ import annotations
 
+import itertools
 import json
 import re
 import sys
@@ -18,7 +19,7 @@ from forestgen.core.registry import Registry
 from forestgen.plants.curves import CURVE_SCHEMA
 from forestgen.plants.parameters import PlantParameters
 from forestgen.plants.registry import GENERATORS
-from forestgen.plants.variation import Variation
+from forestgen.plants.variation.model import Variation
 from forestgen.recipe.assets import list_assets
 from forestgen.recipe.schema import Recipe
 from forestgen.stages.single_plant import drawn_of
@@ -50,6 +51,7 @@ _SECTIONS = {
 def pages() -> dict[Path, str]:
     """Path -> text of every generated page."""
     made = {DOCS / "recipe.md": recipe_page(), DOCS / "species.md": species_page()}
+    made[DOCS / "figures.md"] = figures_page()
     made[DOCS / "models" / "plant.md"] = plant_page()
     made[DOCS / "models" / "variation.md"] = variation_page()
     for registry in (COMMUNITY_MODELS, ENVIRONMENTS, GENERATORS):
@@ -140,6 +142,23 @@ def plant_page() -> str:
     return "\n".join(text).rstrip() + "\n"
 
 
+def figures_page() -> str:
+    """Published figures of plants beside what their recipes render; the words are the recipes' own."""
+    text = [
+        _NOTICE.replace("code", "recipes"),
+        "# Figures of plants, again\n",
+        "Made from `recipes/reproductions/*_fig*.yaml`: `uv run python docs/pictures.py figures` makes the pictures.\n",
+    ]
+    folder = DOCS.parent / "recipes" / "reproductions"
+    for path in sorted(folder.glob("*_fig*.yaml")):
+        lines = path.read_text(encoding="utf-8").splitlines()
+        head = [line.removeprefix("#").strip() for line in itertools.takewhile(lambda one: one.startswith("#"), lines)]
+        title = head[0].rstrip(".")
+        text += [f"## {title}\n", f"![{title}](pictures/figures/{path.stem}.jpg)\n", *head[1:]]
+        text.append(f"\n[{path.name}](../recipes/reproductions/{path.name})\n")
+    return re.sub(r"\n{3,}", "\n\n", "\n".join(text)).rstrip() + "\n"
+
+
 def variation_page() -> str:
     """The manual page of variation; its keys are on the page that all generators share."""
     manual = (sys.modules[Variation.__module__].__doc__ or "").strip()
@@ -155,11 +174,12 @@ def species_numbers() -> dict[str, dict[str, float]]:
 def species_page() -> str:
     """The species that come with forestgen: numbers, pictures, sources."""
     names, numbers = list_assets("species"), species_numbers()
+    pictured = [name for name in names if name != "stalk"]  # a bare rod, for the figures of variation
     species = {name: drawn_of(name, 0).species[name] for name in names}
     text = [
         _NOTICE.replace("generate.py", "species_sheet.py").replace("code", "species' files"),
         "# Species\n",
-        "Each plant close up, and from 30 m: " + ", ".join(names) + ".\n",
+        "Each plant close up, its organs at detail 2, and from 30 m: " + ", ".join(pictured) + ".\n",
         "![Every species close up and from 30 m](pictures/library.jpg)\n",
         "Numbers are those of one mature plant, seed 3. Leaf area is of one side; the index is leaf area over the",
         "crown's projection, π/4 width²; masses are dry. `forestgen plant NAME` grows one.\n",

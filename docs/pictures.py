@@ -4,6 +4,7 @@ quickstart.jpg        the quickstart's view, larger and with more samples; the r
 succession.jpg        four stages of the quickstart's succession: maps, and the stand as a camera sees it
 succession_maps.png   recipes/reproductions/succession.yaml at four steps (Lane 2002, Figure 4.5)
 propagation_maps.png  recipes/reproductions/propagation.yaml at three steps (Lane 2002, Figure 4.6)
+figures/*.jpg         the figures of plants that recipes/reproductions/*_fig*.yaml render, for docs/figures.md
 self_thinning.png     the line of recipes/reproductions/self_thinning.yaml (Lane 2002, Figure 4.4)
 
 With names behind it, `uv run python docs/pictures.py self_thinning succession_maps`, it makes these alone.
@@ -30,10 +31,7 @@ MAP_WIDTH, COLOURS = 400, 24  # of pictures in PNGs: pixels, and palette
 
 def render(folder: Path, *settings: str) -> Path:
     """Render the quickstart with some settings; the frame's folder."""
-    options = [word for setting in settings for word in ("--set", setting)]
-    recipe = ROOT / "recipes" / "quickstart.yaml"
-    subprocess.run([sys.executable, "-m", "forestgen", "render", recipe, "-o", folder, *options], check=True)
-    return next(path for path in sorted(folder.iterdir()) if path.is_dir())
+    return render_recipe(ROOT / "recipes" / "quickstart.yaml", folder, *settings)
 
 
 def quickstart(scratch: Path) -> None:
@@ -82,6 +80,33 @@ def self_thinning(scratch: Path) -> None:
     save_sheet([scratch / "thinning" / "thinning.png"], 1, "self_thinning.png", width=560)
 
 
+def figures(scratch: Path) -> None:
+    """Each plant figure of docs/figures.md, as its recipe renders it with more samples."""
+    for recipe in figure_recipes():
+        frame = render_recipe(recipe, scratch / recipe.stem, "render.samples=48")
+        save(np.asarray(Image.open(frame / "preview.png").convert("RGB")), f"figures/{recipe.stem}.jpg")
+    both = [np.asarray(Image.open(PICTURES / "figures" / "silhouettes_fig6_2.jpg"))]
+    plants = render_recipe(figure_recipe("silhouettes_fig6_2"), scratch / "6_2_b", "plants.geometry=plants")
+    both.append(np.asarray(Image.open(plants / "preview.png").convert("RGB")))
+    save(np.concatenate(both, axis=1), "figures/silhouettes_fig6_2.jpg")
+
+
+def figure_recipe(name: str) -> Path:
+    return ROOT / "recipes" / "reproductions" / f"{name}.yaml"
+
+
+def figure_recipes() -> list[Path]:
+    """Recipes that reproduce figures of plants, in the order of their names."""
+    return sorted(path for path in figure_recipe("x").parent.glob("*_fig*.yaml"))
+
+
+def render_recipe(recipe: Path, folder: Path, *settings: str) -> Path:
+    """Render a recipe with some settings; its only frame's folder."""
+    options = [word for setting in settings for word in ("--set", setting)]
+    subprocess.run([sys.executable, "-m", "forestgen", "render", recipe, "-o", folder, *options], check=True)
+    return next(path for path in sorted(folder.iterdir()) if path.is_dir())
+
+
 def save_sheet(pictures: Sequence[Path], columns: int, name: str, width: int = MAP_WIDTH) -> None:
     """Pictures of one size side by side, scaled, as a PNG of few colours."""
     scaled = []
@@ -98,12 +123,14 @@ def save_sheet(pictures: Sequence[Path], columns: int, name: str, width: int = M
 
 
 def save(picture: np.ndarray, name: str) -> None:
-    PICTURES.mkdir(exist_ok=True)
+    (PICTURES / name).parent.mkdir(exist_ok=True, parents=True)
     Image.fromarray(picture).save(PICTURES / name, quality=88, optimize=True)
     sys.stdout.write(f"{PICTURES / name}\n")
 
 
-PICTURES_OF = {one.__name__: one for one in (quickstart, succession, succession_maps, propagation_maps, self_thinning)}
+PICTURES_OF = {
+    one.__name__: one for one in (quickstart, succession, succession_maps, propagation_maps, self_thinning, figures)
+}
 
 
 def main() -> None:

@@ -1,8 +1,8 @@
-"""Grows, measures and photographs the species: `uv run python docs/species_sheet.py` (some five minutes on two cores).
+"""Grows, measures and photographs the species: `uv run python docs/species_sheet.py` (some ten minutes on two cores).
 
 docs/species.json               numbers of a mature plant of each species
 docs/pictures/species/NAME.jpg  the plant close up and whole, from 30 m and from a person's height
-docs/pictures/library.jpg       all of these pictures in one sheet
+docs/pictures/library.jpg       these pictures in one sheet, but for models that are no plants (`NO_PLANT`)
 docs/species.md                 the page about them, see docs/generate.py
 
 With names behind it, `uv run python docs/species_sheet.py oak daisy`, it does these alone and keeps the others.
@@ -12,8 +12,10 @@ from __future__ import annotations
 
 import io
 import json
+import math
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import generate
@@ -21,6 +23,7 @@ import numpy as np
 from PIL import Image
 
 from forestgen.core.progress import Silent
+from forestgen.geometry.mesh import Mesh
 from forestgen.plants.exemplar import Exemplar
 from forestgen.recipe.assets import list_assets
 from forestgen.stages.plan import Plan
@@ -34,15 +37,28 @@ VIEW_PX = (180, 240)
 MOST_BYTES = 40_000
 COLUMNS = 4
 FAR_M = 30.0
+FINEST = 2  # detail of the organs in the close picture; numbers and the far picture are of the plant as it comes
+NO_PLANT = ("stalk",)  # a green rod for figures and experiments: nobody would know it, or should
+TURNED_DEG = {"log": 62.0}  # about the vertical: a log shows its sawn end
 # Height looked at as a share of the plant's, and the window's height in metres, where `close_up` shows too little.
 CLOSE: dict[str, tuple[float, float]] = {
+    "beech": (0.45, 1.2),
+    "birch": (0.45, 1.1),
+    "bracken": (0.75, 0.5),
+    "bramble": (0.6, 0.35),
     "daisy": (0.93, 0.09),
     "fireweed": (0.78, 0.4),
+    "grass": (0.75, 0.35),
     "lily": (0.9, 0.3),
-    "log": (0.6, 0.5),
-    "palm": (0.93, 2.4),
-    "shrub": (0.6, 0.4),
+    "log": (0.6, 0.75),
+    "maple": (0.45, 1.3),
+    "oak": (0.45, 1.3),
+    "palm": (0.88, 4.5),
+    "pine": (0.66, 1.6),
+    "poplar": (0.5, 1.0),
+    "shrub": (0.6, 0.6),
     "snag": (0.5, 1.2),
+    "spruce": (0.45, 1.8),
     "stump": (0.7, 0.6),
 }
 
@@ -58,22 +74,33 @@ def measure_and_photograph(name: str) -> dict[str, float]:
     began = time.perf_counter()
     plan = plan_of(name, SEED)
     exemplar = mature(plan, name)
-    shots = (close_up(name, exemplar.height_m, size_of_m(exemplar)), Shot(VIEW_PX, samples=48, distance_m=FAR_M))
-    views = [
-        photograph(
-            exemplar,
-            materials_of(plan.drawn.species),
-            camera_of(exemplar, shot),
-            plan.drawn.recipe,
-            shot.samples,
-            SEED,
-            Silent(),
-        )
-        for shot in shots
-    ]
+    finest = mature(plan_of(name, SEED, FINEST), name)
+    shots = (
+        (finest, close_up(name, finest.height_m, size_of_m(finest))),
+        (exemplar, Shot(VIEW_PX, samples=48, distance_m=FAR_M)),
+    )
+    views = []
+    for plant, shot in shots:
+        seen = turned(plant, TURNED_DEG.get(name, 0.0))
+        materials, camera = materials_of(plan.drawn.species), camera_of(seen, shot)
+        views.append(photograph(seen, materials, camera, plan.drawn.recipe, shot.samples, SEED, Silent()))
     save(np.concatenate(views, axis=1), PICTURES / "species" / f"{name}.jpg")
     sys.stdout.write(f"{name}: {exemplar.triangles:,} triangles, {time.perf_counter() - began:.1f} s\n")
     return numbers_of(plan, exemplar)
+
+
+def turned(exemplar: Exemplar, angle_deg: float) -> Exemplar:
+    """The plant turned about the vertical, as another photographer would see it."""
+    if angle_deg == 0.0:
+        return exemplar
+    sine, cosine = math.sin(math.radians(angle_deg)), math.cos(math.radians(angle_deg))
+    turn = np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]], dtype=np.float32)
+
+    def mesh(old: Mesh) -> Mesh:
+        normals = None if old.normals is None else old.normals @ turn
+        return replace(old, vertices_m=old.vertices_m @ turn, normals=normals)
+
+    return replace(exemplar, organs=tuple(replace(organ, mesh=mesh(organ.mesh)) for organ in exemplar.organs))
 
 
 def mature(plan: Plan, name: str) -> Exemplar:
@@ -110,8 +137,9 @@ def save(picture: np.ndarray, path: Path) -> None:
 
 
 def contact_sheet() -> None:
-    """All species' pictures in rows; the page tells their names."""
-    names = [name for name in list_assets("species") if (PICTURES / "species" / f"{name}.jpg").exists()]
+    """All species' pictures in rows, but for `NO_PLANT`; the page tells their names."""
+    shown = [name for name in list_assets("species") if name not in NO_PLANT]
+    names = [name for name in shown if (PICTURES / "species" / f"{name}.jpg").exists()]
     gap = 8
     width, height = 2 * VIEW_PX[0] + gap, VIEW_PX[1] + gap
     rows = -(-len(names) // COLUMNS)

@@ -185,6 +185,15 @@ def plant(
             show_default=False,
         ),
     ] = None,
+    wood_triangles: Annotated[
+        Optional[int],  # noqa: UP045
+        typer.Option(
+            "--wood-triangles",
+            metavar="N",
+            help="In mesh files, wood of about N triangles with one baked texture, for real-time programs.",
+            show_default=False,
+        ),
+    ] = None,
     size_px: Annotated[
         tuple[int, int], typer.Option("--size-px", metavar="W H", help="Size of the picture.", show_default="540 720")
     ] = (
@@ -234,6 +243,7 @@ def plant(
             "frames": frames,
             "frames_per_s": frames_per_s,
             "detail": detail,
+            "wood_triangles": wood_triangles,
         },
         view={"size_px": size_px, "samples": samples, "distance_m": distance_m, "look_at_m": look_at_m},
     )

@@ -124,8 +124,8 @@ def png(image: NDArray[np.uint8]) -> bytes:
     return buffer.getvalue()
 
 
-def srgb(colour: Colour) -> NDArray[np.uint8]:
-    """(3,) sRGB of a linear colour (IEC 61966-2-1)."""
+def srgb(colour: Colour | NDArray[np.floating]) -> NDArray[np.uint8]:
+    """sRGB of linear colours (IEC 61966-2-1), of the same shape."""
     linear = np.clip(np.asarray(colour, dtype=np.float64), 0.0, 1.0)
     encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-    return np.round(255 * encoded).astype(np.uint8)
+    return np.asarray(np.round(255 * encoded), dtype=np.uint8)

@@ -1,4 +1,4 @@
-"""Compiled loops of `geometry/sweep.py`: which points are meshed, the frames, and the triangles."""
+"""Compiled loops of `geometry/sweep.py` that make the triangles; `sweep_points.py` has the loops before them."""
 
 from __future__ import annotations
 
@@ -7,12 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from forestgen.core.compiled import borrowed, compiled
+from forestgen.core.compiled import borrowed, contracted
 
 HUB_SIDES = 8  # from this many sides on, a cap is a fan about its centre, so that a star-shaped ring is capped well
-_RESOLUTION = 2.0**-20  # share of the greatest coordinate: eight times the spacing of float32
-_LEAST_M = 1e-9
-_TURNS_BACK = -0.98  # cosine of the turn beyond which a line folds back on itself
 _MOST_MITRE = 2.0
 _LEVEL = 0.24  # share of a segment's length: rings that lean less along it need no look at the quads' diagonals
 _EVEN = 0.85  # ratio of the rings' radii for the same
@@ -26,13 +23,13 @@ _BETTER = 1.05  # the other diagonal of a quad is taken if its smaller triangle 
 Vector = tuple[float, float, float]
 
 
-@compiled
+@contracted
 def circumradius(sides: int) -> float:
     """Of the regular polygon whose area is that of the unit circle."""
     return sqrt(2.0 * pi / (sides * sin(2.0 * pi / sides)))
 
 
-@compiled
+@contracted
 def _unit(x: float, y: float, z: float) -> Vector:
     length = sqrt(x * x + y * y + z * z)
     if length == 0.0:
@@ -41,7 +38,7 @@ def _unit(x: float, y: float, z: float) -> Vector:
     return x * scale, y * scale, z * scale
 
 
-@compiled
+@contracted
 def _way(points: Any, i: int, j: int) -> tuple[float, float, float, float]:
     """Unit vector from point i to point j, and their distance."""
     x, y, z = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1], points[j, 2] - points[i, 2]
@@ -52,17 +49,17 @@ def _way(points: Any, i: int, j: int) -> tuple[float, float, float, float]:
     return x * scale, y * scale, z * scale, length
 
 
-@compiled
+@contracted
 def _cross(a: Vector, b: Vector) -> Vector:
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@compiled
+@contracted
 def _dot(a: Vector, b: Vector) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@compiled
+@contracted
 def _perpendicular(a: Vector) -> Any:
     """A unit vector at right angles to `a`, taken against the world axis that is least aligned with it."""
     x, y, z = abs(a[0]), abs(a[1]), abs(a[2])
@@ -73,123 +70,7 @@ def _perpendicular(a: Vector) -> Any:
     return _unit(a[1], -a[0], 0.0)
 
 
-@compiled
-def _bisector(b: Vector, f: Vector) -> Any:
-    """Tangent where unit vectors `b` (to the point) and `f` (from it) meet; a zero vector is a missing segment."""
-    t = _unit(b[0] + f[0], b[1] + f[1], b[2] + f[2])
-    if t[0] == 0.0 and t[1] == 0.0 and t[2] == 0.0 and _dot(b, b) > 0.0:
-        return _perpendicular(b)  # straight back
-    return t
-
-
-@compiled
-def _carried(way: Vector, t0: Vector, t1: Vector, r0: Vector) -> Any:
-    """Reference vector at the way's end: reflected in the plane that halves the way, then in one that aligns t1."""
-    along = 2.0 * _dot(way, r0)
-    r = (r0[0] - along * way[0], r0[1] - along * way[1], r0[2] - along * way[2])
-    along = 2.0 * _dot(way, t0)
-    turn = (t1[0] - t0[0] + along * way[0], t1[1] - t0[1] + along * way[1], t1[2] - t0[2] + along * way[2])
-    square = _dot(turn, turn)
-    if square > 1e-20:
-        along = 2.0 * _dot(turn, r) / square
-        r = (r[0] - along * turn[0], r[1] - along * turn[1], r[2] - along * turn[2])
-    along = _dot(r, t1)
-    n = _unit(r[0] - along * t1[0], r[1] - along * t1[1], r[2] - along * t1[2])
-    return n if _dot(n, n) > 0.5 else _perpendicular(t1)
-
-
-@compiled
-def frames(points: Any, offset: Any, tangent: Any, normal: Any) -> None:
-    """Tangents and carried normals of all points; a point that repeats the one before has that one's frame."""
-    for a in range(len(offset) - 1):
-        back = (0.0, 0.0, 0.0)
-        t, n = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-        for i in range(offset[a], offset[a + 1]):
-            j = i + 1
-            forward = (0.0, 0.0, 0.0)
-            while j < offset[a + 1]:
-                x, y, z, length = _way(points, i, j)
-                if length > 0.0:
-                    forward = (x, y, z)
-                    break
-                j += 1
-            if i > offset[a]:
-                x, y, z, length = _way(points, i - 1, i)
-                if length > 0.0:
-                    back = (x, y, z)
-                    following = _bisector(back, forward)
-                    n = _carried(back, t, following, n)
-                    t = following
-            else:
-                t = forward if _dot(forward, forward) > 0.0 else (0.0, 0.0, 1.0)
-                n = _perpendicular(t)
-            for k in range(3):
-                tangent[i, k] = t[k]
-                normal[i, k] = n[k]
-
-
-@compiled
-def keep(points: Any, radius: Any, offset: Any, kept: Any, count: Any, least: Any) -> None:
-    """Points of each tube that are meshed: ``kept[offset[a] : offset[a] + count[a]]``; count 0: no tube.
-
-    Left out are points that repeat the one before and points at which the line folds back on itself. `least` becomes
-    the smallest radius of a tube.
-    """
-    for a in range(len(offset) - 1):
-        begin, end = offset[a], offset[a + 1]
-        greatest, thickest, shortest, forward = 0.0, 0.0, np.inf, True
-        bx, by, bz = 0.0, 0.0, 0.0
-        for i in range(begin, end):
-            x, y, z = points[i, 0], points[i, 1], points[i, 2]
-            thickest = max(thickest, radius[i])
-            greatest = max(greatest, max(abs(x), max(abs(y), abs(z))))
-            if i > begin:
-                fx, fy, fz = x - points[i - 1, 0], y - points[i - 1, 1], z - points[i - 1, 2]
-                shortest = min(shortest, fx * fx + fy * fy + fz * fz)
-                forward = forward and bx * fx + by * fy + bz * fz >= 0.0
-                bx, by, bz = fx, fy, fz
-        floor = max(_LEAST_M, _RESOLUTION * (greatest + thickest))
-        least[a] = floor
-        if forward and shortest >= 4.0001 * floor * floor:  # nothing to clean
-            for i in range(begin, end):
-                kept[i] = i
-            count[a] = end - begin if thickest >= floor else 0
-            continue
-        top = begin
-        for i in range(begin, end):
-            while top > begin:
-                x, y, z, length = _way(points, kept[top - 1], i)
-                if length < 2.0 * floor:
-                    break
-                if top - begin < 2:
-                    break
-                b = _way(points, kept[top - 2], kept[top - 1])
-                if b[0] * x + b[1] * y + b[2] * z > _TURNS_BACK:
-                    break
-                top -= 1
-            if top > begin and _way(points, kept[top - 1], i)[3] < 2.0 * floor:
-                continue
-            kept[top] = i
-            top += 1
-        count[a] = top - begin if top - begin >= 2 and thickest >= floor else 0
-
-
-@compiled
-def starts(sides_of: Any, pointed: Any, count: Any, vertex_start: Any, face_start: Any) -> None:
-    """First vertex and first face of each tube, and the totals; (A + 1,) each. `fill` fills in this order."""
-    vertex, face = 0, 0
-    for a in range(len(count)):
-        vertex_start[a], face_start[a] = vertex, face
-        if count[a] > 0:
-            sides, hub = sides_of[a], 1 if sides_of[a] >= HUB_SIDES else 0
-            cap_vertices, cap_faces = sides + hub, sides if hub else sides - 2
-            rings = count[a] - (1 if pointed[a] else 0)
-            vertex += rings * (sides + 1) + cap_vertices + (sides if pointed[a] else cap_vertices)
-            face += 2 * sides * (rings - 1) + cap_faces + (sides if pointed[a] else cap_faces)
-    vertex_start[len(count)], face_start[len(count)] = vertex, face
-
-
-@compiled
+@contracted
 def _ring_matrices(b: Vector, f: Vector, n: Vector, o: Vector, ratio: float) -> Any:
     """Matrix of a ring in its frame (normal n, binormal o), row by row, and its inverse transposed.
 
@@ -224,7 +105,7 @@ def _ring_matrices(b: Vector, f: Vector, n: Vector, o: Vector, ratio: float) -> 
     return (m00, m01, m10, m11, v00, v01, v10, v11), lean
 
 
-@compiled
+@contracted
 def _twice_area_squared(vertices: Any, a: int, b: int, c: int) -> float:
     ux = float(vertices[b, 0]) - float(vertices[a, 0])
     uy = float(vertices[b, 1]) - float(vertices[a, 1])
@@ -236,7 +117,7 @@ def _twice_area_squared(vertices: Any, a: int, b: int, c: int) -> float:
     return x * x + y * y + z * z
 
 
-@compiled
+@contracted
 def _face(vertices: Any, faces: Any, f: int, a: int, b: int, c: int) -> int:
     """Write a face; one without area is marked by equal corners. Returns the number of such."""
     empty = _twice_area_squared(vertices, a, b, c) == 0.0
@@ -244,7 +125,7 @@ def _face(vertices: Any, faces: Any, f: int, a: int, b: int, c: int) -> int:
     return 1 if empty else 0
 
 
-@compiled
+@contracted
 def _wall(vertices: Any, faces: Any, face: int, lower: int, upper: int, sides: int) -> int:
     """Two triangles per side between two rings, by the better diagonal where they differ. Returns the empty ones."""
     empty = 0
@@ -264,7 +145,7 @@ def _wall(vertices: Any, faces: Any, face: int, lower: int, upper: int, sides: i
     return empty
 
 
-@compiled
+@contracted
 def _cap(
     vertices: Any, normals: Any, uv: Any, faces: Any, vertex: int, face: int, ring: int, sides: int,
     centre: Vector, n: Vector, o: Vector, facing: Vector, tile: Any,
@@ -293,12 +174,12 @@ def _cap(
     return empty
 
 
-@compiled
+@contracted
 def _factor(factor: Any, i: int, j: int) -> Any:
     return max(factor[i, j], _LEAST_FACTOR)
 
 
-@compiled
+@contracted
 def _ring(
     vertices: Any, normals: Any, uv: Any, vertex: int, sides: int, centre: Vector, t: Vector, n: Vector, o: Vector,
     m: Any, size: Any, factor: Any, near: Any, turns: Any, texture: Any,
@@ -342,12 +223,12 @@ def _ring(
     uv[vertex + sides, 1] = texture[1]
 
 
-@compiled
+@contracted
 def _single(x: float, y: float, z: float) -> Any:
     return np.float32(x), np.float32(y), np.float32(z)
 
 
-@compiled
+@contracted
 def _round_ring(
     vertices: Any, normals: Any, uv: Any, vertex: int, sides: int, centre: Vector, t: Vector, n: Vector, o: Vector,
     m: Any, length: float, slope: float, turns: Any, texture: Any,
@@ -368,7 +249,7 @@ def _round_ring(
     u, step, v = np.float32(0.0), np.float32(texture[0] / sides), np.float32(texture[1])
     at, flat, first = np.uint64(3 * vertex), np.uint64(2 * vertex), np.uint64(row)
     one, two, three, whole = np.uint64(1), np.uint64(2), np.uint64(3), np.float32(1.0)
-    for _ in range(sides + 1):
+    for _ in range(sides):
         c, s = cosines[first], sines[first]
         x, y, z = ex * c + fx * s + gx, ey * c + fy * s + gy, ez * c + fz * s + gz
         unit = whole / sqrt(x * x + y * y + z * z)
@@ -378,10 +259,14 @@ def _round_ring(
         normals[at], normals[at + one], normals[at + two] = x * unit, y * unit, z * unit
         uv[flat], uv[flat + one] = u, v
         at, flat, first, u = at + three, flat + two, first + one, u + step
-    uv[flat - two] = texture[0]
+    uv[flat], uv[flat + one] = texture[0], v
+    seam = np.uint64(3 * vertex)
+    for _ in range(3):
+        vertices[at], normals[at] = vertices[seam], normals[seam]
+        at, seam = at + one, seam + one
 
 
-@compiled
+@contracted
 def _even_wall(faces: Any, face: int, lower: int, upper: int, sides: int) -> None:
     """As `_wall` where the first diagonal is known to be good: flat `faces`."""
     one, at = np.uint64(1), np.uint64(3 * face)
@@ -397,7 +282,7 @@ def _even_wall(faces: Any, face: int, lower: int, upper: int, sides: int) -> Non
         a, d, at = b, c, at + np.uint64(6)
 
 
-@compiled
+@contracted
 def _tip(
     vertices: Any, normals: Any, uv: Any, faces: Any, vertex: int, face: int, ring: int, sides: int,
     point: Vector, texture: Any,
@@ -418,12 +303,12 @@ def _tip(
     return empty
 
 
-@compiled
+@contracted
 def _path(points: Any, kept: Any, begin: int, rings: int, count: int, path: Any) -> None:
-    """Directions, lengths and frames of a cleaned tube, in loops that are short enough to overlap in the processor.
+    """Directions, lengths and frames of a cleaned tube, in loops short enough to overlap in the processor.
 
-    Columns of `path`: 0 ... 2 way to the next point, 3 its length, 4 ... 6 tangent, 7 ... 9 normal, 10 ... 12 the second
-    reflection of `_carried`, times the square root of its factor, 13 its share of the first reflection's vector.
+    Columns of `path`: 0 ... 2 way to the next point, 3 its length, 4 ... 6 tangent, 7 ... 9 normal, 10 ... 12 the
+    second reflection, times the square root of its factor, 13 its share of the first reflection's vector.
     """
     for j in range(count - 1):
         path[j, 0], path[j, 1], path[j, 2], path[j, 3] = _way(points, kept[begin + j], kept[begin + j + 1])
@@ -465,7 +350,7 @@ def _path(points: Any, kept: Any, begin: int, rings: int, count: int, path: Any)
         path[j, 7], path[j, 8], path[j, 9] = n
 
 
-@compiled
+@contracted
 def _matrices(path: Any, kept: Any, begin: int, rings: int, count: int, ratio: Any, matrix: Any) -> None:
     """`_ring_matrices` of a tube's rings: columns 0 ... 7, and 8 the lean."""
     for j in range(rings):
@@ -482,7 +367,7 @@ def _matrices(path: Any, kept: Any, begin: int, rings: int, count: int, ratio: A
         matrix[j, 8] = lean
 
 
-@compiled
+@contracted
 def fill(
     first: int, end: int, points: Any, radius: Any, ratio: Any, factor: Any, tile: Any, offset: Any, kept: Any,
     count: Any, least: Any, sides_of: Any, pointed: Any, vertex_start: Any, face_start: Any, table: Any, cosines: Any,
@@ -543,8 +428,8 @@ def fill(
             else:
                 slope = (narrows - radius[behind]) / (before_m + ahead_m)
                 _round_ring(
-                    flat_vertices, flat_normals, flat_uv, vertex, sides, centre, t, n, o, m, size * grown, slope, round_turns,
-                    texture,
+                    flat_vertices, flat_normals, flat_uv, vertex, sides, centre, t, n, o, m, size * grown, slope,
+                    round_turns, texture,
                 )  # fmt: skip
             vertex += sides + 1
             if j == 0:

@@ -10,17 +10,23 @@ import numpy as np
 
 from forestgen.core.errors import RecipeError
 from forestgen.core.parts import Part
-from forestgen.geometry.mesh import surface_area_m2
+from forestgen.geometry.mesh import Mesh, surface_area_m2
 from forestgen.plants.budget import check_budget
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.plants.fitting import fit
 from forestgen.plants.foliage import place
 from forestgen.plants.levels import FULL, Level, simplified
 from forestgen.plants.meshing import organ_meshes
+from forestgen.plants.parameters import Fit
 from forestgen.plants.registry import GENERATORS
-from forestgen.plants.variation import vary
+from forestgen.plants.skeleton import OrganPlacements, Skeleton
+from forestgen.plants.variation.model import vary
 
 _TRIANGLE_BYTES = 150  # of an organ's triangle while it is meshed
+_LEAST_ORGAN_M = 5e-5  # single precision at a tree's top tells no points of a smaller organ apart
+_FITTED = (0.5, 2.0)  # height over the height asked for; beyond, the fit did not reach the plant
+_LARGEST_M = 1e4  # plant that keeps the size at which it grows
+_FARTHEST = 1e15  # a grown point, in the generator's own unit; single precision squares no more
 
 
 class Power(Protocol):
@@ -79,17 +85,20 @@ def build_exemplar(
     skeleton = GENERATORS.load(plant.generator).grow(plant, height_m, width_m, wood_rng)
     if plant.variation is not None:
         skeleton = vary(skeleton, plant.variation, variation_rng)
+    _check_grown(species_name, skeleton)
     rules = [rule for rule in plant.foliage if rule.suits(height_m)]
     placed = tuple(place(rule, skeleton, height_m, foliage_rng) for rule in rules)
     skeleton = replace(skeleton, organs=(*skeleton.organs, *placed))
+    _check_grown(species_name, skeleton)
     templates = {name: shape.template() for name, shape in plant.shapes.items()}
-    skeleton = fit(skeleton, templates, plant.fit, height_m, width_m)
+    skeleton = _with_visible_organs(fit(skeleton, templates, plant.fit, height_m, width_m), templates)
     triangles = sum(len(organs.node) * templates[organs.shape].triangles for organs in skeleton.organs)
     check_budget("triangles in leaves and flowers", triangles, _TRIANGLE_BYTES, "fewer organs, a lower detail")
     seen = simplified(skeleton, templates, level, level_rng)
     organs = organ_meshes(seen, plant.shapes, plant.wood, pixel_m=level.pixel_m)
     _check_materials(species_name, organs, species.materials)
-    low, high = _box(organs)
+    low, high = _box(organs, species_name)
+    _check_fitted(species_name, plant.fit, float(high[2]), height_m)
     return Exemplar(
         species=species_name,
         organs=organs,
@@ -101,9 +110,49 @@ def build_exemplar(
     )
 
 
-def _box(organs: tuple[OrganMesh, ...]) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
+def _check_grown(species_name: str, skeleton: Skeleton) -> None:
+    """Refuse what is too large for the numbers that it is written in, before it is meshed."""
+    arrays = [skeleton.position_m, skeleton.radius_m, *(organs.frame for organs in skeleton.organs)]
+    if not all(np.all(np.abs(array) < _FARTHEST) for array in arrays):  # NaN too
+        raise RecipeError(
+            "the plant grows beyond all measure",
+            where=f"species {species_name}: plant",
+            hint="look for lengths, or factors of lengths, that are far too large",
+        )
+
+
+def _with_visible_organs(skeleton: Skeleton, templates: Mapping[str, Mesh]) -> Skeleton:
+    """Without organs that a size curve has shrunk to nothing: they have no normals."""
+    kept = []
+    for organs in skeleton.organs:
+        extent_m = float(np.ptp(templates[organs.shape].vertices_m, axis=0).max(initial=0.0))
+        size = np.linalg.norm(organs.frame[:, :, 1], axis=1)
+        seen = ~(size * extent_m < _LEAST_ORGAN_M)
+        kept.append(organs if seen.all() else OrganPlacements(organs.shape, organs.frame[seen], organs.node[seen]))
+    return replace(skeleton, organs=tuple(kept))
+
+
+def _box(organs: tuple[OrganMesh, ...], species_name: str) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
+    if not organs:
+        raise RecipeError(
+            "nothing of the plant is large enough to be seen",
+            where=f"species {species_name}: plant",
+            hint="thicker stems or larger organs",
+        )
     low = np.min([organ.mesh.vertices_m.min(axis=0) for organ in organs], axis=0)
     return low, np.max([organ.mesh.vertices_m.max(axis=0) for organ in organs], axis=0)
+
+
+def _check_fitted(species_name: str, how: Fit, made_m: float, wanted_m: float) -> None:
+    """Refuse a plant that has no size, or nothing like the one that it is fitted to."""
+    least, most = (0.0, _LARGEST_M) if how == "none" else (_FITTED[0] * wanted_m, _FITTED[1] * wanted_m)
+    if not least <= made_m <= most:
+        raise RecipeError(
+            f"the plant grows to {made_m:.3g} m" + ("" if how == "none" else " and cannot be fitted to its height"),
+            where=f"species {species_name}: plant",
+            expected=f"at most {most:.3g} m" if how == "none" else f"about {wanted_m:.3g} m",
+            hint="lengths and organs in proportion to the height, or fit: scale_all, or fit: none",
+        )
 
 
 def _check_materials(species_name: str, organs: tuple[OrganMesh, ...], materials: Mapping[str, object]) -> None:

@@ -49,9 +49,13 @@ def _read(value: Any) -> Any:
     if isinstance(value, Smooth | Formula):
         return value
     if isinstance(value, int | float) and not isinstance(value, bool):
-        if not np.isfinite(value):
+        try:
+            number = float(value)
+        except OverflowError:
+            number = np.inf
+        if not np.isfinite(number):
             raise ValueError("a curve's value must be a finite number")
-        return ((0.0, float(value)),)
+        return ((0.0, number),)
     if isinstance(value, dict):
         match value:
             case {"smooth": points, **rest} if not rest:

@@ -70,6 +70,7 @@ def _stretch(skeleton: Skeleton, templates: Mapping[str, Mesh], height_m: float,
     organs = skeleton.organs
     feet, low, high = _extents(organs, templates)
     nodes = skeleton.position_m.astype(np.float64)
+    top = max(float(nodes[:, 2].max()), 1e-9)
     stretch, organ_size = np.ones(3), 1.0
     for _ in range(_ROUNDS):
         lowest = np.minimum((nodes * stretch).min(axis=0), (feet * stretch + low * organ_size).min(axis=0))
@@ -77,9 +78,9 @@ def _stretch(skeleton: Skeleton, templates: Mapping[str, Mesh], height_m: float,
         width = 0.5 * float(np.sum((highest - lowest)[:2]))
         span = 0.5 * float(np.sum(np.ptp(nodes, axis=0)[:2]))
         stretch[:2] = np.clip(stretch[:2] + (width_m - width) / max(span, 0.05 * width_m), *_STRETCH)
-        stretch[2] = np.clip(stretch[2] + (height_m - highest[2]) / nodes[:, 2].max(), *_STRETCH)
+        stretch[2] = np.clip(stretch[2] + (height_m - highest[2]) / top, *_STRETCH)
         if stretch[0] in _STRETCH:
-            organ_size = float(np.clip(organ_size * width_m / width, 0.4, 1.6))
+            organ_size = float(np.clip(organ_size * width_m / max(width, 1e-9), 0.4, 1.6))
     return replace(
         skeleton,
         position_m=(nodes * stretch).astype(np.float32),

@@ -1,4 +1,4 @@
-"""Where leaves, needles and flowers sit on a skeleton; what they look like: plants/organs.py."""
+"""Where leaves, needles and flowers sit on a skeleton; what they look like: plants/organs/."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from forestgen.geometry.vectors import rotate, unit
 from forestgen.plants.branching import around
 from forestgen.plants.budget import check_budget
 from forestgen.plants.curves import Curve, PositiveCurve, evaluate, evaluate_one
-from forestgen.plants.organs import OrganShape
+from forestgen.plants.organs.shapes import OrganShape
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
 
 __all__ = ["Foliage", "OrganShape", "organ_frames", "place"]

@@ -14,7 +14,8 @@ on Graphics 26(3), article 79: pruning in random order, and areas enlarged by on
 Decisions
 ---------
 - Wood is simplified as a skeleton, before it is meshed, which makes a far version cheaper to grow than a full one.
-  Edge collapse (geometry/simplify.py) keeps its form as well, and took ten times as long as growing the plant.
+  Edge collapse (geometry/simplify.py) keeps its form as well, and took ten times as long as growing the plant; it
+  serves mesh files for real-time programs (stages/light_wood.py).
 """
 
 from __future__ import annotations

@@ -30,7 +30,7 @@ from forestgen.plants.collars import sweep_with_collars
 from forestgen.plants.exemplar import OrganMesh
 from forestgen.plants.far_organs import far_piece
 from forestgen.plants.levels import mean_size
-from forestgen.plants.organs import OrganShape
+from forestgen.plants.organs.shapes import OrganShape
 from forestgen.plants.parameters import Wood
 from forestgen.plants.skeleton import Skeleton
 
@@ -56,6 +56,7 @@ def wood_mesh(
     height_ratio: float = 1.0,
     tile_m: tuple[float, float] = (1.0, 1.0),
     plain: bool = False,
+    foot_m: tuple[float, float] = (0.0, np.inf),
 ) -> Mesh:
     """Closed tubes of the stems (`trunk`) or of all branches.
 
@@ -65,6 +66,7 @@ def wood_mesh(
     height_ratio : height over width of the branches' sections; stems are round.
     tile_m : extent of one repeat of the bark's texture, round and along an axis.
     plain : tubes as measured: no flare, relief, collars or domes.
+    foot_m : of the branches, those alone whose diameter at the foot is within (first included, second not).
     """
     first, last = _axis_ranges(skeleton)
     standing = (skeleton.order[first] == 0) & (skeleton.parent[first] <= 0)
@@ -76,6 +78,9 @@ def wood_mesh(
             if line is not None:
                 meshes.append(_stem(_domed(line, np.array([forks])), flare, tile_m, plain))
     chosen = ~standing & ((skeleton.order[first] == 0) == trunk) & _is_wood(skeleton, first)
+    if not trunk:
+        foot = 2.0 * skeleton.radius_m[first]
+        chosen &= (foot >= foot_m[0]) & (foot < foot_m[1])
     if np.any(chosen):
         ratio = 1.0 if trunk else height_ratio
         lines = _domed(branch_lines(skeleton, first[chosen], last[chosen]), bears[chosen])
@@ -95,15 +100,21 @@ def organ_meshes(
     parts: dict[tuple[Part, str], list[Mesh]] = {}
     stem, limb = (Part.DEAD_WOOD, Part.DEAD_WOOD) if wood.dead else (Part.TRUNK, Part.BRANCH)
     parts[stem, wood.material] = [wood_mesh(skeleton, True, wood.flare, tile_m=wood.bark_tile_m)]
-    branches = wood_mesh(
-        skeleton,
-        False,
-        wood.flare,
-        height_ratio=wood.branch_height_ratio,
-        tile_m=wood.branch_tile_m,
-        plain=pixel_m > 0.0,
-    )
-    parts.setdefault((limb, wood.branch_material or wood.material), []).append(branches)
+    thick = np.inf if wood.thick_branch_m is None else wood.thick_branch_m
+    for foot_m, material, tile_m in (
+        ((0.0, thick), wood.branch_material or wood.material, wood.branch_tile_m),
+        ((thick, np.inf), wood.material, wood.bark_tile_m),
+    ):
+        branches = wood_mesh(
+            skeleton,
+            False,
+            wood.flare,
+            height_ratio=wood.branch_height_ratio,
+            tile_m=tile_m,
+            plain=pixel_m > 0.0,
+            foot_m=foot_m,
+        )
+        parts.setdefault((limb, material), []).append(branches)
     for placement in skeleton.organs:
         organ_pixel_m = pixel_m / mean_size(placement.frame) if pixel_m else 0.0
         for piece in shapes[placement.shape].pieces():

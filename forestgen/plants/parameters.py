@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from forestgen.plants.foliage import Foliage, OrganShape
 from forestgen.plants.skeleton import Skeleton
-from forestgen.plants.variation import Variation
+from forestgen.plants.variation.model import Variation
 
 STRICT = ConfigDict(frozen=True, extra="forbid")
 
@@ -25,6 +25,11 @@ class Wood(BaseModel):
 
     material: str = Field(description="name of one of the species' materials")
     branch_material: str | None = Field(None, description="the same for branches; the trunk's if not given")
+    thick_branch_m: float | None = Field(
+        None,
+        ge=0,
+        description="branches of at least this diameter at the foot, metres, have the trunk's material and texture",
+    )
     dead: bool = Field(False, description="labelled dead_wood rather than trunk and branch")
     flare: float = Field(0.35, ge=0, le=3, description="widening at the root collar, as a share of the radius")
     branch_height_ratio: float = Field(

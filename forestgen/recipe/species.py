@@ -79,7 +79,7 @@ TileSide = Annotated[Positive, Field(ge=0.01, le=10)]
 
 
 class Bark(Section):
-    """Pattern and relief of a surface, whose mean colour stays the material's reflectance; see plants/bark.py."""
+    """Pattern and relief of a surface, whose mean colour stays the material's reflectance; see plants/bark/."""
 
     pattern: Annotated[BarkPattern, Field(description="What the bark looks like.")]
     tile_m: Annotated[

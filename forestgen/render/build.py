@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from forestgen.core.parts import Part
 from forestgen.geometry.mesh import Mesh
-from forestgen.plants.bark import SurfaceTexture
+from forestgen.plants.bark.texture import SurfaceTexture
 from forestgen.render.variant import mitsuba
 from forestgen.scene.spec import Camera, Material, SceneSpec
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from forestgen.atmosphere.grid import CloudGrid
 from forestgen.geometry.mesh import Mesh
-from forestgen.plants.bark import SurfaceTexture
+from forestgen.plants.bark.texture import SurfaceTexture
 from forestgen.plants.exemplar import Exemplar
 
 

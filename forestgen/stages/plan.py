@@ -17,7 +17,7 @@ from forestgen.community.model import CommunityParameters, Site, SpeciesEcology
 from forestgen.community.registry import COMMUNITY_MODELS
 from forestgen.core.errors import RecipeError, ResourceError
 from forestgen.core.memory import free_bytes
-from forestgen.plants.bark import with_bark_tiles
+from forestgen.plants.bark.texture import with_bark_tiles
 from forestgen.plants.parameters import PlantParameters
 from forestgen.plants.registry import GENERATORS
 from forestgen.recipe.load import DrawnRecipe, LoadedRecipe

@@ -16,7 +16,7 @@ from forestgen.core.errors import RecipeError
 from forestgen.core.frames import look_at
 from forestgen.core.progress import Progress
 from forestgen.core.randomness import child_rng
-from forestgen.plants.bark import bark_texture
+from forestgen.plants.bark.texture import bark_texture
 from forestgen.plants.build import size_m
 from forestgen.plants.cache import ExemplarRequest, exemplar_store
 from forestgen.plants.exemplar import Exemplar

@@ -15,13 +15,14 @@ from forestgen.core.progress import Progress
 from forestgen.core.randomness import child_rng
 from forestgen.geometry.export import FORMATS, Model, Piece, Surface, Value, model_files, png
 from forestgen.geometry.mesh import surface_area_m2
-from forestgen.plants.bark import texture_images
+from forestgen.plants.bark.texture import texture_images
 from forestgen.plants.build import build_exemplar, size_m
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.plants.parameters import with_detail
 from forestgen.recipe.load import DrawnRecipe, load_recipe_data
 from forestgen.recipe.species import TALLEST_M, Species
 from forestgen.scene.spec import Camera, Material
+from forestgen.stages.light_wood import check_wood_triangles, with_light_wood
 from forestgen.stages.plan import Plan, make_plan
 from forestgen.stages.plant_files import FileSet, check_writable
 from forestgen.stages.scene import materials_of
@@ -46,6 +47,7 @@ class Order:
     frames: int | None = None  # so many poses of one plant in the wind, files numbered from 0001
     frames_per_s: float = 12.0
     detail: int | None = None  # of organs, 0 to 2; None: as the species' file says
+    wood_triangles: int | None = None  # about so many in mesh files, with one baked texture; None: as grown
     shot: Shot = field(default_factory=Shot)
     overwrite: bool = False
 
@@ -118,6 +120,7 @@ def _check(order: Order) -> None:
     if order.seed + order.count > _MOST_SEEDS:
         expected = f"less than {_MOST_SEEDS - order.count + 1}"
         raise RecipeError("no such seed", where="--seed", expected=expected, got=str(order.seed))
+    check_wood_triangles(order.wood_triangles)
     order.shot.check()
     wanted = (*FORMATS, PICTURE)
     for path in order.outputs:
@@ -212,15 +215,19 @@ def _contents(
     order: Order, number: int, plan: Plan, seed: int, exemplar: Exemplar, camera: Camera, progress: Progress
 ) -> Iterator[tuple[Path, bytes]]:
     """One plant's files."""
-    materials = materials_of(plan.drawn.species)
+    species, materials = plan.drawn.species[exemplar.species], materials_of(plan.drawn.species)
+    model = None
     for path in order.paths(number):
         if path.suffix.lower() == PICTURE:
             picture = photograph(exemplar, materials, camera, plan.drawn.recipe, order.shot.samples, seed, progress)
             yield path, png(picture)
-        else:
-            model = model_of(exemplar, plan.drawn.species[exemplar.species], materials, seed)
-            for name, content in model_files(model, path.name).items():
-                yield path.with_name(name), content
+            continue
+        if model is None:
+            model = model_of(exemplar, species, materials, seed)
+            if order.wood_triangles is not None:
+                model = _light(model, exemplar.species, materials, order.wood_triangles)
+        for name, content in model_files(model, path.name).items():
+            yield path.with_name(name), content
 
 
 def model_of(exemplar: Exemplar, species: Species, materials: Mapping[tuple[str, str], Material], seed: int) -> Model:
@@ -243,6 +250,12 @@ def model_of(exemplar: Exemplar, species: Species, materials: Mapping[tuple[str,
         "leaf_kg": one.leaf_kg,
     }
     return Model(exemplar.species, pieces, properties)
+
+
+def _light(model: Model, species: str, materials: Mapping[tuple[str, str], Material], triangles: int) -> Model:
+    """The model with few triangles in its wood and one texture for all of it."""
+    textures = {name: one.texture for (owner, name), one in materials.items() if owner == species and one.texture}
+    return replace(model, pieces=with_light_wood(model.pieces, textures, triangles))
 
 
 def _surface(organ: OrganMesh, material: Material) -> Surface:

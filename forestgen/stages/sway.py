@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -23,7 +23,7 @@ _BREEZE, _GIVING = {"speed_directed": 1.0, "speed_undirected": 2.5}, 0.3
 
 def check_sways(species_name: str, parameters: Any) -> None:
     """Raise `RecipeError` if the plant's generator has no poses."""
-    if parameters.generator != _SWAYING or getattr(parameters, "variation", None) is not None:
+    if parameters.generator != _SWAYING or parameters.variation is not None:
         raise RecipeError(
             "plants of this species cannot sway",
             where="--frames",
@@ -38,7 +38,7 @@ def sway(
     species: Species,
     parameters: Any,
     radius_m: float,
-    seed_rng: Any,
+    seed_rng: Callable[[], np.random.Generator],
     frames: int,
     frames_per_s: float,
 ) -> Iterator[Exemplar]:
@@ -48,7 +48,7 @@ def sway(
     ----------
     seed_rng : gives the plant's random generator, anew at each call.
     """
-    from forestgen.plants.strand_poses import poses
+    from forestgen.plants.strands.poses import poses
 
     wind = parameters.wind
     if wind.speed_undirected * (1.0 - parameters.stiffness) <= 0.0:

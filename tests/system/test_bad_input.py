@@ -302,6 +302,7 @@ PLANTS = {
     ("beech", "--frames", "4", "--frames-per-s", "nan"): (2, ["--frames-per-s", "nan"]),
     ("fireweed", "--size-px", "0", "9"): (2, ["--size-px", "8 to 8192", "0 9"]),
     ("fireweed", "--distance-m", "nan"): (2, ["--distance-m", "nan"]),
+    ("fireweed", "--wood-triangles", "20"): (2, ["--wood-triangles", "at least 100", "got       20"]),
     ("fireweed", "--distance-m", "0.05", "-o", "a.png"): (2, ["--distance-m", "the camera stands in the plant"]),
     ("fireweed", "--look-at-m", "9", "-o", "a.png"): (2, ["--look-at-m", "0 to 1.5", "9"]),
     ("poplar", "-o", "tree.stl"): (2, ["--out", ".glb, .ply, .obj", "or .png", "tree.stl"]),

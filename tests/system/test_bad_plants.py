@@ -32,7 +32,7 @@ MISTAKES: dict[str, tuple[str, str, str, list[str]]] = {
         "internode_m: 1.0e-6",
         ["internodes", "longer internode_m"],
     ),
-    "a billion leaves": ("oak", "spacing_m: 0.036", "spacing_m: 1.0e-7", ["the plant would have", "spacing_m"]),
+    "a billion leaves": ("oak", "spacing_m: 0.051", "spacing_m: 1.0e-7", ["the plant would have", "spacing_m"]),
     "no such shape": ("poplar", "- shape: leaf", "- shape: leef", ["bad.yaml:", "leef", "leaf"]),
     "no such form": ("daisy", "form: daisy", "form: daysy", ["bad.yaml:", "daysy", "daisy"]),
     "a key of another form": ("daisy", "petals: 42", "lobes: 42", ["bad.yaml:", "lobes"]),

@@ -83,7 +83,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from forestgen.plants.auxin import AuxinModel, Root, Zone, simulate
+from forestgen.plants.auxin.model import AuxinModel, Root, Zone, simulate
 from forestgen.plants.curves import FallingCurve, evaluate
 from forestgen.plants.parameters import PlantParameters
 from forestgen.plants.skeleton import Skeleton

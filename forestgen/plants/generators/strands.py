@@ -37,6 +37,7 @@ scale_by_height      -                -       1              factor on all lengt
 thickness_m          k_d              m       0.01           diameter of one strand; up to 0.05
 thickness_exponent   -                -       0.5            d = k_d S_0^exponent; 0.3 to 1
 gravicentralism      k_c              -       0.3            0: the trunk runs straight; 1: both sub-branches give way
+gravicentralism_as   -                -       printed        upright: 1 - k_c in its place, see Decisions
 phyllotaxis_deg      alpha_p          degree  85             turn of the plane of division, 0 to 360
 split                k_s^g k_s^w      -       0.75           share of strands that stays; 1/2 to 1, and 0 to 2
 angle_deg            alpha^g alpha^w  degree  45             angle between the two sub-branches; 0 to 180, and 0 to 2
@@ -46,8 +47,8 @@ length               k_l^g k_l^w      -       1              segment's length ov
 gravimorphism_deg    alpha_m^g ...    degree  0              droop at a division; -180 to 180, and 0 to 2
 lod                  l_LOD            -       0              branches of so many strands are not divided further
 stiffness            k_f              -       1              1: no sway in the undirected wind
-wind                 w_g, w_s, w, t   -       none           see `Wind` in plants/strand_wind.py
-leaves               l_type, ...      -       none           see `Leaves` in plants/strand_leaves.py
+wind                 w_g, w_s, w, t   -       none           see `Wind` in plants/strands/wind.py
+leaves               l_type, ...      -       none           see `Leaves` in plants/strands/leaves.py
 split_jitter         -                -       0              the individual: standard deviation of k_s,
 angle_jitter_deg     -                degree  0              of the angles of a light sub-branch,
 phyllotaxis_jit...   -                degree  0              of alpha_p (`phyllotaxis_jitter_deg`),
@@ -86,7 +87,8 @@ Decisions
   pine's negative ones raise its branches' tips, as a pine's are. A turn ends where down (or up) is reached. It counts
   as if there were no directed wind, as printed.
 - With k_c = 0.98 as printed the pine's trunk turns by 27 degrees at every division, a screw that leans by some 19
-  degrees; 1 - k_c in its place would give a straight one. The print counts; the library's pine has a small k_c.
+  degrees; its name, and the pine of Figure 4, ask for a straight one at k_c near 1. So alpha_1 = (1 - k_c) ... is
+  offered as `gravicentralism_as: upright`, and the recipe of Figure 4 uses it with the printed 0.98.
 - The wind's turn is about w in the plant frame: the printed place of R_w0 would turn it about an axis of the
   sub-branch that is known in its bearer's frame only. Angles of the wind are in degrees, since sliders end at 10.
 - alpha_w = S_0/S w_g, as printed, bends a trunk most. Drag on a branch grows with its leaves, S_0, its stiffness with
@@ -119,9 +121,9 @@ from forestgen.plants.budget import check_budget
 from forestgen.plants.curves import Curve, Formula, PositiveCurve, Smooth, evaluate, evaluate_one
 from forestgen.plants.parameters import STRICT, PlantParameters
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
-from forestgen.plants.strand_kernel import JITTERS, ORDERS, Branching, Pose, divide
-from forestgen.plants.strand_leaves import Leaves, carried, leaf_places
-from forestgen.plants.strand_wind import Wind, pose
+from forestgen.plants.strands.kernel import JITTERS, ORDERS, Branching, Pose, divide
+from forestgen.plants.strands.leaves import Leaves, carried, leaf_places
+from forestgen.plants.strands.wind import Wind, pose
 
 Floats = NDArray[np.float64]
 
@@ -211,7 +213,12 @@ class Parameters(PlantParameters):
     thickness_exponent: float = Field(
         0.5, ge=0.3, le=1, description="power of the strands that a diameter grows with; 0.5: sections are conserved"
     )
-    gravicentralism: float = Field(0.3, ge=0, le=1, description="k_c: how far the major sub-branch gives way")
+    gravicentralism: float = Field(0.3, ge=0, le=1, description="k_c, see `gravicentralism_as`")
+    gravicentralism_as: Literal["printed", "upright"] = Field(
+        "printed",
+        description="printed: 0 is a straight trunk, 1 one that gives way to each minor sub-branch; upright: 1 - k_c "
+        "in its place, so that 1 is straight, as the name and the paper's pine ask",
+    )
     phyllotaxis_deg: float = Field(85.0, ge=0, le=360, description="alpha_p: turn of the plane of division, degrees")
     split: Split = Field(Split(), description="k_s: the share of strands that the major sub-branch keeps")
     angle_deg: Angle = Field(Angle(), description="alpha: the angle between the two sub-branches, degrees")
@@ -281,8 +288,9 @@ def branching_of(parameters: Parameters, height_m: float, rng: np.random.Generat
     )
     normals = rng.normal(size=(3 * strands, JITTERS)) if jitter.any() else np.zeros((1, JITTERS))
     trunk_m = float(np.clip(evaluate_one(p.trunk_length_m, height_m), 0.0, 20.0))
+    giving_way = p.gravicentralism if p.gravicentralism_as == "printed" else 1.0 - p.gravicentralism
     branching = divide(
-        strands, max(1, p.lod), trunk_m, p.gravicentralism, np.radians(p.phyllotaxis_deg), *tables(p), jitter, normals
+        strands, max(1, p.lod), trunk_m, giving_way, np.radians(p.phyllotaxis_deg), *tables(p), jitter, normals
     )
     if not branching.length_m.sum() > 0.0:
         raise RecipeError("no branch of the plant has a length", where="plant", hint="trunk_length_m and length")

@@ -78,7 +78,7 @@ from forestgen.lsystem.syntax import Listing
 from forestgen.plants.budget import check_budget
 from forestgen.plants.curves import Curve, evaluate_one
 from forestgen.plants.from_turtle import draw_program, parse_program, skeleton_of
-from forestgen.plants.organ_base import OrganForm, Pieces
+from forestgen.plants.organs.base import OrganForm, Pieces
 from forestgen.plants.parameters import STRICT, PlantParameters
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
 

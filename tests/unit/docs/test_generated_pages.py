@@ -19,6 +19,9 @@ def _pages() -> dict[Path, str]:
     return dict(module.pages())
 
 
-@pytest.mark.parametrize("path", sorted(_pages()), ids=lambda path: path.name)
+PAGES = _pages()
+
+
+@pytest.mark.parametrize("path", sorted(PAGES), ids=lambda path: path.name)
 def test_page_is_up_to_date(path: Path) -> None:
-    assert path.read_text(encoding="utf-8") == _pages()[path], "run `uv run python docs/generate.py`"
+    assert path.read_text(encoding="utf-8") == PAGES[path], "run `uv run python docs/generate.py`"

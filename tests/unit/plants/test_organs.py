@@ -15,7 +15,7 @@ from forestgen.core.errors import RecipeError
 from forestgen.core.parts import Part
 from forestgen.geometry.mesh import Mesh, surface_area_m2
 from forestgen.plants.foliage import Foliage
-from forestgen.plants.organs import OrganForm, organ_shape
+from forestgen.plants.organs.shapes import OrganForm, organ_shape
 from forestgen.recipe.load import load_recipe
 from forestgen.stages.plan import make_plan
 

@@ -16,7 +16,7 @@ from forestgen.plants.exemplar import Exemplar
 from forestgen.plants.generators.silhouette import Parameters
 
 RADII = {"poplar": (0.05, 0.3, 1.0, 2.9), "spruce": (0.05, 0.3, 1.0, 3.2), "fireweed": (0.05, 0.13, 0.3, 0.5)}
-BUDGET = {"poplar": 115_000, "spruce": 145_000, "fireweed": 3_600}
+BUDGET = {"poplar": 160_000, "spruce": 225_000, "fireweed": 12_000}
 _BUILT: dict[tuple[str, float], Exemplar] = {}
 
 

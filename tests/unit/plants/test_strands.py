@@ -14,8 +14,8 @@ from strand_oracle import Model, tree
 from forestgen.core.errors import RecipeError
 from forestgen.plants.generators.strands import GENERATOR, Parameters, branching_of, tables
 from forestgen.plants.registry import GENERATORS
-from forestgen.plants.strand_kernel import ANGLE, GRAVIMORPHISM, LONGEST, SPLIT, Branching, product
-from forestgen.plants.strand_wind import Wind, pose
+from forestgen.plants.strands.kernel import ANGLE, GRAVIMORPHISM, LONGEST, SPLIT, Branching, product
+from forestgen.plants.strands.wind import Wind, pose
 
 FLAT = [(0.0, 1.0), (50.0, 1.0)]
 BEECH: dict[str, Any] = {  # section III.A

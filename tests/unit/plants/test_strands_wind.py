@@ -11,7 +11,7 @@ from forestgen.core.errors import RecipeError
 from forestgen.geometry.mesh import surface_area_m2
 from forestgen.plants.generators.strands import GENERATOR, Parameters, branching_of
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
-from forestgen.plants.strand_poses import poses
+from forestgen.plants.strands.poses import poses
 
 WINDY = {"speed_directed": 2.0, "speed_undirected": 5.0}
 

@@ -11,11 +11,13 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from plant_species import read
 
+from forestgen.core.parts import Part
 from forestgen.geometry.mesh import Mesh
 from forestgen.geometry.simplify import merged
 from forestgen.geometry.vectors import concatenate
 from forestgen.plants.generators.silhouette import GENERATOR
-from forestgen.plants.meshing import branch_lines, stem_line, wood_mesh
+from forestgen.plants.meshing import branch_lines, organ_meshes, stem_line, wood_mesh
+from forestgen.plants.parameters import Wood
 from forestgen.plants.skeleton import Skeleton
 
 Floats = NDArray[np.float64]
@@ -271,3 +273,21 @@ def test_parts_with_and_without_texture_are_joined() -> None:
     np.testing.assert_array_equal(joined.uv[: len(with_uv.uv)], with_uv.uv)
     assert not joined.uv[len(with_uv.uv) :].any()
     assert concatenate([without, without]).uv is None
+
+
+def test_thick_branches_have_the_stems_material() -> None:
+    wood = random_skeleton(5)
+    whole = organ_meshes(wood, {}, Wood(material="bark", branch_material="twig"))
+    feet = 2.0 * wood.radius_m[np.flatnonzero(np.diff(wood.axis, prepend=-1))[1:]]
+    limit = float(np.median(feet))
+    split = organ_meshes(wood, {}, Wood(material="bark", branch_material="twig", thick_branch_m=limit))
+    assert [(organ.part, organ.material) for organ in split] == [
+        (Part.TRUNK, "bark"),
+        (Part.BRANCH, "twig"),
+        (Part.BRANCH, "bark"),
+    ]
+    assert sum(organ.mesh.triangles for organ in split) == sum(organ.mesh.triangles for organ in whole)
+    thick = wood_mesh(wood, False, 0.3, plain=True, foot_m=(limit, np.inf))
+    assert volume(thick) > 0.5 * volume(wood_mesh(wood, False, 0.3, plain=True))
+    same = organ_meshes(wood, {}, Wood(material="bark", thick_branch_m=limit))
+    assert len(same) == 2, "meshes of one part and material are one"

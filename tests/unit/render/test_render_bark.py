@@ -9,7 +9,7 @@ import pytest
 from forestgen.core.frames import look_at
 from forestgen.core.parts import Part
 from forestgen.geometry.mesh import Mesh
-from forestgen.plants.bark import SurfaceTexture, bark_texture
+from forestgen.plants.bark.texture import SurfaceTexture, bark_texture
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.recipe.species import Bark
 from forestgen.render.build import load, origin_of, plants_dict, sensor_of, surface_bsdf

@@ -10,7 +10,7 @@ import pytest
 
 from forestgen.core.errors import OutputError, RecipeError
 from forestgen.core.parts import Part
-from forestgen.plants.bark import texture_images
+from forestgen.plants.bark.texture import texture_images
 from forestgen.scene.spec import Material
 from forestgen.stages.plant_files import FileSet
 from forestgen.stages.scene import materials_of

@@ -10,9 +10,12 @@ import pytest
 from forestgen.community.population import Population
 from forestgen.core.errors import RecipeError
 from forestgen.core.progress import Silent
+from forestgen.core.randomness import child_rng
 from forestgen.core.timing import Timings
 from forestgen.plants import growing
 from forestgen.recipe.load import load_recipe
+from forestgen.scene.spec import Terrain
+from forestgen.scene.terrain import build_terrain, flat
 from forestgen.stages import scene
 from forestgen.stages.plan import Plan, check_plan, estimate_bytes, make_plan
 
@@ -38,6 +41,17 @@ def herbs(y_m: list[float]) -> Population:
         age_yr=np.zeros(n),
         status=np.zeros(n, np.uint8),
     )
+
+
+@pytest.fixture(scope="module")
+def ground() -> Terrain:
+    return build_terrain(flat((10.0, 10.0)), child_rng(0))
+
+
+@pytest.fixture(autouse=True)
+def _same_ground(ground: Terrain, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Litter takes seconds a scene, and is not what is looked at here."""
+    monkeypatch.setattr(scene, "build_terrain", lambda height, rng: ground)
 
 
 @pytest.mark.parametrize(

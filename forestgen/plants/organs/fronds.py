@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 from forestgen.core.parts import Part
 from forestgen.geometry import fronds, needles
 from forestgen.geometry.patches import bent, placed, strip
-from forestgen.plants.organ_base import Bend, Detail, MaybeSize, OrganForm, PartName, Pieces, Share, Size
+from forestgen.plants.organs.base import Bend, Detail, MaybeSize, OrganForm, PartName, Pieces, Share, Size
 
 NeedleWidth = Annotated[float, Field(ge=1e-4, le=0.05)]
 MOST_NEEDLES = 2000

@@ -29,7 +29,7 @@ from forestgen.plants.budget import check_budget
 from forestgen.plants.curves import PositiveCurve, evaluate_one
 from forestgen.plants.foliage import organ_frames
 from forestgen.plants.skeleton import OrganPlacements
-from forestgen.plants.strand_kernel import Branching, Pose
+from forestgen.plants.strands.kernel import Branching, Pose
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from forestgen.geometry.leaves import Blade, compound_leaf, leaf
 from forestgen.geometry.outlines import Entire, Lobed, Outline, Palmate
-from forestgen.plants.organ_base import Bend, Detail, MaybeSize, OrganForm, Pieces, Size
+from forestgen.plants.organs.base import Bend, Detail, MaybeSize, OrganForm, Pieces, Size
 
 _STALK_WIDTH = 0.018  # of the blade's length, where the file does not say
 

@@ -1,4 +1,4 @@
-"""What the loop of `variation_loop.py` reads: one row an axis, and one row a growth step."""
+"""What the loop of `loop.py` reads: one row an axis, and one row a growth step."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from forestgen.plants.curves import Function, evaluate
 from forestgen.plants.skeleton import Skeleton
 
 if TYPE_CHECKING:
-    from forestgen.plants.variation import Plane, Variation
+    from forestgen.plants.variation.model import Plane, Variation
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -43,7 +43,7 @@ class Axes:
 
 @dataclass(frozen=True)
 class Tables:
-    """See `variation_loop.walk`."""
+    """See `loop.walk`."""
 
     steps: Ints
     begin: Ints

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from forestgen.geometry.vectors import unit
-from forestgen.plants.strand_kernel import Branching, Pose, stand
+from forestgen.plants.strands.kernel import Branching, Pose, stand
 
 Floats = NDArray[np.float64]
 

@@ -98,7 +98,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from forestgen.plants.curves import Curve, PositiveCurve
 from forestgen.plants.skeleton import Skeleton
-from forestgen.plants.variation_courses import courses
+from forestgen.plants.variation.courses import courses
 
 #: Where a positive angle turns to. up: to the sky; side: to the left (an upright axis: to +x and to -y, east and
 #: south); random: any side, drawn for each axis; a number: an azimuth in degrees clockwise from +y, as of a compass.

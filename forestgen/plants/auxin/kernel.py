@@ -1,4 +1,4 @@
-"""Compiled loops of the auxin model; see auxin.py for what they mean."""
+"""Compiled loops of the auxin model; see model.py for what they mean."""
 
 from __future__ import annotations
 

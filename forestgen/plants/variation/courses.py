@@ -1,4 +1,4 @@
-"""Running the loop of `variation_loop.py` on a skeleton."""
+"""Running the loop of `loop.py` on a skeleton."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
-from forestgen.plants.variation_loop import carry, walk
-from forestgen.plants.variation_tables import Axes, axes_of, tables
+from forestgen.plants.variation.loop import carry, walk
+from forestgen.plants.variation.tables import Axes, axes_of, tables
 
 if TYPE_CHECKING:
-    from forestgen.plants.variation import Variation
+    from forestgen.plants.variation.model import Variation
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -13,8 +13,8 @@ from forestgen.plants.fitting import fit
 from forestgen.plants.foliage import place
 from forestgen.plants.generators.strands import Parameters, Rest, grow_at_rest, skeleton_of
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
-from forestgen.plants.strand_leaves import carried
-from forestgen.plants.strand_wind import pose
+from forestgen.plants.strands.leaves import carried
+from forestgen.plants.strands.wind import pose
 
 Floats = NDArray[np.float64]
 

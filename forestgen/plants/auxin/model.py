@@ -18,6 +18,7 @@ segment is the cap, which senses and does not grow.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -36,21 +37,15 @@ MOST_WORK = 3e9  # sides times time steps; half a minute
 class Zone:
     """Where one side grows: a RELEL of its distance x from the tip."""
 
-    peak_per_h: float = 0.4  # M
+    peak_per_h: float = 0.4  # M; RELEL is the relative elemental rate of elongation
     centre_mm: float = 3.0  # mu
     width_mm: float = 1.0  # sigma, where RELEL = 0.607 M
-
-    def relel(self, x_mm: Floats) -> Floats:
-        """Relative elemental rate of elongation, per hour."""
-        return np.asarray(self.peak_per_h * np.exp(-0.5 * ((x_mm - self.centre_mm) / self.width_mm) ** 2))
 
     @property
     def elongation_mm_per_h(self) -> float:
         """alpha M: the integral of RELEL over a flank that is longer than the zone, from the tip on."""
-        from math import erf, pi, sqrt
-
-        before_tip = 0.5 * (1.0 + erf(-self.centre_mm / (sqrt(2.0) * self.width_mm)))
-        return self.peak_per_h * self.width_mm * sqrt(2.0 * pi) * (1.0 - before_tip)
+        before_tip = 0.5 * (1.0 + math.erf(-self.centre_mm / (math.sqrt(2.0) * self.width_mm)))
+        return self.peak_per_h * self.width_mm * math.sqrt(2.0 * math.pi) * (1.0 - before_tip)
 
 
 @dataclass(frozen=True)
@@ -75,6 +70,7 @@ class AuxinModel:
 
     @property
     def target(self) -> Floats:
+        """(3,) unit direction that the tip grows towards."""
         return np.array([0.0, 0.0, 1.0 if self.is_shoot else -1.0])
 
     @property
@@ -105,10 +101,12 @@ class Root:
 
     @property
     def time_h(self) -> Floats:
+        """(T + 1,) hours since the start, of the rows of `tip`."""
         return np.arange(len(self.tip), dtype=np.float64) * self.model.step_h
 
     @property
     def length_mm(self) -> float:
+        """Length along the centre line."""
         return float(self.side_mm.mean(axis=1).sum())
 
     @property
@@ -124,7 +122,7 @@ class Root:
 
     def points_mm(self) -> Floats:
         """(N + 1, 3) centres of the segments' faces, base in the origin, z up."""
-        from forestgen.plants import auxin_kernel as kernel
+        from forestgen.plants.auxin import kernel
 
         angle, points = self.model.azimuth_rad, np.zeros((len(self.side_mm) + 1, 3))
         frame = self.model.first_frame()
@@ -139,7 +137,7 @@ def simulate(model: AuxinModel, *, length_mm: float | None = None, duration_h: f
     ------
     RecipeError : too many segments or time steps, or a root that stops growing before it is long enough.
     """
-    from forestgen.plants import auxin_kernel as kernel
+    from forestgen.plants.auxin import kernel
 
     steps = MOST_STEPS if duration_h is None else round(duration_h / model.step_h)
     zones = model.zones if len(model.zones) == model.sectors else model.zones * model.sectors

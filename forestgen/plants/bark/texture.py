@@ -57,8 +57,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.randomness import child_rng
-from forestgen.plants.bark_noise import Image, Tile, upper_share
-from forestgen.plants.bark_patterns import PATTERNS, Relief
+from forestgen.geometry.export import srgb
+from forestgen.plants.bark.noise import Image, Tile, upper_share
+from forestgen.plants.bark.patterns import PATTERNS, Relief
 from forestgen.plants.parameters import PlantParameters
 
 Colour = tuple[float, float, float]
@@ -203,8 +204,5 @@ def texture_images(texture: SurfaceTexture) -> tuple[NDArray[np.uint8], NDArray[
 
     Row 0 is v = 0, the tile's foot; the normals' red, green and blue are (n + 1) / 2 along u, along v and outwards.
     """
-    linear = texture.colour.astype(np.float64)
-    srgb = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 0.0) ** (1 / 2.4) - 0.055)
-    normal = 0.5 + 0.5 * texture.normals()
-    colour_bytes, normal_bytes = (np.round(255 * np.clip(image, 0.0, 1.0)).astype(np.uint8) for image in (srgb, normal))
-    return colour_bytes, normal_bytes
+    normal = np.round(255 * np.clip(0.5 + 0.5 * texture.normals(), 0.0, 1.0)).astype(np.uint8)
+    return srgb(texture.colour), normal

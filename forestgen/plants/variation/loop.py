@@ -1,4 +1,4 @@
-"""The feedback loop of `variation.py`, compiled: one walk along each axis, bearers before what they bear.
+"""The feedback loop of `model.py`, compiled: one walk along each axis, bearers before what they bear.
 
 Rotations are unit quaternions (w, x, y, z). A node's place is kept as its shift from the base skeleton, so that an
 axis that nothing turns comes out to the bit.

@@ -6,9 +6,9 @@ from typing import Annotated, Any
 
 from pydantic import Field, TypeAdapter
 
-from forestgen.plants.organ_base import OrganForm, OrganPiece
-from forestgen.plants.organ_flowers import Acorn, Berry, Bud, Catkin, Cone, Daisy, Disc, FourPetals, Lily
-from forestgen.plants.organ_fronds import (
+from forestgen.plants.organs.base import OrganForm, OrganPiece
+from forestgen.plants.organs.flowers import Acorn, Berry, Bud, Catkin, Cone, Daisy, Disc, FourPetals, Lily
+from forestgen.plants.organs.fronds import (
     FanFrond,
     Fascicle,
     FernFrond,
@@ -17,7 +17,7 @@ from forestgen.plants.organ_fronds import (
     NeedleTwig,
     PalmFrond,
 )
-from forestgen.plants.organ_leaves import CompoundLeaf, LobedLeaf, PalmateLeaf, SimpleLeaf
+from forestgen.plants.organs.leaves import CompoundLeaf, LobedLeaf, PalmateLeaf, SimpleLeaf
 
 __all__ = ["OrganForm", "OrganPiece", "OrganShape", "organ_shape"]
 

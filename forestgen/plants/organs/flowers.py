@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from forestgen.geometry import flowers, fruits
 from forestgen.geometry.patches import Patch
-from forestgen.plants.organ_base import Bend, Detail, MaybeSize, OrganForm, PartName, Pieces, Size
+from forestgen.plants.organs.base import Bend, Detail, MaybeSize, OrganForm, PartName, Pieces, Size
 
 Opening = Annotated[float, Field(ge=0, le=170)]
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from forestgen.plants.bark_noise import Image, Tile, step, upper_share
+from forestgen.plants.bark.noise import Image, Tile, step, upper_share
 
 Rng = np.random.Generator
 

@@ -1,0 +1,172 @@
+"""Compiled loops of `geometry/sweep.py` over points: which are meshed, their frames, where each tube's mesh starts.
+
+The small vector functions are those of `sweep_kernel.py`: Numba's cache notices changes of a kernel's own file only.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+from typing import Any
+
+import numpy as np
+
+from forestgen.core.compiled import contracted
+
+HUB_SIDES = 8  # from this many sides on, a cap is a fan about its centre, so that a star-shaped ring is capped well
+_RESOLUTION = 2.0**-20  # share of the greatest coordinate: eight times the spacing of float32
+_LEAST_M = 1e-9
+_TURNS_BACK = -0.98  # cosine of the turn beyond which a line folds back on itself
+
+Vector = tuple[float, float, float]
+
+
+@contracted
+def _unit(x: float, y: float, z: float) -> Vector:
+    length = sqrt(x * x + y * y + z * z)
+    if length == 0.0:
+        return 0.0, 0.0, 0.0
+    scale = 1.0 / length
+    return x * scale, y * scale, z * scale
+
+
+@contracted
+def _way(points: Any, i: int, j: int) -> tuple[float, float, float, float]:
+    """Unit vector from point i to point j, and their distance."""
+    x, y, z = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1], points[j, 2] - points[i, 2]
+    length = sqrt(x * x + y * y + z * z)
+    if length == 0.0:
+        return 0.0, 0.0, 0.0, 0.0
+    scale = 1.0 / length
+    return x * scale, y * scale, z * scale, length
+
+
+@contracted
+def _dot(a: Vector, b: Vector) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@contracted
+def _perpendicular(a: Vector) -> Any:
+    """A unit vector at right angles to `a`, taken against the world axis that is least aligned with it."""
+    x, y, z = abs(a[0]), abs(a[1]), abs(a[2])
+    if x <= y and x <= z:
+        return _unit(0.0, a[2], -a[1])
+    if y <= z:
+        return _unit(-a[2], 0.0, a[0])
+    return _unit(a[1], -a[0], 0.0)
+
+
+@contracted
+def _bisector(b: Vector, f: Vector) -> Any:
+    """Tangent where unit vectors `b` (to the point) and `f` (from it) meet; a zero vector is a missing segment."""
+    t = _unit(b[0] + f[0], b[1] + f[1], b[2] + f[2])
+    if t[0] == 0.0 and t[1] == 0.0 and t[2] == 0.0 and _dot(b, b) > 0.0:
+        return _perpendicular(b)  # straight back
+    return t
+
+
+@contracted
+def _carried(way: Vector, t0: Vector, t1: Vector, r0: Vector) -> Any:
+    """Reference vector at the way's end: reflected in the plane that halves the way, then in one that aligns t1."""
+    along = 2.0 * _dot(way, r0)
+    r = (r0[0] - along * way[0], r0[1] - along * way[1], r0[2] - along * way[2])
+    along = 2.0 * _dot(way, t0)
+    turn = (t1[0] - t0[0] + along * way[0], t1[1] - t0[1] + along * way[1], t1[2] - t0[2] + along * way[2])
+    square = _dot(turn, turn)
+    if square > 1e-20:
+        along = 2.0 * _dot(turn, r) / square
+        r = (r[0] - along * turn[0], r[1] - along * turn[1], r[2] - along * turn[2])
+    along = _dot(r, t1)
+    n = _unit(r[0] - along * t1[0], r[1] - along * t1[1], r[2] - along * t1[2])
+    return n if _dot(n, n) > 0.5 else _perpendicular(t1)
+
+
+@contracted
+def frames(points: Any, offset: Any, tangent: Any, normal: Any) -> None:
+    """Tangents and carried normals of all points; a point that repeats the one before has that one's frame."""
+    for a in range(len(offset) - 1):
+        back = (0.0, 0.0, 0.0)
+        t, n = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+        for i in range(offset[a], offset[a + 1]):
+            j = i + 1
+            forward = (0.0, 0.0, 0.0)
+            while j < offset[a + 1]:
+                x, y, z, length = _way(points, i, j)
+                if length > 0.0:
+                    forward = (x, y, z)
+                    break
+                j += 1
+            if i > offset[a]:
+                x, y, z, length = _way(points, i - 1, i)
+                if length > 0.0:
+                    back = (x, y, z)
+                    following = _bisector(back, forward)
+                    n = _carried(back, t, following, n)
+                    t = following
+            else:
+                t = forward if _dot(forward, forward) > 0.0 else (0.0, 0.0, 1.0)
+                n = _perpendicular(t)
+            for k in range(3):
+                tangent[i, k] = t[k]
+                normal[i, k] = n[k]
+
+
+@contracted
+def keep(points: Any, radius: Any, offset: Any, kept: Any, count: Any, least: Any) -> None:
+    """Points of each tube that are meshed: ``kept[offset[a] : offset[a] + count[a]]``; count 0: no tube.
+
+    Left out are points that repeat the one before and points at which the line folds back on itself. `least` becomes
+    the smallest radius of a tube.
+    """
+    for a in range(len(offset) - 1):
+        begin, end = offset[a], offset[a + 1]
+        greatest, thickest, shortest, forward = 0.0, 0.0, np.inf, True
+        bx, by, bz = 0.0, 0.0, 0.0
+        for i in range(begin, end):
+            x, y, z = points[i, 0], points[i, 1], points[i, 2]
+            thickest = max(thickest, radius[i])
+            greatest = max(greatest, max(abs(x), max(abs(y), abs(z))))
+            if i > begin:
+                fx, fy, fz = x - points[i - 1, 0], y - points[i - 1, 1], z - points[i - 1, 2]
+                shortest = min(shortest, fx * fx + fy * fy + fz * fz)
+                forward = forward and bx * fx + by * fy + bz * fz >= 0.0
+                bx, by, bz = fx, fy, fz
+        floor = max(_LEAST_M, _RESOLUTION * (greatest + thickest))
+        least[a] = floor
+        if forward and shortest >= 4.0001 * floor * floor:  # nothing to clean
+            for i in range(begin, end):
+                kept[i] = i
+            count[a] = end - begin if thickest >= floor else 0
+            continue
+        top = begin
+        for i in range(begin, end):
+            while top > begin:
+                x, y, z, length = _way(points, kept[top - 1], i)
+                if length < 2.0 * floor:
+                    break
+                if top - begin < 2:
+                    break
+                b = _way(points, kept[top - 2], kept[top - 1])
+                if b[0] * x + b[1] * y + b[2] * z > _TURNS_BACK:
+                    break
+                top -= 1
+            if top > begin and _way(points, kept[top - 1], i)[3] < 2.0 * floor:
+                continue
+            kept[top] = i
+            top += 1
+        count[a] = top - begin if top - begin >= 2 and thickest >= floor else 0
+
+
+@contracted
+def starts(sides_of: Any, pointed: Any, count: Any, vertex_start: Any, face_start: Any) -> None:
+    """First vertex and first face of each tube, and the totals; (A + 1,) each. `fill` fills in this order."""
+    vertex, face = 0, 0
+    for a in range(len(count)):
+        vertex_start[a], face_start[a] = vertex, face
+        if count[a] > 0:
+            sides, hub = sides_of[a], 1 if sides_of[a] >= HUB_SIDES else 0
+            cap_vertices, cap_faces = sides + hub, sides if hub else sides - 2
+            rings = count[a] - (1 if pointed[a] else 0)
+            vertex += rings * (sides + 1) + cap_vertices + (sides if pointed[a] else cap_vertices)
+            face += 2 * sides * (rings - 1) + cap_faces + (sides if pointed[a] else cap_faces)
+    vertex_start[len(count)], face_start[len(count)] = vertex, face
