@@ -41,8 +41,6 @@ _FOOT_M = 0.3  # stems reach this far below the ground, so that none hangs over 
 _STANDS = 0.3  # least z of a stem's direction at its foot: one that lies on the ground gets no foot
 _MESHED_FLARE_RADIUS_M = 0.012  # thinner stems get no flare and no bark relief
 _FLARE_RINGS = np.array([0.0, 0.05, 0.12, 0.22, 0.36, 0.55, 0.77, 1.0])  # extra rings, shares of the flare's height
-_THREAD_M = 2e-5  # axes no thicker than this join pieces and are not wood; see plants/from_turtle.py
-_THREAD = 1e-4  # the same as a share of the plant's greatest radius
 _POINTED_M = 0.002  # radius up to which an end is a point, which saves a third of a twig's triangles
 _POINTED = 0.15  # the same as a share of the radius before
 _DOMED = 0.4  # an axis that ends where another of this share of its radius begins gets a dome
@@ -77,7 +75,7 @@ def wood_mesh(
             line = stem_line(skeleton, int(a), int(b), rings=not plain)
             if line is not None:
                 meshes.append(_stem(_domed(line, np.array([forks])), flare, tile_m, plain))
-    chosen = ~standing & ((skeleton.order[first] == 0) == trunk) & _is_wood(skeleton, first)
+    chosen = ~standing & ((skeleton.order[first] == 0) == trunk) & ~skeleton.is_thread()
     if not trunk:
         foot = 2.0 * skeleton.radius_m[first]
         chosen &= (foot >= foot_m[0]) & (foot < foot_m[1])
@@ -211,12 +209,6 @@ def _axis_ranges(skeleton: Skeleton) -> tuple[Ints, Ints]:
     """First node, and one beyond the last, of each axis."""
     first = np.flatnonzero(np.diff(skeleton.axis, prepend=-1))
     return first, np.append(first[1:], len(skeleton.axis))
-
-
-def _is_wood(skeleton: Skeleton, first: Ints) -> NDArray[np.bool_]:
-    """Which axes are thicker than the threads that join pieces."""
-    thickest = np.maximum.reduceat(skeleton.radius_m, first)
-    return np.asarray(thickest > max(_THREAD_M, _THREAD * float(thickest.max())), dtype=np.bool_)
 
 
 def _bears_at_its_end(skeleton: Skeleton, first: Ints, last: Ints) -> NDArray[np.bool_]:

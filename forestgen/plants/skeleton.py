@@ -10,6 +10,10 @@ from numpy.typing import NDArray
 _LEAST_SINE = 0.3  # of the angle between a branch and its bearer: a narrower fork leaves it no deeper than this
 
 
+_THREAD_M = 2e-5  # axes no thicker than this join pieces that do not touch, and are not wood
+_THREAD_SHARE = 1e-4  # the same as a share of the plant's greatest radius
+
+
 @dataclass(frozen=True)
 class OrganPlacements:
     """Leaves, needles or flowers of one shape, placed on a skeleton."""
@@ -37,6 +41,12 @@ class Skeleton:
                 raise ValueError(f"{name} must have shape {shape}, got {getattr(self, name).shape}")
         if n and (self.parent[0] != -1 or np.any(self.parent >= np.arange(n))):
             raise ValueError("parents must precede children, and node 0 must be the root")
+
+    def is_thread(self) -> NDArray[np.bool_]:
+        """(A,) which axes only join pieces that do not touch: nothing grows there, and nothing is to be seen."""
+        first = np.flatnonzero(np.diff(self.axis, prepend=-1))
+        thickest = np.maximum.reduceat(self.radius_m.astype(np.float64), first)
+        return np.asarray(thickest <= max(_THREAD_M, _THREAD_SHARE * float(thickest.max())), dtype=np.bool_)
 
     def volume_m3(self) -> float:
         """Volume of the wood: sum of the segments' frusta above the ground.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import lru_cache
 from typing import Annotated, Literal, NamedTuple
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from forestgen.core.parts import Part
 from forestgen.geometry.mesh import Mesh
@@ -19,9 +19,17 @@ _PARTS = {
     "branch": Part.BRANCH,
     "dead_wood": Part.DEAD_WOOD,
 }
+_LEAST_M = 1e-4  # triangles that are smaller vanish in single precision
 
-Size = Annotated[float, Field(ge=1e-4, le=30.0)]  # metres
-MaybeSize = Annotated[float, Field(ge=0.0, le=30.0)]  # metres
+
+def _none_or_seen(size_m: float) -> float:
+    if 0.0 < size_m < _LEAST_M:
+        raise ValueError(f"0 for none, or at least {_LEAST_M:g} m")
+    return size_m
+
+
+Size = Annotated[float, Field(ge=_LEAST_M, le=30.0)]  # metres
+MaybeSize = Annotated[float, Field(ge=0.0, le=30.0), AfterValidator(_none_or_seen)]  # metres
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
 Bend = Annotated[float, Field(ge=-360.0, le=360.0)]  # degrees
 Detail = Annotated[

@@ -21,7 +21,6 @@ Ints = NDArray[np.int64]
 
 _UP = np.array([0.0, 0.0, 1.0])
 _UPRIGHT_SINE = 0.05  # an axis nearer to the vertical has no side that is up
-_THREAD_M = 1e-5  # axes that are thinner everywhere join pieces that do not touch; nothing grows there
 _BYTES_PER_STEP = 400  # tables, the new nodes in the loop and in the skeleton
 _MOST_LAG_STEPS = 1e9
 
@@ -71,7 +70,6 @@ def axes_of(skeleton: Skeleton, position: Floats) -> Axes:
     total = np.cumsum(length)
     arc = total - np.repeat(total[first] - length[first], last - first)
     arc[first] = length[first]
-    thick = np.maximum.reduceat(skeleton.radius_m, first)
     borne = skeleton.parent[first] >= 0
     within = np.where(borne, skeleton.radius_m[parent[first]].astype(np.float64), 0.0)
     apart = length > 0.0
@@ -86,7 +84,7 @@ def axes_of(skeleton: Skeleton, position: Floats) -> Axes:
         length_m=arc[last - 1],
         hidden_m=np.minimum(within, length[first]),
         foot=foot,
-        thread=thick < _THREAD_M,
+        thread=skeleton.is_thread(),
         arc_m=arc,
     )
 
