@@ -69,7 +69,7 @@ def unpack(data: bytes | bytearray | NDArray[np.uint8], classes: Sequence[type])
         header = json.loads(bytes(view[_HEAD.size : start]))
         arrays = [_array(view, start, row) for row in header["arrays"]]
         return _value(header["tree"], arrays, {one.__name__: one for one in classes})
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise UnreadableError(str(error)) from error
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any, Protocol
 
@@ -17,6 +17,7 @@ from forestgen.plants.fitting import fit
 from forestgen.plants.foliage import place
 from forestgen.plants.levels import FULL, Level, simplified
 from forestgen.plants.meshing import organ_meshes
+from forestgen.plants.organs.base import OrganForm
 from forestgen.plants.parameters import Fit
 from forestgen.plants.registry import GENERATORS
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
@@ -105,7 +106,7 @@ def build_exemplar(
         radius_m=radius_m,
         height_m=float(high[2]),
         crown_width_m=float(np.mean((high - low)[:2])),
-        leaf_area_m2=sum(surface_area_m2(organ.mesh) for organ in organs if organ.part == Part.LEAF),
+        leaf_area_m2=leaf_area_m2(organs, plant.shapes),
         wood_volume_m3=skeleton.volume_m3(),
     )
 
@@ -130,6 +131,14 @@ def _with_visible_organs(skeleton: Skeleton, templates: Mapping[str, Mesh]) -> S
         seen = ~(size * extent_m < _LEAST_ORGAN_M)
         kept.append(organs if seen.all() else OrganPlacements(organs.shape, organs.frame[seen], organs.node[seen]))
     return replace(skeleton, organs=tuple(kept))
+
+
+def leaf_area_m2(organs: Iterable[OrganMesh], shapes: Mapping[str, OrganForm]) -> float:
+    """Area of the blades, one side: of all that is labelled leaf, but for stalks that have a material of their own."""
+    stalks = {getattr(shape, "stalk_material", None) for shape in shapes.values()}
+    stalks -= {shape.material for shape in shapes.values()}
+    blades = (one for one in organs if one.part == Part.LEAF and one.material not in stalks)
+    return sum(surface_area_m2(one.mesh) for one in blades)
 
 
 def _box(organs: tuple[OrganMesh, ...], species_name: str) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:

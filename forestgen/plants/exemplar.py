@@ -29,7 +29,7 @@ class Exemplar:
     radius_m: float  # community radius that it was grown for
     height_m: float  # top of its geometry
     crown_width_m: float  # mean of its geometry's extents in x and y
-    leaf_area_m2: float  # one side of all blades
+    leaf_area_m2: float  # one side of all blades, petioles of the blade's own material included
     wood_volume_m3: float  # of the skeleton, see `Skeleton.volume_m3`
 
     @property

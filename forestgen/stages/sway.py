@@ -9,9 +9,7 @@ from typing import Any
 import numpy as np
 
 from forestgen.core.errors import RecipeError
-from forestgen.core.parts import Part
-from forestgen.geometry.mesh import surface_area_m2
-from forestgen.plants.build import build_exemplar, size_m
+from forestgen.plants.build import build_exemplar, leaf_area_m2, size_m
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.plants.meshing import organ_meshes
 from forestgen.recipe.species import Species
@@ -64,7 +62,7 @@ def sway(
             posed,
             height_m=float(high[2]),
             crown_width_m=float(np.mean((high - low)[:2])),
-            leaf_area_m2=sum(surface_area_m2(organ.mesh) for organ in posed.organs if organ.part == Part.LEAF),
+            leaf_area_m2=leaf_area_m2(posed.organs, parameters.shapes),
         )
 
 

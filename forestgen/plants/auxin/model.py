@@ -30,7 +30,7 @@ Floats = NDArray[np.float64]
 
 MOST_STEPS = 500_000
 MOST_SIDES = 4_000_000  # sides of all segments together
-MOST_WORK = 3e9  # sides times time steps; half a minute
+MOST_WORK = 1e9  # sides times time steps; ten seconds
 
 
 @dataclass(frozen=True)

@@ -101,7 +101,7 @@ class Parameters(PlantParameters):
         "positive", description="positive: a root that bends to the ground; negative: a shoot that rises"
     )
     sectors: int = Field(8, ge=2, le=64, description="sides of a segment; 2: the model in a plane")
-    length_mm: float = Field(60.0, gt=0, le=10_000, description="length to which it grows, millimetres")
+    length_mm: float = Field(60.0, gt=0, le=500, description="length to which it grows, millimetres")
     young_mm: float = Field(8.0, gt=0, le=10_000, description="straight length at the start, millimetres")
     tilt_deg: float = Field(90.0, ge=0, le=180, description="the young axis' angle from its target, degrees")
     tilt_jitter_deg: float = Field(0.0, ge=0, le=90, description="standard deviation of that angle, degrees")
@@ -123,7 +123,7 @@ class Parameters(PlantParameters):
     diameter_mm: float = Field(1.0, gt=0, le=1000, description="thickness, millimetres")
     taper: FallingCurve = Field(((0.0, 1.0),), description="share of the thickness over the axis, 0 base, 1 tip")
     segment_mm: float = Field(0.25, gt=0, le=1000, description="longest segment, millimetres")
-    step_h: float = Field(0.02, gt=0, le=10, description="time step, hours")
+    step_h: float = Field(0.02, gt=0, le=0.2, description="time step, hours")
 
     def model(self, tilt_deg: float, azimuth_deg: float) -> AuxinModel:
         """The simulation's parameters for an axis that starts in this direction."""

@@ -2,20 +2,33 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from plant_species import read
+from plant_species import SPECIES
+from plant_species import read as read_silhouette
 from pydantic import TypeAdapter, ValidationError
+from ruamel.yaml import YAML
 
 from forestgen.core.errors import RecipeError
 from forestgen.core.parts import Part
 from forestgen.core.randomness import child_rng
-from forestgen.plants.build import build_exemplar
+from forestgen.plants.build import build_exemplar, size_m
 from forestgen.plants.curves import Curve
 from forestgen.plants.exemplar import Exemplar
+from forestgen.plants.generators.strands import Parameters as StrandParameters
 from forestgen.plants.organs.shapes import organ_shape
+
+
+def read(name: str) -> tuple[Any, Any]:
+    if name != "shrub":
+        return read_silhouette(name)
+    data = YAML(typ="safe").load((SPECIES / "shrub.yaml").read_text(encoding="utf-8"))
+    allometry = {key: SimpleNamespace(**law) for key, law in data["allometry"].items()}
+    species = SimpleNamespace(allometry=SimpleNamespace(**allometry), materials=data["materials"])
+    return species, StrandParameters.model_validate(data["plant"])
 
 
 def grown(name: str, radius_m: float, **changes: Any) -> Exemplar:
@@ -46,7 +59,7 @@ def test_a_plant_without_anything_to_see_is_refused() -> None:
 def test_a_bare_straight_stem_can_be_stretched() -> None:
     species, _ = read("stalk")
     stem = grown("stalk", 0.5, fit="stretch")
-    assert stem.height_m == pytest.approx(species.allometry.height(0.5), rel=0.02)
+    assert stem.height_m == pytest.approx(size_m(species, 0.5)[0], rel=0.02)
 
 
 @pytest.mark.parametrize(("factor", "says"), [(20.0, "cannot be fitted to its height"), (1e30, "beyond all measure")])
