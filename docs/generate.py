@@ -122,6 +122,7 @@ def plant_page() -> str:
     """What the generators have in common."""
     schema = PlantParameters.model_json_schema()
     definitions = schema.get("$defs", {})
+    smallest = (DOCS.parent / "scenes" / "species" / "stalk.yaml").read_text(encoding="utf-8")
     text = [
         _NOTICE,
         "# plant\n",
@@ -135,6 +136,8 @@ def plant_page() -> str:
         "internode_m: {smooth: [[0, 0.3], [0.5, 0.2], [1, 0.08]]}  # through the points without overshoot",
         'internode_m: {formula: "0.3 - 0.22 * x^2"}                # of the position x',
         "```\n",
+        "A whole species' file, as small as it gets; [its other keys](../recipe.md#species-each):\n",
+        f"```yaml\n{smallest}```\n",
         "## Parameters\n",
         _table(schema, definitions),
         *_definitions(definitions, definitions),

@@ -202,7 +202,7 @@ def plant(
     ),
     samples: Annotated[
         int, typer.Option("--samples", metavar="N", min=1, max=65536, help="Light paths a pixel of the picture.")
-    ] = 64,
+    ] = 32,
     distance_m: Annotated[
         Optional[float],  # noqa: UP045
         typer.Option(

@@ -33,6 +33,7 @@ PICTURE = ".png"
 _MOST_FILES = 9999  # names have four digits
 _MOST_SEEDS = 2**63  # mesh files hold them as signed integers
 _SHORTEST_M = 0.02
+_TALLEST = 2.0  # of a mature plant's height
 
 
 @dataclass(frozen=True)
@@ -189,8 +190,9 @@ def radius_of_m(species: Species, height_m: float | None) -> float:
     mature_m = species.ecology.max_radius_m
     if height_m is None:
         return mature_m
-    if not (math.isfinite(height_m) and _SHORTEST_M <= height_m <= TALLEST_M):
-        expected = f"{_SHORTEST_M:g} to {TALLEST_M:g} m"
+    tallest_m = min(_TALLEST * species.mature_height_m, TALLEST_M)  # a slip of the pen makes gigabytes of leaves
+    if not (math.isfinite(height_m) and _SHORTEST_M <= height_m <= tallest_m):
+        expected = f"{_SHORTEST_M:g} to {tallest_m:.3g} m; a mature plant has {species.mature_height_m:.3g} m"
         raise RecipeError("no such plant", where="--height-m", expected=expected, got=f"{height_m:g}")
     law = species.allometry.height_m
     if law.exponent:

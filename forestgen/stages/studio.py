@@ -53,7 +53,7 @@ class Shot:
     """How a plant is photographed."""
 
     size_px: tuple[int, int] = (540, 720)  # width, height
-    samples: int = 64  # light paths a pixel
+    samples: int = 32  # light paths a pixel
     distance_m: float | None = None  # from the camera to the plant; None: as far as a normal lens asks for
     look_at_m: float | None = None  # height looked at through a normal lens; None: the whole plant
     window_m: float | None = None  # height of the window at that place, in place of a normal lens'

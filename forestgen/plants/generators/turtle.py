@@ -38,13 +38,16 @@ Recipe
     plant:
       generator: turtle
       program: lily                                 # scenes/lsystems/lily.lsys, or ./mine.lsys beside this file
-      steps: [[0.1, 3], [1.2, 20]]
-      values: {leaf_angle: 65, nodes: [[0.2, 5], [1.2, 40]]}
-      surfaces: {K: leaf, B: flower}
+      steps: [[0.1, 14], [0.35, 38], [0.75, 64], [0.9, 70]]
+      values: {leaf_angle: 65, leaves: [[0.2, 20], [0.9, 52]]}
+      surfaces: {K: leaf, B: flower, C: bud}
       wood: {material: stem}
       shapes:
         leaf: {form: simple, material: leaf, length_m: 0.12, width_m: 0.015}
-        flower: {form: four_petals, part: flower, material: petal, length_m: 0.08, width_m: 0.05}
+        flower: {form: four_petals, material: petal, length_m: 0.08, width_m: 0.05}
+        bud: {form: bud, material: leaf, length_m: 0.08, width_m: 0.015}
+
+Around it stands a species' file like any other: see the page of every generator's keys.
 
 Decisions
 ---------

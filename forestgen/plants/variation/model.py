@@ -57,7 +57,7 @@ Recipe
 ::
 
     plant:
-      variation: {lag: 0.1, compensation_ratio: 0.72, disturbance_deg: 4, sensor_error_deg: 3}
+      variation: {lag: 0.1, compensation_ratio: 1.0, disturbance_deg: 4, sensor_error_deg: 3}  # wilder: more degrees
 
     variation:                                             # a pot turned over when a fifth has grown (Fig. 9)
       {growth_steps: 100, lag: 0.08, displacements: [{at: 0.2, turn_deg: 90, plane: 90, turns: plant}]}
