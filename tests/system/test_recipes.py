@@ -37,7 +37,12 @@ def _frames(folder: Path) -> dict[str, bytes]:
 REPRODUCTIONS = [name for name in list_assets("recipes") if name.startswith("reproductions/")]
 
 
-@pytest.mark.parametrize("name", REPRODUCTIONS)
+LONG = "reproductions/propagation"  # 15 s, and simulated again by the slow reproductions
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow if name == LONG else ()) for name in REPRODUCTIONS]
+)
 def test_reproduction_simulates(name: str) -> None:
     plan = check_plan(load_recipe(find_asset("recipes", name)), simulate_only=True)
     assert len(final_population(plan, Silent()))

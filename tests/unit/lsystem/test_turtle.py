@@ -188,7 +188,7 @@ WORDS = st.recursive(
 )
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=150, deadline=None)
 @given(st.lists(WORDS, max_size=8).map("".join), st.sampled_from(DIALECTS))
 def test_random_words_as_the_slow_turtle_draws_them(text, options):
     if options.dialect == "cpfg":
