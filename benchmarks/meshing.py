@@ -148,8 +148,7 @@ def tree(name: str, height_m: float, spent: dict[str, float]) -> Exemplar:
     recipe = {"forestgen": 1, "seed": 3, "species": {name: {"from": name}}, "community": {"model": "multiset_lsystem"}}
     plan = make_plan(load_recipe_data(recipe, "benchmark").draw(0))
     species = plan.drawn.species[name]
-    power = species.allometry.height_m
-    radius = (height_m / power.scale) ** (1.0 / power.exponent)
+    radius = species.allometry.height_m.inverse(height_m)
     read = perf_counter()
     spent["read"] = read - start
     rng = child_rng(3, "exemplar", name)

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from forestgen.core.errors import LsystemError
 from forestgen.geometry.vectors import unit
-from forestgen.lsystem.compiler import compile_listing
 from forestgen.lsystem.derivation import MOST_MODULES, derive, interpret
 from forestgen.lsystem.parsing import parse_text
 from forestgen.lsystem.program import Program
@@ -63,22 +62,6 @@ def skeleton_of(drawing: Drawing, shapes: Mapping[str, str] | None = None, polyg
         axis=axis,
         organs=organs,
     )
-
-
-def grow_program(listing: Listing, steps: int, seed: int, shapes: Mapping[str, str] | None = None) -> Skeleton:
-    """The plant that an L-system's first word draws after some derivation steps; its age, in the program's own time.
-
-    Parameters
-    ----------
-    listing : see `forestgen.lsystem.reading.read_listing`.
-    shapes : see `skeleton_of`.
-
-    Raises
-    ------
-    LsystemError : the program is wrong, or its word has died out.
-    """
-    drawing, _ = draw_program(compile_listing(listing), steps, seed)
-    return skeleton_of(drawing, shapes)
 
 
 def parse_program(text: str, name: str) -> Listing:

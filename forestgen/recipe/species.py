@@ -52,6 +52,10 @@ class PowerLaw(Section):
     def __call__(self, radius_m: float | NDArray[np.float64]) -> NDArray[np.float64]:
         return np.asarray(self.scale * np.asarray(radius_m, dtype=np.float64) ** self.exponent, dtype=np.float64)
 
+    def inverse(self, value_m: float) -> float:
+        """Radius in metres of a plant that has this value; the exponent must not be 0."""
+        return float((value_m / self.scale) ** (1.0 / self.exponent))
+
 
 class Allometry(Section):
     """Size of a plant from its radius in the community (Lane 2002, chapter 6)."""

@@ -196,7 +196,7 @@ def radius_of_m(species: Species, height_m: float | None) -> float:
         raise RecipeError("no such plant", where="--height-m", expected=expected, got=f"{height_m:g}")
     law = species.allometry.height_m
     if law.exponent:
-        return float((height_m / law.scale) ** (1 / law.exponent))
+        return law.inverse(height_m)
     if not math.isclose(height_m, law.scale, rel_tol=0.01):
         raise RecipeError(
             "plants of this species are all of one height",
