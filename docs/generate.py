@@ -16,11 +16,11 @@ from typing import Any
 
 from forestgen.community.registry import COMMUNITY_MODELS, ENVIRONMENTS
 from forestgen.core.registry import Registry
-from forestgen.plants.curves import CURVE_SCHEMA
 from forestgen.plants.parameters import PlantParameters
 from forestgen.plants.registry import GENERATORS
 from forestgen.plants.variation.model import Variation
 from forestgen.recipe.assets import list_assets
+from forestgen.recipe.curves import CURVE_SCHEMA
 from forestgen.recipe.schema import Recipe
 from forestgen.stages.single_plant import drawn_of
 

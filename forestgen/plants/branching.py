@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from forestgen.core.errors import RecipeError
 from forestgen.geometry.vectors import any_perpendicular, rotate, unit
 from forestgen.plants.budget import check_budget
-from forestgen.plants.curves import Function, evaluate
+from forestgen.recipe.curves import Function, evaluate
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, TypeAdapter, WithJsonSchema
 
-from forestgen.plants.curves import CURVE_SCHEMA, Function, PositiveCurve, evaluate
+from forestgen.recipe.curves import CURVE_SCHEMA, Function, PositiveCurve, evaluate
 
 Floats = NDArray[np.float64]
 

@@ -53,19 +53,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
-from forestgen.community.arrivals import new_ids, of_species, refuse_overflow
-from forestgen.community.disturbance import Ground, Planting, planted
+from forestgen.community.arrivals import new_ids
+from forestgen.community.disturbance import Ground, planted
 from forestgen.community.inventory import PlacedPlant, rows
 from forestgen.community.model import CommunityParameters, Site, SpeciesEcology
-from forestgen.community.population import Population, Status
+from forestgen.community.standing import Plants, Standing, State, azimuth_of
 from forestgen.core.errors import RecipeError
-from forestgen.core.randomness import child_rng
 from forestgen.recipe.fields import Whole
 from forestgen.recipe.sources import Keys
 
@@ -105,35 +102,6 @@ class PlacedParameters(CommunityParameters):
             yield from ((("table",), plant.species) for plant in rows(self.table))
 
 
-@dataclass(frozen=True)
-class Plants:
-    """One row a plant, in order of plant_id."""
-
-    x_m: NDArray[np.float64]  # (N, 2) metres, world x and y
-    r_m: NDArray[np.float64]  # (N,) metres
-    height_m: NDArray[np.float64]  # (N,) metres, as given or by the allometry
-    sp: NDArray[np.uint16]  # (N,) index of species
-    azimuth_deg: NDArray[np.float64]  # (N,) turn about the vertical, clockwise from above
-    first_age_yr: NDArray[np.float64]  # (N,) at the step of arrival
-    plant_id: NDArray[np.uint32]  # (N,)
-    first_step: NDArray[np.int32]  # (N,) step of arrival
-
-    def __len__(self) -> int:
-        return len(self.r_m)
-
-
-@dataclass(frozen=True)
-class State:
-    """Everything that the future of a simulation depends on."""
-
-    parameters: PlacedParameters
-    species: tuple[SpeciesEcology, ...]
-    seed: int
-    step: int
-    next_id: int  # the id of the next plant to arrive
-    plants: Plants
-
-
 def _place(
     plants: Sequence[PlacedPlant],
     parameters: PlacedParameters,
@@ -166,7 +134,7 @@ def _place(
         sizes[i] = _size(plant, species[index[plant.species]], where)
     ids = new_ids(1, n)
     azimuth = [
-        _azimuth(seed, int(one)) if plant.azimuth_deg is None else plant.azimuth_deg
+        azimuth_of(seed, int(one)) if plant.azimuth_deg is None else plant.azimuth_deg
         for one, plant in zip(ids, plants, strict=True)
     ]
     return Plants(
@@ -212,11 +180,7 @@ def _size(plant: PlacedPlant, species: SpeciesEcology, where: str) -> tuple[floa
     return min(radius, largest), plant.height_m
 
 
-def _azimuth(seed: int, plant_id: int) -> float:
-    return float(child_rng(seed, "placed azimuth", plant_id).uniform(0.0, 360.0))
-
-
-class Placed:
+class Placed(Standing):
     """The model; see the module's page."""
 
     Parameters = PlacedParameters
@@ -225,82 +189,6 @@ class Placed:
         """The plants at their places."""
         plants = _place(parameters.everyone, parameters, site, species, seed)
         return State(parameters, tuple(species), seed, 0, 1 + len(plants), plants)
-
-    def step(self, state: State) -> State:
-        """Time passes."""
-        return replace(state, step=state.step + 1)
-
-    def population(self, state: State) -> Population:
-        """Snapshot; z is 0."""
-        plants, species = state.plants, state.species
-        mature = plants.r_m >= of_species(species, "max_radius_m")[plants.sp] if len(species) else plants.r_m < 0
-        position_m = np.zeros((len(plants), 3))
-        position_m[:, :2] = plants.x_m
-        age_yr = plants.first_age_yr + (state.step - plants.first_step) * state.parameters.step_yr
-        return Population(
-            time_yr=state.step * state.parameters.step_yr,
-            species_names=tuple(one.name for one in species),
-            plant_id=plants.plant_id,
-            species=plants.sp,
-            position_m=position_m,
-            radius_m=plants.r_m,
-            height_m=plants.height_m,
-            age_yr=age_yr,
-            status=np.where(mature, np.uint8(Status.MATURE), np.uint8(Status.GROWING)),
-            columns={
-                "azimuth_deg": plants.azimuth_deg,
-                "first_age_yr": plants.first_age_yr,
-                "first_step": plants.first_step,
-            },
-            step=state.step,
-            state={"next_id": state.next_id},
-        )
-
-    def resume(
-        self,
-        parameters: PlacedParameters,
-        site: Site,
-        species: Sequence[SpeciesEcology],
-        seed: int,
-        population: Population,
-    ) -> State:
-        """The state of a snapshot."""
-        plants = Plants(
-            x_m=np.ascontiguousarray(population.position_m[:, :2]),
-            r_m=population.radius_m,
-            height_m=population.height_m,
-            sp=population.species,
-            azimuth_deg=population.columns["azimuth_deg"],
-            first_age_yr=population.columns["first_age_yr"],
-            plant_id=population.plant_id,
-            first_step=population.columns["first_step"],
-        )
-        return State(parameters, tuple(species), seed, population.step, int(population.state["next_id"]), plants)
-
-    def remove(self, state: State, plant_id: NDArray[np.uint32]) -> State:
-        """The others."""
-        keep = ~np.isin(state.plants.plant_id, plant_id)
-        return replace(state, plants=Plants(*(values[keep] for values in vars(state.plants).values())))
-
-    def plant(self, state: State, planting: Planting) -> State:
-        """New plants beside those that are there."""
-        n = len(planting)
-        refuse_overflow(state.next_id, n)
-        ids = new_ids(state.next_id, n)
-        scale = of_species(state.species, "height_scale")[planting.species]
-        exponent = of_species(state.species, "height_exponent")[planting.species]
-        new = Plants(
-            x_m=planting.position_m,
-            r_m=planting.radius_m,
-            height_m=scale * planting.radius_m**exponent,
-            sp=planting.species,
-            azimuth_deg=np.array([_azimuth(state.seed, int(one)) for one in ids], dtype=np.float64),
-            first_age_yr=np.zeros(n),
-            plant_id=ids,
-            first_step=np.full(n, state.step, dtype=np.int32),
-        )
-        both = {name: np.concatenate([a, getattr(new, name)]) for name, a in vars(state.plants).items()}
-        return replace(state, next_id=state.next_id + n, plants=Plants(**both))
 
     def expected_plants(self, parameters: PlacedParameters, site: Site, species: Sequence[SpeciesEcology]) -> float:
         """Who is placed, and who will be planted."""

@@ -84,9 +84,9 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from forestgen.plants.auxin.model import AuxinModel, Root, Zone, simulate
-from forestgen.plants.curves import FallingCurve, evaluate
 from forestgen.plants.parameters import PlantParameters
 from forestgen.plants.skeleton import Skeleton
+from forestgen.recipe.curves import FallingCurve, evaluate
 
 Floats = NDArray[np.float64]
 

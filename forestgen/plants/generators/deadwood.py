@@ -64,9 +64,9 @@ from pydantic import Field, model_validator
 
 from forestgen.geometry.vectors import any_perpendicular, unit
 from forestgen.plants.branching import around
-from forestgen.plants.curves import PositiveCurve, evaluate_one
 from forestgen.plants.parameters import Fit, PlantParameters
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
+from forestgen.recipe.curves import PositiveCurve, evaluate_one
 
 Floats = NDArray[np.float64]
 

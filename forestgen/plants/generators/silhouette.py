@@ -75,9 +75,9 @@ from pydantic import BaseModel, Field
 from forestgen.plants.branching import Grown, Shoots, Sites, grow, lateral_sites
 from forestgen.plants.budget import check_budget
 from forestgen.plants.crown_form import Silhouette, envelope, silhouette_length
-from forestgen.plants.curves import Curve, FallingCurve, PositiveCurve, StrictlyPositiveCurve, evaluate, evaluate_one
 from forestgen.plants.parameters import STRICT, Fit, PlantParameters
 from forestgen.plants.skeleton import Skeleton
+from forestgen.recipe.curves import Curve, FallingCurve, PositiveCurve, StrictlyPositiveCurve, evaluate, evaluate_one
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -118,12 +118,12 @@ from pydantic import AfterValidator, BaseModel, Field, model_validator
 
 from forestgen.core.errors import RecipeError
 from forestgen.plants.budget import check_budget
-from forestgen.plants.curves import Curve, Formula, PositiveCurve, Smooth, evaluate, evaluate_one
 from forestgen.plants.parameters import STRICT, PlantParameters
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
 from forestgen.plants.strands.kernel import JITTERS, ORDERS, Branching, Pose, divide
 from forestgen.plants.strands.leaves import Leaves, carried, leaf_places
 from forestgen.plants.strands.wind import Wind, pose
+from forestgen.recipe.curves import Curve, Formula, PositiveCurve, Smooth, evaluate, evaluate_one
 
 Floats = NDArray[np.float64]
 

@@ -79,11 +79,11 @@ from forestgen.lsystem.derivation import TooManyModulesError
 from forestgen.lsystem.program import Program
 from forestgen.lsystem.syntax import Listing
 from forestgen.plants.budget import check_budget
-from forestgen.plants.curves import Curve, evaluate_one
 from forestgen.plants.from_turtle import draw_program, parse_program, skeleton_of
 from forestgen.plants.organs.base import OrganForm, Pieces
 from forestgen.plants.parameters import STRICT, PlantParameters
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
+from forestgen.recipe.curves import Curve, evaluate_one
 
 MOST_STEPS = 10_000
 POLYGON = "polygon"  # name of the shape that polygons have

@@ -26,10 +26,10 @@ from forestgen.geometry.mesh import Mesh
 from forestgen.geometry.vectors import rotate, unit
 from forestgen.plants.branching import around
 from forestgen.plants.budget import check_budget
-from forestgen.plants.curves import PositiveCurve, evaluate_one
 from forestgen.plants.foliage import organ_frames
 from forestgen.plants.skeleton import OrganPlacements
 from forestgen.plants.strands.kernel import Branching, Pose
+from forestgen.recipe.curves import PositiveCurve, evaluate_one
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

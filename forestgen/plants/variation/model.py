@@ -96,9 +96,9 @@ from typing import Annotated, Literal, Self
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from forestgen.plants.curves import Curve, PositiveCurve
 from forestgen.plants.skeleton import Skeleton
 from forestgen.plants.variation.courses import courses
+from forestgen.recipe.curves import Curve, PositiveCurve
 
 #: Where a positive angle turns to. up: to the sky; side: to the left (an upright axis: to +x and to -y, east and
 #: south); random: any side, drawn for each axis; a number: an azimuth in degrees clockwise from +y, as of a compass.

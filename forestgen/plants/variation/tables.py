@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from forestgen.geometry.vectors import rotate, unit
 from forestgen.plants.budget import check_budget
-from forestgen.plants.curves import Function, evaluate
 from forestgen.plants.skeleton import Skeleton
+from forestgen.recipe.curves import Function, evaluate
 
 if TYPE_CHECKING:
     from forestgen.plants.variation.model import Plane, Variation

@@ -16,10 +16,10 @@ from forestgen.core.errors import RecipeError
 from forestgen.core.parts import Part
 from forestgen.core.randomness import child_rng
 from forestgen.plants.build import build_exemplar, size_m
-from forestgen.plants.curves import Curve
 from forestgen.plants.exemplar import Exemplar
 from forestgen.plants.generators.strands import Parameters as StrandParameters
 from forestgen.plants.organs.shapes import organ_shape
+from forestgen.recipe.curves import Curve
 
 
 def read(name: str) -> tuple[Any, Any]:

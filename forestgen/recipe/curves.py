@@ -1,4 +1,4 @@
-"""Functions of a species, written in its file: a number, control points, a smooth curve, or a formula.
+"""Functions in recipes and species files: a number, control points, a smooth curve, or a formula.
 
 ::
 
@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import AfterValidator, BeforeValidator, Field, TypeAdapter, WithJsonSchema
 
-from forestgen.plants.formula import check_formula, evaluate_formula
+from forestgen.recipe.formula import check_formula, evaluate_formula
 
 Points = tuple[tuple[float, float], ...]
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from pydantic import TypeAdapter, ValidationError
 
-from forestgen.plants.curves import Curve, FallingCurve, PositiveCurve, evaluate, evaluate_one
+from forestgen.recipe.curves import Curve, FallingCurve, PositiveCurve, evaluate, evaluate_one
 
 ANY, POSITIVE, FALLING = TypeAdapter(Curve), TypeAdapter(PositiveCurve), TypeAdapter(FallingCurve)
 

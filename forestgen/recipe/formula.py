@@ -1,4 +1,4 @@
-"""Formulas in species files: arithmetic of one variable, compiled from text, without Python's reach."""
+"""Formulas in recipes and species files: arithmetic of one variable, compiled from text, without Python's reach."""
 
 from __future__ import annotations
 
