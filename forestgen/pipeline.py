@@ -88,6 +88,7 @@ def _render_image(
     with timings("community"):
         population = final_population(plan, progress)
     check_memory(plan, plants=len(population))
+    summary.notes += [f"image {plan.drawn.image_index}: {note}" for note in population.notes]
     built = build_scene(plan, population, progress, timings)
     records = []
     for camera in built.spec.cameras:
@@ -154,6 +155,7 @@ def simulate(
         with timings("community"):
             last = write_community(folder, plan, snapshots(plan, progress, start), map_steps)
         summary.plants, summary.counts = len(last), _counts(last)
+        summary.notes += last.notes
         if not len(last):
             summary.notes.append(_empty_site(plan))
         summary.timings_s, summary.total_s = dict(timings.seconds), timings.total()

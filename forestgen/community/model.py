@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from typing import ClassVar, Protocol, Self, TypeVar
 
@@ -17,6 +17,7 @@ from forestgen.core.randomness import child_rng
 from forestgen.recipe.fields import Whole, mistake
 from forestgen.recipe.sources import Keys
 
+GroundHeight = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
 P = TypeVar("P", bound="CommunityParameters")
 S = TypeVar("S")
 
@@ -55,6 +56,10 @@ class Site:
     """The ground of a community: the rectangle [0, W] x [0, H] in world x and y, metres."""
 
     size_m: tuple[float, float]
+    height: GroundHeight | None = None  # of the ground at x and y of any shape, metres; None: flat
+    altitude_m: float = 0.0  # of z = 0 above sea level
+    latitude_deg: float = 50.0  # north is positive
+    wind_from_deg: float = 270.0  # where the prevailing wind comes from, clockwise from north
 
     def __post_init__(self) -> None:
         if len(self.size_m) != 2 or not all(math.isfinite(side) and side > 0 for side in self.size_m):

@@ -59,3 +59,8 @@ class Population:
 
     def __len__(self) -> int:
         return len(self.plant_id)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the model wants people to know, as that not all plants found a place."""
+        return tuple(self.state.get("notes", ()))

@@ -7,6 +7,10 @@ from forestgen.core.registry import Registry
 COMMUNITY_MODELS = Registry(
     "community model",
     {
+        "deformation_kernel": (
+            "forestgen.community.models.deformation_kernel:MODEL",
+            "plants drawn one by one from a density that each of them deforms (Lane 2002, chapter 5)",
+        ),
         "forest_footprints": (
             "forestgen.community.models.forest_footprints:MODEL",
             "saplings whose vigour decides who dominates, and whose health tells (Randleff-Rasmussen 2004)",

@@ -15,8 +15,13 @@ from forestgen.community.model import CommunityParameters, Site, simulate
 from forestgen.community.registry import COMMUNITY_MODELS
 
 MODELS = COMMUNITY_MODELS.ids()
-GROWING = tuple(name for name in MODELS if name != "placed")  # plants arrive by themselves
-NEEDED = {"placed": {"plants": [{"species": "tree", "position_m": [x, 2 * x]} for x in range(9)]}}
+PLACEMENTS = ("deformation_kernel",)
+PLACING = (*PLACEMENTS, "placed")
+GROWING = tuple(name for name in MODELS if name not in PLACING)  # plants arrive by themselves
+NEEDED = {
+    "placed": {"plants": [{"species": "tree", "position_m": [x, 2 * x]} for x in range(9)]},
+    **{name: {"plants": {"tree": {"count": 9}}} for name in PLACEMENTS},
+}
 SITE = Site((30.0, 20.0))
 STEPS = 24
 DISTURBANCES = (

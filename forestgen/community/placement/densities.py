@@ -1,0 +1,81 @@
+"""From what a recipe says to densities on a grid, numbers of plants, radii and heights."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr, ndtri
+
+from forestgen.community.model import Site, SpeciesEcology
+from forestgen.community.placement.living_conditions import suitability
+from forestgen.community.placement.stands import PlacementParameters, Sizes, Stand
+
+COUNTING_CELLS = 512  # along the site's longer side: numbers of plants must not depend on a model's own grid
+
+
+def grid_shape(site: Site, cells: int) -> tuple[int, int]:
+    """Rows and columns of nearly square cells over the site, `cells` of them along its longer side."""
+    width, height = site.size_m
+    cell_m = max(width, height) / cells
+    return max(1, round(height / cell_m)), max(1, round(width / cell_m))
+
+
+def species_density(
+    parameters: PlacementParameters, site: Site, name: str, shape: tuple[int, int]
+) -> NDArray[np.float64]:
+    """(rows, cols) relative density of a species: its map times its conditions, 0 where the recipe keeps plants out.
+
+    Row 0 lies at y = 0. A species that the recipe does not place has none.
+    """
+    stand = parameters.plants.get(name)
+    if stand is None:
+        return np.zeros(shape)
+    density = suitability(stand.conditions, site, shape)
+    if stand.map is not None:
+        density = density * stand.map.on_grid(shape)
+    if parameters.keep_out is not None:
+        density = np.where(parameters.keep_out.on_grid(shape) > 0, 0.0, density)
+    return np.ascontiguousarray(density)
+
+
+def plant_counts(parameters: PlacementParameters, site: Site, species: Sequence[SpeciesEcology]) -> NDArray[np.int64]:
+    """(S,) how many plants of each species are asked for, the same for every model.
+
+    A `count` is placed wherever the density lets it. `plants_per_ha` is multiplied by the density: barred ground has no
+    plants, and the rest has no more than without it.
+    """
+    shape = grid_shape(site, COUNTING_CELLS)
+    counts = np.zeros(len(species), dtype=np.int64)
+    for index, one in enumerate(species):
+        stand = parameters.plants.get(one.name)
+        if stand is None:
+            continue
+        if stand.count is not None:
+            counts[index] = stand.count
+        elif stand.plants_per_ha:
+            mean = float(species_density(parameters, site, one.name, shape).mean())
+            counts[index] = math.floor(stand.plants_per_ha * site.area_ha * mean + 0.5)
+    return counts
+
+
+def draw_radii(sizes: Sizes | None, species: SpeciesEcology, n: int, rng: np.random.Generator) -> NDArray[np.float64]:
+    """(n,) radii in metres: log-normal, cut off at the species' largest."""
+    chosen = sizes or Sizes(median=species.max_radius_m / 2, sigma=0.4)
+    uniform = rng.random(n)
+    if chosen.sigma == 0:
+        return np.full(n, min(chosen.median, species.max_radius_m))
+    most = ndtr(math.log(species.max_radius_m / chosen.median) / chosen.sigma)
+    radii = chosen.median * np.exp(chosen.sigma * ndtri(np.maximum(uniform, 1e-12) * most))
+    return np.asarray(np.minimum(radii, species.max_radius_m))
+
+
+def draw_heights(
+    stand: Stand | None, species: SpeciesEcology, radius_m: NDArray[np.float64], rng: np.random.Generator
+) -> NDArray[np.float64]:
+    """(n,) heights in metres by the species' allometry, with the stand's scatter."""
+    heights = species.height_scale * radius_m**species.height_exponent
+    sigma = stand.height_sigma if stand else 0.0
+    return np.asarray(heights * np.exp(sigma * rng.standard_normal(len(radius_m))))

@@ -1,0 +1,101 @@
+"""What the placement models have in common: who is to be placed, and what a recipe may be told before it is done."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.community.disturbance import planted
+from forestgen.community.model import Site, SpeciesEcology
+from forestgen.community.placement.densities import draw_heights, draw_radii, plant_counts
+from forestgen.community.placement.stands import PlacementParameters
+from forestgen.community.standing import Standing, State, first_state
+from forestgen.core.randomness import child_rng
+
+_BYTES_PER_PLANT = 400  # a state, its successor, a snapshot, what a placement holds meanwhile
+_BYTES_AT_LEAST = 4 * 1024 * 1024
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """The plants to be placed, largest first; of one size, in the order of species."""
+
+    sp: NDArray[np.uint16]  # (N,) index of species
+    r_m: NDArray[np.float64]  # (N,) metres
+    height_m: NDArray[np.float64]  # (N,) metres
+
+
+def wanted_plants(
+    parameters: PlacementParameters, site: Site, species: Sequence[SpeciesEcology], rng: np.random.Generator
+) -> Wanted:
+    """Species, radii and heights of the plants that a recipe asks for; each species has its own stream of numbers."""
+    counts = plant_counts(parameters, site, species)
+    sp = [np.zeros(0, dtype=np.uint16)]
+    r_m, height_m = [np.zeros(0)], [np.zeros(0)]
+    for index, (one, count, stream) in enumerate(zip(species, counts, rng.spawn(len(species)), strict=True)):
+        stand = parameters.plants.get(one.name)
+        radii = draw_radii(stand.radius_m if stand else None, one, int(count), stream)
+        sp.append(np.full(count, index, dtype=np.uint16))
+        r_m.append(radii)
+        height_m.append(draw_heights(stand, one, radii, stream))
+    radius = np.concatenate(r_m)
+    order = np.argsort(-radius, kind="stable")
+    return Wanted(np.concatenate(sp)[order], radius[order], np.concatenate(height_m)[order])
+
+
+def placed_state(
+    parameters: PlacementParameters,
+    species: Sequence[SpeciesEcology],
+    seed: int,
+    wanted: Wanted,
+    position_m: NDArray[np.float64],
+    why: str,
+) -> State:
+    """The state of step 0; plants whose (N, 2) position is nan found no place, and a note says how many and `why`."""
+    placed = ~np.isnan(position_m[:, 0])
+    asked = np.bincount(wanted.sp, minlength=len(species))
+    found = np.bincount(wanted.sp[placed], minlength=len(species))
+    notes = [
+        f"{found[i]:,} of {asked[i]:,} plants of {one.name} were placed: {why}"
+        for i, one in enumerate(species)
+        if found[i] < asked[i]
+    ]
+    return first_state(
+        parameters,
+        species,
+        seed,
+        sp=wanted.sp[placed],
+        x_m=position_m[placed],
+        r_m=wanted.r_m[placed],
+        height_m=wanted.height_m[placed],
+        notes=notes,
+    )
+
+
+class PlacementModel(Standing):
+    """A `CommunityModel` but for its Parameters and `init`, which draws from `placement_rng`."""
+
+    def expected_plants(self, parameters: PlacementParameters, site: Site, species: Sequence[SpeciesEcology]) -> float:
+        """Who is to be placed, and who will be planted."""
+        return float(plant_counts(parameters, site, species).sum() + planted(parameters.disturbances))
+
+    def why_barren(self, parameters: PlacementParameters, site: Site, species: Sequence[SpeciesEcology]) -> str | None:
+        """Why no plant will ever stand there, or None if some may."""
+        if self.expected_plants(parameters, site, species) > 0:
+            return None
+        if not parameters.plants:
+            return "no plant is placed: community.plants is empty"
+        return "no plant is placed: every number in community.plants is 0, or its map and conditions bar the whole site"
+
+    def estimate_bytes(self, parameters: PlacementParameters, site: Site, species: Sequence[SpeciesEcology]) -> int:
+        """Bytes for all plants at once."""
+        return _BYTES_AT_LEAST + math.ceil(self.expected_plants(parameters, site, species) * _BYTES_PER_PLANT)
+
+
+def placement_rng(seed: int) -> np.random.Generator:
+    """The stream of random numbers of step 0."""
+    return child_rng(seed, "community", 0)
