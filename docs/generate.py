@@ -10,7 +10,7 @@ import itertools
 import json
 import re
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -146,20 +146,74 @@ def plant_page() -> str:
 
 
 def figures_page() -> str:
-    """Published figures of plants beside what their recipes render; the words are the recipes' own."""
+    """Published figures of plants and of communities as their recipes make them; the words are the recipes' own."""
     text = [
         _NOTICE.replace("code", "recipes"),
-        "# Figures of plants, again\n",
-        "Made from `recipes/reproductions/*_fig*.yaml`: `uv run python docs/pictures.py figures` makes the pictures.\n",
+        "# Published figures, again\n",
+        "Made from `recipes/reproductions/*_fig*.yaml`. `uv run python docs/pictures.py figures` makes the pictures of",
+        "plants, `docs/pictures.py kernels map_placement two_species daisies forest` those of communities.\n",
     ]
-    folder = DOCS.parent / "recipes" / "reproductions"
-    for path in sorted(folder.glob("*_fig*.yaml")):
-        lines = path.read_text(encoding="utf-8").splitlines()
-        head = [line.removeprefix("#").strip() for line in itertools.takewhile(lambda one: one.startswith("#"), lines)]
-        title = head[0].rstrip(".")
-        text += [f"## {title}\n", f"![{title}](pictures/figures/{path.stem}.jpg)\n", *head[1:]]
-        text.append(f"\n[{path.name}](../recipes/reproductions/{path.name})\n")
+    figures = recipes_by_figure()
+    for title, chosen in (("Plants", False), ("Communities", True)):
+        text.append(f"## {title}\n")
+        for name, paths in sorted(figures.items(), key=lambda one: one[0].partition("_fig5_")[::-1]):
+            if _shows_a_community(name) == chosen:
+                text += _figure(name, paths)
     return re.sub(r"\n{3,}", "\n\n", "\n".join(text)).rstrip() + "\n"
+
+
+def recipes_by_figure() -> dict[str, list[Path]]:
+    """Name of each published figure -> its recipes; parts (a), (b), ... of a figure of a community are one picture."""
+    folder = DOCS.parent / "recipes" / "reproductions"
+    figures: dict[str, list[Path]] = {}
+    for path in sorted(folder.glob("*_fig*.yaml")):
+        name = path.stem
+        figures.setdefault(re.sub(r"(?<=\d)_?[a-z]$", "", name) if _shows_a_community(name) else name, []).append(path)
+    return figures
+
+
+def _shows_a_community(name: str) -> bool:
+    """Whether a figure is one of Lane's fifth chapter; docs/pictures.py has a command for each of these."""
+    return "_fig5_" in name
+
+
+_DRAWN = ("kernels_", "map_", "two_species_")  # figures that are plots and no renders
+
+
+def _figure(name: str, paths: Sequence[Path]) -> list[str]:
+    """A figure's title and picture, and what its recipes' heads say; a part says only where it differs."""
+    heads = []
+    for path in paths:
+        lines = path.read_text(encoding="utf-8").splitlines()
+        heads.append([one.removeprefix("#").strip() for one in itertools.takewhile(lambda x: x.startswith("#"), lines)])
+    title, parts = _common_title([head[0].rstrip(".") for head in heads])
+    kind = "png" if name.startswith(_DRAWN) else "jpg"
+    text = [f"### {title}\n", f"![{title}](pictures/figures/{name}.{kind})\n"]
+    told: set[str] = set()  # what an earlier part has said for all
+    for path, head, part in zip(paths, heads, parts, strict=True):
+        text += [f"**{part[:1].upper()}{part[1:]}.**\n"] if part else []
+        said = [_paragraph(one) for one in "\n".join(head[1:]).strip().split("\n\n")]
+        text += [f"{one}\n" for one in said if one not in told]
+        text.append(f"[{path.name}](../recipes/reproductions/{path.name})\n")
+        told.update(said)
+    return text
+
+
+def _paragraph(lines: str) -> str:
+    """A paragraph of a recipe's head; commands are set as such."""
+    if all(line.startswith("forestgen ") for line in lines.splitlines()):
+        return f"```sh\n{lines}\n```"
+    return lines
+
+
+def _common_title(titles: Sequence[str]) -> tuple[str, list[str]]:
+    """What titles of a figure's parts have in common, up to a colon or a comma, and what each says beyond that."""
+    if len(titles) == 1:
+        return titles[0], [""]
+    agree = itertools.takewhile(lambda letters: len(set(letters)) == 1, zip(*titles, strict=False))
+    common = "".join(letters[0] for letters in agree)
+    end = max(common.rfind(": "), common.rfind(", "))
+    return common[: max(end, 0)], [title[end + 2 :] for title in titles]
 
 
 def variation_page() -> str:
@@ -249,9 +303,11 @@ def _code(default: Any, definitions: Mapping[str, Any], value: Mapping[str, Any]
 
 
 def _type(value: Mapping[str, Any]) -> str:
-    curve = CURVE_SCHEMA["anyOf"]
-    if value.get("anyOf", [])[-len(curve) :] == curve:
-        return " or ".join([*(_type(one) for one in value["anyOf"][: -len(curve)]), "curve"])
+    curve, kinds = CURVE_SCHEMA["anyOf"], value.get("anyOf", [])
+    for end in (len(kinds), len(kinds) - 1):
+        if end >= len(curve) and kinds[end - len(curve) : end] == curve:
+            before, after = kinds[: end - len(curve)], kinds[end:]
+            return " or ".join([*(_type(one) for one in before), "curve", *(_type(one) for one in after)])
     if "anyOf" in value:
         return " or ".join(dict.fromkeys(_type(one) for one in value["anyOf"]))
     if "$ref" in value:

@@ -1,4 +1,4 @@
-"""Makes the documentation's pictures: `uv run python docs/pictures.py` (some seven minutes on two cores).
+"""Makes the documentation's pictures: `uv run python docs/pictures.py` (some fifteen minutes on two cores).
 
 quickstart.jpg        the quickstart's view, larger and with more samples; the right half under its instance mask
 succession.jpg        four stages of the quickstart's succession: maps, and the stand as a camera sees it
@@ -6,6 +6,17 @@ succession_maps.png   recipes/reproductions/succession.yaml at four steps (Lane 
 propagation_maps.png  recipes/reproductions/propagation.yaml at three steps (Lane 2002, Figure 4.6)
 figures/*.jpg         the figures of plants that recipes/reproductions/*_fig*.yaml render, for docs/figures.md
 self_thinning.png     the line of recipes/reproductions/self_thinning.yaml (Lane 2002, Figure 4.4)
+
+and, by docs/placement_pictures.py, of recipes/reproductions/*_fig5_* (Lane 2002, chapter 5):
+
+figures/kernels_fig5_4.png      kernels          four kernels above their patterns
+figures/daisies_fig5_5.jpg      daisies          three renders of daisies
+figures/map_fig5_6.png          map_placement    a painted map, two clusterings
+figures/two_species_fig5_8.png  two_species      plants and fields at three moments
+figures/forest_fig5_9.jpg       forest           a forest from above, and rendered
+kernel_field.png                kernel_field     a field as plants deform it (Figure 5.3)
+placement_models.png            placement_models all placement models
+densities.png                   densities        what `forestgen simulate` shows
 
 With names behind it, `uv run python docs/pictures.py self_thinning succession_maps`, it makes these alone.
 The plants' pictures, library.jpg and species/, are made by docs/species_sheet.py.
@@ -20,6 +31,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+import placement_pictures
 from PIL import Image
 
 ROOT = Path(__file__).parents[1]
@@ -96,8 +108,8 @@ def figure_recipe(name: str) -> Path:
 
 
 def figure_recipes() -> list[Path]:
-    """Recipes that reproduce figures of plants, in the order of their names."""
-    return sorted(path for path in figure_recipe("x").parent.glob("*_fig*.yaml"))
+    """Recipes that reproduce figures of plants, in the order of their names; communities have commands of their own."""
+    return sorted(path for path in figure_recipe("x").parent.glob("*_fig*.yaml") if "_fig5_" not in path.name)
 
 
 def render_recipe(recipe: Path, folder: Path, *settings: str) -> Path:
@@ -129,7 +141,10 @@ def save(picture: np.ndarray, name: str) -> None:
 
 
 PICTURES_OF = {
-    one.__name__: one for one in (quickstart, succession, succession_maps, propagation_maps, self_thinning, figures)
+    **{
+        one.__name__: one for one in (quickstart, succession, succession_maps, propagation_maps, self_thinning, figures)
+    },
+    **placement_pictures.PICTURES_OF,
 }
 
 

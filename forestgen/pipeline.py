@@ -6,7 +6,7 @@ recipe -> community -> plants -> scene -> render -> labels -> dataset
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ from forestgen.core.timing import Timings
 from forestgen.dataset.coco import FrameRecord
 from forestgen.dataset.folder import OutputFolder
 from forestgen.dataset.manifest import build_manifest, write_manifest
+from forestgen.dataset.maps import write_maps
 from forestgen.dataset.writer import frame_bytes, frame_folder_name, write_dataset, write_frame
 from forestgen.recipe.hashing import recipe_hash
 from forestgen.recipe.load import LoadedRecipe, dump_yaml
@@ -90,6 +91,8 @@ def _render_image(
     check_memory(plan, plants=len(population))
     summary.notes += [f"image {plan.drawn.image_index}: {note}" for note in population.notes]
     built = build_scene(plan, population, progress, timings)
+    drawn = plan.drawn
+    stored = replace(drawn, data=write_maps(folder, drawn.data, drawn.folder))
     records = []
     for camera in built.spec.cameras:
         frame = render_frame(built.spec, camera, plan.drawn.recipe, plan.drawn.image_seed, progress, timings)
@@ -99,7 +102,7 @@ def _render_image(
                 frame,
                 built.population,
                 list(plan.drawn.species),
-                dump_yaml(plan.drawn),
+                dump_yaml(stored),
                 _header(plan, loaded, frame),
             )
         records.append(record)

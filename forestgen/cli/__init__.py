@@ -9,6 +9,7 @@ import typer
 
 from forestgen import __version__
 from forestgen.cli.console import Bars, errors_for_people
+from forestgen.cli.fit_kernel import fit_kernel
 from forestgen.cli.variadic import RadiiCommand
 
 
@@ -309,6 +310,11 @@ def point_statistics(
     from forestgen.cli import stats
 
     stats.stats(points, window, radii or [], as_json)
+
+
+app.command("fit-kernel", epilog="Example: forestgen fit-kernel trees.csv --species poplar -o outputs/trees.yaml")(
+    fit_kernel
+)
 
 
 @app.command("lsystem", epilog="Example: forestgen lsystem koch --steps 2 --format count")

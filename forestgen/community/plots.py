@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,12 +21,26 @@ if TYPE_CHECKING:
 HERB, DECIDUOUS, CONIFER = "#D6409F", "#F08C00", "#14532D"  # apart in lightness too, for the colour-blind and in grey
 _OTHERS = ("#0072B2", "#56B4E9", "#7A5195", "#8C564B", "#666666")
 _DPI = 160
+_MAP_IN = 6.3  # longer side of a map
+_DARKER, _LIGHTEST = 0.7, 0.35  # edges and dots: times their fill's colour; and their lightness at most, 0 to 1
+_EDGE_PT, _EDGE_SHARE = 0.4, 0.35  # thickness of edges at most, and of a small circle's in its radii
+_LEAST_RADIUS_PT, _MOST_SHARE = 1.4, 0.12  # a plant too small to be seen is a dot; share of the map under all dots
 
 
 def colours_of(species_colours: Mapping[str, str], names: Sequence[str]) -> dict[str, str]:
     """A colour for each species: the given one, else the next of a palette."""
     rest = iter(_OTHERS * (1 + len(names) // len(_OTHERS)))
     return {name: species_colours[name] if name in species_colours else next(rest) for name in names}
+
+
+def darker(colour: str) -> tuple[float, float, float]:
+    """Red, green and blue of a species' edges and dots: they show on paper even where petals are white."""
+    from matplotlib.colors import to_rgb
+
+    red, green, blue = to_rgb(colour)
+    lightness = max(0.21 * red + 0.72 * green + 0.07 * blue, 1e-6)
+    by = min(_DARKER, _LIGHTEST / lightness)
+    return by * red, by * green, by * blue
 
 
 def new_figure(width_in: float, height_in: float) -> Figure:
@@ -56,10 +71,10 @@ def _draw_circles(axes: Axes, population: Population, site: Site, colours: Mappi
     alive = np.flatnonzero(population.status != Status.DEAD)
     order = alive[np.argsort(-population.radius_m[alive], kind="stable")]
     xy, r = population.position_m[order, :2], population.radius_m[order]
-    rgba = np.array([to_rgba(colours[name]) for name in population.species_names]).reshape(-1, 4)
-    fill, edge = rgba[population.species[order]], rgba[population.species[order]]
-    fill[:, 3] = 0.55
-    edge[:, :3] *= 0.7
+    names = population.species_names
+    fill = np.array([to_rgba(colours[name], 0.55) for name in names]).reshape(-1, 4)[population.species[order]]
+    edge = np.array([darker(colours[name]) for name in names]).reshape(-1, 3)[population.species[order]]
+    shown = np.maximum(r, _least_radius_m(len(r), site))
     shifts = [(a, b) for a in (-1, 0, 1) for b in (-1, 0, 1)] if repeat else [(0, 0)]
     width, height = site.size_m
     index, offsets = [], []
@@ -73,10 +88,21 @@ def _draw_circles(axes: Axes, population: Population, site: Site, colours: Mappi
     pick, where = pick[drawn], where[drawn]
     axes.add_collection(
         EllipseCollection(
-            2 * r[pick], 2 * r[pick], np.zeros(len(pick)), units="xy", offsets=where, offset_transform=axes.transData,
-            facecolors=fill[pick], edgecolors=edge[pick], linewidths=0.4,
+            2 * shown[pick], 2 * shown[pick], np.zeros(len(pick)), units="xy",
+            offsets=where, offset_transform=axes.transData, facecolors=fill[pick], edgecolors=edge[pick],
+            linewidths=np.minimum(_EDGE_PT, _EDGE_SHARE * shown[pick] * _points_per_m(site)),
         )
     )  # fmt: skip
+
+
+def _points_per_m(site: Site) -> float:
+    return 72 * _MAP_IN / max(site.size_m)
+
+
+def _least_radius_m(plants: int, site: Site) -> float:
+    """Radius of the smallest circle that is drawn, metres: a dot, but so small that all plants leave paper between."""
+    crowded_m = math.sqrt(_MOST_SHARE * site.area_m2 / (math.pi * max(plants, 1)))
+    return min(_LEAST_RADIUS_PT / _points_per_m(site), crowded_m)
 
 
 def plot_map(
@@ -87,21 +113,24 @@ def plot_map(
     *,
     periodic: bool = True,
 ) -> None:
-    """Circles of all living plants to scale, as a PNG; `periodic` repeats those that reach over an edge."""
+    """Circles of all living plants to scale, as a PNG; `periodic` repeats those that reach over an edge.
+
+    A plant that would be smaller than a dot is drawn as a dot.
+    """
     from matplotlib.lines import Line2D
 
     colours = colours_of(species_colours, population.species_names)
     width, height = site.size_m
     longest = max(width, height)
-    figure = new_figure(1.2 + 6.3 * max(width / longest, 0.4), 1.7 + 6.3 * max(height / longest, 0.1))
+    figure = new_figure(1.2 + _MAP_IN * max(width / longest, 0.4), 1.7 + _MAP_IN * max(height / longest, 0.1))
     axes = figure.add_subplot(aspect="equal", xlim=(0, width), ylim=(0, height), facecolor="#FAF8F3")
     axes.set(xlabel="x, east (m)", ylabel="y, north (m)")
     counts = count_by_species(population)
     axes.set_title(f"{population.time_yr:g} years, {sum(counts.values()):,} plants", fontsize=12)
     _draw_circles(axes, population, site, colours, periodic)
     handles = [
-        Line2D([], [], ls="", marker="o", ms=9, mfc=(colour, 0.55), mec=colour, label=f"{name} ({counts[name]:,})")
-        for name, colour in colours.items()
+        Line2D([], [], ls="", marker="o", ms=9, mfc=(one, 0.55), mec=darker(one), label=f"{name} ({counts[name]:,})")
+        for name, one in colours.items()
     ]
     figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False, fontsize=11)
     save_figure(figure, path)

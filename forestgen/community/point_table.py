@@ -3,6 +3,8 @@
 # trees of plot 7, window 0 50 0 20
 x,y
 3.5,7.25
+
+Where marks are asked for, a header may name a column species and a column radius_m beside x and y, in any order.
 """
 
 from __future__ import annotations
@@ -34,14 +36,19 @@ class PointTable:
     points_m: NDArray[np.float64]  # (N, 2), N >= 2, no two alike, all in the window
     window: Window
     notes: tuple[str, ...]  # what the reader had to assume
+    species: tuple[str, ...] | None = None  # (N,) names; None: the file has no such column
+    radius_m: NDArray[np.float64] | None = None  # (N,) metres, above 0; None: the file has no such column
 
 
-def read_points(path: Path, window: tuple[float, float, float, float] | None = None) -> PointTable:
+def read_points(
+    path: Path, window: tuple[float, float, float, float] | None = None, *, marks: bool = False
+) -> PointTable:
     """Read a point pattern.
 
     Parameters
     ----------
     window : x0, x1, y0, y1; by default that of a comment in the file, else the points' bounding box.
+    marks : whether the columns species and radius_m are welcome.
 
     Raises
     ------
@@ -52,7 +59,7 @@ def read_points(path: Path, window: tuple[float, float, float, float] | None = N
     given = _given_window(window) if window is not None else None
     try:
         with path.open("rb") as file:
-            points, rows, comments = _parse(path, file)
+            points, rows, comments, cells = _parse(path, file, marks)
     except OSError as error:
         raise AssetError(
             "the points cannot be read", where=str(path), expected="a CSV file", got=error.strerror or str(error)
@@ -70,7 +77,8 @@ def read_points(path: Path, window: tuple[float, float, float, float] | None = N
         )
     _check_inside(path, points, rows, chosen)
     _check_apart(path, points, rows)
-    return PointTable(points, chosen, notes)
+    radius = np.array([float(one) for one in cells["radius_m"]]) if "radius_m" in cells else None
+    return PointTable(points, chosen, notes, tuple(cells["species"]) if "species" in cells else None, radius)
 
 
 def _given_window(window: tuple[float, float, float, float]) -> Window:
@@ -85,20 +93,27 @@ def _given_window(window: tuple[float, float, float, float]) -> Window:
         ) from error
 
 
-def _parse(path: Path, file: BinaryIO) -> tuple[NDArray[np.float64], NDArray[np.int64], list[str]]:
-    """Points, their lines' numbers, and the comments that may state a window."""
+def _parse(
+    path: Path, file: BinaryIO, marks: bool
+) -> tuple[NDArray[np.float64], NDArray[np.int64], list[str], dict[str, list[str]]]:
+    """Points, their lines' numbers, the comments that may state a window, and the columns of marks."""
     values, rows, comments = array("d"), array("q"), list[str]()
-    header_seen = False
+    columns: list[str] = []
+    marked: dict[str, list[str]] = {}
     for number, line in _lines(path, file):
         if line.startswith("#"):
             if "window" in line.lower():
                 comments.append(line)
             continue
         cells = [one.strip().strip('"') for one in line.split(",")]
-        if not header_seen and not rows and [one.lower() for one in cells] == ["x", "y"]:
-            header_seen = True
+        if not columns and not rows and _is_header(cells, marks):
+            columns = [one.lower() for one in cells]
+            marked = {name: [] for name in columns if name not in ("x", "y")}
             continue
-        values.extend(_point(f"{path}:{number}", line, cells))
+        where = f"{path}:{number}"
+        if marked:
+            cells = _unmarked(where, line, dict(zip(columns, cells, strict=False)), len(cells), columns, marked)
+        values.extend(_point(where, line, cells, marks and not columns))
         rows.append(number)
         if len(rows) > MOST_POINTS:
             raise ResourceError(
@@ -107,7 +122,41 @@ def _parse(path: Path, file: BinaryIO) -> tuple[NDArray[np.float64], NDArray[np.
                 expected=f"at most {MOST_POINTS:,}",
                 hint="take a part of the window",
             )
-    return np.array(values).reshape(-1, 2), np.array(rows, dtype=np.int64), comments
+    return np.array(values).reshape(-1, 2), np.array(rows, dtype=np.int64), comments, marked
+
+
+def _is_header(cells: list[str], marks: bool) -> bool:
+    names = [one.lower() for one in cells]
+    if not marks:
+        return names == ["x", "y"]
+    known = {"x", "y", "species", "radius_m"}
+    return {"x", "y"} <= set(names) <= known and len(set(names)) == len(names)
+
+
+def _unmarked(
+    where: str, line: str, row: dict[str, str], number: int, columns: list[str], marked: dict[str, list[str]]
+) -> list[str]:
+    """A row's x and y; its marks go to their columns."""
+    expected = f"the header's columns, {','.join(columns)}"
+    if number != len(columns):
+        got = f"{number} column" + "s" * (number != 1) + f": {_short(line)}"
+        raise AssetError("this is no plant", where=where, expected=expected, got=got)
+    for name, values in marked.items():
+        if name == "radius_m" and not _is_radius(row[name]):
+            raise AssetError(
+                "this is no radius", where=where, expected="metres, above 0 and up to 1000", got=_short(row[name])
+            )
+        if not row[name]:
+            raise AssetError("a plant without a species", where=where, expected=expected, got=_short(line))
+        values.append(row[name])
+    return [row["x"], row["y"]]
+
+
+def _is_radius(text: str) -> bool:
+    try:
+        return "_" not in text and 0 < float(text) <= 1000
+    except ValueError:
+        return False
 
 
 def _lines(path: Path, file: BinaryIO) -> Iterator[tuple[int, str]]:
@@ -129,10 +178,12 @@ def _no_text(path: Path, number: int, got: str) -> NoReturn:
     raise AssetError("not a text file", where=f"{path}:{number}", expected=f"a CSV file: {_EXPECTED}", got=got)
 
 
-def _point(where: str, line: str, cells: list[str]) -> tuple[float, float]:
+def _point(where: str, line: str, cells: list[str], marks: bool) -> tuple[float, float]:
     if len(cells) != 2:
         got = f"{len(cells)} column" + "s" * (len(cells) != 1) + f": {_short(line)}"
         hint = "separate the columns by commas" if len(cells) == 1 else "keep x and y only, with points for decimals"
+        if marks and len(cells) > 2:
+            hint = "name the columns in the first line: x,y,species or x,y,species,radius_m; no other is known"
         raise AssetError("this is no point", where=where, expected=_EXPECTED, got=got, hint=hint)
     try:
         if "_" in line:

@@ -15,6 +15,22 @@ COMMUNITY_MODELS = Registry(
             "forestgen.community.models.forest_footprints:MODEL",
             "saplings whose vigour decides who dominates, and whose health tells (Randleff-Rasmussen 2004)",
         ),
+        "halftone": (
+            "forestgen.community.models.halftone:MODEL",
+            "points that follow a density as a printer's dots follow grey (Floyd and Steinberg 1975)",
+        ),
+        "height_field": (
+            "forestgen.community.models.height_field:MODEL",
+            "trees on a jittered grid, of the species that the ground suits (Reeves and Blau 1985)",
+        ),
+        "jittered_grid": (
+            "forestgen.community.models.jittered_grid:MODEL",
+            "a plant a cell of a lattice, moved inside its cell (Neyret 1996)",
+        ),
+        "kernel_growth": (
+            "forestgen.community.models.kernel_growth:MODEL",
+            "seedlings where the plants' kernels let them, and competition by the same kernels (Lane 2002, chapter 7)",
+        ),
         "multiset_lsystem": (
             "forestgen.community.models.multiset_lsystem:MODEL",
             "self-thinning, succession, propagation, or a program of yours (Lane 2002, multiset L-systems)",
@@ -22,6 +38,22 @@ COMMUNITY_MODELS = Registry(
         "placed": (
             "forestgen.community.models.placed:MODEL",
             "plants at given places: an inventory or a figure; nothing grows but older",
+        ),
+        "poisson_disc": (
+            "forestgen.community.models.poisson_disc:MODEL",
+            "random places no two of which are near one another (Bridson 2007)",
+        ),
+        "strauss": (
+            "forestgen.community.models.strauss:MODEL",
+            "plants that dislike, to a degree, to stand near their like (Strauss 1975)",
+        ),
+        "thomas": (
+            "forestgen.community.models.thomas:MODEL",
+            "clusters around parents that nobody sees (Thomas 1949)",
+        ),
+        "uniform": (
+            "forestgen.community.models.uniform:MODEL",
+            "independent random places: no pattern at all",
         ),
     },
 )

@@ -32,6 +32,7 @@ from forestgen.recipe.distributions import (
     parse_distribution,
 )
 from forestgen.recipe.hashing import recipe_hash
+from forestgen.recipe.map_files import embed_maps
 from forestgen.recipe.messages import UNDRAWN, Explainer, show
 from forestgen.recipe.schema import SCHEMA_VERSION, Recipe
 from forestgen.recipe.sources import Keys, Place, SourceMap, dotted
@@ -76,7 +77,7 @@ class DrawnRecipe:
         RecipeError : worded like the errors of the recipe's own keys.
         """
         try:
-            return model.model_validate(dict(data))
+            return model.model_validate(dict(data), context={"folder": self.folder})  # where its files are
         except ValidationError as failure:
             explainer = Explainer(model, data, self.sources, tuple(keys), self.written)
             raise explainer.error(failure) from failure
@@ -91,6 +92,7 @@ class LoadedRecipe:
     sources: SourceMap = field(repr=False)
     distributions: Mapping[Keys, Distribution]  # by key path
     written: Mapping[Keys, Any] = field(repr=False)  # the same, as written
+    file_sha256: dict[Path, str] = field(default_factory=dict, repr=False, compare=False)  # of the files it names
 
     @property
     def seed(self) -> int:
@@ -108,6 +110,7 @@ class LoadedRecipe:
         data = _plain(self._validated(self._values(self._first_image)))
         for keys, written in self.written.items():
             _put(data, keys, copy.deepcopy(written))
+        embed_maps(data, self.sources, self.path.parent, self.file_sha256)  # those that are chosen for each image
         return data
 
     @cached_property
@@ -170,6 +173,7 @@ class LoadedRecipe:
             _put(data, keys, value)
         spell_out(data)
         embed_program(data, self.sources, self.path.parent)
+        embed_maps(data, self.sources, self.path.parent, self.file_sha256)
         try:
             return Recipe.model_validate(data)
         except ValidationError as failure:

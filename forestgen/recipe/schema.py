@@ -58,6 +58,32 @@ class Site(Section):
         100.0,
     )
     terrain: Annotated[Terrain, Field(description="Shape of the ground, or just its kind.")] = Terrain()
+    altitude_m: Annotated[
+        Number,
+        Field(
+            ge=-430,
+            le=9000,
+            description="Height of z = 0 above sea level, metres; for species with a response to elevation_m.",
+        ),
+    ] = 0.0
+    latitude_deg: Annotated[
+        Number,
+        Field(
+            ge=-90,
+            le=90,
+            description="Latitude, degrees, north positive: where the sun stands over the year, for species with a "
+            "response to sun. An image's own sun is sky.sun.",
+        ),
+    ] = 50.0
+    wind_from_deg: Annotated[
+        Number,
+        Field(
+            ge=-360,
+            le=360,
+            description="Where the prevailing wind comes from, degrees clockwise from north: 270 is west; for species "
+            "with a response to wind.",
+        ),
+    ] = 270.0
 
     @field_validator("terrain", mode="before")
     @classmethod

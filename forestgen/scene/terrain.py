@@ -21,9 +21,10 @@ _SITE_CELL_M = 0.75
 TEXTURE_TILE_M = 24.0
 _TEXTURE_PX = 1536
 _LEAVES_PER_M2 = 260
+_AT_ONCE = 8192  # points whose height is asked for: their numbers stay in the processor's cache
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)  # arrays have no equality of one word: a field equals itself
 class HeightField:
     """Height of the ground: waves on and near the site, hills in the distance.
 
@@ -40,10 +41,22 @@ class HeightField:
 
     def __call__(self, x_m: NDArray[np.float64], y_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Height at points of any shape; O(points x waves)."""
-        z = np.zeros(np.broadcast(x_m, y_m).shape)
+        x, y = np.broadcast_arrays(x_m, y_m)
+        shape, x, y = x.shape, x.ravel(), y.ravel()
+        z = np.empty(x.shape)
+        for start in range(0, len(z), _AT_ONCE):
+            part = slice(start, start + _AT_ONCE)
+            z[part] = self._height(x[part], y[part])
+        return z.reshape(shape)
+
+    def _height(self, x_m: NDArray[np.float64], y_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        z = np.zeros(x_m.shape)
         away = self.distance_m(x_m, y_m)
         far = _smooth((away - HILLS_FROM_M) / (6 * HILLS_FROM_M))
+        has_hills = bool(far.any())
         for k, amplitude, phase, hill in zip(self.wave_per_m, self.amplitude_m, self.phase, self.hill, strict=True):
+            if hill and not has_hills:
+                continue
             wavelength = 2 * np.pi / np.hypot(*k)
             fade = (
                 far * (1 - _smooth(away / (2 * wavelength) - 1))

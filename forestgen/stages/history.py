@@ -10,6 +10,8 @@ from typing import Any
 
 from forestgen.community.animation import MOST_FRAMES, Film
 from forestgen.community.history import write_history
+from forestgen.community.placement.asked import describe_densities
+from forestgen.community.plot_densities import plot_densities
 from forestgen.community.plot_series import plot_curves, plot_thinning
 from forestgen.community.plot_sizes import plot_sizes
 from forestgen.community.plots import plot_map
@@ -41,31 +43,37 @@ class _Told:
     moments: list[Moment]
     described: list[dict[str, Any]]
     last: Population
+    placement: dict[str, Any] | None = None  # of the plants of step 0
 
 
 def write_community(folder: Path, plan: Plan, snapshots: Iterator[Population], map_steps: Sequence[int]) -> Population:
     """Write all files of a simulation as its snapshots come; the last snapshot.
 
-    history.parquet, a map for each of `map_steps` (by default the last), animation.gif, curves.png, thinning.png,
-    sizes.png of the last snapshot, and statistics.json. No snapshot is held but the current one. Fellings and plantings
-    thin a stand as no crowding does: with them there is no self-thinning line.
+    history.parquet, a map for each of `map_steps` (by default the last), sizes.png of the last snapshot, and
+    statistics.json; if there are steps, animation.gif, curves.png and thinning.png too; of a model that places plants
+    by densities, densities.png. No snapshot is held but the current one. Fellings and plantings thin a stand as no
+    crowding does: with them there is no self-thinning line.
 
     `check_map_steps` tells whether the simulation reaches `map_steps`.
     """
     told: list[_Told] = []
     write_history(folder / "history.parquet", _watched(folder, plan, snapshots, map_steps, told), origin(plan))
     (end,) = told
-    colours, last = map_colours(plan), end.last
-    unit = plant_mass(last)[1]
-    trajectory = Trajectory.of(end.moments, last.species_names, plan.site, unit)
+    thinning = _write_course(folder, plan, end) if plan.steps else None
+    plot_sizes(end.last, map_colours(plan), folder / "sizes.png")
+    _write_statistics(folder / "statistics.json", plan, end, thinning)
+    return end.last
+
+
+def _write_course(folder: Path, plan: Plan, end: _Told) -> dict[str, Any] | None:
+    """The pictures of a community in time; its self-thinning line as `describe_thinning` tells it."""
+    colours, unit = map_colours(plan), plant_mass(end.last)[1]
+    trajectory = Trajectory.of(end.moments, end.last.species_names, plan.site, unit)
     plot_curves(trajectory, colours, folder / "curves.png")
     slope = None if plan.model_parameters.disturbances else thinning_slope(trajectory)
     plot_thinning(trajectory, slope, colours, folder / "thinning.png")
-    plot_sizes(last, colours, folder / "sizes.png")
     end.film.write(folder / "animation.gif")
-    thinning = describe_thinning(trajectory, slope) if slope else None
-    _write_statistics(folder / "statistics.json", plan, unit, end.described, thinning)
-    return last
+    return describe_thinning(trajectory, slope) if slope else None
 
 
 def _watched(
@@ -81,10 +89,12 @@ def _watched(
             on_curve, in_film, is_described = (
                 evenly(step, plan.steps, most) for most in (_CURVE_POINTS, MOST_FRAMES, _DESCRIBED_STEPS)
             )
+            if step == 0:
+                told[0].placement = _placement(folder, plan, population)
         told[0].last = population
         if on_curve(step):
             told[0].moments.append(moment(population, site))
-        if in_film(step):
+        if plan.steps and in_film(step):
             told[0].film.add(population)
         if is_described(step):
             told[0].described.append(describe_step(population, site, seed))
@@ -93,18 +103,31 @@ def _watched(
         yield population
 
 
-def _write_statistics(
-    path: Path, plan: Plan, mass_unit: str, described: Sequence[dict[str, Any]], thinning: dict[str, Any] | None
-) -> None:
-    """JSON: what `describe_step` tells of some steps, and `describe_thinning` of all."""
-    document = {
+def _placement(folder: Path, plan: Plan, placed: Population) -> dict[str, Any] | None:
+    """Draw the densities of a model that has such under the plants of step 0, and tell how well they agree."""
+    densities_of = getattr(plan.model, "densities", None)
+    if densities_of is None:
+        return None
+    densities = densities_of(plan.model_parameters, plan.site, plan.ecologies, placed)
+    if not densities.asked:
+        return None
+    plot_densities(densities, placed, plan.site, map_colours(plan), folder / "densities.png")
+    return describe_densities(densities, placed, plan.site)
+
+
+def _write_statistics(path: Path, plan: Plan, end: _Told, thinning: dict[str, Any] | None) -> None:
+    """JSON: what is told of some steps, of all, and of the placement that was asked for."""
+    document: dict[str, Any] = {
         "version": 1,
         "site_size_m": list(plan.site.size_m),
         "species": list(plan.drawn.species),
-        "mass_unit": "kg" if mass_unit == "kg" else "m3 (radius cubed)",
-        "steps": list(described),
+        "mass_unit": "kg" if plant_mass(end.last)[1] == "kg" else "m3 (radius cubed)",
+        "steps": end.described,
         "self_thinning": thinning,
     }
+    if end.placement is not None:
+        hopkins = end.described[0]["hopkins"]
+        document["placement"] = {name: {**one, "hopkins": hopkins[name]} for name, one in end.placement.items()}
     try:
         path.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n", encoding="utf-8")
     except OSError as error:

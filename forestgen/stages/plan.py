@@ -10,10 +10,12 @@ import difflib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 from forestgen.community.disturbance import Ground
 from forestgen.community.model import CommunityParameters, Site, SpeciesEcology
+from forestgen.community.placement.density_map import check_maps
 from forestgen.community.registry import COMMUNITY_MODELS
 from forestgen.core.errors import RecipeError, ResourceError
 from forestgen.core.memory import free_bytes
@@ -23,6 +25,7 @@ from forestgen.plants.registry import GENERATORS
 from forestgen.recipe.load import DrawnRecipe, LoadedRecipe
 from forestgen.recipe.species import Species
 from forestgen.scene.exemplars import check_traits
+from forestgen.stages.ground import community_site
 
 _MOST_OPTICAL_DEPTH = 1000
 # Kept free for the operating system and for what no estimate sees.
@@ -53,9 +56,9 @@ class Plan:
     model_parameters: CommunityParameters
     generator_parameters: Mapping[str, PlantParameters]  # by species
 
-    @property
+    @cached_property
     def site(self) -> Site:
-        return Site(self.drawn.recipe.site.size_m)
+        return community_site(self.drawn)
 
     @property
     def ecologies(self) -> list[SpeciesEcology]:
@@ -92,6 +95,7 @@ def make_plan(drawn: DrawnRecipe) -> Plan:
     parameters = drawn.parse(model.Parameters, community.parameters, ("community",))
     _check_named_species(drawn, parameters)
     _check_disturbances(drawn, parameters)
+    check_maps(parameters, drawn.recipe.site.size_m, lambda *keys: drawn.where("community", *keys))
     return Plan(drawn, model, parameters, generators)
 
 

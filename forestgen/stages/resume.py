@@ -34,11 +34,23 @@ def origin(plan: Plan) -> dict[str, Any]:
         "image": drawn.image_index,
         "model": drawn.recipe.community.model,
         "parameters": plan.model_parameters.model_dump(mode="json"),
-        "site": {"size_m": plan.site.size_m},
+        "site": _about_site(plan),
         "species": {one.name: asdict(one) for one in plan.ecologies},
     }
     plain: dict[str, Any] = json.loads(json.dumps(about))
     return plain
+
+
+def _about_site(plan: Plan) -> dict[str, Any]:
+    """What a community may depend on: its ground's shape, and where on earth it lies."""
+    site, terrain = plan.site, plan.drawn.recipe.site.terrain
+    return {
+        "size_m": site.size_m,
+        "terrain": "flat" if site.height is None else terrain.model_dump(mode="json"),
+        "altitude_m": site.altitude_m,
+        "latitude_deg": site.latitude_deg,
+        "wind_from_deg": site.wind_from_deg,
+    }
 
 
 def snapshot_to_resume(plan: Plan, path: Path, step: int | None) -> Population:
@@ -91,7 +103,7 @@ def _until(about: Mapping[str, Any], step: int) -> Iterator[tuple[str, Any]]:
     yield "forestgen", about.get("forestgen")  # other versions may draw other numbers
     yield "seed", about["seed"]
     yield "image", about["image"]
-    yield "site.size_m", about["site"]["size_m"]
+    yield from ((f"site.{key}", value) for key, value in about["site"].items())
     yield "species", list(about["species"])
     for name, ecology in about["species"].items():
         yield from ((f"species.{name}.{key}", value) for key, value in ecology.items())

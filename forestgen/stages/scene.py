@@ -36,7 +36,8 @@ from forestgen.scene.exemplars import (
     with_levels,
 )
 from forestgen.scene.spec import Camera, Material, SceneSpec, Sky
-from forestgen.scene.terrain import HeightField, build_terrain, flat, rolling
+from forestgen.scene.terrain import HeightField, build_terrain
+from forestgen.stages.ground import height_field
 from forestgen.stages.plan import Plan
 
 MOST_CACHED_IMAGES = 16  # a data set of many images would only wash the cache out
@@ -56,7 +57,7 @@ def build_scene(plan: Plan, population: Population, progress: Progress, timer: T
     """Grow the exemplars, shape the ground, hang the clouds, place plants and cameras."""
     recipe, seed = plan.drawn.recipe, plan.drawn.image_seed
     with timer("scene"):
-        height = _height_field(plan)
+        height = height_field(plan.drawn)
         population = stand_on(population, height)
         cameras = tuple(place_camera(camera, height) for camera in recipe.cameras)
     with timer("plants"):
@@ -174,14 +175,6 @@ def materials_of(species: Mapping[str, Species]) -> dict[tuple[str, str], Materi
         for name, one in species.items()
         for key, m in one.materials.items()
     }
-
-
-def _height_field(plan: Plan) -> HeightField:
-    terrain = plan.drawn.recipe.site.terrain
-    if terrain.kind == "flat":
-        return flat(plan.drawn.recipe.site.size_m)
-    rng = child_rng(plan.drawn.image_seed, "terrain", "height")
-    return rolling(plan.drawn.recipe.site.size_m, terrain.amplitude_m, terrain.wavelength_m, rng)
 
 
 def _clouds(plan: Plan) -> CloudGrid | None:

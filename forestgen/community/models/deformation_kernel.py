@@ -1,31 +1,252 @@
-"""Placement from a density, plant by plant, each of which deforms the density for those that follow."""
+"""Plants placed from a density, one by one, each of which deforms the density for those that follow.
+
+Every species i has a field f_i(x, y) over the site: the density of its next plant. A plant is drawn from the field of
+its species by inverse transformation, of the sums over rows and then along a row. Then it multiplies the fields by
+its kernels::
+
+    f_i(x, y) <- f_i(x, y) κ_ij(d / r)        d: distance from the plant, of species j and radius r
+
+κ below 1 keeps plants away, 1 changes nothing, above 1 invites. Fields need no normalization: their sums are known.
+Plants come largest first, so that large, old plants decide where small, young ones stand. A step of Δt years makes
+plants older and nothing else.
+
+========================  ============  ============  ============  ===========
+parameter                 symbol        unit          range         default
+========================  ============  ============  ============  ===========
+plants: count             m_i                         0 to 2e7
+plants: plants_per_ha                   1/ha          0 to 1e8
+plants: map               f_i                         >= 0          1
+plants: conditions                                    0 to 1        1
+plants: radius_m median   r             m             0 < r <= R    R / 2
+plants: radius_m sigma                                0 to 3        0.4
+plants: height_sigma                                  0 to 1        0
+keep_out                                                            none
+kernels                   κ_ij                        0 to 1e6      inhibition
+kernels: hopkins          H                           0.4 to 10
+cells                                                 16 to 16384   by kernels
+periodic                                                            true
+steps                                                 0 to 100000   0
+step_yr                   Δt            yr            0 < Δt        1
+========================  ============  ============  ============  ===========
+
+Recipe::
+
+    community:
+      model: deformation_kernel
+      plants:
+        spruce: {plants_per_ha: 900, radius_m: {median: 1.4, sigma: 0.3}, map: [[0.2, 1], [1, 0.2]]}
+        birch: {count: 200}
+      kernels:
+        spruce: inhibition                     # of spruces on every species
+        birch:                                 # of birches
+          birch: clustering                    # on birches
+          spruce: {curve: [[0, 0], [0.5, 0], [0.9, 1]]}
+
+    community:
+      model: deformation_kernel
+      plants: {spruce: {count: 1000}}
+      kernels: {hopkins: 1.6}                  # how clustered; the kernel is found
+
+Kernels
+-------
+``curve`` gives κ by distance, as a number, control points, {smooth: points} or a {formula: text} of x. Distances are
+in radii of the plant that acts, or metres with ``distance: metres``. Beyond ``reach`` κ is 1; reach is that of the
+last point unless it is given. ``balanced: true`` scales each plant's kernel so that the field's sum within reach
+stays what it was.
+
+Four kernels have names; distances are in radii, and H is that of 100 equal plants with a radius of 0.75 spacings. A
+spacing is the root of the area that a plant has.
+
+=================  ===========================================  ====
+name               points                                       H
+=================  ===========================================  ====
+inhibition         (0, 0) (1, 0) (1.1, 1)                       0.47
+neutral            1 everywhere                                 1.0
+weak_clustering    (0, 0) (0.3, 0) (0.6, 1.8) (2, 1)            1.2
+clustering         (0, 0) (0.3, 0) (0.6, 2.4) (2, 1)            2.3
+=================  ===========================================  ====
+
+Kernels that invite make a few clusters ever denser: among more plants at the same spacing their H is higher (of
+``clustering`` about 2.6 of 400, 3 of 1,600). A target H does not depend on the number.
+
+The kernel matrix is given by the species that acts, and within that by the species that is affected: the entry
+``kernels: {j: {i: ...}}`` is M_ij of the reference, the effect of species j on the field f_i. What is left out is
+neutral.
+
+References
+----------
+B. Lane, Models of Plant Communities for Image Synthesis, University of Calgary, 2002, chapter 5: equation 5.1,
+Algorithms 5.1 and 5.2, Figures 5.1 to 5.9.
+
+Decisions
+---------
+- Algorithm 5.1 as printed draws a plant's y between rows k and k + 1 but its x from a mixture of both rows, while its
+  sums are those of cells: that shifts plants by half a cell and blurs maps by one. Here the density is constant in a
+  cell, and y and x are drawn from that. R_0 must begin as 0 and then take up row 0; Algorithm 5.2's ΔR is carried
+  down over all rows.
+- The thesis shows its kernels as small drawings without numbers. The named ones are ours: inhibition bars a plant's
+  own radius, as in Figure 5.1; the clustering ones bar a third of it, where the plant itself stands. They are chosen
+  so that 100 plants have the Hopkins indices of Figure 5.4. Plants that only bar come no lower than 0.45; a square
+  lattice has 0.38.
+- Lane's loops apply a kernel within r. Here each kernel has a reach of its own.
+- A kernel that invites draws plants from everywhere, and numbers no longer follow the map. `balanced` is ours and
+  mends that. A balanced kernel that bars all that is left within its reach takes its probability away even so.
+- The field does not depend on the size of the plant that arrives, only on those that stand. So inhibition keeps stems
+  apart, not crowns: two equal plants may overlap by up to half.
+- Sizes are log-normal, cut off at the species' largest radius. A species' sizes, and the random numbers that place
+  its plants, hang on the recipe's seed and on its name alone: on one grid, another species that it does not see
+  leaves it where it was.
+- Cells are an eighth of the least median radius, kernel reach in metres, or spacing; at most 2^25 in all fields.
+  Where that is too coarse a note says so. A kernel counts at a cell's middle: a hard core may be violated by part of
+  a diagonal.
+- Plants that find no place are left out, and a note says how many and why.
+- {hopkins: H}: all kernels are one, of the family in `placement/clustering.py`, found by bisection with the same
+  random numbers, on the plants themselves or, of more than 2,000, on every so-manieth of them on a smaller site. H is
+  that of all plants together, in the window of the site, as `forestgen simulate` tells it. Plants keep to the map. A
+  target that cannot be reached ends as near as it comes, and a note says where.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from forestgen.community.model import Site, SpeciesEcology
-from forestgen.community.placement.densities import grid_shape, species_density
+from forestgen.community.placement.asked import Densities, asked_densities, deformed
+from forestgen.community.placement.clustering import (
+    CELLS_PER_SPACING,
+    FEWEST,
+    MOST_REHEARSED,
+    Found,
+    Rehearsal,
+    kernel_for,
+    spacing,
+)
+from forestgen.community.placement.densities import (
+    COUNTING_CELLS,
+    MOST_ALONG,
+    cells_for,
+    grid_shape,
+    plant_counts,
+    species_density,
+)
 from forestgen.community.placement.field import DensityField, place
-from forestgen.community.placement.kernels import NAMED, Kernel, KernelSection, table
-from forestgen.community.placement.model import PlacementModel, placed_state, placement_rng, wanted_plants
+from forestgen.community.placement.kernels import (
+    NAMED,
+    NEUTRAL,
+    HopkinsTarget,
+    Kernels,
+    KernelSection,
+    KernelTable,
+    kernel_matrix,
+)
+from forestgen.community.placement.living_conditions import Conditions
+from forestgen.community.placement.model import (
+    PlacementModel,
+    Wanted,
+    chances,
+    placed_state,
+    placement_rng,
+    wanted_plants,
+)
 from forestgen.community.placement.stands import PlacementParameters
+from forestgen.community.population import Population
 from forestgen.community.standing import State
-from forestgen.recipe.fields import Name, Whole
+from forestgen.recipe.fields import Whole
+from forestgen.recipe.sources import Keys
 
-_WHY = "no place is left where the kernels, the map and the conditions allow one"
+_NO_CONDITIONS = Conditions.model_validate({})
+_CELLS_PER_LENGTH = 8  # a radius, a reach in metres, or the plants' spacing
+_FEWEST_CELLS = 64  # along the site's longer side
+_MOST_PIXELS = 2048  # of a map, along its longer side, that its own detail asks for
+_BLURRED = 2  # cells per length: with fewer, a note says so
+_BYTES_PER_CELL = 24  # of a field and what it sums up
+_BYTES_PER_CELL_MADE = 40  # of the one field that is being read from map and conditions
 
 
 class DeformationKernelParameters(PlacementParameters):
     """What a recipe says about the model besides its species."""
 
-    kernels: Kernel | dict[Name, Kernel | dict[Name, Kernel]] = Field(
+    kernels: Kernels = Field(
         KernelSection(**NAMED["inhibition"]),
-        description="The kernel of all plants; or by species that deforms; or by that and the species that is affected",
+        description="One kernel for all plants; or kernels by the species that acts, or by that and the species that "
+        "is affected, where a pair left out is neutral; or {hopkins: H}, how clustered the plants are to be",
     )
-    cells: Whole | None = Field(None, ge=16, le=16384, description="Cells along the site's longer side.")
+    cells: Whole | None = Field(
+        None,
+        ge=16,
+        le=MOST_ALONG,
+        description="cells of the fields along the site's longer side; null: an eighth of a radius, a kernel's reach "
+        "in metres, or the plants' spacing, whichever is least",
+    )
+
+    def named_species(self) -> Iterator[tuple[Keys, str]]:
+        yield from super().named_species()
+        if isinstance(self.kernels, dict):
+            for acting, row in self.kernels.items():
+                yield ("kernels", acting), acting
+                if isinstance(row, dict):
+                    yield from ((("kernels", acting, affected), affected) for affected in row)
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """Which fields there are, and of what grid."""
+
+    species: tuple[int, ...]  # (F,) index of the species whose density each field has
+    field_of: NDArray[np.intp]  # (S,) index of each species' field; -1: it has no plants
+    cells: int  # along the site's longer side
+    length_m: float  # the finest detail that the grid should show; inf: none
+
+
+def _layout(parameters: DeformationKernelParameters, site: Site, species: Sequence[SpeciesEcology]) -> _Layout:
+    counts = plant_counts(parameters, site, species)
+    present = np.flatnonzero(counts).tolist()
+    stands = [parameters.plants[species[i].name] for i in present]
+    level = all(stand.conditions == _NO_CONDITIONS for stand in stands)
+    bare = level and all(stand.map is None for stand in stands)
+    shared = bare and isinstance(parameters.kernels, KernelSection | HopkinsTarget)
+    field_of = np.full(len(species), -1, dtype=np.intp)
+    field_of[present] = 0 if shared else np.arange(len(present))
+    chosen = tuple(present[:1] if shared else present)
+    length_m = _length_m(parameters, site, species, counts)
+    if parameters.cells is not None:
+        return _Layout(chosen, field_of, parameters.cells, length_m)
+    maps = [one for one in (parameters.keep_out, *(stand.map for stand in stands)) if one is not None]
+    pixels = min(_MOST_PIXELS, max((max(one.shape) for one in maps), default=0))
+    at_least = max(_FEWEST_CELLS, pixels, 0 if level else COUNTING_CELLS)
+    per_length = CELLS_PER_SPACING if isinstance(parameters.kernels, HopkinsTarget) else _CELLS_PER_LENGTH
+    cells = cells_for(
+        site,
+        length_m,
+        per_length=per_length,
+        at_least=at_least,
+        fields=len(chosen),
+    )
+    return _Layout(chosen, field_of, cells, length_m)
+
+
+def _length_m(
+    parameters: DeformationKernelParameters, site: Site, species: Sequence[SpeciesEcology], counts: NDArray[np.int64]
+) -> float:
+    """The finest detail of the fields to be: a median radius, a kernel's reach in metres, or the plants' spacing."""
+    lengths = [math.sqrt(site.area_m2 / max(1, int(counts.sum())))]
+    if isinstance(parameters.kernels, HopkinsTarget):
+        return lengths[0]
+    kernels = kernel_matrix(parameters.kernels, [one.name for one in species])
+    for j, one in enumerate(species):
+        acting = [row[j] for row in kernels if not row[j].is_neutral]
+        if not counts[j] or not acting:
+            continue
+        sizes = parameters.plants[one.name].radius_m
+        median_m = sizes.median if sizes else one.max_radius_m / 2
+        lengths += [min(float(table.reach_m(median_m)), median_m if table.in_radii else math.inf) for table in acting]
+    return min(lengths)
 
 
 class DeformationKernel(PlacementModel):
@@ -39,15 +260,103 @@ class DeformationKernel(PlacementModel):
         """The plants at their places."""
         rng = placement_rng(seed)
         wanted = wanted_plants(parameters, site, species, rng)
-        shape = grid_shape(site, parameters.cells or 256)
-        fields = [
-            DensityField(species_density(parameters, site, one.name, shape), site.size_m, periodic=parameters.periodic)
-            for one in species
-        ]
-        assert not isinstance(parameters.kernels, Mapping)
-        kernels = [[table(parameters.kernels)] * len(species)] * len(species)
-        placement = place(fields, wanted.sp, wanted.r_m, kernels, rng.random((len(wanted.sp), 2)))
-        return placed_state(parameters, species, seed, wanted, placement.position_m, _WHY)
+        uniform = chances(wanted, species, rng)
+        layout = _layout(parameters, site, species)
+        shape = grid_shape(site, layout.cells)
+        densities = [species_density(parameters, site, species[i].name, shape) for i in layout.species]
+        found = _found(parameters, site, species, layout, densities, wanted, uniform)
+        kernels = _kernels(parameters, [species[i].name for i in layout.species], found)
+        barred = {i for i, one in enumerate(layout.field_of) if one >= 0 and not densities[one].any()}
+        fields = [DensityField(one, site.size_m, periodic=parameters.periodic) for one in densities]
+        del densities
+        placement = place(fields, layout.field_of[wanted.sp], wanted.r_m, kernels, uniform)
+        why = {one.name: _why(i in barred) for i, one in enumerate(species)}
+        notes = _notes(parameters, site, layout, found, placement.position_m)
+        return placed_state(parameters, species, seed, wanted, placement.position_m, why, notes)
+
+    def estimate_bytes(self, parameters: PlacementParameters, site: Site, species: Sequence[SpeciesEcology]) -> int:
+        """Bytes for all plants and the fields at once."""
+        assert isinstance(parameters, DeformationKernelParameters)
+        plants = super().estimate_bytes(parameters, site, species)
+        layout = _layout(parameters, site, species)
+        rows, cols = grid_shape(site, layout.cells)
+        return plants + rows * cols * (len(layout.species) * _BYTES_PER_CELL + _BYTES_PER_CELL_MADE)
+
+    def densities(
+        self, parameters: PlacementParameters, site: Site, species: Sequence[SpeciesEcology], placed: Population
+    ) -> Densities:
+        """What the recipe asks for, and the fields that are left when the plants `placed` have deformed them."""
+        assert isinstance(parameters, DeformationKernelParameters)
+        names = [one.name for one in species]
+        if isinstance(parameters.kernels, HopkinsTarget):
+            return asked_densities(parameters, site, species)
+        cells = min(max(_layout(parameters, site, species).cells, COUNTING_CELLS), 2048)
+        asked = asked_densities(parameters, site, species, grid_shape(site, cells))
+        return deformed(asked, site, parameters.periodic, species, placed, kernel_matrix(parameters.kernels, names))
+
+
+def _kernels(
+    parameters: DeformationKernelParameters, names: Sequence[str], found: Found | None
+) -> Sequence[Sequence[KernelTable]]:
+    """Kernels [i][j] of the fields, by their species' names."""
+    if isinstance(parameters.kernels, HopkinsTarget):
+        return [[found.kernel if found else NEUTRAL] * len(names)] * len(names)
+    return kernel_matrix(parameters.kernels, names)
+
+
+def _found(
+    parameters: DeformationKernelParameters,
+    site: Site,
+    species: Sequence[SpeciesEcology],
+    layout: _Layout,
+    densities: Sequence[NDArray[np.float64]],
+    wanted: Wanted,
+    uniform: NDArray[np.float64],
+) -> Found | None:
+    """The kernel that gives the recipe's Hopkins index; None: it names none, or there are too few plants."""
+    field = layout.field_of[wanted.sp]
+    n = len(field)
+    if not isinstance(parameters.kernels, HopkinsTarget) or n < FEWEST or not all(one.any() for one in densities):
+        return None
+    counts = np.bincount(field, minlength=len(densities))
+    spacing_m = spacing(densities, counts, site.area_m2)
+    few = slice(None, None, math.ceil(n / MOST_REHEARSED))
+    share = len(field[few]) / n
+    size_m = (site.size_m[0] * math.sqrt(share), site.size_m[1] * math.sqrt(share))
+    if share < 1:
+        shape = grid_shape(site, max(_FEWEST_CELLS, round(layout.cells * math.sqrt(share))))
+        densities = [species_density(parameters, site, species[i].name, shape) for i in layout.species]
+    rehearsal = Rehearsal(densities, size_m, parameters.periodic, field[few], uniform[few], spacing_m)
+    return kernel_for(parameters.kernels.hopkins, rehearsal)
+
+
+def _why(barred: bool) -> str:
+    if barred:
+        return "the map, the conditions and keep_out bar the whole site"
+    return "no place is left where the kernels of those that stand, the map and the conditions allow one"
+
+
+def _notes(
+    parameters: DeformationKernelParameters,
+    site: Site,
+    layout: _Layout,
+    found: Found | None,
+    position_m: NDArray[np.float64],
+) -> list[str]:
+    notes = []
+    cell_m = max(site.size_m) / layout.cells
+    if cell_m * _BLURRED > layout.length_m:
+        notes.append(
+            f"kernels are blurred: cells are {cell_m:.3g} m wide, against a radius, reach or spacing of "
+            f"{layout.length_m:.3g} m; raise community.cells"
+        )
+    if isinstance(parameters.kernels, HopkinsTarget):
+        target = parameters.kernels.hopkins
+        if found is None:
+            notes.append(f"a Hopkins index of {target:g} was asked for: there are too few plants for one")
+        elif found.misses(target):
+            notes.append(f"a Hopkins index of {target:g} was asked for, {found.hopkins:.2g} is as near as it comes")
+    return notes
 
 
 MODEL = DeformationKernel()

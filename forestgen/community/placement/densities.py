@@ -12,7 +12,10 @@ from scipy.special import ndtr, ndtri
 from forestgen.community.model import Site, SpeciesEcology
 from forestgen.community.placement.living_conditions import suitability
 from forestgen.community.placement.stands import PlacementParameters, Sizes, Stand
+from forestgen.core.errors import RecipeError
 
+MOST_CELLS = 2**25  # of all fields that a model makes by itself, 268 MB
+MOST_ALONG = 16384  # along the site's longer side
 COUNTING_CELLS = 512  # along the site's longer side: numbers of plants must not depend on a model's own grid
 
 
@@ -21,6 +24,19 @@ def grid_shape(site: Site, cells: int) -> tuple[int, int]:
     width, height = site.size_m
     cell_m = max(width, height) / cells
     return max(1, round(height / cell_m)), max(1, round(width / cell_m))
+
+
+def cells_for(site: Site, length_m: float, *, per_length: float, at_least: int, fields: int) -> int:
+    """Cells along the site's longer side so that `per_length` of them span a length, within what memory is for.
+
+    Parameters
+    ----------
+    length_m : of the finest detail, as a radius.
+    fields : how many grids there will be.
+    """
+    longest = max(site.size_m)
+    most = math.isqrt(int(MOST_CELLS / max(1, fields) / (min(site.size_m) / longest)))
+    return max(16, min(most, MOST_ALONG, max(at_least, math.ceil(per_length * longest / length_m))))
 
 
 def species_density(
@@ -37,7 +53,7 @@ def species_density(
     if stand.map is not None:
         density = density * stand.map.on_grid(shape)
     if parameters.keep_out is not None:
-        density = np.where(parameters.keep_out.on_grid(shape) > 0, 0.0, density)
+        density = np.where(parameters.keep_out.any_above_zero(shape), 0.0, density)
     return np.ascontiguousarray(density)
 
 
@@ -61,8 +77,30 @@ def plant_counts(parameters: PlacementParameters, site: Site, species: Sequence[
     return counts
 
 
+def check_sizes(parameters: PlacementParameters, species: Sequence[SpeciesEcology]) -> None:
+    """Whether the species can have the radii that the recipe gives their plants.
+
+    Raises
+    ------
+    RecipeError : a median above the species' largest radius.
+    """
+    for one in species:
+        stand = parameters.plants.get(one.name)
+        if stand is not None and stand.radius_m is not None and stand.radius_m.median > one.max_radius_m:
+            raise RecipeError(
+                f"no {one.name} is so large",
+                where=f"community.plants.{one.name}.radius_m",
+                expected=f"a radius of at most ecology.max_radius_m = {one.max_radius_m:g} m",
+                got=f"{stand.radius_m.median:g} m",
+            )
+
+
 def draw_radii(sizes: Sizes | None, species: SpeciesEcology, n: int, rng: np.random.Generator) -> NDArray[np.float64]:
-    """(n,) radii in metres: log-normal, cut off at the species' largest."""
+    """(n,) radii in metres: log-normal, cut off at the species' largest.
+
+    By inverse transformation: u, uniform in [0, 1), times the distribution's value at the largest radius R, is the
+    value at the radius drawn. So a plant's radius depends on its own u alone, and the part below R keeps its shape.
+    """
     chosen = sizes or Sizes(median=species.max_radius_m / 2, sigma=0.4)
     uniform = rng.random(n)
     if chosen.sigma == 0:

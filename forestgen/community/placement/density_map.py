@@ -1,37 +1,282 @@
-"""Maps of density: a picture or an array over the site."""
+"""Maps of density: a picture or an array over the site.
+
+::
+
+    map: meadow.png                      # beside the recipe; PNG, TIFF, OpenEXR or .npy
+    map: [[0, 1], [1, 0.5]]              # values row by row, from north to south
+    map: {file: meadow.png, invert: true, scale: 250, fit: stretch, smooth: false}
+
+A picture's first row is the northern edge, its left column the western one. Integer pictures go from 0 (black) to 1
+(white, the largest value of their type); floating point ones and arrays keep their values, so that plants per hectare
+may be painted, with ``plants_per_ha: 1``. Colour counts by the luminance of its stored values, transparency as black.
+
+A map is a function over the site: constant in each pixel or, `smooth`, straight between the middles of pixels and
+constant beyond the outermost. A cell's value is the mean of that function over the cell, so that the integral over the
+site is the map's on every grid. Where cells are larger than pixels it is the pixels' mean in either case.
+"""
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from collections.abc import Callable, Iterator, Mapping
+from fractions import Fraction
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BeforeValidator, Field
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    Field,
+    GetJsonSchemaHandler,
+    PrivateAttr,
+    ValidationInfo,
+    model_validator,
+)
+from pydantic_core import core_schema
 
-from forestgen.recipe.fields import Flag, NonNegative, Section
+from forestgen.community.placement.resampling import resample
+from forestgen.core.bounded_cache import BoundedCache
+from forestgen.core.errors import AssetError, RecipeError
+from forestgen.core.grey_picture import GreyPicture, read_grey
+from forestgen.recipe.fields import Flag, NonNegative, Positive, Section, Text, mistake
+from forestgen.recipe.map_files import file_sha256
+from forestgen.recipe.sources import Keys
+
+LARGEST = 1e12  # a map's values, scaled; more would make sums over the site meaningless
+
+_pictures: BoundedCache[GreyPicture] = BoundedCache(400_000_000, lambda one: one.values.nbytes)
+_grids: BoundedCache[NDArray[np.float64]] = BoundedCache(200_000_000, lambda one: one.nbytes)
 
 
-def _rows(value: Any) -> Any:
-    return {"rows": value} if isinstance(value, list | tuple) else value
+def _spelled_out(value: Any) -> Any:
+    if isinstance(value, str):
+        return {"file": value}
+    if isinstance(value, list | tuple):
+        return {"rows": value}
+    if not isinstance(value, Mapping | BaseModel):
+        raise mistake("a file's name, rows of numbers, or a mapping of keys such as file and scale")
+    return value
 
 
 class MapSection(Section):
     """A map; its first row is the northern edge, as in a picture, and it covers the whole site."""
 
-    rows: tuple[tuple[NonNegative, ...], ...] = Field(description="Its values, row by row from north to south.")
-    fit: Literal["exact", "stretch"] = Field("exact", description="exact: its pixels must be square on the site.")
+    # The content tells which map it is, not its place: what is dumped, such as a history's origin, is the same for all
+    # copies of a recipe.
+    file: Text | None = Field(
+        None, exclude=True, description="Path of a PNG, TIFF, OpenEXR or .npy file, relative to the recipe's folder."
+    )
+    sha256: Annotated[Text, Field(pattern="^[0-9a-f]{64}$")] | None = Field(
+        None, description="SHA-256 of the file; no file of other content is taken."
+    )
+    rows: tuple[tuple[NonNegative, ...], ...] | None = Field(
+        None, description="Instead of a file: its values, row by row from north to south."
+    )
+    scale: Positive = Field(1.0, le=LARGEST, description="What its values are multiplied by.")
+    invert: Flag = Field(False, description="Whether 1 minus each value counts, before it is scaled.")
+    fit: Literal["exact", "stretch"] | None = Field(
+        None, description="exact: its pixels must be square on the site. Default: exact for a file, stretch for rows."
+    )
     smooth: Flag = Field(True, description="Whether values are interpolated between the middles of pixels.")
 
+    _read_picture: GreyPicture | None = PrivateAttr(None)
+
+    @model_validator(mode="after")
+    def _read(self, info: ValidationInfo) -> Self:
+        if self._read_picture is not None:  # a map that becomes part of other parameters, without its recipe's folder
+            return self
+        if (self.file is None) == (self.rows is None):
+            problem = "the map has neither file nor rows" if self.file is None else "the map has both file and rows"
+            raise mistake("one of them", problem=problem)
+        if self.rows is not None:
+            _check_rows(self.rows)
+            self._read_picture = GreyPicture(np.array(self.rows, dtype=np.float64), 1.0)
+        else:
+            self._read_picture = self._opened((info.context or {}).get("folder", Path()))
+        self._check_values()
+        return self
+
+    @property
+    def _picture(self) -> GreyPicture:
+        assert self._read_picture is not None
+        return self._read_picture
+
+    def _opened(self, folder: Path) -> GreyPicture:
+        """The file's picture, read once for all maps of its content."""
+        assert self.file is not None
+        path, named = folder / self.file, self.file
+
+        def read() -> GreyPicture:
+            if self.sha256 is not None and file_sha256(path, named) != self.sha256:
+                raise AssetError(
+                    "this is not the file that the recipe was made with",
+                    expected=f"a file whose SHA-256 is {self.sha256[:16]}...",
+                    got=str(path),
+                )
+            return read_grey(path)
+
+        try:
+            return _pictures.get(self.sha256 or file_sha256(path, named), read)
+        except AssetError as cause:
+            got = str(path) if cause.got is None else cause.got if named in cause.got else f"{named}: {cause.got}"
+            raise mistake(cause.expected or "a map", problem=cause.problem, got=got, hint=cause.hint) from cause
+
+    def _check_values(self) -> None:
+        picture = self._picture
+        low, high = picture.lowest, picture.highest
+        name = self.file or "the rows"
+        if not (np.isfinite(low) and np.isfinite(high)):
+            where = _first(picture, ~np.isfinite(picture.values))
+            raise mistake("finite numbers", problem="not every value of the map is a number", got=f"{name}: {where}")
+        if low < 0:
+            where = _first(picture, picture.values < 0)
+            raise mistake(
+                "values of at least 0", problem="the map has negative values", got=f"{name}: {where}", hint="clip them"
+            )
+        if self.invert and high > 1:
+            raise mistake(
+                "values of at most 1", problem="only values from 0 to 1 can be inverted", got=f"{name}: up to {high:g}"
+            )
+        if high * self.scale > LARGEST:
+            raise mistake(
+                f"values of at most {LARGEST:g}", problem="the map's values are too large", got=f"{name}: {high:g}"
+            )
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Its rows and columns."""
+        rows, cols = self._picture.values.shape
+        return rows, cols
+
+    @property
+    def is_zero(self) -> bool:
+        """Whether it is 0 everywhere."""
+        return self._picture.lowest == 1 if self.invert else self._picture.highest == 0
+
     def values(self) -> NDArray[np.float64]:
-        """(rows, cols) float64, row 0 at y = 0."""
-        return np.array(self.rows, dtype=np.float64)[::-1]
+        """(rows, cols) float64 of its pixels, row 0 at y = 0."""
+        return self._final(np.ascontiguousarray(self._picture.values[::-1]))
+
+    def _final(self, stored: NDArray[Any]) -> NDArray[np.float64]:
+        """What stored values mean."""
+        values = stored.astype(np.float64) / self._picture.white
+        return np.asarray((1.0 - values if self.invert else values) * self.scale)
 
     def on_grid(self, shape: tuple[int, int]) -> NDArray[np.float64]:
-        """(rows, cols) float64: the map on a grid of cells over the site, row 0 at y = 0."""
-        values = self.values()
-        rows = (np.arange(shape[0]) * values.shape[0]) // shape[0]
-        cols = (np.arange(shape[1]) * values.shape[1]) // shape[1]
-        return np.ascontiguousarray(values[np.ix_(rows, cols)])
+        """(rows, cols) float64: the map's mean in each cell of a grid over the site, row 0 at y = 0."""
+        return self._on_grid(shape, "smooth" if self.smooth else "plain", self._final)
+
+    def any_above_zero(self, shape: tuple[int, int]) -> NDArray[np.bool_]:
+        """(rows, cols) bool: whether any part of a pixel above 0 lies in the cell, row 0 at y = 0.
+
+        Pixels count as squares, `smooth` or not: where a mask bars, no plant's centre may lie on a barred pixel.
+        """
+        return self._on_grid(shape, "mask", lambda stored: (self._final(stored) > 0).astype(np.float64)) > 0
+
+    def _on_grid(
+        self, shape: tuple[int, int], what: str, values_of: Callable[[NDArray[Any]], NDArray[np.float64]]
+    ) -> NDArray[np.float64]:
+        def make() -> NDArray[np.float64]:
+            # The view's first row is the southern one.
+            return resample(self._picture.values[::-1], values_of, shape, smooth=what == "smooth")
+
+        if self.sha256 is None:
+            return make()
+        # A plan, a placement and its pictures ask for the same grids, some of them many times.
+        return _grids.get((self.sha256, self.scale, self.invert, what, *shape), make).copy()
 
 
-DensityMap = Annotated[MapSection, BeforeValidator(_rows)]
+def _check_rows(rows: tuple[tuple[float, ...], ...]) -> None:
+    if not rows or not rows[0]:
+        raise mistake("at least one row of at least one value", problem="the map has no values")
+    for index, row in enumerate(rows):
+        if len(row) != len(rows[0]):
+            expected = f"{len(rows[0])} values, as in the first row"
+            raise mistake(expected, problem="the map's rows differ in length", got=f"{len(row)} in row {index + 1}")
+
+
+def _first(picture: GreyPicture, wrong: NDArray[np.bool_]) -> str:
+    """The first of the wrong values, for people."""
+    row, col = np.argwhere(wrong)[0]
+    count = int(wrong.sum())
+    more = f", and {count - 1:,} more" if count > 1 else ""
+    return f"{picture.values[row, col]:g} in row {row + 1}, column {col + 1}{more}"
+
+
+class _ShortForms:
+    """Admits a file's name and plain rows into the JSON Schema."""
+
+    def __get_pydantic_json_schema__(
+        self, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        rows = {"type": "array", "minItems": 1, "items": {"type": "array", "items": {"type": "number", "minimum": 0}}}
+        name = {"type": "string", "description": "Path of a PNG, TIFF, OpenEXR or .npy file."}
+        return {"anyOf": [name, rows, handler(schema)]}
+
+
+DensityMap = Annotated[MapSection, BeforeValidator(_spelled_out), _ShortForms()]
+
+
+def maps_in(value: Any, keys: Keys = ()) -> Iterator[tuple[Keys, MapSection]]:
+    """Key path and map, of all maps in a model's parameters."""
+    if isinstance(value, MapSection):
+        yield keys, value
+    elif isinstance(value, BaseModel):
+        for name in type(value).model_fields:
+            yield from maps_in(getattr(value, name), (*keys, name))
+    elif isinstance(value, Mapping):
+        for name, item in value.items():
+            yield from maps_in(item, (*keys, name))
+    elif isinstance(value, list | tuple):
+        for index, item in enumerate(value):
+            yield from maps_in(item, (*keys, index))
+
+
+def check_maps(parameters: BaseModel, size_m: tuple[float, float], where: Callable[..., str]) -> None:
+    """What only a recipe's site, and a map's use, can tell to be wrong.
+
+    Parameters
+    ----------
+    size_m : of the site, metres.
+    where : place of a key path of the parameters, for messages.
+
+    Raises
+    ------
+    RecipeError : a density that is 0 everywhere; pixels that are not square on the site, of a map not to be stretched.
+    """
+    for keys, one in maps_in(parameters):
+        if one.is_zero and keys[-1] != "keep_out":
+            raise RecipeError(
+                "the map is 0 everywhere",
+                where=where(*keys),
+                expected="a value above 0, where plants may stand",
+                got=one.file or "rows of 0",
+                hint="invert: false" if one.invert else None,
+            )
+        exact = one.fit == "exact" or (one.fit is None and one.file is not None)
+        if exact and not _square(one.shape, size_m):
+            raise RecipeError(
+                "the map's shape is not the site's",
+                where=where(*keys),
+                expected=f"{_shape_of(size_m, one.shape)}, for a site of {size_m[0]:g} x {size_m[1]:g} m",
+                got=f"{one.shape[1]} x {one.shape[0]} pixels",
+                hint="fit: stretch",
+            )
+
+
+def _square(shape: tuple[int, int], size_m: tuple[float, float]) -> bool:
+    """Whether pixels are square on the site but for rounding one side to whole pixels, up or down."""
+    (rows, cols), (width, height) = shape, size_m
+    return abs(cols - rows * width / height) < 1 or abs(rows - cols * height / width) < 1
+
+
+def _shape_of(size_m: tuple[float, float], shape: tuple[int, int]) -> str:
+    """The shape a map should have, for people: ``3:2 such as 768 x 512 pixels``."""
+    (rows, cols), (width, height) = shape, size_m
+    wider = round(rows * width / height)
+    wanted = (wider, rows) if wider > cols else (cols, max(1, round(cols * height / width)))
+    ratio = Fraction(width / height).limit_denominator(100)
+    plain = ratio > 0 and abs(float(ratio) * height / width - 1) < 1e-6
+    such = f"{wanted[0]} x {wanted[1]} pixels"
+    return f"{ratio.numerator}:{ratio.denominator} such as {such}" if plain else such

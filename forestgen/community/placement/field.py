@@ -2,7 +2,8 @@
 
 The field is a grid of cells, each of one density. A place is drawn by the inverse transformation method: first its row
 by the rows' sums and its y inside the row by linear interpolation, then its column by that row's partial sums and its
-x in the same way. That is exact: the density is constant in a cell.
+x in the same way. That is exact: the density is constant in a cell. Sums are kept in trees (`field_kernel`), so that a
+plant costs what its kernel's reach asks for, however large the field is.
 
 References
 ----------
@@ -13,62 +14,132 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.community.placement.kernels import KernelTable
+from forestgen.community.placement.kernels import GREATEST, KernelTable
+
+if TYPE_CHECKING:
+    from forestgen.community.placement.field_kernel import Effects, Trees
+
+_LINE = 8  # float64 of a line of the processor's memory
 
 
 class DensityField:
     """A field over the site [0, W] x [0, H]; deforming changes it in place.
 
+    Its sum may neither overflow nor vanish, however often it is deformed: a field whose sum leaves 1e-150 to 1e250 is
+    divided by a power of two, which `exponent` remembers. A cell below 1e-290 counts as 0.
+
     Parameters
     ----------
     density : (rows, cols) float64, >= 0, finite; row 0 lies at y = 0, column 0 at x = 0. Copied.
     size_m : W, H, metres; a cell is W / cols wide and H / rows high.
-    periodic : opposite edges meet: kernels reach across them.
+    periodic : opposite edges meet: kernels reach across them. A cell is deformed once, at its least distance.
+
+    Raises
+    ------
+    ValueError
+        For densities that are negative, not finite, or not a grid.
     """
 
     def __init__(self, density: NDArray[np.float64], size_m: tuple[float, float], *, periodic: bool) -> None:
-        self.cells: NDArray[np.float64] = np.array(density, dtype=np.float64)  # (rows, cols), as deformed so far
-        self.size_m, self.periodic = size_m, periodic
+        density = np.asarray(density, dtype=np.float64)
+        if density.ndim != 2 or 0 in density.shape:
+            raise ValueError(f"a density is a grid of rows and columns, got the shape {density.shape}")
+        least, greatest = float(density.min()), float(density.max())
+        if not (least >= 0.0 and np.isfinite(greatest)):
+            raise ValueError("densities are numbers from 0 up, and finite")
+        self.shape, self.size_m, self.periodic = density.shape, size_m, periodic
+        self._fields, self._index = _Fields.empty(1, density.shape, size_m, periodic), 0
+        cells = self._fields.grids()[0]
+        if greatest == 0.0 or 1e-100 < greatest < 1e200:
+            cells[...] = density
+        else:
+            self._fields.exponents[0] = int(np.frexp(greatest)[1])
+            cells[...] = np.ldexp(density, -int(self._fields.exponents[0]))
+        self._changed()
+
+    @property
+    def cells(self) -> NDArray[np.float64]:
+        """(rows, cols) as deformed so far, in units of 2 ** exponent; a view to read, good until the next change."""
+        view: NDArray[np.float64] = self._fields.grids()[self._index]
+        view.flags.writeable = False
+        return view
+
+    @property
+    def exponent(self) -> int:
+        """The density is `cells` times 2 to this power; 0 unless the field has left the range of sums."""
+        return int(self._fields.exponents[self._index])
 
     @property
     def total(self) -> float:
         """Sum of all cells; 0: no place is left."""
-        return float(self.cells.sum())
+        from forestgen.community.placement.field_kernel import total_of
+
+        return float(total_of(self._fields.trees, self._index))
+
+    def at(self, position_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(N,) values of the cells at (N, 2) places on the site, metres."""
+        rows, cols = self.shape
+        size = np.array(self.size_m)
+        cell = np.minimum((np.asarray(position_m) / size * (cols, rows)).astype(np.int64), (cols - 1, rows - 1))
+        values: NDArray[np.float64] = self._fields.grids()[self._index][cell[:, 1], cell[:, 0]]
+        return values
+
+    def multiply(self, factor: NDArray[np.float64]) -> None:
+        """Multiply by (rows, cols) factors, >= 0 and finite; all sums are taken anew, once."""
+        factor = np.asarray(factor, dtype=np.float64)
+        if not (np.all(factor >= 0.0) and factor.max() <= GREATEST):
+            raise ValueError(f"factors of a density are numbers from 0 to {GREATEST:g}")
+        cells = self._alone().grids()[0]
+        np.multiply(cells, factor, out=cells)
+        self._changed()
 
     def deform(self, position_m: NDArray[np.float64], radius_m: NDArray[np.float64], kernel: KernelTable) -> None:
         """Multiply by the kernels of plants at (N, 2) places with (N,) radii, metres."""
-        rows, cols = self.cells.shape
-        width, height = self.size_m
-        x = (np.arange(cols) + 0.5) * (width / cols)
-        y = (np.arange(rows) + 0.5) * (height / rows)
-        for (px, py), radius in zip(position_m, radius_m, strict=True):
-            dx, dy = np.abs(x - px), np.abs(y - py)
-            if self.periodic:
-                dx, dy = np.minimum(dx, width - dx), np.minimum(dy, height - dy)
-            factor = kernel(np.hypot(dx[None, :], dy[:, None]), float(radius))
-            if kernel.balanced:
-                near = np.hypot(dx[None, :], dy[:, None]) <= float(kernel.reach_m(radius))
-                before, after = self.cells[near].sum(), (self.cells * factor)[near].sum()
-                factor = np.where(near, factor * (before / after if after > 0 else 1.0), 1.0)
-            self.cells *= factor
+        from forestgen.community.placement.field_kernel import place_all
+
+        fields = self._alone()
+        radius = np.ascontiguousarray(radius_m, dtype=np.float64)
+        places = np.ascontiguousarray(position_m, dtype=np.float64).reshape(-1, 2) / fields.cell_m
+        if len(places) != len(radius):
+            raise ValueError(f"{len(places)} places but {len(radius)} radii")
+        species, none = np.zeros(len(radius), dtype=np.int64), np.empty((0, 2))
+        place_all(fields.trees, fields.exponents, _effects([[kernel]]), species, radius, none, places)
 
     def draw(self, uniform: NDArray[np.float64]) -> NDArray[np.float64]:
         """(N, 2) places, metres, of (N, 2) numbers in [0, 1): the first chooses y, then x; `total` must be > 0."""
-        rows, cols = self.cells.shape
-        below = np.concatenate([[0.0], np.cumsum(self.cells.sum(axis=1))])
+        from forestgen.community.placement.field_kernel import draw_all
+
+        if not self.total > 0.0:
+            raise ValueError("nothing can be drawn from a field that is 0 everywhere")
+        uniform = np.ascontiguousarray(uniform, dtype=np.float64)
         places = np.empty((len(uniform), 2))
-        for k, (u, v) in enumerate(uniform):
-            row = int(np.clip(np.searchsorted(below, u * below[-1], side="right") - 1, 0, rows - 1))
-            y = row + (u * below[-1] - below[row]) / (below[row + 1] - below[row])
-            left = np.concatenate([[0.0], np.cumsum(self.cells[row])])
-            col = int(np.clip(np.searchsorted(left, v * left[-1], side="right") - 1, 0, cols - 1))
-            x = col + (v * left[-1] - left[col]) / (left[col + 1] - left[col])
-            places[k] = x * self.size_m[0] / cols, y * self.size_m[1] / rows
-        return places
+        draw_all(self._fields.trees, self._index, uniform, places)
+        return np.asarray(places * self._fields.cell_m)
+
+    def copy(self) -> Self:
+        """Another field, the same so far."""
+        new = object.__new__(type(self))
+        new.shape, new.size_m, new.periodic = self.shape, self.size_m, self.periodic
+        new._fields, new._index = self._fields.taken([self._index]), 0
+        return new
+
+    def _alone(self) -> _Fields:
+        """The field in memory of its own, to be changed."""
+        if len(self._fields.exponents) > 1:
+            self._fields, self._index = self._fields.taken([self._index]), 0
+        return self._fields
+
+    def _changed(self) -> None:
+        from forestgen.community.placement.field_kernel import SMALLEST, build
+
+        cells = self._fields.grids()[0]
+        np.copyto(cells, 0.0, where=cells < SMALLEST)
+        build(self._fields.trees, self._fields.exponents)
 
 
 @dataclass(frozen=True)
@@ -88,6 +159,8 @@ def place(
 ) -> Placement:
     """Place plants one by one, each of which deforms the fields of all species.
 
+    A plant whose species' field is 0 everywhere finds no place; others go on.
+
     Parameters
     ----------
     fields : of each species, all of one shape; deformed in place.
@@ -95,12 +168,147 @@ def place(
     kernels : kernels[i][j] is the effect of a plant of species j on the field of species i (Lane's M_ij, Figure 5.7).
     uniform : (N, 2) in [0, 1), row k for plant k, used or not.
     """
-    position_m = np.full((len(species), 2), np.nan)
-    for k, sp in enumerate(species):
-        if fields[sp].total <= 0.0:
-            continue
-        position_m[k] = fields[sp].draw(uniform[k : k + 1])[0]
-        for field, row in zip(fields, kernels, strict=True):
-            if not row[sp].is_neutral:
-                field.deform(position_m[k : k + 1], radius_m[k : k + 1], row[sp])
-    return Placement(position_m, ~np.isnan(position_m[:, 0]))
+    from forestgen.community.placement.field_kernel import place_all
+
+    places = np.full((len(species), 2), np.nan)
+    if len(species) == 0:
+        return Placement(places, np.zeros(0, dtype=np.bool_))
+    together = _together(fields)
+    chosen = np.ascontiguousarray(species, dtype=np.int64)
+    radius = np.ascontiguousarray(radius_m, dtype=np.float64)
+    uniform = np.ascontiguousarray(uniform, dtype=np.float64)
+    if chosen.min() < 0 or chosen.max() >= len(fields):
+        raise ValueError(f"a plant's species must be one of {len(fields)} fields")
+    if len(radius) != len(chosen) or uniform.shape != places.shape:
+        raise ValueError("each plant needs a radius and two numbers")
+    place_all(together.trees, together.exponents, _effects(kernels), chosen, radius, uniform, places)
+    return Placement(np.asarray(places * together.cell_m), ~np.isnan(places[:, 0]))
+
+
+@dataclass(frozen=True)
+class _Fields:
+    """Memory of fields of one shape that are deformed together."""
+
+    trees: Trees
+    exponents: NDArray[np.int64]  # (F,)
+
+    @classmethod
+    def empty(cls, count: int, shape: tuple[int, ...], size_m: tuple[float, float], periodic: bool) -> _Fields:
+        from forestgen.community.placement.field_kernel import BLOCK, Trees
+
+        rows, cols = shape
+        stride = -(-cols // BLOCK) * BLOCK
+        if stride // BLOCK % 2 == 0:  # rows a power of two apart would share the same few places of the cache
+            stride += BLOCK
+        node_level, node_stride = _levels(stride // BLOCK)
+        sum_level, sum_stride = _levels(rows)
+        trees = Trees(
+            _aligned(count * rows * stride),
+            _aligned(count * rows * node_stride),
+            _aligned(count * sum_stride),
+            node_level,
+            sum_level,
+            rows,
+            cols,
+            stride,
+            node_stride,
+            sum_stride,
+            size_m[0] / cols,
+            size_m[1] / rows,
+            bool(periodic),
+        )
+        return cls(trees, np.zeros(count, dtype=np.int64))
+
+    @property
+    def cell_m(self) -> tuple[float, float]:
+        """Width and height of a cell."""
+        return self.trees.width_m, self.trees.height_m
+
+    def grids(self) -> NDArray[np.float64]:
+        """(F, rows, cols), a view."""
+        t = self.trees
+        view: NDArray[np.float64] = t.cells.reshape(len(self.exponents), t.rows, t.stride)[:, :, : t.cols]
+        return view
+
+    def taken(self, which: Sequence[int]) -> _Fields:
+        """Some of the fields, copied."""
+        t, count = self.trees, len(self.exponents)
+        size_m = (t.width_m * t.cols, t.height_m * t.rows)
+        new = _Fields.empty(len(which), (t.rows, t.cols), size_m, t.periodic)
+        trees = new.trees._replace(width_m=t.width_m, height_m=t.height_m)
+        for ours, theirs in ((t.cells, trees.cells), (t.nodes, trees.nodes), (t.sums, trees.sums)):
+            theirs.reshape(len(which), -1)[...] = ours.reshape(count, -1)[list(which)]
+        return _Fields(trees, self.exponents[list(which)])
+
+
+def _together(fields: Sequence[DensityField]) -> _Fields:
+    """The fields one after another in one memory, to which they refer from now on."""
+    first = fields[0]._fields
+    if len(first.exponents) == len(fields) and all(f._fields is first and f._index == i for i, f in enumerate(fields)):
+        return first
+    if len({id(field) for field in fields}) < len(fields):
+        raise ValueError("each species needs a field of its own")
+    if len({(field.shape, field.size_m, field.periodic) for field in fields}) > 1:
+        raise ValueError("fields that are deformed together are of one shape, on one site")
+    new = _Fields.empty(len(fields), fields[0].shape, fields[0].size_m, fields[0].periodic)
+    for index, field in enumerate(fields):
+        old, at, t = field._fields.trees, field._index, new.trees
+        for ours, theirs in ((old.cells, t.cells), (old.nodes, t.nodes), (old.sums, t.sums)):
+            theirs.reshape(len(fields), -1)[index] = ours.reshape(len(field._fields.exponents), -1)[at]
+        new.exponents[index] = field._fields.exponents[at]
+        field._fields, field._index = new, index
+    return new
+
+
+def _aligned(count: int) -> NDArray[np.float64]:
+    """Zeros that begin with a line of memory."""
+    memory = np.empty(count + _LINE)
+    start = -(memory.ctypes.data // memory.itemsize) % _LINE
+    zeros: NDArray[np.float64] = memory[start : start + count]
+    zeros[...] = 0.0
+    return zeros
+
+
+def _levels(leaves: int) -> tuple[NDArray[np.int64], int]:
+    """Where each level of a tree of sums begins, leaves first, and the length of all."""
+    from forestgen.community.placement.field_kernel import FAN
+
+    starts, length = [], 0
+    while True:
+        nodes = -(-leaves // FAN)
+        starts.append(length)
+        length += nodes * FAN
+        if nodes == 1:
+            return np.array(starts, dtype=np.int64), length
+        leaves = nodes
+
+
+def _effects(kernels: Sequence[Sequence[KernelTable]]) -> Effects:
+    from forestgen.community.placement.field_kernel import Effects
+
+    numbers: dict[int, int] = {}
+    used: list[KernelTable] = []
+    which = np.full((len(kernels), len(kernels[0])), -1, dtype=np.int64)
+    for i, row in enumerate(kernels):
+        for j, kernel in enumerate(row):
+            if kernel.is_neutral:
+                continue
+            if id(kernel) not in numbers:
+                numbers[id(kernel)] = len(used)
+                used.append(kernel)
+            which[i, j] = numbers[id(kernel)]
+    tables = np.ones((max(len(used), 1), max((len(k.values) for k in used), default=1) + 1))
+    for k, kernel in enumerate(used):
+        if not np.all((kernel.values >= 0.0) & (kernel.values <= GREATEST)):
+            raise ValueError(f"a kernel's values are numbers from 0 to {GREATEST:g}")
+        if len(kernel.values) + 1 != tables.shape[1]:
+            raise ValueError("kernels that work together have tables of one length")
+        tables[k, :-1], tables[k, -1] = kernel.values, kernel.values[-1]
+    return Effects(
+        which,
+        tables,
+        np.array([np.ptp(kernel.values) == 0.0 for kernel in used], dtype=np.bool_),
+        np.array([kernel.balanced for kernel in used], dtype=np.bool_),
+        np.array([kernel.reach for kernel in used], dtype=np.float64),
+        np.array([kernel.in_radii for kernel in used], dtype=np.bool_),
+    )

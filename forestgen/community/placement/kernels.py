@@ -7,6 +7,8 @@ the kernel's reach κ is 1. In a recipe::
     kernels: {curve: [[0, 0], [1, 0], [1.4, 1]]}              # control points, distances in radii of the plant
     kernels: {curve: {formula: "1 + 3 * exp(-x^2)"}, reach: 3}
     kernels: {curve: [[0, 0], [2.5, 1]], distance: metres}
+    kernels: {spruce: inhibition, birch: {spruce: clustering}} # by who acts, and by who is affected
+    kernels: {hopkins: 1.6}                                   # a target: the kernel is found
 
 References
 ----------
@@ -15,25 +17,32 @@ Lane 2002, section 5.1, Figures 5.1, 5.2, 5.4 and 5.7.
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field, TypeAdapter, WrapValidator, field_serializer, model_validator
 
-from forestgen.recipe.curves import Curve, Formula, Smooth, evaluate
-from forestgen.recipe.fields import Flag, Positive, Section, mistake
+from forestgen.recipe.curves import Curve, Formula, Function, Smooth, evaluate
+from forestgen.recipe.fields import Flag, Name, Number, Positive, Section, mistake
 
 SAMPLES = 1024  # of a kernel's table; κ is linear between them
 GREATEST = 1e6  # of κ: beyond, the field would overflow after fifty plants
+LEAST_HOPKINS, MOST_HOPKINS = 0.4, 10.0
 
-#: The kernels that a recipe may name; see `KernelSection`. Distances are in radii of the plant.
+KernelName = Literal["inhibition", "neutral", "weak_clustering", "clustering"]
+
+#: The kernels that a recipe may name, those of Figures 5.2 and 5.4. Distances are in radii of the plant. Among equal
+#: plants with a radius of 0.75 of their mean spacing (the root of the area a plant) they have the Hopkins indices 0.5,
+#: 1.0, 1.2 and 2.4; see tests/system/test_reproductions_placement.py.
 NAMED: dict[str, dict[str, Any]] = {
+    "inhibition": {"curve": [[0, 0], [1, 0], [1.1, 1]]},
     "neutral": {"curve": 1.0, "reach": 1.0},
-    "inhibition": {"curve": [[0, 0], [1, 0], [1.2, 1]]},
-    "weak_clustering": {"curve": [[0, 0], [0.5, 0], [1, 1.5], [3, 1]]},
-    "clustering": {"curve": [[0, 0], [0.3, 0], [0.6, 3], [3, 1]]},
+    "weak_clustering": {"curve": [[0, 0], [0.3, 0], [0.6, 1.8], [2, 1]]},
+    "clustering": {"curve": [[0, 0], [0.3, 0], [0.6, 2.4], [2, 1]]},
 }
 
 
@@ -53,35 +62,137 @@ class KernelSection(Section):
         "moved about, none is made or taken, and numbers keep to the map on areas larger than the reach.",
     )
 
+    @field_serializer("curve")
+    def _as_written(self, curve: Function) -> Any:
+        if isinstance(curve, Formula):
+            return {"formula": curve.text}
+        if isinstance(curve, Smooth):
+            return {"smooth": curve.points}
+        return curve[0][1] if len(curve) == 1 else curve
+
     @model_validator(mode="after")
-    def _has_a_reach_and_no_negative_value(self) -> Self:
-        if self.reach is None and (isinstance(self.curve, Formula) or len(_points(self.curve)) < 2):
-            raise mistake("reach, the distance beyond which κ is 1", problem="this kernel does not end", at=("curve",))
+    def _has_a_reach(self) -> Self:
+        points: Any = () if isinstance(self.curve, Formula) else _points(self.curve)
+        if self.reach is None and len(points) < 2:
+            raise mistake(
+                "reach, the distance beyond which κ is 1",
+                problem="this kernel does not end",
+                hint=f"reach: 3 is three {'radii of the plant' if self.distance == 'radii' else 'metres'}",
+                at=("curve",),
+            )
+        if len(points) > 1 and (points[0][0] < 0 or points[-1][0] <= 0):
+            raise mistake(
+                "positions from 0 on", problem="a distance is not negative", got=f"{points[0][0]:g}", at=("curve",)
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _has_values_that_a_field_can_take(self) -> Self:
         values = table(self).values
-        if not np.all((values >= 0) & (values <= GREATEST)):
-            bad = float(values[np.argmin(values)] if values.min() < 0 else values.max())
+        if values.min() < 0:
+            raise mistake(
+                "values of 0 and more",
+                problem="a kernel multiplies probabilities, which are never negative",
+                got=f"{values.min():g}",
+                hint="0 bars plants, 1 leaves the field as it is",
+                at=("curve",),
+            )
+        if values.max() > GREATEST:
             raise mistake(
                 f"values from 0 to {GREATEST:g}",
-                problem="a kernel multiplies probabilities, which are never negative"
-                if bad < 0
-                else "this kernel is too strong",
-                got=f"{bad:g}",
-                hint="0 bars plants, 1 leaves the field as it is" if bad < 0 else None,
+                problem="this kernel is too strong",
+                got=f"{values.max():g}",
+                at=("curve",),
+            )
+        if self.balanced and not values.any():
+            raise mistake(
+                "a kernel that is above 0 somewhere within its reach",
+                problem="a balanced kernel moves probability about, and this one leaves it no place",
+                hint="enlarge reach, or leave balanced out",
                 at=("curve",),
             )
         return self
 
 
+class HopkinsTarget(Section):
+    """How clustered all plants together are to be; the model finds the kernel. 1: at random; more: in clusters."""
+
+    hopkins: Number = Field(
+        ge=LEAST_HOPKINS,
+        le=MOST_HOPKINS,
+        description=f"Hopkins index, {LEAST_HOPKINS:g} (as on a lattice) to {MOST_HOPKINS:g} (tight clusters).",
+    )
+
+
+_KERNEL_KEYS = tuple(KernelSection.model_fields)
+_KERNEL_FORMS = f"a kernel's name ({', '.join(NAMED)}) or {{curve: ...}}"
+
+
 def _named(value: Any) -> Any:
-    if not isinstance(value, str):
-        return value
-    if value not in NAMED:
-        raise mistake(f"one of {', '.join(NAMED)}, or {{curve: ...}}", problem="no such kernel", got=repr(value[:60]))
-    return NAMED[value]
+    if isinstance(value, str):
+        if value not in NAMED:
+            near = difflib.get_close_matches(value, NAMED, n=1)
+            hint = f"did you mean {near[0]!r}?" if near else None
+            raise mistake(
+                f"{', '.join(NAMED)}, or {{curve: ...}}", problem="no such kernel", got=repr(value[:60]), hint=hint
+            )
+        return NAMED[value]
+    if not isinstance(value, Mapping | KernelSection):
+        hint = "write {curve: ...}" if isinstance(value, int | float | list | tuple) else None
+        raise mistake(_KERNEL_FORMS, problem="this is no kernel", hint=hint)
+    return value
 
 
 #: A kernel in a recipe: its name, or a section.
-Kernel = Annotated[KernelSection, BeforeValidator(_named)]
+Kernel = Annotated[KernelSection, BeforeValidator(_named, json_schema_input_type=KernelName | KernelSection)]
+_kernel: TypeAdapter[KernelSection] = TypeAdapter(Kernel)
+_row: TypeAdapter[dict[str, KernelSection]] = TypeAdapter(dict[Name, Kernel])
+_target = TypeAdapter(HopkinsTarget)
+
+
+def _is_kernel(value: Any) -> bool:
+    """Whether this is to be one kernel, rather than kernels by species."""
+    return not isinstance(value, Mapping) or any(key in _KERNEL_KEYS for key in value)
+
+
+def _read_row(value: Any) -> Any:
+    return _kernel.validate_python(value) if _is_kernel(value) else _row.validate_python(value)
+
+
+_matrix: TypeAdapter[dict[str, Any]] = TypeAdapter(dict[Name, Annotated[Any, BeforeValidator(_read_row)]])
+
+
+def _read(value: Any, _: Any) -> Any:
+    """One kernel, a target, or a kernel matrix: told apart by its keys, so that mistakes are told of the form meant."""
+    if isinstance(value, KernelSection | HopkinsTarget):
+        return value
+    if isinstance(value, Mapping) and "hopkins" in value:
+        others = [key for key in value if key != "hopkins"]
+        if others:
+            raise mistake("hopkins alone", problem="a target has no further keys", got=str(others[0]), at=(others[0],))
+        return _target.validate_python(value)
+    if _is_kernel(value):
+        if value is None:
+            raise mistake(f"{_KERNEL_FORMS}, {{hopkins: ...}}, or kernels by species", problem="kernels says nothing")
+        return _kernel.validate_python(value)
+    for key, inside in value.items():
+        near = difflib.get_close_matches(str(key), (*_KERNEL_KEYS, "hopkins"), n=1, cutoff=0.7)
+        if near and not isinstance(inside, str | Mapping):
+            raise mistake(
+                f"{', '.join(_KERNEL_KEYS)}, hopkins, or a species",
+                problem=f"unknown key {str(key)!r}",
+                hint=f"did you mean {near[0]!r}?",
+                at=(key,),
+            )
+    return _matrix.validate_python(value)
+
+
+Row = dict[Name, Kernel]  # by the species that is affected
+#: What a recipe says of all kernels. By species: of those that act, and within, of those that are affected.
+Kernels = Annotated[
+    KernelSection | HopkinsTarget | dict[Name, KernelSection | dict[Name, KernelSection]],
+    WrapValidator(_read, json_schema_input_type=KernelName | KernelSection | HopkinsTarget | dict[Name, Kernel | Row]),
+]
 
 
 def _points(curve: Any) -> Any:
@@ -122,3 +233,32 @@ def table(kernel: KernelSection) -> KernelTable:
 
 
 NEUTRAL = KernelTable(np.ones(SAMPLES + 1), 1.0, in_radii=True)
+
+
+def kernel_matrix(
+    kernels: KernelSection | Mapping[str, KernelSection | Mapping[str, KernelSection]], species: Sequence[str]
+) -> list[list[KernelTable]]:
+    """Tables of the kernels of some species: [i][j] is the effect of a plant of species j on the field of species i.
+
+    A recipe has them the other way round, by who acts (j), then by who is affected (i); what it leaves out is neutral.
+
+    References
+    ----------
+    Lane 2002, section 5.4, M_ij.
+    """
+    if isinstance(kernels, KernelSection):
+        return [[table(kernels)] * len(species)] * len(species)
+    matrix = [[NEUTRAL] * len(species) for _ in species]
+    for j, acting in enumerate(species):
+        row = kernels.get(acting)
+        if row is None:
+            continue
+        if isinstance(row, KernelSection):
+            made = table(row)
+            for i in range(len(species)):
+                matrix[i][j] = made
+        else:
+            for i, affected in enumerate(species):
+                if affected in row:
+                    matrix[i][j] = table(row[affected])
+    return matrix

@@ -1,25 +1,126 @@
-"""What the ground offers a plant: the five living conditions of Zamuda et al. 2007, section IV."""
+"""What a species asks of the ground: the five living conditions of Zamuda et al. 2007, section IV.
+
+Each condition has a response: a curve (`forestgen.recipe.curves`) of the condition's value that says which share of
+the species' density grows there, 1 all of it, 0 none. The responses are multiplied, so any one can bar the species::
+
+    conditions:
+      elevation_m: [[200, 1], [900, 1], [1200, 0]]     # straight between the points, constant beyond
+      slope_deg: {smooth: [[25, 1], [45, 0]]}          # without corners
+      moisture: {formula: "exp(-((x - 0.6) / 0.2)^2)"} # of the condition's value, x
+      wind: [[0.6, 1], [0.9, 0.2]]
+      sun: [[0.5, 0], [0.9, 1]]
+
+What the conditions are, and what they are on level ground, is said in `ground_rasters`.
+
+References
+----------
+A. Zamuda, J. Brest, N. Guid and V. Žumer, Construction of virtual trees within ecosystems with EcoMod tool, University
+of Maribor 2007, section IV: "height above sea level, slope, moisture, windiness and sunniness"; one can stop a tree.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from typing import Annotated
+
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import AfterValidator, Field
 
 from forestgen.community.model import Site
-from forestgen.recipe.curves import PositiveCurve
-from forestgen.recipe.fields import Section
+from forestgen.community.placement.ground_rasters import NAMES, ground_raster
+from forestgen.recipe.curves import Curve, Formula, Function, Smooth, evaluate
+from forestgen.recipe.fields import Section, mistake
+
+_BLOCK_CELLS = 1 << 20  # of a grid at a time: a suitability takes little more memory than its own
+
+
+def _response(least: float, most: float, unit: str) -> Callable[[Function], Function]:
+    """A check of a response's values, 0 to 1, and of the values of the condition that it is given for."""
+
+    def check(curve: Function) -> Function:
+        if isinstance(curve, Formula):
+            values = evaluate(curve, np.linspace(least, most, 1001))
+        else:
+            points = np.array(curve.points if isinstance(curve, Smooth) else curve)
+            values, at = points[:, 1], points[:, 0]
+            if len(points) > 1 and not (least <= at[0] and at[-1] <= most):
+                outside = at[0] if at[0] < least else at[-1]
+                raise mistake(f"values from {least:g} to {most:g} {unit}", problem="out of range", got=f"{outside:g}")
+        if not (values.min() >= 0 and values.max() <= 1):
+            wrong = values.min() if values.min() < 0 else values.max()
+            raise mistake(
+                "a response from 0 (bars the species) to 1 (all of its density)",
+                got=f"{wrong:g}",
+                hint="cut a formula off: max(0, min(1, ...))" if isinstance(curve, Formula) else None,
+            )
+        return curve
+
+    return check
+
+
+Elevation = Annotated[Curve, AfterValidator(_response(-1000.0, 10_000.0, "metres above sea level"))]
+Slope = Annotated[Curve, AfterValidator(_response(0.0, 90.0, "degrees"))]
+Share = Annotated[Curve, AfterValidator(_response(0.0, 1.0, "(0.5 is level ground)"))]
+Sunshine = Annotated[Curve, AfterValidator(_response(0.0, 5.0, "(1 is level ground)"))]
 
 
 class Conditions(Section):
     """What a species asks of the ground: the share of its density that grows, 0 to 1, by each condition's value."""
 
-    elevation_m: PositiveCurve | None = None
-    slope_deg: PositiveCurve | None = None
-    moisture: PositiveCurve | None = None
-    wind: PositiveCurve | None = None
-    sun: PositiveCurve | None = None
+    elevation_m: Annotated[
+        Elevation | None,
+        Field(description="Response to height above sea level, metres: site.altitude_m and the ground's height."),
+    ] = None
+    slope_deg: Annotated[Slope | None, Field(description="Response to the ground's slope, degrees; 0 is level.")] = None
+    moisture: Annotated[
+        Share | None,
+        Field(description="Response to topographic wetness: 0 dry crest, 0.5 level ground, 1 valley floor."),
+    ] = None
+    wind: Annotated[
+        Share | None,
+        Field(description="Response to exposure to wind: 0 sheltered hollow, 0.5 level ground, 1 crest."),
+    ] = None
+    sun: Annotated[
+        Sunshine | None,
+        Field(description="Response to the year's direct sun: 0 none, 1 level open ground, above 1 sunny slopes."),
+    ] = None
+
+    def responses(self) -> Iterator[tuple[str, Function]]:
+        """Name and curve of every condition that counts."""
+        return ((name, curve) for name in NAMES if (curve := getattr(self, name)) is not None)
 
 
 def suitability(conditions: Conditions, site: Site, shape: tuple[int, int]) -> NDArray[np.float64]:
     """(rows, cols) float64 in [0, 1]: the product of a species' responses; row 0 at y = 0."""
-    return np.ones(shape)
+    product = np.ones(shape)
+    block = max(1, _BLOCK_CELLS // shape[1])
+    for name, curve in conditions.responses():
+        for start in range(0, shape[0], block):
+            rows = slice(start, start + block)
+            product[rows] *= _answer(curve, ground_raster(site, name, shape, rows))
+    return product
+
+
+def why_barred(conditions: Conditions, site: Site, shape: tuple[int, int]) -> str | None:
+    """What bars a species on the whole site, as "elevation_m bars it on the whole site: ..."; None if nothing does."""
+    if suitability(conditions, site, shape).any():
+        return None
+    bars: dict[str, NDArray[np.bool_]] = {}
+    for name, curve in conditions.responses():
+        value = ground_raster(site, name, shape)
+        bars[name] = _answer(curve, value) == 0
+        if bars[name].all():
+            low, high = value.min(), value.max()
+            there = f"{low:.3g}" if f"{low:.3g}" == f"{high:.3g}" else f"{low:.3g} to {high:.3g}"
+            return f"{name} bars it on the whole site, where it is {there}{_UNITS.get(name, '')}"
+    shares = ", ".join(f"{name} on {int(100 * where.mean())}%" for name, where in bars.items() if where.any())
+    return f"its conditions bar it on the whole site together: {shares}"
+
+
+_UNITS = {"elevation_m": " m", "slope_deg": " degrees"}
+
+
+def _answer(curve: Function, value: NDArray[np.float64]) -> NDArray[np.float64]:
+    # A formula was checked at some values only.
+    return np.asarray(np.clip(evaluate(curve, value), 0.0, 1.0))

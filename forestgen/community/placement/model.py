@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,8 +12,10 @@ from numpy.typing import NDArray
 
 from forestgen.community.disturbance import planted
 from forestgen.community.model import Site, SpeciesEcology
-from forestgen.community.placement.densities import draw_heights, draw_radii, plant_counts
+from forestgen.community.placement.asked import Densities, asked_densities
+from forestgen.community.placement.densities import check_sizes, draw_heights, draw_radii, plant_counts
 from forestgen.community.placement.stands import PlacementParameters
+from forestgen.community.population import Population
 from forestgen.community.standing import Standing, State, first_state
 from forestgen.core.randomness import child_rng
 
@@ -32,11 +35,20 @@ class Wanted:
 def wanted_plants(
     parameters: PlacementParameters, site: Site, species: Sequence[SpeciesEcology], rng: np.random.Generator
 ) -> Wanted:
-    """Species, radii and heights of the plants that a recipe asks for; each species has its own stream of numbers."""
+    """Species, radii and heights of the plants that a recipe asks for.
+
+    Each species has a stream of numbers of its own, by its name: another species beside it leaves its sizes alone.
+
+    Raises
+    ------
+    RecipeError : a radius that the species cannot have.
+    """
+    check_sizes(parameters, species)
     counts = plant_counts(parameters, site, species)
     sp = [np.zeros(0, dtype=np.uint16)]
     r_m, height_m = [np.zeros(0)], [np.zeros(0)]
-    for index, (one, count, stream) in enumerate(zip(species, counts, rng.spawn(len(species)), strict=True)):
+    for index, (one, count) in enumerate(zip(species, counts, strict=True)):
+        stream = _stream(rng, "sizes", one.name)
         stand = parameters.plants.get(one.name)
         radii = draw_radii(stand.radius_m if stand else None, one, int(count), stream)
         sp.append(np.full(count, index, dtype=np.uint16))
@@ -47,20 +59,48 @@ def wanted_plants(
     return Wanted(np.concatenate(sp)[order], radius[order], np.concatenate(height_m)[order])
 
 
+def chances(wanted: Wanted, species: Sequence[SpeciesEcology], rng: np.random.Generator) -> NDArray[np.float64]:
+    """(N, 2) numbers in [0, 1) that place the plants: a species' k-th largest has the k-th pair of its own stream.
+
+    So a species that affects no other one leaves the others where they were.
+    """
+    uniform = np.empty((len(wanted.sp), 2))
+    for index, one in enumerate(species):
+        mine = wanted.sp == index
+        uniform[mine] = _stream(rng, "places", one.name).random((int(mine.sum()), 2))
+    return uniform
+
+
+def _stream(rng: np.random.Generator, *identity: str) -> np.random.Generator:
+    """The generator of a part of what `rng` is for, whatever has been drawn from it."""
+    root = rng.bit_generator.seed_seq
+    assert isinstance(root, np.random.SeedSequence)
+    key = int.from_bytes(hashlib.blake2b(repr(identity).encode(), digest_size=8).digest(), "little")
+    return np.random.Generator(np.random.PCG64(np.random.SeedSequence(root.entropy, spawn_key=(*root.spawn_key, key))))
+
+
 def placed_state(
     parameters: PlacementParameters,
     species: Sequence[SpeciesEcology],
     seed: int,
     wanted: Wanted,
     position_m: NDArray[np.float64],
-    why: str,
+    why: str | Mapping[str, str],
+    notes: Sequence[str] = (),
 ) -> State:
-    """The state of step 0; plants whose (N, 2) position is nan found no place, and a note says how many and `why`."""
+    """The state of step 0; plants whose (N, 2) position is nan found no place, and a note says how many and `why`.
+
+    Parameters
+    ----------
+    why : the reason; or one by species.
+    notes : what else a user should know.
+    """
     placed = ~np.isnan(position_m[:, 0])
     asked = np.bincount(wanted.sp, minlength=len(species))
     found = np.bincount(wanted.sp[placed], minlength=len(species))
-    notes = [
-        f"{found[i]:,} of {asked[i]:,} plants of {one.name} were placed: {why}"
+    reasons = dict.fromkeys((one.name for one in species), why) if isinstance(why, str) else why
+    missing = [
+        f"{found[i]:,} of {asked[i]:,} plants of {one.name} were placed: {reasons[one.name]}"
         for i, one in enumerate(species)
         if found[i] < asked[i]
     ]
@@ -72,7 +112,7 @@ def placed_state(
         x_m=position_m[placed],
         r_m=wanted.r_m[placed],
         height_m=wanted.height_m[placed],
-        notes=notes,
+        notes=[*missing, *notes],
     )
 
 
@@ -92,8 +132,18 @@ class PlacementModel(Standing):
         return "no plant is placed: every number in community.plants is 0, or its map and conditions bar the whole site"
 
     def estimate_bytes(self, parameters: PlacementParameters, site: Site, species: Sequence[SpeciesEcology]) -> int:
-        """Bytes for all plants at once."""
+        """Bytes for all plants at once.
+
+        It is what a plan asks first, so it also looks at the sizes: what is wrong is said before anything is built.
+        """
+        check_sizes(parameters, species)
         return _BYTES_AT_LEAST + math.ceil(self.expected_plants(parameters, site, species) * _BYTES_PER_PLANT)
+
+    def densities(
+        self, parameters: PlacementParameters, site: Site, species: Sequence[SpeciesEcology], placed: Population
+    ) -> Densities:
+        """What the recipe asks for, for pictures and statistics of the plants `placed` in step 0."""
+        return asked_densities(parameters, site, species)
 
 
 def placement_rng(seed: int) -> np.random.Generator:

@@ -15,7 +15,16 @@ from forestgen.community.model import CommunityParameters, Site, simulate
 from forestgen.community.registry import COMMUNITY_MODELS
 
 MODELS = COMMUNITY_MODELS.ids()
-PLACEMENTS = ("deformation_kernel",)
+PLACEMENTS = (
+    "deformation_kernel",
+    "halftone",
+    "height_field",
+    "jittered_grid",
+    "poisson_disc",
+    "strauss",
+    "thomas",
+    "uniform",
+)
 PLACING = (*PLACEMENTS, "placed")
 GROWING = tuple(name for name in MODELS if name not in PLACING)  # plants arrive by themselves
 NEEDED = {

@@ -1,0 +1,128 @@
+"""`forestgen fit-kernel`: kernels of a measured stand, as a recipe that places new ones."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console
+from rich.text import Text
+
+from forestgen.cli.console import Bars, count, output, seconds
+from forestgen.community.fitting.envelopes import RADII, STANDS, Envelope
+from forestgen.community.fitting.fit import Fit, Settings, fit_stand
+from forestgen.community.fitting.recipe_text import document, recipe_text, species_sources
+from forestgen.community.fitting.stand import measured_stand
+from forestgen.community.point_table import read_points
+from forestgen.core.errors import RecipeError
+from forestgen.recipe.assets import list_assets
+from forestgen.stages.plant_files import FileSet, check_writable
+
+if TYPE_CHECKING:
+    from forestgen.community.fitting.stand import MeasuredStand
+
+_RECIPES = (".yaml", ".yml")
+_UNEVEN = 0.05
+
+
+def fit_kernel(
+    points: Path,
+    window: tuple[float, float, float, float] | None,
+    species: str,
+    target: Path | None,
+    settings: Mapping[str, Any],
+    bars: Bars,
+    *,
+    overwrite: bool,
+) -> None:
+    """Fit, test, print, write; `settings` hold fields of `Settings`."""
+    library = set(list_assets("species"))
+    if species not in library:
+        raise RecipeError(
+            "no such species",
+            where="--species",
+            expected=", ".join(sorted(library)),
+            got=repr(species[:60]),
+            hint="a fit says where plants stand; --species, what they look like",
+        )
+    files = _files(target, points)
+    check_writable(files, overwrite=overwrite)
+    table = read_points(points, window, marks=True)
+    stand, notes = measured_stand(table, str(points))
+    notes = [*table.notes, *notes]
+    with bars.running():
+        fit = fit_stand(stand, Settings(**settings), bars)
+    if fit.trend < _UNEVEN:
+        notes.append(
+            f"the stand is more uneven than new ones (p = {fit.trend:.2g} by counts in squares): its density may "
+            "change from place to place, and the fit takes it as constant"
+        )
+    text = recipe_text(fit, species_sources(stand, library, species), points.name)
+    _write(files, text, fit, points, notes, overwrite=overwrite)
+    _print(fit, text, files, notes)
+
+
+def _files(target: Path | None, points: Path) -> tuple[Path, Path, Path]:
+    """Recipe, picture and numbers: in a folder, or of the name of a recipe."""
+    if target is None:
+        target = Path("outputs") / f"{points.stem}-kernel.yaml"
+    if target.suffix.lower() in _RECIPES:
+        return target, target.with_suffix(".png"), target.with_suffix(".json")
+    return target / "kernel.yaml", target / "fit.png", target / "fit.json"
+
+
+def _write(
+    files: tuple[Path, Path, Path], text: str, fit: Fit, points: Path, notes: list[str], *, overwrite: bool
+) -> None:
+    from forestgen.community.fitting.plot_fit import fit_picture
+
+    recipe, picture, numbers = files
+    content = json.dumps(document(fit, points.name, notes), indent=1, allow_nan=False) + "\n"
+    image = fit_picture(fit, points.stem)
+    with FileSet(overwrite=overwrite) as written:
+        written.write(recipe, text.encode())
+        written.write(picture, image)
+        written.write(numbers, content.encode())
+
+
+def _say(out: Console, text: str) -> None:
+    out.print(Text(text))  # names may hold brackets, which are no markup
+
+
+def _print(fit: Fit, text: str, files: tuple[Path, Path, Path], notes: list[str]) -> None:
+    out, stand = output(), fit.stand
+    size = f"{stand.size_m[0]:g} x {stand.size_m[1]:g} m"
+    _say(out, f"{count(stand.n, 'plant')} in {size}; {count(fit.matched.stands, 'new stand')} placed for the fit, "
+              f"{seconds(fit.took_s)}")  # fmt: skip
+    _say(out, "")
+    _say(out, text.rstrip())
+    _say(out, "")
+    for one in fit.checks[0]:
+        _say(out, _verdict(one, stand))
+    if len(fit.checks) > 1:
+        for name, what in (("K", "pairs"), ("g", "pair correlation"), ("G", "nearest neighbours")):
+            _say(out, f"{name}, {what}: within at all radii in {fit.held(name)} of {len(fit.checks)} such checks")
+    for note in notes:
+        _say(out, f"note: {note}")
+    _say(out, f"files: {', '.join(str(path) for path in files)}")
+    _say(out, f"place one: forestgen simulate {files[0]} --set seed=1")
+
+
+def _verdict(one: Envelope, stand: MeasuredStand) -> str:
+    whose = "the stand" if len(stand.names) == 1 else _between(one, stand)
+    left = one.left
+    if not left.any():
+        return f"{one.name}(r) of {whose} lies within the envelope of {STANDS} new stands at all {RADII} radii"
+    where = ", ".join(f"{r:.3g}" for r in one.radii_m[left][:6]) + (", ..." if left.sum() > 6 else "")
+    inside = RADII - int(left.sum())
+    return (
+        f"{one.name}(r) of {whose} lies within the envelope of {STANDS} new stands at {inside} of {RADII} radii; "
+        f"not at r = {where} m"
+    )
+
+
+def _between(one: Envelope, stand: MeasuredStand) -> str:
+    i, j = one.species
+    return stand.names[i] if i == j else f"{stand.names[i]} to {stand.names[j]}"

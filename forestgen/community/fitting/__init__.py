@@ -1,0 +1,1 @@
+"""Estimating density and deformation kernels from a measured stand."""

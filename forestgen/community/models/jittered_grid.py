@@ -1,0 +1,134 @@
+"""A lattice of cells with a plant in each, moved at random inside its cell.
+
+Reference: F. Neyret, Synthesizing verdant landscapes using volumetric textures, Eurographics Workshop on Rendering,
+1996, as told in B. Lane, Models of Plant Communities for Image Synthesis, University of Calgary, 2002, section 3.2.
+
+The site is divided into cells, as near to squares as can be. A plant stands in a cell at
+
+    centre + J (u - 1/2) times the cell's width, and so for its height,    u uniform in [0, 1):
+
+J = 0 is a plantation in rows, J = 1 fills the cell. With a density, map times conditions, the cells are as many as
+fill the densest ground; the asked number of them is chosen, each with a probability in proportion to the density in
+it. A chosen cell goes to species s with the probability that species s has there, q_s = n_s f_s / Σ_t n_t f_t with f
+of integral 1.
+
+========================  ============  ==========  ============  ==========
+parameter                 symbol        unit        range         default
+========================  ============  ==========  ============  ==========
+steps                                               0 to 100000   0
+step_yr                   Δt            yr          0 < Δt        1
+periodic                                                          true
+plants                    f, n, sizes               by species    {}
+keep_out                                            a map         none
+jitter                    J             1           0 to 1        0.8
+max_radius_m              R             m           0 < R         of species
+height_m scale, exponent  A_H, c_H      m, 1                      of species
+========================  ============  ==========  ============  ==========
+
+Recipe::
+
+    community: {model: jittered_grid, jitter: 0.5, plants: {poplar: {plants_per_ha: 400}}}
+
+Decisions
+---------
+- The number asked for is placed exactly, of each species. A lattice has rows times columns, which seldom is that
+  number: the next larger one is taken, and cells left empty are drawn at random. So a plantation without a gap needs
+  a number that fits, such as a square number on a square site.
+- One lattice serves all species. Sizes are independent of places.
+- There is at most one plant a cell. Cells are at most 16 times the plants: where the density is more than sixteen
+  times its mean, cells are full, and the plants beyond that stand on the rest of the ground, by its density.
+- A cell's density is that of the box that jitter reaches: at J = 0 that of its middle alone. So numbers follow the map
+  exactly at J = 1, and but for the cells on its edges at less.
+- A site of which keep_out bars a part has smaller cells, not fewer plants.
+- `periodic` changes nothing: opposite edges of the lattice fit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from forestgen.community.model import Site, SpeciesEcology
+from forestgen.community.placement.densities import COUNTING_CELLS
+from forestgen.community.placement.labelling import choose, deal, label
+from forestgen.community.placement.lattice import Lattice, lattice, lattice_shape
+from forestgen.community.placement.model import PlacementModel, placed_state, placement_rng, wanted_plants
+from forestgen.community.placement.stands import PlacementParameters
+from forestgen.community.standing import State
+from forestgen.recipe.fields import Fraction
+
+_WHY = "no cell is left where the map and the conditions allow one"
+_CELLS_PER_PLANT = 16  # at most
+_ROUNDS = 8  # of making cells smaller: barred ground and the edges of maps cut cells
+
+
+class JitteredGridParameters(PlacementParameters):
+    """What a recipe says about the model besides its species."""
+
+    jitter: Fraction = Field(0.8, description="part of its cell in which a plant may stand; 0: in the middle")
+
+
+def _shares(lattice_: Lattice, counts: NDArray[np.integer]) -> NDArray[np.float64]:
+    """(S, cells) plants of each species that are expected in a cell."""
+    weight = lattice_.weight
+    total = weight.sum(axis=1)
+    scale = np.divide(counts, total, out=np.zeros(len(total)), where=total > 0)
+    return np.asarray(weight * scale[:, None])
+
+
+def _fine_enough(
+    parameters: JitteredGridParameters, site: Site, species: Sequence[SpeciesEcology], counts: NDArray[np.integer]
+) -> tuple[Lattice, NDArray[np.float64]]:
+    """The lattice whose fullest cell expects one plant, and what its cells expect."""
+    n = int(counts.sum())
+    cells = n
+    for _ in range(_ROUNDS):
+        grid = lattice(parameters, site, species, lattice_shape(cells, site.size_m), parameters.jitter)
+        shares = _shares(grid, counts)
+        expected = shares.sum(axis=0)
+        fullest, taken = float(expected.max()), int(np.count_nonzero(expected))
+        if cells >= _CELLS_PER_PLANT * n or (fullest <= 1.0 + 1e-9 and taken >= min(n, round(expected.sum()))):
+            break
+        cells = min(_CELLS_PER_PLANT * n, math.ceil(cells * max(fullest, 1.01)))
+    return grid, shares
+
+
+class JitteredGrid(PlacementModel):
+    """The model; see the module's page."""
+
+    Parameters = JitteredGridParameters
+
+    def init(
+        self, parameters: JitteredGridParameters, site: Site, species: Sequence[SpeciesEcology], seed: int
+    ) -> State:
+        """The plants at their places."""
+        rng = placement_rng(seed)
+        wanted = wanted_plants(parameters, site, species, rng)
+        position_m = np.full((len(wanted.sp), 2), np.nan)
+        counts = np.bincount(wanted.sp, minlength=len(species))
+        if len(wanted.sp):
+            grid, shares = _fine_enough(parameters, site, species, counts)
+            able = np.where(shares.any(axis=1), counts, 0)
+            cell = choose(shares.sum(axis=0), int(able.sum()), rng)
+            # Of fewer cells than plants, the largest plants have theirs.
+            able = np.bincount(wanted.sp[able[wanted.sp] > 0][: len(cell)], minlength=len(species))
+            labels = label(shares[:, cell], able, rng)
+            places = np.full((len(cell), 2), np.nan)
+            given = labels >= 0
+            places[given] = grid.draw(cell[given], labels[given], rng.random((int(given.sum()), 3)))
+            position_m = deal(wanted, places, labels, rng)
+        return placed_state(parameters, species, seed, wanted, position_m, _WHY)
+
+    def estimate_bytes(self, parameters: PlacementParameters, site: Site, species: Sequence[SpeciesEcology]) -> int:
+        """Bytes for all plants and the finest lattice at once."""
+        grids = 8 * (
+            9 * COUNTING_CELLS**2 + 2 * _CELLS_PER_PLANT * int(self.expected_plants(parameters, site, species))
+        )
+        return super().estimate_bytes(parameters, site, species) + grids * (2 + len(species))
+
+
+MODEL = JitteredGrid()

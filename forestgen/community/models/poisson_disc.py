@@ -1,0 +1,215 @@
+"""Poisson discs: random places of which no two are nearer than a distance, as dense as they come.
+
+Reference: R. Bridson, Fast Poisson disk sampling in arbitrary dimensions, SIGGRAPH 2007 sketches, as SciPy has it
+(`scipy.stats.qmc.PoissonDisk`); N. Chiba et al., Rendering of forest scenery using 3D textures, J. Visualization and
+Computer Animation 8, 1997, as told in B. Lane, Models of Plant Communities for Image Synthesis, University of Calgary,
+2002, section 3.2.
+
+The pattern grows from one random point: around each of its points 30 candidates between 0 and 2 d away are tried, and
+one that is no nearer than d to any point joins. It ends when it has filled the site, with about 0.6 area / d² points.
+The plants take n of these points, each point with a probability in proportion to the density there, map times
+conditions; a chosen point x goes to species s with the probability that species s has there,
+q_s = n_s f_s(x) / Σ_t n_t f_t(x) with f of integral 1.
+
+========================  ============  ==========  ============  ==================
+parameter                 symbol        unit        range         default
+========================  ============  ==========  ============  ==================
+steps                                               0 to 100000   0
+step_yr                   Δt            yr          0 < Δt        1
+periodic                                                          true
+plants                    f, n, sizes               by species    {}
+keep_out                                            a map         none
+cells                                               16 to 8192    512
+distance_m                d             m           0 < d         so that n just fit
+max_radius_m              R             m           0 < R         of species
+height_m scale, exponent  A_H, c_H      m, 1                      of species
+========================  ============  ==========  ============  ==================
+
+Recipe::
+
+    community: {model: poisson_disc, distance_m: 1.5, plants: {daisy: {count: 400}}}
+
+Decisions
+---------
+- Without `distance_m` the pattern has as many points as fill the densest ground with plants: n for an even density on
+  the whole site, n times the greatest over the mean density otherwise, at most sixteen times n. d is first guessed,
+  then made smaller until the points suffice. A few points more than that may remain, and are left out at random.
+- With `distance_m`, n plants may be more than fit: then the largest are placed, and a note says how many. They may be
+  fewer: then the pattern is a random part of a full one, less even the fewer they are.
+- Never the first n points: those are a blot around the first one.
+- SciPy's pattern does not wrap. On a torus, of each two points too near across an edge one at random goes, and the
+  gaps, there and elsewhere, are filled with random points that fit.
+- SciPy's loop is Python's: a millisecond or two a point, and d may take two tries. So a pattern has at most 20,000
+  points, and a recipe that needs more is refused; other models place millions.
+- SciPy keeps points in single precision: d is enlarged by that error, so that it holds to the last digit.
+- One pattern serves all species; d holds between any two plants. Sizes are independent of places.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+from scipy.spatial import cKDTree
+
+from forestgen.community.model import Site, SpeciesEcology
+from forestgen.community.placement.apart import stays_apart
+from forestgen.community.placement.densities import plant_counts
+from forestgen.community.placement.gridded import GriddedModel, GriddedParameters, density_at, read_densities
+from forestgen.community.placement.labelling import choose, deal, label
+from forestgen.community.placement.model import placed_state, placement_rng, wanted_plants
+from forestgen.community.placement.stands import PlacementParameters
+from forestgen.community.standing import State
+from forestgen.core.errors import RecipeError
+from forestgen.recipe.fields import Positive
+
+MOST_POINTS = 20_000  # of a pattern
+_POINTS_PER_PLANT = 16  # at most
+_FILL = 0.60  # points times d² over the area that they fill: measured; 0.60 to 0.61 of 1000 and more
+_BORDER = 0.55  # of d: as if the area were so much wider and higher where edges do not meet; measured
+_ROUNDS = 8  # of a smaller distance
+_SINGLE = 2.0**-22  # of the longer side: two points that are rounded to single precision
+_DARTS = 4  # thrown at once for each point
+
+
+class PoissonDiscParameters(GriddedParameters):
+    """What a recipe says about the model besides its species."""
+
+    distance_m: Positive | None = Field(
+        None, description="no two plants are nearer, metres; null: the greatest at which all of them fit"
+    )
+
+
+def pattern(
+    size_m: tuple[float, float], distance_m: float, periodic: bool, rng: np.random.Generator
+) -> NDArray[np.float64]:
+    """(P, 2) points that fill [0, W] x [0, H], no two nearer than a distance; `periodic`: nor across its edges."""
+    from scipy.stats import qmc  # slow to import
+
+    wide = distance_m + _SINGLE * max(size_m)
+    engine = qmc.PoissonDisk(2, radius=wide, rng=rng, l_bounds=(0.0, 0.0), u_bounds=size_m)
+    points = np.asarray(engine.fill_space(), dtype=np.float64).reshape(-1, 2)
+    return _joined(points, size_m, distance_m, rng) if periodic else points
+
+
+def _joined(
+    points: NDArray[np.float64], size_m: tuple[float, float], distance_m: float, rng: np.random.Generator
+) -> NDArray[np.float64]:
+    """The pattern on a torus: points that are too near across an edge thinned, gaps filled."""
+    box = np.array(size_m)
+    points = rng.permutation(points % box)
+    points = points[stays_apart(points, distance_m, size_m, periodic=True)]
+    while True:
+        darts = rng.random((1000 + _DARTS * len(points), 2)) * box
+        free = darts[cKDTree(points, boxsize=box).query(darts)[0] >= distance_m]
+        free = free[stays_apart(free, distance_m, size_m, periodic=True)]
+        points = np.concatenate([points, free])
+        if len(free) <= 0.01 * len(points):
+            return points
+
+
+def _needed(fields: Sequence[NDArray[np.float64]], counts: NDArray[np.integer]) -> tuple[NDArray[np.float64], int]:
+    """(rows, cols) plants of all species that a cell expects, relative to the mean; how many points a pattern needs."""
+    if len(fields) == 0:
+        return np.zeros((1, 1)), 0
+    n = int(sum(count for count, field in zip(counts, fields, strict=True) if np.any(field)))
+    expected = np.zeros_like(fields[0])
+    for count, field in zip(counts, fields, strict=True):
+        if count and np.any(field):
+            expected += field * (count / n / field.mean())
+    return expected, math.ceil(n * min(float(expected.max()), _POINTS_PER_PLANT)) if n else 0
+
+
+def _refuse_large_patterns(parameters: PoissonDiscParameters, site: Site, needed: int) -> None:
+    """Raise a RecipeError for a pattern of more points than can be made."""
+    given = parameters.distance_m
+    points = float(needed) if given is None else _FILL * site.area_m2 / given / given
+    if points > MOST_POINTS:
+        raise RecipeError(
+            "this pattern of Poisson discs has too many points",
+            where="community.plants" if given is None else "community.distance_m",
+            expected=f"at most {MOST_POINTS:,} on the whole site, plants or not",
+            got=f"about {points:,.0f}",
+            hint="a greater distance_m" if given is not None else "fewer plants, or strauss, halftone, jittered_grid",
+        )
+
+
+class PoissonDisc(GriddedModel):
+    """The model; see the module's page."""
+
+    Parameters = PoissonDiscParameters
+
+    def init(
+        self, parameters: PoissonDiscParameters, site: Site, species: Sequence[SpeciesEcology], seed: int
+    ) -> State:
+        """The plants at their places."""
+        counts = plant_counts(parameters, site, species)
+        fields = read_densities(parameters, site, species)
+        expected, needed = _needed(fields, counts)
+        if needed:
+            _refuse_large_patterns(parameters, site, needed)
+        rng = placement_rng(seed)
+        wanted = wanted_plants(parameters, site, species, rng)
+        position_m = np.full((len(wanted.sp), 2), np.nan)
+        distance = 0.0
+        if needed:
+            able = np.array([n if np.any(f) else 0 for n, f in zip(counts, fields, strict=True)], dtype=np.int64)
+            n = int(able.sum())
+            points, distance = _enough(parameters, site, expected, needed, n, rng)
+            chosen = points[choose(density_at(expected, points, site.size_m), n, rng)]
+            # Of fewer places than plants, the largest plants have theirs.
+            able = np.bincount(wanted.sp[able[wanted.sp] > 0][: len(chosen)], minlength=len(species))
+            weight = [
+                density_at(field, chosen, site.size_m) * (k / max(float(field.mean()), 1e-300))
+                for field, k in zip(fields, counts, strict=True)
+            ]
+            position_m = deal(wanted, chosen, label(np.array(weight), able, rng), rng)
+        why = f"no more fit at {distance:.3g} m from one another on the ground that the map and the conditions allow"
+        return placed_state(parameters, species, seed, wanted, position_m, why)
+
+    def estimate_bytes(self, parameters: PlacementParameters, site: Site, species: Sequence[SpeciesEcology]) -> int:
+        """Bytes for all plants and grids at once.
+
+        It is what a plan asks first, so it also refuses a pattern of too many points before anything is built.
+        """
+        assert isinstance(parameters, PoissonDiscParameters)
+        counts = plant_counts(parameters, site, species)
+        needed = _needed(read_densities(parameters, site, species), counts)[1]
+        if needed:
+            _refuse_large_patterns(parameters, site, needed)
+        return super().estimate_bytes(parameters, site, species) + 500 * MOST_POINTS
+
+
+def _fitting(site: Site, points: int, periodic: bool) -> float:
+    """Distance at which about so many points fill a site, metres: points d² = fill (W + border d) (H + border d)."""
+    border = 0.0 if periodic else _BORDER
+    square = max(points - _FILL * border**2, 0.5)
+    linear = _FILL * border * sum(site.size_m)
+    return (linear + math.sqrt(linear**2 + 4 * square * _FILL * site.area_m2)) / (2 * square)
+
+
+def _enough(
+    parameters: PoissonDiscParameters,
+    site: Site,
+    expected: NDArray[np.float64],
+    needed: int,
+    n: int,
+    rng: np.random.Generator,
+) -> tuple[NDArray[np.float64], float]:
+    """A pattern of `needed` points, n of them where plants may stand, or of the given distance; and its distance."""
+    if parameters.distance_m is not None:
+        return pattern(site.size_m, parameters.distance_m, parameters.periodic, rng), parameters.distance_m
+    distance = _fitting(site, needed, parameters.periodic)
+    for _ in range(_ROUNDS):
+        points = pattern(site.size_m, distance, parameters.periodic, rng)
+        good = int(np.count_nonzero(density_at(expected, points, site.size_m)))
+        if len(points) >= needed and good >= n:
+            break
+        distance *= 0.99 * math.sqrt(min(1.0, len(points) / needed, max(good, 1) / n))
+    return points, distance
+
+
+MODEL = PoissonDisc()

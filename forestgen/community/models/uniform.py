@@ -1,0 +1,76 @@
+"""Independent random places: the pattern without any pattern, which others are compared with.
+
+Reference: Baddeley, Rubak and Turner 2015, Spatial Point Patterns, ch. 5 (binomial process); B. Lane, Models of Plant
+Communities for Image Synthesis, University of Calgary, 2002, section 5.1 (the inverse transformation method).
+
+Each plant's place is drawn by itself from its species' density f, map times conditions:
+
+    P(place in A) = ∫_A f / ∫ f,    f constant in each of the grid's cells.
+
+On even ground the Hopkins index is 1 and Ripley's K(r) = π r². Plants may stand on one another.
+
+========================  ============  ==========  ============  ==========
+parameter                 symbol        unit        range         default
+========================  ============  ==========  ============  ==========
+steps                                               0 to 100000   0
+step_yr                   Δt            yr          0 < Δt        1
+periodic                                                          true
+plants                    f, n, sizes               by species    {}
+keep_out                                            a map         none
+cells                                               16 to 8192    512
+max_radius_m              R             m           0 < R         of species
+height_m scale, exponent  A_H, c_H      m, 1                      of species
+========================  ============  ==========  ============  ==========
+
+Recipe::
+
+    community: {model: uniform, plants: {daisy: {count: 400}}}
+
+Decisions
+---------
+- The number asked for is placed exactly: a binomial process, not a Poisson process.
+- Species are independent of one another. Sizes are independent of places.
+- The kernel `neutral` of `deformation_kernel` gives the same places on the same grid.
+- `periodic` changes nothing: plants that do not see one another have no edges.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from forestgen.community.model import Site, SpeciesEcology
+from forestgen.community.placement.field import DensityField
+from forestgen.community.placement.gridded import GriddedModel, GriddedParameters, read_densities
+from forestgen.community.placement.model import chances, placed_state, placement_rng, wanted_plants
+from forestgen.community.standing import State
+
+_WHY = "the map and the conditions bar the whole site"
+
+
+class UniformParameters(GriddedParameters):
+    """What a recipe says about the model besides its species."""
+
+
+class Uniform(GriddedModel):
+    """The model; see the module's page."""
+
+    Parameters = UniformParameters
+
+    def init(self, parameters: UniformParameters, site: Site, species: Sequence[SpeciesEcology], seed: int) -> State:
+        """The plants at their places."""
+        rng = placement_rng(seed)
+        wanted = wanted_plants(parameters, site, species, rng)
+        position_m = np.full((len(wanted.sp), 2), np.nan)
+        fields = read_densities(parameters, site, species)
+        uniform = chances(wanted, species, rng)
+        for index, density in enumerate(fields):
+            mine = wanted.sp == index
+            field = DensityField(density, site.size_m, periodic=parameters.periodic)
+            if mine.any() and field.total > 0:
+                position_m[mine] = field.draw(uniform[mine])
+        return placed_state(parameters, species, seed, wanted, position_m, _WHY)
+
+
+MODEL = Uniform()

@@ -1,0 +1,123 @@
+"""A kernel for a wanted clustering: a family of kernels, and the search for the one that gives a Hopkins index.
+
+The family has one parameter t; distances are in spacings, the root of the area that a plant has where plants stand.
+
+- t < 0, apart: κ is 0 to the distance -t, and 1 from there to 2.5 times that.
+- t = 0: κ is 1, plants stand at random.
+- t > 0, clusters: κ rises from 0 at the plant, where another one stands already, to e^t from 0.08 to 0.4 spacings, and
+  falls to 1 at 0.65. It reaches to 1.5 spacings and, beyond t = 1.2, by 0.6 more with each unit of t.
+
+All of them are balanced: they move probability about within their reach, so that plants keep to the map.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.community.placement.field import DensityField, place
+from forestgen.community.placement.kernels import SAMPLES, KernelTable
+from forestgen.community.statistics import hopkins_index
+
+MOST_REHEARSED = 2000  # plants: of more, every so-manieth is placed on a site that is smaller by as much
+FEWEST = 10  # plants that have a Hopkins index worth aiming at
+CELLS_PER_SPACING = 12  # the family's finest detail is 0.08 spacings
+LONGEST_REACH = 4.5  # spacings
+_LEAST, _MOST = -0.85, 6.2  # t
+_ROUNDS = 14
+_CLOSE = 0.005  # of the logarithm of H: nearer is not looked for
+TOLERANCE = 0.1  # of H or, above 1, of its ratio to the target: what counts as reached
+
+
+def family(t: float, spacing_m: float) -> KernelTable:
+    """The kernel of parameter t; see the module's page."""
+    if t < 0:
+        reach = 2.5 * -t
+        distance = np.linspace(0.0, reach, SAMPLES + 1)
+        values = np.where(distance < -t, 0.0, 1.0)
+    else:
+        reach = 1.5 + 0.6 * max(0.0, t - 1.2)
+        distance = np.linspace(0.0, reach, SAMPLES + 1)
+        core = max(0.0, 1.0 - 2.0 * t)  # neutral at t = 0, without a jump
+        values = np.interp(distance, [0.0, 0.06, 0.08, 0.4, 0.65], [core, core, math.exp(t), math.exp(t), 1.0])
+    return KernelTable(values, reach * spacing_m, in_radii=False, balanced=True)
+
+
+def spacing(densities: Sequence[NDArray[np.float64]], counts: NDArray[np.integer], area_m2: float) -> float:
+    """Root of the area that a plant has, metres, at the mean density where plants stand.
+
+    Parameters
+    ----------
+    densities : (rows, cols) of each species, in any unit.
+    counts : (S,) plants of each species.
+    """
+    summed = np.zeros(densities[0].shape)
+    for density, count in zip(densities, counts, strict=True):
+        if (total := float(density.sum())) > 0:
+            summed += density * (float(count) / total)
+    cell_m2 = area_m2 / summed.size
+    return math.sqrt(float(summed.sum()) / float(np.sum(summed**2) / cell_m2))
+
+
+@dataclass(frozen=True)
+class Rehearsal:
+    """What is placed again and again while a kernel is looked for, each time with the same numbers."""
+
+    densities: Sequence[NDArray[np.float64]]  # (rows, cols) of each field
+    size_m: tuple[float, float]
+    periodic: bool
+    field: NDArray[np.intp]  # (N,) index of each plant's field, in the order of placement
+    uniform: NDArray[np.float64]  # (N, 2) in [0, 1)
+    spacing_m: float
+
+    def positions(self, kernel: KernelTable) -> NDArray[np.float64]:
+        """(N, 2) places, metres; nan for a plant that found none."""
+        fields = [DensityField(one, self.size_m, periodic=self.periodic) for one in self.densities]
+        kernels = [[kernel] * len(fields)] * len(fields)
+        return place(fields, self.field, np.full(len(self.field), self.spacing_m), kernels, self.uniform).position_m
+
+    def hopkins(self, t: float) -> float:
+        """Hopkins index of the plants under the kernel of parameter t; 0 where not all of them find a place."""
+        position_m = self.positions(family(t, self.spacing_m))
+        if np.isnan(position_m).any():
+            return 0.0
+        return hopkins_index(position_m, self.size_m, np.random.default_rng(0))
+
+
+@dataclass(frozen=True)
+class Found:
+    """The kernel nearest to a target."""
+
+    kernel: KernelTable
+    t: float
+    hopkins: float  # in the rehearsal
+
+    def misses(self, target: float) -> bool:
+        return abs(self.hopkins - target) > TOLERANCE * max(1.0, target)
+
+
+def kernel_for(target: float, rehearsal: Rehearsal) -> Found:
+    """The kernel of the family under which plants come nearest to a Hopkins index.
+
+    By bisection: H rises with t. Because every trial has the same random numbers, H is a function of t alone; plants
+    that move from one cluster to another make it rough, so the best of all trials counts.
+    """
+    tried: dict[float, float] = {}
+
+    def off(t: float) -> float:
+        tried[t] = rehearsal.hopkins(t)
+        return math.log(max(tried[t], 1e-9) / target)
+
+    low, high = (_LEAST, 0.0) if off(0.0) > 0 else (0.0, _MOST)
+    for _ in range(_ROUNDS):
+        middle = (low + high) / 2
+        error = off(middle)
+        if abs(error) < _CLOSE:
+            break
+        low, high = (low, middle) if error > 0 else (middle, high)
+    t = min(tried, key=lambda one: abs(math.log(max(tried[one], 1e-9) / target)))
+    return Found(family(t, rehearsal.spacing_m), t, tried[t])

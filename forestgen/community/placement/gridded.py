@@ -1,0 +1,57 @@
+"""Densities on one grid of a recipe's choice: what the models that place plants without a deformed field share."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from forestgen.community.model import Site, SpeciesEcology
+from forestgen.community.placement.densities import grid_shape, species_density
+from forestgen.community.placement.model import PlacementModel
+from forestgen.community.placement.stands import PlacementParameters
+from forestgen.recipe.fields import Whole
+
+_Kind = TypeVar("_Kind", np.float64, np.bool_)
+_GRIDS_AT_ONCE = 6  # beside one a species: masks, sums, a field's own
+
+
+class GriddedParameters(PlacementParameters):
+    """The parameters of a model that reads densities on a grid."""
+
+    cells: Whole = Field(
+        512,
+        ge=16,
+        le=8192,
+        description="cells along the site's longer side in which map and conditions are read; a cell has one density",
+    )
+
+
+class GriddedModel(PlacementModel):
+    """A `PlacementModel` whose densities are constant in the cells of one grid."""
+
+    def estimate_bytes(self, parameters: PlacementParameters, site: Site, species: Sequence[SpeciesEcology]) -> int:
+        """Bytes for all plants and all grids at once."""
+        assert isinstance(parameters, GriddedParameters)
+        rows, cols = grid_shape(site, parameters.cells)
+        grids = 8 * rows * cols * (_GRIDS_AT_ONCE + len(parameters.plants))
+        return super().estimate_bytes(parameters, site, species) + grids
+
+
+def read_densities(
+    parameters: GriddedParameters, site: Site, species: Sequence[SpeciesEcology]
+) -> list[NDArray[np.float64]]:
+    """(rows, cols) relative density of each species, row 0 at y = 0."""
+    shape = grid_shape(site, parameters.cells)
+    return [species_density(parameters, site, one.name, shape) for one in species]
+
+
+def density_at(grid: NDArray[_Kind], position_m: NDArray[np.float64], size_m: tuple[float, float]) -> NDArray[_Kind]:
+    """(N,) density of the cells in which (N, 2) places of the site lie."""
+    rows, cols = grid.shape
+    col = np.minimum((position_m[:, 0] * (cols / size_m[0])).astype(np.intp), cols - 1)
+    row = np.minimum((position_m[:, 1] * (rows / size_m[1])).astype(np.intp), rows - 1)
+    return np.asarray(grid[row, col])

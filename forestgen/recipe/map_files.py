@@ -1,0 +1,155 @@
+"""Pictures that a recipe names: found beside it, part of its hash by their content, not by their name.
+
+``map: meadow.png`` becomes ``map: {file: meadow.png, sha256: ...}`` when a recipe is loaded. With a sha256 in the
+recipe, as in one that is stored with an image, no other file is taken.
+"""
+
+from __future__ import annotations
+
+import difflib
+import hashlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from forestgen.core.errors import AssetError
+from forestgen.recipe.distributions import is_distribution
+from forestgen.recipe.sources import Keys, SourceMap
+
+SECTION = "community"
+SLOTS = ("map", "keep_out")  # keys below the section whose text is a file's name
+MOST_BYTES = 2_000_000_000
+
+
+def file_sha256(path: Path, named: str) -> str:
+    """SHA-256, hexadecimal, of a file that a recipe names `named`.
+
+    Raises
+    ------
+    AssetError : there is none, or it cannot be read; it has no place, which the caller adds.
+    """
+    try:
+        if path.is_file():
+            size = path.stat().st_size
+            if size > MOST_BYTES:
+                raise AssetError(
+                    "the file is too large for a map",
+                    expected=f"at most {MOST_BYTES / 1e9:g} GB",
+                    got=f"{size / 1e9:,.1f} GB",
+                )
+            with path.open("rb") as stream:
+                return hashlib.file_digest(stream, "sha256").hexdigest()
+        if path.exists():
+            problem = "this is a folder" if path.is_dir() else "this is no plain file"
+            raise AssetError(problem, expected="a picture or an array", got=str(path))
+        raise AssetError("no such file", expected="a picture or an array", got=str(path), hint=_near(path, named))
+    except (OSError, ValueError) as cause:  # a name that no file system takes has ValueError
+        reason = cause.strerror if isinstance(cause, OSError) else str(cause)
+        raise AssetError("the file cannot be read", expected="a picture or an array", got=reason) from cause
+
+
+def _near(path: Path, named: str) -> str:
+    """What else the author may have meant."""
+    relative = "its path is relative to the recipe's folder"
+    if Path(named).is_file():
+        return f"{relative}; {named!r} lies in the folder where you are: {Path(named).resolve()}"
+    if not path.parent.is_dir():
+        return f"{relative}; there is no folder {path.parent}"
+    files = sorted(one for one in path.parent.iterdir() if one.suffix.lower() in _SUFFIXES and one.is_file())
+    near = difflib.get_close_matches(path.stem, [one.stem for one in files], n=3)
+    names = [one.name for one in files if one.stem in near] or [one.name for one in files[:5]]
+    return f"{relative}; pictures there: {', '.join(names) if names else 'none'}"
+
+
+_SUFFIXES = (".png", ".tif", ".tiff", ".exr", ".npy")
+
+
+def embed_maps(data: dict[str, Any], sources: SourceMap, folder: Path, known: dict[Path, str]) -> None:
+    """Give every map of a recipe's community in place the SHA-256 of its file.
+
+    Where a file's name is chosen anew for each image, every choice becomes such a mapping: for the recipe's hash.
+
+    Parameters
+    ----------
+    known : SHA-256 by path of the files that were read; it grows, and no file is read twice.
+
+    Raises
+    ------
+    AssetError : no such file, or its content is not of the SHA-256 that the recipe gives.
+    """
+    for keys, parent, key in list(_slots(data.get(SECTION), (SECTION,))):
+        value = parent[key]
+        if isinstance(value, str):
+            parent[key] = _identified({"file": value}, sources, keys, folder, known)
+        elif is_distribution(value):
+            parent[key] = _choices(value, sources, keys, folder, known)
+        elif isinstance(value, dict) and isinstance(value.get("file"), str):
+            parent[key] = _identified(value, sources, keys, folder, known)
+        elif isinstance(value, dict) and is_distribution(value.get("file")):
+            rest = {name: one for name, one in value.items() if name not in ("file", "sha256")}
+            parent[key] = {**rest, "file": _choices(value["file"], sources, keys, folder, known)}
+
+
+def map_files(data: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """Every mapping of a file and its SHA-256 in a recipe's plain data, to be read or changed."""
+    for _, parent, key in _slots(data.get(SECTION), (SECTION,)):
+        if is_map_file(parent[key]):
+            yield parent[key]
+
+
+def is_map_file(value: object) -> bool:
+    """Whether `value` is a mapping that names a file and the SHA-256 of its content."""
+    return isinstance(value, dict) and isinstance(value.get("file"), str) and isinstance(value.get("sha256"), str)
+
+
+def _slots(value: Any, keys: Keys) -> Iterator[tuple[Keys, Any, str | int]]:
+    """Key path, parent and key of every value that may be a map."""
+    if isinstance(value, dict):
+        for key, item in value.items():
+            if key in SLOTS:
+                yield (*keys, key), value, key
+            yield from _slots(item, (*keys, key))  # into a slot too: a species may be named so
+    elif isinstance(value, list):
+        for index, item in enumerate(value):
+            yield from _slots(item, (*keys, index))
+
+
+def _identified(
+    value: dict[str, Any], sources: SourceMap, keys: Keys, folder: Path, known: dict[Path, str]
+) -> dict[str, Any]:
+    """The mapping with the file's SHA-256."""
+    path, written = folder / value["file"], value.get("sha256")
+    if not (written is None or isinstance(written, str)):
+        return value  # as in `sha256: 12`: the section's own check says what is wrong
+    place = (*keys, "file")
+    where = sources.where(place if place in sources.places else keys)
+    if path not in known:
+        try:
+            known[path] = file_sha256(path, value["file"])
+        except AssetError as cause:
+            raise AssetError(
+                cause.problem, where=where, expected=cause.expected, got=cause.got, hint=cause.hint
+            ) from cause
+    if written is not None and written != known[path]:
+        raise AssetError(
+            "this is not the file that the recipe was made with",
+            where=where,
+            expected=f"a file whose SHA-256 is {written[:16]}...",
+            got=f"{path}: {known[path][:16]}...",
+            hint="bring the file back; or remove sha256, and the file is taken as it is now",
+        )
+    return {**value, "sha256": known[path]}
+
+
+def _choices(
+    written: Any, sources: SourceMap, keys: Keys, folder: Path, known: dict[Path, str]
+) -> dict[str, list[Any]] | Any:
+    """A choice of files' names, each with its SHA-256; any other distribution as it is."""
+    (kind, choices), *_ = written.items()
+    if kind != "choice" or not isinstance(choices, list):
+        return written
+    return {
+        kind: [
+            _identified({"file": one}, sources, keys, folder, known) if isinstance(one, str) else one for one in choices
+        ]
+    }
