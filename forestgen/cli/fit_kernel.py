@@ -54,10 +54,17 @@ def fit_kernel(
     checks: Annotated[
         int, typer.Option("--checks", metavar="N", min=1, max=1000, help="Test against N sets of 39 new stands.")
     ] = 1,
+    founders: Annotated[
+        bool,
+        typer.Option(
+            "--founders/--no-founders",
+            help="Where one kernel leaves nearest neighbours far off, let some plants come first and draw the others.",
+        ),
+    ] = True,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace existing files.")] = False,
 ) -> None:
     """Fit deformation kernels to a measured stand: a recipe that places new stands like it."""
     from forestgen.cli import fit_report
 
-    settings = {"seed": seed, "checks": checks, "reach_m": reach_m}
+    settings = {"seed": seed, "checks": checks, "reach_m": reach_m, "founders": founders}
     fit_report.fit_kernel(points, window, species, target, settings, Bars(), overwrite=overwrite)

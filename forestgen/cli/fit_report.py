@@ -59,6 +59,11 @@ def fit_kernel(
             f"the stand is more uneven than new ones (p = {fit.trend:.2g} by counts in squares): its density may "
             "change from place to place, and the fit takes it as constant"
         )
+    if fit.nursery.founders:
+        notes.append(
+            f"one kernel leaves the nearest neighbours far off (loss {fit.plain.losses[-1]:.3g}); "
+            f"{fit.nursery.founders} founders that come first leave {fit.matched.losses[-1]:.3g}"
+        )
     text = recipe_text(fit, species_sources(stand, library, species), points.name)
     _write(files, text, fit, points, notes, overwrite=overwrite)
     _print(fit, text, files, notes)
@@ -94,7 +99,7 @@ def _say(out: Console, text: str) -> None:
 def _print(fit: Fit, text: str, files: tuple[Path, Path, Path], notes: list[str]) -> None:
     out, stand = output(), fit.stand
     size = f"{stand.size_m[0]:g} x {stand.size_m[1]:g} m"
-    _say(out, f"{count(stand.n, 'plant')} in {size}; {count(fit.matched.stands, 'new stand')} placed for the fit, "
+    _say(out, f"{count(stand.n, 'plant')} in {size}; {count(fit.placed, 'new stand')} placed for the fit, "
               f"{seconds(fit.took_s)}")  # fmt: skip
     _say(out, "")
     _say(out, text.rstrip())
@@ -103,7 +108,11 @@ def _print(fit: Fit, text: str, files: tuple[Path, Path, Path], notes: list[str]
         _say(out, _verdict(one, stand))
     if len(fit.checks) > 1:
         for name, what in (("K", "pairs"), ("g", "pair correlation"), ("G", "nearest neighbours")):
-            _say(out, f"{name}, {what}: within at all radii in {fit.held(name)} of {len(fit.checks)} such checks")
+            _say(
+                out,
+                f"{name}, {what}: within at all radii in {fit.held(name)} of {len(fit.checks)} such checks; "
+                f"a fortieth new stand in {fit.own_held(name)}",
+            )
     for note in notes:
         _say(out, f"note: {note}")
     _say(out, f"files: {', '.join(str(path) for path in files)}")

@@ -24,6 +24,7 @@ _DPI = 160
 _MAP_IN = 6.3  # longer side of a map
 _DARKER, _LIGHTEST = 0.7, 0.35  # edges and dots: times their fill's colour; and their lightness at most, 0 to 1
 _EDGE_PT, _EDGE_SHARE = 0.4, 0.35  # thickness of edges at most, and of a small circle's in its radii
+_MOST_NAMED = 29  # species below a map, or they would leave it no room
 _LEAST_RADIUS_PT, _MOST_SHARE = 1.4, 0.12  # a plant too small to be seen is a dot; share of the map under all dots
 
 
@@ -130,7 +131,9 @@ def plot_map(
     _draw_circles(axes, population, site, colours, periodic)
     handles = [
         Line2D([], [], ls="", marker="o", ms=9, mfc=(one, 0.55), mec=darker(one), label=f"{name} ({counts[name]:,})")
-        for name, one in colours.items()
+        for name, one in list(colours.items())[:_MOST_NAMED]
     ]
+    if len(colours) > _MOST_NAMED:
+        handles.append(Line2D([], [], ls="", label=f"and {len(colours) - _MOST_NAMED} more species"))
     figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False, fontsize=11)
     save_figure(figure, path)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping
 from itertools import pairwise
 from pathlib import Path
@@ -85,6 +86,8 @@ def merge_species(data: dict[str, Any], sources: SourceMap, folder: Path) -> Non
     species = data.get("species")
     if not isinstance(species, dict) or is_distribution(species):
         return
+    written = _sources_by_species(sources)
+    files: dict[Path, tuple[dict[str, Any], SourceMap]] = {}  # many species may be made from one
     for name, entry in species.items():
         if not isinstance(entry, dict) or "from" not in entry:
             continue
@@ -96,15 +99,29 @@ def merge_species(data: dict[str, Any], sources: SourceMap, folder: Path) -> Non
                 "bad value", where=where, expected="the name or path of a species file", got=f"{source!r:.60}"
             )
         path = find_asset("species", source, folder=folder, where=where)
-        base, base_sources = read_yaml(path, error=AssetError)
-        _embed(base.get("plant"), base_sources, ("plant", "program"), path.parent)
-        recipe_sources, place = SourceMap(), sources.place(keys)
-        recipe_sources.take(sources, keys, keys)
-        sources.take(base_sources, (), keys)
-        sources.set(keys, place)
+        if path not in files:
+            files[path] = read_yaml(path, error=AssetError)
+            _embed(files[path][0].get("plant"), files[path][1], ("plant", "program"), path.parent)
+        base, base_sources = copy.deepcopy(files[path][0]), files[path][1]
+        recipe_sources = SourceMap(written.get(name, {}))
+        merged = SourceMap(dict(recipe_sources.places))  # of this species alone, for dropping keys looks at all
+        merged.take(base_sources, (), keys)
+        merged.set(keys, sources.place(keys))
         species[name] = _merged(
-            _without_other_generator(base, entry, sources, keys), entry, sources, recipe_sources, keys
+            _without_other_generator(base, entry, merged, keys), entry, merged, recipe_sources, keys
         )
+        for one in recipe_sources.places:
+            del sources.places[one]
+        sources.places.update(merged.places)
+
+
+def _sources_by_species(sources: SourceMap) -> dict[str | int, dict[Keys, Place]]:
+    """Where the recipe's own keys of each species were written."""
+    written: dict[str | int, dict[Keys, Place]] = {}
+    for keys, place in sources.places.items():
+        if len(keys) > 1 and keys[0] == "species":
+            written.setdefault(keys[1], {})[keys] = place
+    return written
 
 
 def embed_program(data: dict[str, Any], sources: SourceMap, folder: Path) -> None:

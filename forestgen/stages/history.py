@@ -10,7 +10,7 @@ from typing import Any
 
 from forestgen.community.animation import MOST_FRAMES, Film
 from forestgen.community.history import write_history
-from forestgen.community.placement.asked import describe_densities
+from forestgen.community.placement.asked_and_placed import describe_densities
 from forestgen.community.plot_densities import plot_densities
 from forestgen.community.plot_series import plot_curves, plot_thinning
 from forestgen.community.plot_sizes import plot_sizes

@@ -16,6 +16,7 @@ from typing import Any
 from forestgen.community.disturbance import Ground
 from forestgen.community.model import CommunityParameters, Site, SpeciesEcology
 from forestgen.community.placement.density_map import check_maps
+from forestgen.community.placement.stands import PlacementParameters
 from forestgen.community.registry import COMMUNITY_MODELS
 from forestgen.core.errors import RecipeError, ResourceError
 from forestgen.core.memory import free_bytes
@@ -211,7 +212,10 @@ def estimate_bytes(plan: Plan, *, simulate_only: bool = False, plants: int = 0) 
     plants : how many the scene will hold; before the simulation nobody knows, and their share is left out.
     """
     recipe = plan.drawn.recipe
-    community = plan.model.estimate_bytes(plan.model_parameters, plan.site, plan.ecologies)
+    try:
+        community = plan.model.estimate_bytes(plan.model_parameters, plan.site, plan.ecologies)
+    except RecipeError as cause:
+        raise _located(cause, plan.drawn) from cause
     if simulate_only:
         return {"community": community + _FILM_BYTES, "libraries": _LOADED_SIMULATOR_BYTES}
     pixels = max(camera.size_px[0] * camera.size_px[1] for camera in recipe.cameras)
@@ -234,6 +238,15 @@ def estimate_bytes(plan: Plan, *, simulate_only: bool = False, plants: int = 0) 
     }
 
 
+def _located(cause: RecipeError, drawn: DrawnRecipe) -> RecipeError:
+    """A model's error with the file and line of the key that it names: models know keys only."""
+    keys = tuple((cause.where or "").split("."))
+    if keys[0] != "community":
+        return cause
+    where = drawn.where(*keys)
+    return RecipeError(cause.problem, where=where, expected=cause.expected, got=cause.got, hint=cause.hint)
+
+
 def _exemplar_triangles(plan: Plan) -> int:
     """Triangles of all exemplars, as if each were a mature plant of its species."""
     section = plan.drawn.recipe.plants
@@ -251,7 +264,10 @@ def _check_traits(plan: Plan) -> None:
     if not traits:
         return
     site = Site((min(plan.site.size_m[0], 50.0), min(plan.site.size_m[1], 50.0)))
-    state = plan.model.init(plan.model_parameters, site, plan.ecologies, plan.drawn.image_seed)
+    parameters, species = plan.model_parameters, plan.ecologies
+    if isinstance(parameters, PlacementParameters):  # its numbers are those of the whole site, and all plants are alike
+        parameters, species = parameters.model_copy(update={"plants": {}}), []
+    state = plan.model.init(parameters, site, species, plan.drawn.image_seed)
     check_traits(traits, plan.model.population(state), plan.drawn.where("plants", "traits"))
 
 
@@ -264,7 +280,7 @@ def check_memory(plan: Plan, *, simulate_only: bool = False, plants: int = 0) ->
         return
     largest = max(parts, key=lambda name: parts[name])
     where, hint = {
-        "community": (("community",), "make the site smaller, or lower species' seedlings_per_ha_per_yr"),
+        "community": (("community",), _hint_of(plan.model_parameters)),
         "ground": (("site", "size_m"), "make the site smaller"),
         "images": (("cameras",), "make the images smaller, or lower labels.samples"),
         "exemplars": (("plants", "exemplars_per_species"), "lower plants.exemplars_per_species or variants_per_size"),
@@ -279,6 +295,14 @@ def check_memory(plan: Plan, *, simulate_only: bool = False, plants: int = 0) ->
         got=f"about {_show_bytes(need)} ({largest}: {_show_bytes(parts[largest])})",
         hint=hint,
     )
+
+
+def _hint_of(parameters: CommunityParameters) -> str:
+    """How a community takes less memory."""
+    if isinstance(parameters, PlacementParameters):
+        grids = [f", or fewer community.{name}" for name in ("cells", "pixels") if hasattr(parameters, name)]
+        return "".join(["ask for fewer plants in community.plants", *grids])
+    return "make the site smaller, or lower species' seedlings_per_ha_per_yr"
 
 
 def _show_bytes(count: int) -> str:

@@ -45,12 +45,21 @@ class Envelope:
     low: NDArray[np.float64]  # (R,) least of the new stands
     mean: NDArray[np.float64]  # (R,)
     high: NDArray[np.float64]  # (R,)
+    own: NDArray[np.float64]  # (R,) of one more new stand: how often a perfect fit would be left
 
     @property
     def left(self) -> NDArray[np.bool_]:
         """(R,) whether the stand lies outside."""
-        slack = _TOLERANCE * max(float(self.stand.max()), 1e-300)
-        return np.asarray((self.stand < self.low - slack) | (self.stand > self.high + slack))
+        return self._outside(self.stand)
+
+    @property
+    def own_left(self) -> NDArray[np.bool_]:
+        """(R,) whether one more new stand does."""
+        return self._outside(self.own)
+
+    def _outside(self, values: NDArray[np.float64]) -> NDArray[np.bool_]:
+        slack = _TOLERANCE * max(float(values.max()), 1e-300)
+        return np.asarray((values < self.low - slack) | (values > self.high + slack))
 
 
 @dataclass(frozen=True)
@@ -117,13 +126,17 @@ def cross_k(
 
 
 def envelopes(nursery: Nursery, kernels: list[list[KernelTable]], seed: int) -> list[Envelope]:
-    """All functions of the stand against `STANDS` new stands of a seed."""
+    """All functions of the stand, and of one more new stand, against `STANDS` new stands of a seed."""
     stand = nursery.stand
     functions = functions_for(stand)
     new = np.array([functions.of(one.measured_m, one.species) for one in _stands(nursery, kernels, seed)])
-    own = functions.of(stand.position_m, stand.species)
+    data = functions.of(stand.position_m, stand.species)
+    more = nursery.grow(kernels, seed, STANDS)
+    own = functions.of(more.measured_m, more.species)
     return [
-        Envelope(name, (i, j), radii, own[k], new[:, k].min(axis=0), new[:, k].mean(axis=0), new[:, k].max(axis=0))
+        Envelope(
+            name, (i, j), radii, data[k], new[:, k].min(axis=0), new[:, k].mean(axis=0), new[:, k].max(axis=0), own[k]
+        )
         for k, ((name, i, j), radii) in enumerate(zip(functions.species, functions.radii_m, strict=True))
     ]
 

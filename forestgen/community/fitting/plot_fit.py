@@ -85,8 +85,8 @@ def _draw_kernels(axes: Axes, fit: Fit) -> None:
         zip(fit.shapes.control_points(fit.matched.log_kappa), fit.shapes.pairs, strict=True)
     ):
         r, kappa = np.array(points).T
-        names = fit.stand.names
-        label = names[j] if i == j else f"{names[j]} {'→' if fit.stand.ordered else '↔'} {names[i]}"
+        names = fit.kinds
+        label = names[j] if i == j else f"{names[j]} {'→' if fit.directed else '↔'} {names[i]}"
         colour = _COLOURS[i] if i == j else "#555555"
         axes.plot(r, np.maximum(kappa, least), color=colour, lw=2, ls=styles[0 if i == j else 1 + k % 2], label=label)
     axes.set_yscale("log", base=2)

@@ -15,6 +15,7 @@ from forestgen.recipe.fields import NAME_PATTERN
 
 _MIXED_SIGMA = 0.4  # radii that only serve to mix the species' order of placement
 _RADIUS_OF_SPACING = 0.3
+_FOUNDER, _FIRST = "-founder", 1.05  # name and radius of those that come first
 
 
 def species_sources(stand: MeasuredStand, library: Mapping[str, Any] | set[str], default: str) -> dict[str, str]:
@@ -41,10 +42,13 @@ def _recipe_name(label: str) -> str:
 
 def recipe_text(fit: Fit, sources: Mapping[str, str], where: str) -> str:
     """A recipe in YAML that places new stands in a window of the same size."""
-    stand, names = fit.stand, list(sources)
-    counts = np.bincount(stand.species, minlength=len(names))
+    stand, counts = fit.stand, fit.kinds_count
+    if fit.nursery.founders:
+        ((name, source),) = sources.items()
+        sources = {f"{name}{_FOUNDER}": source, name: source}
+    names = list(sources)
     species = [f"{name}: {{from: {source}}}" for name, source in sources.items()]
-    plants = [f"    {name}: {{count: {counts[k]}, radius_m: {_radius(stand, k)}}}" for k, name in enumerate(names)]
+    plants = [f"    {name}: {{count: {counts[k]}, radius_m: {_radius(fit, k)}}}" for k, name in enumerate(names)]
     per_ha = ", ".join(f"{10_000 * one / stand.area_m2:.6g}" for one in counts)
     return "\n".join(
         [
@@ -67,8 +71,14 @@ def recipe_text(fit: Fit, sources: Mapping[str, str], where: str) -> str:
     )
 
 
-def _radius(stand: MeasuredStand, species: int) -> str:
-    """Of one species without radii: a number. Of several, radii of one distribution, which mixes their order."""
+def _radius(fit: Fit, species: int) -> str:
+    """Of one species without radii: a number. Of several, radii of one distribution, which mixes their order.
+
+    Founders are larger by a little, and so come first.
+    """
+    stand = fit.stand
+    if fit.nursery.founders:
+        return f"{_RADIUS_OF_SPACING * stand.spacing_m * (_FIRST if species == 0 else 1.0):.4g}"
     if stand.radius_m is not None:
         logarithm = np.log(stand.radius_m[stand.species == species])
         sigma = float(logarithm.std())
@@ -88,13 +98,14 @@ def _kernel_lines(fit: Fit, names: list[str]) -> list[str]:
     lines = ["  kernels: # of the species that acts, on the species that is affected"]
     for j, acting in enumerate(names):
         lines.append(f"    {acting}:")
-        lines += [f"      {affected}: {curves[fit.shapes.kernel_of[i, j]]}" for i, affected in enumerate(names)]
+        affects = range(1 if fit.nursery.founders and j == 1 else 0, len(names))  # founders stand before all others
+        lines += [f"      {names[i]}: {curves[fit.shapes.kernel_of[i, j]]}" for i in affects]
     return lines
 
 
 def document(fit: Fit, where: str, notes: list[str]) -> dict[str, object]:
     """The fit's numbers, for JSON."""
-    stand, names = fit.stand, fit.stand.names
+    stand, names, kinds = fit.stand, fit.stand.names, fit.kinds
     return {
         "forestgen": __version__,
         "points": where,
@@ -106,23 +117,27 @@ def document(fit: Fit, where: str, notes: list[str]) -> dict[str, object]:
             for k, name in enumerate(names)
         ],
         "rounding_m": stand.step_m,
+        "founders": fit.nursery.founders,
         "kernels": [
             {
-                "affected": names[i],
-                "acts": names[j],
-                "symmetric": not stand.ordered,
+                "affected": kinds[i],
+                "acts": kinds[j],
+                "symmetric": not fit.directed,
                 "core_m": float(fit.shapes.core_m[k]),
                 "reach_m": float(fit.shapes.knots_m[k, -1]),
                 "curve": fit.shapes.control_points(fit.matched.log_kappa)[k],
             }
             for k, (i, j) in enumerate(fit.shapes.pairs)
         ],
-        "new_stands_of_the_fit": fit.matched.stands,
+        "new_stands_of_the_fit": fit.placed,
+        "loss": fit.matched.losses[-1],
+        "loss_without_founders": fit.plain.losses[-1],
         "largest_difference_in_deviations": float(np.abs(fit.matched.differences).max()),
         "checks": len(fit.checks),
         "checks_k_holds": fit.held("K"),
         "checks_pair_correlation_holds": fit.held("g"),
         "checks_nearest_holds": fit.held("G"),
+        "checks_hold_of_its_own_stands": {name: fit.own_held(name) for name in "KgG"},
         "unevenness_p": fit.trend,
         "first_check": [
             {

@@ -83,6 +83,15 @@ def kernel_shapes(stand: MeasuredStand, reach_m: float | None) -> KernelShapes:
     return KernelShapes(kernel_of, tuple(pairs), knots, core)
 
 
+def founder_shapes(shapes: KernelShapes) -> KernelShapes:
+    """Of a stand of one kind, of which some come first: kernels among founders, between the two, among followers.
+
+    Followers act on founders' field in vain: founders have been placed by then.
+    """
+    kernel_of = np.array([[0, 1], [1, 2]])
+    return KernelShapes(kernel_of, ((0, 0), (1, 0), (1, 1)), np.tile(shapes.knots_m, (3, 1)), np.tile(shapes.core_m, 3))
+
+
 def default_reach_m(stand: MeasuredStand) -> float:
     """A quarter of the window's shorter side, or six mean spacings where that is less."""
     return min(min(stand.size_m) / 4, _REACH_SPACINGS * stand.spacing_m)

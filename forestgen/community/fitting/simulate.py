@@ -25,6 +25,7 @@ class NewStand(NamedTuple):
     placed_m: NDArray[np.float64]  # (N, 2) metres
     measured_m: NDArray[np.float64]  # (N, 2) metres: rounded as the stand's were
     species: NDArray[np.int64]  # (N,)
+    kind: NDArray[np.int64]  # (N,) by which kernels act: the species; or 0 founder, 1 follower
 
 
 @dataclass(frozen=True)
@@ -34,6 +35,7 @@ class Nursery:
     stand: MeasuredStand
     cells: int  # along the longer side
     density: NDArray[np.float64] | None = None  # (S, rows, cols) relative; None: even
+    founders: int = 0  # plants of the one species that come first and have kernels of their own; 0: all are alike
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -43,18 +45,20 @@ class Nursery:
     def grow(self, kernels: list[list[KernelTable]], seed: int, number: int) -> NewStand:
         """The stand of one number, among those of a seed.
 
-        Plants come in the stand's own order of species where sizes give one, else at random.
+        Plants come in the stand's own order of species where sizes give one, else at random; founders first.
         """
         stand = self.stand
         rng = child_rng(seed, "fit", number)
         uniform = rng.random((stand.n, 2))
         species = stand.species if stand.ordered else rng.permutation(stand.species)
+        kind = species if self.founders == 0 else (np.arange(stand.n) >= self.founders).astype(np.int64)
         even = np.ones(self.shape)
-        densities = [even] * len(stand.names) if self.density is None else list(self.density)
+        densities = [even] * len(kernels) if self.density is None else list(self.density)
         fields = [DensityField(one, stand.size_m, periodic=False) for one in densities]
-        placement = place(fields, species, np.ones(stand.n), kernels, uniform)
-        found = placement.position_m[placement.placed]
-        return NewStand(found, stand.as_measured(found), species[placement.placed])
+        placement = place(fields, kind, np.ones(stand.n), kernels, uniform)
+        placed = placement.placed
+        found = placement.position_m[placed]
+        return NewStand(found, stand.as_measured(found), species[placed], kind[placed])
 
 
 def fitting_cells(stand: MeasuredStand) -> int:

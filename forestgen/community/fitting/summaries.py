@@ -41,6 +41,10 @@ class Summaries:
             parts.append(shares_within(nearest_m(trees[one], trees[other]), radii))
         return np.concatenate(parts)
 
+    def nearest(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The part of (A,) numbers, or of their differences, that tells of nearest neighbours."""
+        return np.asarray(values[-self.near_radii_m.size :])
+
     @property
     def worth(self) -> NDArray[np.float64]:
         """Weight of each number against the others and the expectation that kernels are smooth."""

@@ -171,7 +171,7 @@ class Halftone(PlacementModel):
             mine = np.flatnonzero(wanted.sp == index)
             if len(mine):
                 position_m[mine] = _halftoned(parameters, site, one.name, len(mine), stream)
-        return placed_state(parameters, species, seed, wanted, position_m, _WHY)
+        return placed_state(parameters, site, species, seed, wanted, position_m, _WHY)
 
     def estimate_bytes(self, parameters: PlacementParameters, site: Site, species: Sequence[SpeciesEcology]) -> int:
         """Bytes for all plants and the largest raster at once."""

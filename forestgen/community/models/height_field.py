@@ -166,7 +166,7 @@ class HeightField(GriddedModel):
             # Of fewer places than trees, the largest trees have theirs.
             labels = label(weight, np.bincount(mine[: len(at)], minlength=len(species)), rng)
             position_m = deal(wanted, at, labels, rng)
-        return placed_state(parameters, species, seed, wanted, position_m, _WHY)
+        return placed_state(parameters, site, species, seed, wanted, position_m, _WHY)
 
 
 def _places(

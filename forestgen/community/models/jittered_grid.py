@@ -121,7 +121,7 @@ class JitteredGrid(PlacementModel):
             given = labels >= 0
             places[given] = grid.draw(cell[given], labels[given], rng.random((int(given.sum()), 3)))
             position_m = deal(wanted, places, labels, rng)
-        return placed_state(parameters, species, seed, wanted, position_m, _WHY)
+        return placed_state(parameters, site, species, seed, wanted, position_m, _WHY)
 
     def estimate_bytes(self, parameters: PlacementParameters, site: Site, species: Sequence[SpeciesEcology]) -> int:
         """Bytes for all plants and the finest lattice at once."""

@@ -83,7 +83,7 @@ Decided here:
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -92,11 +92,19 @@ from pydantic import Field, field_validator
 
 from forestgen.community.arrivals import new_ids, of_species, refuse_overflow, seedlings, seedlings_per_step
 from forestgen.community.disturbance import Planting, planted
+from forestgen.community.growing.interactions import Interactions, Rivals, establishment, quality
+from forestgen.community.growing.seed_rain import Ground, GroundSection, ground_of, seed_rain
 from forestgen.community.model import CommunityParameters, Site, SpeciesEcology
 from forestgen.community.placement.density_map import DensityMap
-from forestgen.community.placement.growth_field import Interactions, Rivals, establishment, quality
-from forestgen.community.placement.growth_ground import Ground, GroundSection, ground_of, seed_rain
-from forestgen.community.placement.kernels import NAMED, HopkinsTarget, Kernels, KernelSection, kernel_matrix
+from forestgen.community.placement.kernels import (
+    NAMED,
+    HopkinsTarget,
+    Kernels,
+    KernelSection,
+    each_kernel,
+    kernel_matrix,
+    species_named,
+)
 from forestgen.community.population import Population, Status
 from forestgen.core.randomness import child_rng
 from forestgen.recipe.fields import Name, NonNegative, Number, Whole, mistake
@@ -134,7 +142,7 @@ class KernelGrowthParameters(CommunityParameters):
             raise mistake(
                 "kernels", problem="a community that grows has no clustering to be given", hint="see deformation_kernel"
             )
-        for keys, kernel in _each(kernels):
+        for keys, kernel in each_kernel(kernels):
             if kernel.balanced:
                 raise mistake(
                     "a kernel that is not balanced",
@@ -151,17 +159,7 @@ class KernelGrowthParameters(CommunityParameters):
     def named_species(self) -> Iterator[tuple[Keys, str]]:
         yield from super().named_species()
         yield from ((("ground", name), name) for name in self.ground)
-        for keys, _ in _each(self.kernels):
-            yield from ((("kernels", *keys[: n + 1]), str(key)) for n, key in enumerate(keys))
-
-
-def _each(kernels: object) -> Iterator[tuple[Keys, KernelSection]]:
-    """Every kernel of a recipe with the keys that lead to it: none, the acting species, or it and the affected one."""
-    if isinstance(kernels, KernelSection):
-        yield (), kernels
-    elif isinstance(kernels, Mapping):
-        for key, inside in kernels.items():
-            yield from (((key, *keys), one) for keys, one in _each(inside))
+        yield from ((("kernels", *keys), name) for keys, name in species_named(self.kernels))
 
 
 @dataclass(frozen=True)

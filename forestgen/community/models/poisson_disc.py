@@ -48,7 +48,7 @@ Decisions
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,7 +57,7 @@ from scipy.spatial import cKDTree
 
 from forestgen.community.model import Site, SpeciesEcology
 from forestgen.community.placement.apart import stays_apart
-from forestgen.community.placement.densities import plant_counts
+from forestgen.community.placement.densities import COUNTING_CELLS, grid_shape, plant_counts, species_density
 from forestgen.community.placement.gridded import GriddedModel, GriddedParameters, density_at, read_densities
 from forestgen.community.placement.labelling import choose, deal, label
 from forestgen.community.placement.model import placed_state, placement_rng, wanted_plants
@@ -111,15 +111,16 @@ def _joined(
             return points
 
 
-def _needed(fields: Sequence[NDArray[np.float64]], counts: NDArray[np.integer]) -> tuple[NDArray[np.float64], int]:
+def _needed(
+    fields: Iterable[NDArray[np.float64]], counts: NDArray[np.integer], shape: tuple[int, int]
+) -> tuple[NDArray[np.float64], int]:
     """(rows, cols) plants of all species that a cell expects, relative to the mean; how many points a pattern needs."""
-    if len(fields) == 0:
-        return np.zeros((1, 1)), 0
-    n = int(sum(count for count, field in zip(counts, fields, strict=True) if np.any(field)))
-    expected = np.zeros_like(fields[0])
+    expected, n = np.zeros(shape), 0
     for count, field in zip(counts, fields, strict=True):
         if count and np.any(field):
-            expected += field * (count / n / field.mean())
+            expected += field * (count / field.mean())
+            n += int(count)
+    expected /= max(n, 1)
     return expected, math.ceil(n * min(float(expected.max()), _POINTS_PER_PLANT)) if n else 0
 
 
@@ -148,7 +149,7 @@ class PoissonDisc(GriddedModel):
         """The plants at their places."""
         counts = plant_counts(parameters, site, species)
         fields = read_densities(parameters, site, species)
-        expected, needed = _needed(fields, counts)
+        expected, needed = _needed(fields, counts, grid_shape(site, parameters.cells))
         if needed:
             _refuse_large_patterns(parameters, site, needed)
         rng = placement_rng(seed)
@@ -168,7 +169,7 @@ class PoissonDisc(GriddedModel):
             ]
             position_m = deal(wanted, chosen, label(np.array(weight), able, rng), rng)
         why = f"no more fit at {distance:.3g} m from one another on the ground that the map and the conditions allow"
-        return placed_state(parameters, species, seed, wanted, position_m, why)
+        return placed_state(parameters, site, species, seed, wanted, position_m, why)
 
     def estimate_bytes(self, parameters: PlacementParameters, site: Site, species: Sequence[SpeciesEcology]) -> int:
         """Bytes for all plants and grids at once.
@@ -177,7 +178,9 @@ class PoissonDisc(GriddedModel):
         """
         assert isinstance(parameters, PoissonDiscParameters)
         counts = plant_counts(parameters, site, species)
-        needed = _needed(read_densities(parameters, site, species), counts)[1]
+        shape = grid_shape(site, min(parameters.cells, COUNTING_CELLS))  # one field at a time, and none too large
+        fields = (species_density(parameters, site, one.name, shape) for one in species)
+        needed = _needed(fields, counts, shape)[1]
         if needed:
             _refuse_large_patterns(parameters, site, needed)
         return super().estimate_bytes(parameters, site, species) + 500 * MOST_POINTS
@@ -203,12 +206,13 @@ def _enough(
     if parameters.distance_m is not None:
         return pattern(site.size_m, parameters.distance_m, parameters.periodic, rng), parameters.distance_m
     distance = _fitting(site, needed, parameters.periodic)
+    least = _fitting(site, min(MOST_POINTS, max(needed, _POINTS_PER_PLANT * n)), parameters.periodic)
     for _ in range(_ROUNDS):
         points = pattern(site.size_m, distance, parameters.periodic, rng)
         good = int(np.count_nonzero(density_at(expected, points, site.size_m)))
-        if len(points) >= needed and good >= n:
+        if (len(points) >= needed and good >= n) or distance <= least:
             break
-        distance *= 0.99 * math.sqrt(min(1.0, len(points) / needed, max(good, 1) / n))
+        distance = max(least, distance * 0.99 * math.sqrt(min(1.0, len(points) / needed, max(good, 1) / n)))
     return points, distance
 
 

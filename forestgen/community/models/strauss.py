@@ -58,7 +58,7 @@ from pydantic import Field
 
 from forestgen.community.model import Site, SpeciesEcology
 from forestgen.community.placement.apart import stays_apart
-from forestgen.community.placement.densities import plant_counts
+from forestgen.community.placement.densities import COUNTING_CELLS, grid_shape, plant_counts, species_density
 from forestgen.community.placement.field import DensityField
 from forestgen.community.placement.gridded import GriddedModel, GriddedParameters, read_densities
 from forestgen.community.placement.model import placed_state, placement_rng, wanted_plants
@@ -256,12 +256,16 @@ class Strauss(GriddedModel):
             mine = np.flatnonzero(wanted.sp == index)
             if len(mine) and np.any(field):
                 position_m[mine] = _placed(parameters, site, field, len(mine), stream)
-        return placed_state(parameters, species, seed, wanted, position_m, _WHY)
+        return placed_state(parameters, site, species, seed, wanted, position_m, _WHY)
 
     def estimate_bytes(self, parameters: PlacementParameters, site: Site, species: Sequence[SpeciesEcology]) -> int:
         """Bytes for all plants and grids at once; refuses what `init` would."""
         assert isinstance(parameters, StraussParameters)
-        _densities(parameters, site, species)
+        shape = grid_shape(site, min(parameters.cells, COUNTING_CELLS))  # one field at a time, and none too large
+        for one, n in zip(species, plant_counts(parameters, site, species), strict=True):
+            if n:
+                field = species_density(parameters, site, one.name, shape)
+                _refuse_long_runs(parameters, site, int(n), field)
         proposed = 40 * max(_DRAWN_AT_ONCE, int(self.expected_plants(parameters, site, species)))
         return super().estimate_bytes(parameters, site, species) + 3 * proposed
 

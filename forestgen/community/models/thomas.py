@@ -61,7 +61,7 @@ from forestgen.core.errors import RecipeError
 from forestgen.recipe.fields import Number, Positive
 
 _WHY = "clusters hardly meet the ground that the map and the conditions allow"
-_REACH = 5.0  # σ: one in 3.7 million stands farther away
+_REACH = 5.0  # σ: towards one side, one plant in 3.5 million stands farther away
 _LEAST_SHARE = 1 / 256  # of the mean density in the greatest
 _TRIALS_PER_PLANT, _TRIALS_AT_ONCE = 2000, 1_000_000
 _REDRAWS = 50  # of parents
@@ -175,7 +175,7 @@ class Thomas(GriddedModel):
             mine = np.flatnonzero(wanted.sp == index)
             if len(mine) and np.any(field):
                 position_m[mine] = _Clusters(field, len(mine), parameters, site, stream).draw(len(mine))
-        return placed_state(parameters, species, seed, wanted, position_m, _WHY)
+        return placed_state(parameters, site, species, seed, wanted, position_m, _WHY)
 
     def estimate_bytes(self, parameters: PlacementParameters, site: Site, species: Sequence[SpeciesEcology]) -> int:
         """Bytes for all plants, grids, parents and trials at once; refuses what `init` would."""

@@ -70,7 +70,7 @@ class Uniform(GriddedModel):
             field = DensityField(density, site.size_m, periodic=parameters.periodic)
             if mine.any() and field.total > 0:
                 position_m[mine] = field.draw(uniform[mine])
-        return placed_state(parameters, species, seed, wanted, position_m, _WHY)
+        return placed_state(parameters, site, species, seed, wanted, position_m, _WHY)
 
 
 MODEL = Uniform()

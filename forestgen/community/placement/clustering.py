@@ -26,7 +26,6 @@ from forestgen.community.statistics import hopkins_index
 MOST_REHEARSED = 2000  # plants: of more, every so-manieth is placed on a site that is smaller by as much
 FEWEST = 10  # plants that have a Hopkins index worth aiming at
 CELLS_PER_SPACING = 12  # the family's finest detail is 0.08 spacings
-LONGEST_REACH = 4.5  # spacings
 _LEAST, _MOST = -0.85, 6.2  # t
 _ROUNDS = 14
 _CLOSE = 0.005  # of the logarithm of H: nearer is not looked for

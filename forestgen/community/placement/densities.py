@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
+from forestgen.community.ground.living_conditions import Conditions, suitability
 from forestgen.community.model import Site, SpeciesEcology
-from forestgen.community.placement.living_conditions import suitability
-from forestgen.community.placement.stands import PlacementParameters, Sizes, Stand
+from forestgen.community.placement.density_map import LEAST, MapSection
+from forestgen.community.placement.stands import MOST_PLANTS, PlacementParameters, Sizes, Stand
 from forestgen.core.errors import RecipeError
 
 MOST_CELLS = 2**25  # of all fields that a model makes by itself, 268 MB
@@ -49,12 +50,19 @@ def species_density(
     stand = parameters.plants.get(name)
     if stand is None:
         return np.zeros(shape)
-    density = suitability(stand.conditions, site, shape)
-    if stand.map is not None:
-        density = density * stand.map.on_grid(shape)
-    if parameters.keep_out is not None:
-        density = np.where(parameters.keep_out.any_above_zero(shape), 0.0, density)
-    return np.ascontiguousarray(density)
+    return relative_density(stand.conditions, stand.map, parameters.keep_out, site, shape)
+
+
+def relative_density(
+    conditions: Conditions, painted: MapSection | None, keep_out: MapSection | None, site: Site, shape: tuple[int, int]
+) -> NDArray[np.float64]:
+    """(rows, cols) of a map times the response to conditions, 0 where plants are kept out; row 0 at y = 0."""
+    density = suitability(conditions, site, shape)
+    if painted is not None:
+        density = density * painted.on_grid(shape)
+    if keep_out is not None:
+        density = np.where(keep_out.any_above_zero(shape), 0.0, density)
+    return np.ascontiguousarray(np.where(density < LEAST, 0.0, density))
 
 
 def plant_counts(parameters: PlacementParameters, site: Site, species: Sequence[SpeciesEcology]) -> NDArray[np.int64]:
@@ -73,8 +81,22 @@ def plant_counts(parameters: PlacementParameters, site: Site, species: Sequence[
             counts[index] = stand.count
         elif stand.plants_per_ha:
             mean = float(species_density(parameters, site, one.name, shape).mean())
-            counts[index] = math.floor(stand.plants_per_ha * site.area_ha * mean + 0.5)
+            asked = stand.plants_per_ha * site.area_ha * mean + 0.5
+            _refuse_too_many(asked, one.name)
+            counts[index] = math.floor(asked)
     return counts
+
+
+def _refuse_too_many(asked: float, name: str) -> None:
+    """Raise a RecipeError for more plants than a `count` may say."""
+    if asked > MOST_PLANTS:
+        raise RecipeError(
+            f"too many plants of {name}",
+            where=f"community.plants.{name}.plants_per_ha",
+            expected=f"at most {MOST_PLANTS:,} on the whole site",
+            got=f"{asked:,.0f}" if asked < 1e15 else f"{asked:.3g}",
+            hint="plants_per_ha is multiplied by the map's values: a map of 0 to 1 leaves it as it is",
+        )
 
 
 def check_sizes(parameters: PlacementParameters, species: Sequence[SpeciesEcology]) -> None:

@@ -44,6 +44,7 @@ from forestgen.recipe.map_files import file_sha256
 from forestgen.recipe.sources import Keys
 
 LARGEST = 1e12  # a map's values, scaled; more would make sums over the site meaningless
+LEAST = 1e-100  # what is less counts as 0: its square, and what it divides, must still be numbers
 
 _pictures: BoundedCache[GreyPicture] = BoundedCache(400_000_000, lambda one: one.values.nbytes)
 _grids: BoundedCache[NDArray[np.float64]] = BoundedCache(200_000_000, lambda one: one.nbytes)
@@ -137,6 +138,10 @@ class MapSection(Section):
         if self.invert and high > 1:
             raise mistake(
                 "values of at most 1", problem="only values from 0 to 1 can be inverted", got=f"{name}: up to {high:g}"
+            )
+        if 0 < high * self.scale < LEAST:
+            raise mistake(
+                f"a value of at least {LEAST:g}", problem="the map's values are too small", got=f"{name}: {high:g}"
             )
         if high * self.scale > LARGEST:
             raise mistake(

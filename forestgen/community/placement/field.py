@@ -24,7 +24,7 @@ from forestgen.community.placement.kernels import GREATEST, KernelTable
 if TYPE_CHECKING:
     from forestgen.community.placement.field_kernel import Effects, Trees
 
-_LINE = 8  # float64 of a line of the processor's memory
+LANES = 8  # cells of a strip: a line of the processor's memory
 
 
 class DensityField:
@@ -54,20 +54,17 @@ class DensityField:
             raise ValueError("densities are numbers from 0 up, and finite")
         self.shape, self.size_m, self.periodic = density.shape, size_m, periodic
         self._fields, self._index = _Fields.empty(1, density.shape, size_m, periodic), 0
-        cells = self._fields.grids()[0]
-        if greatest == 0.0 or 1e-100 < greatest < 1e200:
-            cells[...] = density
-        else:
+        self._fields.set_grid(density)
+        if greatest != 0.0 and not 1e-100 < greatest < 1e200:
             self._fields.exponents[0] = int(np.frexp(greatest)[1])
-            cells[...] = np.ldexp(density, -int(self._fields.exponents[0]))
+            cells = self._fields.trees.cells
+            np.ldexp(cells, -int(self._fields.exponents[0]), out=cells)
         self._changed()
 
     @property
     def cells(self) -> NDArray[np.float64]:
-        """(rows, cols) as deformed so far, in units of 2 ** exponent; a view to read, good until the next change."""
-        view: NDArray[np.float64] = self._fields.grids()[self._index]
-        view.flags.writeable = False
-        return view
+        """(rows, cols) as deformed so far, in units of 2 ** exponent; a copy."""
+        return self._fields.grid(self._index)
 
     @property
     def exponent(self) -> int:
@@ -86,7 +83,9 @@ class DensityField:
         rows, cols = self.shape
         size = np.array(self.size_m)
         cell = np.minimum((np.asarray(position_m) / size * (cols, rows)).astype(np.int64), (cols - 1, rows - 1))
-        values: NDArray[np.float64] = self._fields.grids()[self._index][cell[:, 1], cell[:, 0]]
+        values: NDArray[np.float64] = self._fields.strips(self._index)[
+            cell[:, 0] // LANES, cell[:, 1], cell[:, 0] % LANES
+        ]
         return values
 
     def multiply(self, factor: NDArray[np.float64]) -> None:
@@ -94,8 +93,9 @@ class DensityField:
         factor = np.asarray(factor, dtype=np.float64)
         if not (np.all(factor >= 0.0) and factor.max() <= GREATEST):
             raise ValueError(f"factors of a density are numbers from 0 to {GREATEST:g}")
-        cells = self._alone().grids()[0]
-        np.multiply(cells, factor, out=cells)
+        if factor.shape != self.shape:
+            raise ValueError(f"a field of shape {self.shape} needs as many factors, got {factor.shape}")
+        self._alone().multiply_grid(factor)
         self._changed()
 
     def deform(self, position_m: NDArray[np.float64], radius_m: NDArray[np.float64], kernel: KernelTable) -> None:
@@ -135,9 +135,10 @@ class DensityField:
         return self._fields
 
     def _changed(self) -> None:
-        from forestgen.community.placement.field_kernel import SMALLEST, build
+        from forestgen.community.placement.field_kernel import build
+        from forestgen.community.placement.field_lanes import SMALLEST
 
-        cells = self._fields.grids()[0]
+        cells = self._fields.trees.cells
         np.copyto(cells, 0.0, where=cells < SMALLEST)
         build(self._fields.trees, self._fields.exponents)
 
@@ -194,23 +195,25 @@ class _Fields:
 
     @classmethod
     def empty(cls, count: int, shape: tuple[int, ...], size_m: tuple[float, float], periodic: bool) -> _Fields:
-        from forestgen.community.placement.field_kernel import BLOCK, Trees
+        from forestgen.community.placement.field_kernel import Trees
 
         rows, cols = shape
-        stride = -(-cols // BLOCK) * BLOCK
-        if stride // BLOCK % 2 == 0:  # rows a power of two apart would share the same few places of the cache
-            stride += BLOCK
-        node_level, node_stride = _levels(stride // BLOCK)
+        strips = -(-cols // LANES)
+        node_level, node_count = _levels(strips)
         sum_level, sum_stride = _levels(rows)
+        cell_stride, node_stride = strips * rows * LANES, node_count * rows
         trees = Trees(
-            _aligned(count * rows * stride),
-            _aligned(count * rows * node_stride),
+            _aligned(count * cell_stride),
+            _aligned(count * node_stride),
             _aligned(count * sum_stride),
-            node_level,
+            node_level * rows,
             sum_level,
+            len(node_level),
+            len(sum_level),
             rows,
             cols,
-            stride,
+            strips,
+            cell_stride,
             node_stride,
             sum_stride,
             size_m[0] / cols,
@@ -224,11 +227,28 @@ class _Fields:
         """Width and height of a cell."""
         return self.trees.width_m, self.trees.height_m
 
-    def grids(self) -> NDArray[np.float64]:
-        """(F, rows, cols), a view."""
+    def strips(self, index: int) -> NDArray[np.float64]:
+        """(strips, rows, 8) cells of a field, a view."""
         t = self.trees
-        view: NDArray[np.float64] = t.cells.reshape(len(self.exponents), t.rows, t.stride)[:, :, : t.cols]
+        view: NDArray[np.float64] = t.cells.reshape(len(self.exponents), t.strips, t.rows, LANES)[index]
         return view
+
+    def grid(self, index: int) -> NDArray[np.float64]:
+        """(rows, cols) cells of a field, a copy."""
+        t = self.trees
+        return self.strips(index).transpose(1, 0, 2).reshape(t.rows, t.strips * LANES)[:, : t.cols]
+
+    def set_grid(self, cells: NDArray[np.float64]) -> None:
+        """Set the first field's (rows, cols) cells, not its sums."""
+        for strip, ours in enumerate(self.strips(0)):
+            theirs = cells[:, strip * LANES : (strip + 1) * LANES]
+            ours[:, : theirs.shape[1]] = theirs
+
+    def multiply_grid(self, factor: NDArray[np.float64]) -> None:
+        """Multiply the first field's cells by (rows, cols) factors; its sums stay."""
+        for strip, ours in enumerate(self.strips(0)):
+            theirs = factor[:, strip * LANES : (strip + 1) * LANES]
+            ours[:, : theirs.shape[1]] *= theirs
 
     def taken(self, which: Sequence[int]) -> _Fields:
         """Some of the fields, copied."""
@@ -262,22 +282,20 @@ def _together(fields: Sequence[DensityField]) -> _Fields:
 
 def _aligned(count: int) -> NDArray[np.float64]:
     """Zeros that begin with a line of memory."""
-    memory = np.empty(count + _LINE)
-    start = -(memory.ctypes.data // memory.itemsize) % _LINE
+    memory = np.empty(count + LANES)
+    start = -(memory.ctypes.data // memory.itemsize) % LANES
     zeros: NDArray[np.float64] = memory[start : start + count]
     zeros[...] = 0.0
     return zeros
 
 
 def _levels(leaves: int) -> tuple[NDArray[np.int64], int]:
-    """Where each level of a tree of sums begins, leaves first, and the length of all."""
-    from forestgen.community.placement.field_kernel import FAN
-
+    """Where each level of a tree of sums begins, leaves first, and the length of all; a node has eight children."""
     starts, length = [], 0
     while True:
-        nodes = -(-leaves // FAN)
+        nodes = -(-leaves // LANES)
         starts.append(length)
-        length += nodes * FAN
+        length += nodes * LANES
         if nodes == 1:
             return np.array(starts, dtype=np.int64), length
         leaves = nodes

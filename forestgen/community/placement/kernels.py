@@ -18,8 +18,9 @@ Lane 2002, section 5.1, Figures 5.1, 5.2, 5.4 and 5.7.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
@@ -28,21 +29,22 @@ from pydantic import BeforeValidator, Field, TypeAdapter, WrapValidator, field_s
 
 from forestgen.recipe.curves import Curve, Formula, Function, Smooth, evaluate
 from forestgen.recipe.fields import Flag, Name, Number, Positive, Section, mistake
+from forestgen.recipe.sources import Keys
 
 SAMPLES = 1024  # of a kernel's table; κ is linear between them
-GREATEST = 1e6  # of κ: beyond, the field would overflow after fifty plants
+GREATEST = 1e6  # of κ: what one plant may multiply a field by, which is scaled between plants lest it overflow
 LEAST_HOPKINS, MOST_HOPKINS = 0.4, 10.0
 
 KernelName = Literal["inhibition", "neutral", "weak_clustering", "clustering"]
 
 #: The kernels that a recipe may name, those of Figures 5.2 and 5.4. Distances are in radii of the plant. Among equal
-#: plants with a radius of 0.75 of their mean spacing (the root of the area a plant) they have the Hopkins indices 0.5,
-#: 1.0, 1.2 and 2.4; see tests/system/test_reproductions_placement.py.
+#: plants with a radius of 0.75 of their mean spacing (the root of the area a plant) they have the Hopkins indices
+#: 0.47, 1.0, 1.2 and 2.4; see tests/system/test_reproductions_placement.py.
 NAMED: dict[str, dict[str, Any]] = {
     "inhibition": {"curve": [[0, 0], [1, 0], [1.1, 1]]},
     "neutral": {"curve": 1.0, "reach": 1.0},
-    "weak_clustering": {"curve": [[0, 0], [0.3, 0], [0.6, 1.8], [2, 1]]},
-    "clustering": {"curve": [[0, 0], [0.3, 0], [0.6, 2.4], [2, 1]]},
+    "weak_clustering": {"curve": [[0, 0], [0.2, 0], [0.4, 1.9], [1.2, 0.6], [3, 1]]},
+    "clustering": {"curve": [[0, 0], [0.2, 0], [0.3, 3.6], [1.2, 0.5], [3, 1]]},
 }
 
 
@@ -195,6 +197,24 @@ Kernels = Annotated[
 ]
 
 
+def each_kernel(kernels: object) -> Iterator[tuple[Keys, KernelSection]]:
+    """Every kernel of a recipe with the keys that lead to it: none, the acting species, or it and the affected one."""
+    if isinstance(kernels, KernelSection):
+        yield (), kernels
+    elif isinstance(kernels, Mapping):
+        for key, inside in kernels.items():
+            yield from (((key, *keys), one) for keys, one in each_kernel(inside))
+
+
+def species_named(kernels: object) -> Iterator[tuple[Keys, str]]:
+    """Key path within `kernels`, and name, of every species that a recipe's kernels speak of."""
+    if isinstance(kernels, Mapping):
+        for acting, row in kernels.items():
+            yield (acting,), acting
+            if isinstance(row, Mapping):
+                yield from (((acting, affected), affected) for affected in row)
+
+
 def _points(curve: Any) -> Any:
     return curve.points if isinstance(curve, Smooth) else curve
 
@@ -220,7 +240,7 @@ class KernelTable:
         inside = np.interp(at, np.linspace(0.0, 1.0, len(self.values)), self.values)
         return np.where(at <= 1.0, inside, 1.0)
 
-    @property
+    @cached_property
     def is_neutral(self) -> bool:
         return bool(np.all(self.values == 1.0))
 
@@ -249,16 +269,22 @@ def kernel_matrix(
     if isinstance(kernels, KernelSection):
         return [[table(kernels)] * len(species)] * len(species)
     matrix = [[NEUTRAL] * len(species) for _ in species]
+    made: dict[KernelSection, KernelTable] = {}  # a matrix of many species repeats a few kernels
+
+    def table_of(kernel: KernelSection) -> KernelTable:
+        if kernel not in made:
+            made[kernel] = table(kernel)
+        return made[kernel]
+
     for j, acting in enumerate(species):
         row = kernels.get(acting)
         if row is None:
             continue
         if isinstance(row, KernelSection):
-            made = table(row)
             for i in range(len(species)):
-                matrix[i][j] = made
+                matrix[i][j] = table_of(row)
         else:
             for i, affected in enumerate(species):
                 if affected in row:
-                    matrix[i][j] = table(row[affected])
+                    matrix[i][j] = table_of(row[affected])
     return matrix

@@ -112,7 +112,7 @@ def _exchange(
     species = len(counts)
     while True:
         surplus = np.bincount(labels[labels >= 0], minlength=species) - counts
-        gives = np.array([[np.any(row[labels == a] > 0) for row in share] for a in range(species)])
+        gives = np.array([np.any(share[:, labels == a] > 0, axis=1) for a in range(species)])
         path = _path(np.flatnonzero(surplus > 0), surplus < 0, gives)
         if not path:
             break

@@ -11,9 +11,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.community.disturbance import planted
+from forestgen.community.ground.living_conditions import why_barred
 from forestgen.community.model import Site, SpeciesEcology
-from forestgen.community.placement.asked import Densities, asked_densities
-from forestgen.community.placement.densities import check_sizes, draw_heights, draw_radii, plant_counts
+from forestgen.community.placement.asked_and_placed import Densities, asked_densities
+from forestgen.community.placement.densities import (
+    COUNTING_CELLS,
+    check_sizes,
+    draw_heights,
+    draw_radii,
+    grid_shape,
+    plant_counts,
+    species_density,
+)
 from forestgen.community.placement.stands import PlacementParameters
 from forestgen.community.population import Population
 from forestgen.community.standing import Standing, State, first_state
@@ -81,6 +90,7 @@ def _stream(rng: np.random.Generator, *identity: str) -> np.random.Generator:
 
 def placed_state(
     parameters: PlacementParameters,
+    site: Site,
     species: Sequence[SpeciesEcology],
     seed: int,
     wanted: Wanted,
@@ -92,18 +102,20 @@ def placed_state(
 
     Parameters
     ----------
-    why : the reason; or one by species.
+    why : the reason; or one by species. Conditions that bar a species on the whole site are told instead.
     notes : what else a user should know.
     """
     placed = ~np.isnan(position_m[:, 0])
     asked = np.bincount(wanted.sp, minlength=len(species))
     found = np.bincount(wanted.sp[placed], minlength=len(species))
     reasons = dict.fromkeys((one.name for one in species), why) if isinstance(why, str) else why
-    missing = [
-        f"{found[i]:,} of {asked[i]:,} plants of {one.name} were placed: {reasons[one.name]}"
-        for i, one in enumerate(species)
-        if found[i] < asked[i]
-    ]
+    missing = []
+    for i, one in enumerate(species):
+        if found[i] < asked[i]:
+            bars = None if found[i] else _bars(parameters, site, one.name)
+            missing.append(
+                f"{found[i]:,} of {asked[i]:,} plants of {one.name} were placed: {bars or reasons[one.name]}"
+            )
     return first_state(
         parameters,
         species,
@@ -116,6 +128,17 @@ def placed_state(
     )
 
 
+def _bars(parameters: PlacementParameters, site: Site, name: str) -> str | None:
+    """What bars a species on the whole site; None: nothing does."""
+    shape, keep_out = grid_shape(site, COUNTING_CELLS), parameters.keep_out
+    if species_density(parameters, site, name, shape).any():
+        return None
+    if keep_out is not None and np.all(keep_out.values() > 0):
+        return "keep_out bars the whole site"
+    conditions = why_barred(parameters.plants[name].conditions, site, shape)
+    return conditions or "the map, the conditions and keep_out bar the whole site"
+
+
 class PlacementModel(Standing):
     """A `CommunityModel` but for its Parameters and `init`, which draws from `placement_rng`."""
 
@@ -125,11 +148,18 @@ class PlacementModel(Standing):
 
     def why_barren(self, parameters: PlacementParameters, site: Site, species: Sequence[SpeciesEcology]) -> str | None:
         """Why no plant will ever stand there, or None if some may."""
-        if self.expected_plants(parameters, site, species) > 0:
+        if planted(parameters.disturbances) > 0:
             return None
         if not parameters.plants:
             return "no plant is placed: community.plants is empty"
-        return "no plant is placed: every number in community.plants is 0, or its map and conditions bar the whole site"
+        reasons = []
+        for name, stand in parameters.plants.items():
+            if stand.count or stand.plants_per_ha:
+                bars = _bars(parameters, site, name)
+                if bars is None and self.expected_plants(parameters, site, species) > 0:
+                    return None
+                reasons += [f"no plant is placed: of {name}, {bars}"] if bars else []
+        return reasons[0] if reasons else "no plant is placed: every number in community.plants is 0, or rounded to 0"
 
     def estimate_bytes(self, parameters: PlacementParameters, site: Site, species: Sequence[SpeciesEcology]) -> int:
         """Bytes for all plants at once.

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csc_array
+
+if TYPE_CHECKING:
+    from scipy.sparse import csc_array
 
 _ROWS_AT_ONCE = 256
 
@@ -51,6 +53,8 @@ def _weights(pixels: int, cells: int, smooth: bool) -> csc_array:
     Between all edges of cells and all edges (or middles) of pixels the function is straight, so that its mean there is
     its value halfway.
     """
+    from scipy.sparse import csc_array  # slow to import
+
     straight = smooth and cells > pixels
     # An edge of both grids is the same float in both: i * pixels / cells is exact where it is whole.
     edges = np.arange(cells + 1) * pixels / cells

@@ -7,9 +7,9 @@ from typing import Annotated, Any, Self
 
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
+from forestgen.community.ground.living_conditions import Conditions
 from forestgen.community.model import CommunityParameters
 from forestgen.community.placement.density_map import DensityMap
-from forestgen.community.placement.living_conditions import Conditions
 from forestgen.recipe.fields import Flag, Name, NonNegative, Positive, Section, Whole, mistake
 from forestgen.recipe.sources import Keys
 
@@ -19,7 +19,7 @@ MOST_PLANTS = 20_000_000
 class Sizes(Section):
     """A log-normal hierarchy of radii, cut off at the species' largest."""
 
-    median: Positive = Field(le=100, description="Half of the plants are smaller, metres.")
+    median: Positive = Field(le=100, description="Half of the plants would be smaller, were none cut off; metres.")
     sigma: NonNegative = Field(0.4, le=3, description="Standard deviation of the natural logarithm; 0: all are alike.")
 
 

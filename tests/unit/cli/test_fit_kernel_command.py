@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -13,7 +14,8 @@ from typer.testing import CliRunner
 
 from forestgen.cli import app
 from forestgen.community.fitting import fit as fitting
-from forestgen.community.fitting import likeliest, matching
+from forestgen.community.fitting import founders, likeliest, matching
+from forestgen.core.errors import RecipeError
 from forestgen.recipe.load import load_recipe
 
 DATA = Path(__file__).parents[1] / "community" / "data"
@@ -40,7 +42,10 @@ def quick(monkeypatch):
     """Few new stands: the command is tested here, not the fit."""
     monkeypatch.setattr(fitting, "_MOST_STANDS", 8)
     monkeypatch.setattr(fitting, "_FEWEST_STANDS", 8)
-    monkeypatch.setattr(matching, "_ROUNDS", ((1.0, 2, 2.0),))
+    one = matching.Round(1.0, 1, 2.0)
+    monkeypatch.setattr(matching, "ROUNDS", (one, one))
+    monkeypatch.setattr(founders, "ROUNDS", (one, one))
+    monkeypatch.setattr(fitting, "_POOR", np.inf)
     monkeypatch.setattr(likeliest, "_PLANTS_IN_ALL", 100)
 
 
@@ -67,6 +72,43 @@ def test_a_fit_leaves_a_recipe_a_picture_and_numbers(quick, tmp_path):
     again = run(DATA / "cells.csv", "-o", target)
     assert again.exit_code == 4
     assert "--overwrite" in again.output
+
+
+def test_founders_are_a_species_of_the_recipe_that_comes_first(quick, tmp_path, monkeypatch):
+    monkeypatch.setattr(fitting, "_POOR", 0.0)
+    monkeypatch.setattr(founders, "_BETTER", np.inf)
+    monkeypatch.setattr(founders, "_PLANTS_OF_A_FOUNDER", (4.5,))
+    target = tmp_path / "redwood.yaml"
+    result = run(DATA / "redwood.csv", "-o", target, "--species", "spruce")
+    assert result.exit_code == 0, result.output
+    assert "note: one kernel leaves the nearest neighbours far off" in result.output
+    numbers = json.loads(target.with_suffix(".json").read_text())
+    assert numbers["founders"] == 14
+    assert [(one["affected"], one["acts"]) for one in numbers["kernels"]] == [
+        ("founders", "founders"),
+        ("followers", "founders"),
+        ("followers", "followers"),
+    ]
+    acts_on = re.findall(r"^ {4,6}([a-z-]+):(?= \{distance|$)", target.read_text().split("kernels:")[1], re.M)
+    assert acts_on == ["spruce-founder", "spruce-founder", "spruce", "spruce", "spruce"]
+    made = CliRunner().invoke(app, ["simulate", str(target), "-o", str(tmp_path / "new")])
+    assert made.exit_code == 0, made.output
+    assert "62 plants (14 spruce-founder, 48 spruce)" in made.output
+
+
+@pytest.mark.parametrize(("more", "next_step"), [([], "founders"), (["--no-founders"], "the test")])
+def test_founders_are_tried_unless_they_are_not_wanted(quick, tmp_path, monkeypatch, more, next_step):
+    def stop_at(step):
+        def stop(*_):
+            raise RecipeError(f"stopped at {step}")
+
+        return stop
+
+    monkeypatch.setattr(fitting, "_POOR", 0.0)
+    monkeypatch.setattr(fitting, "match_founders", stop_at("founders"))
+    monkeypatch.setattr(fitting, "envelopes", stop_at("the test"))
+    result = run(DATA / "redwood.csv", "-o", tmp_path / "fit", *more)
+    assert f"stopped at {next_step}" in result.output
 
 
 def test_two_species_and_sizes_give_a_kernel_for_each_direction(quick, points, tmp_path):

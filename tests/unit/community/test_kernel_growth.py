@@ -13,9 +13,9 @@ from scipy import stats
 
 from forestgen.community.disturbance import Planting
 from forestgen.community.environments.domination import dominated
+from forestgen.community.growing.interactions import Interactions, Rivals, establishment, invitation, quality
 from forestgen.community.model import Site, SpeciesEcology, simulate
 from forestgen.community.models.kernel_growth import MODEL, survivors
-from forestgen.community.placement.growth_field import Interactions, Rivals, establishment, invitation, quality
 from forestgen.community.placement.kernels import NEUTRAL, KernelSection, KernelTable, table
 from forestgen.community.population import Status
 from forestgen.community.size_statistics import self_thinning_slope

@@ -67,17 +67,34 @@ def species(tree):
     return [tree(), tree(name="b", growth_m_per_yr=0.2, shade_tolerance=0.8, old_age_survival=0.5)]
 
 
-@pytest.mark.parametrize("name", MODELS)
-@pytest.mark.parametrize("parameters", [{}, {"step_yr": 0.3, "periodic": False, "disturbances": ()}])
-@settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(seed=seeds, step=steps)
-def test_a_stored_snapshot_resumes_to_the_same_future(name, parameters, species, tmp_path, seed, step):
+def check_that_it_resumes(name, parameters, species, tmp_path, seed, step):
     whole = run(name, species, seed, parameters=parameters)
     write_history(tmp_path / "a.parquet", whole)
     again = run(name, species, seed, parameters=parameters, start=open_history(tmp_path / "a.parquet").snapshot(step))
     assert [one.step for one in again] == list(range(step, STEPS + 1))
     assert all(identical(one, other) for one, other in zip(again, whole[step:], strict=True))
     assert len(whole[-1])
+
+
+other_parameters = pytest.mark.parametrize("parameters", [{}, {"step_yr": 0.3, "periodic": False, "disturbances": ()}])
+one_folder = HealthCheck.function_scoped_fixture
+
+
+@pytest.mark.parametrize("name", [*GROWING, "placed"])
+@other_parameters
+@settings(max_examples=8, deadline=None, suppress_health_check=[one_folder])
+@given(seed=seeds, step=steps)
+def test_a_stored_snapshot_resumes_to_the_same_future(name, parameters, species, tmp_path, seed, step):
+    check_that_it_resumes(name, parameters, species, tmp_path, seed, step)
+
+
+@pytest.mark.parametrize("name", PLACEMENTS)
+@other_parameters
+@settings(max_examples=2, deadline=None, suppress_health_check=[one_folder])
+@given(seed=seeds, step=steps)
+def test_a_stored_placement_resumes_to_the_same_future(name, parameters, species, tmp_path, seed, step):
+    """Few examples: after step 0 all placement models are the same code."""
+    check_that_it_resumes(name, parameters, species, tmp_path, seed, step)
 
 
 @pytest.mark.parametrize("name", MODELS)

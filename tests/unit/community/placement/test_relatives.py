@@ -151,7 +151,7 @@ def test_ground_that_bars_everything_is_a_result_with_a_reason(name, tree):
     nowhere = {"rows": [[0, 0]]}
     model = COMMUNITY_MODELS.load(name)
     parameters = model.Parameters(plants={"tree": {"plants_per_ha": 9}}, keep_out=[[1]])
-    assert "bar the whole site" in model.why_barren(parameters, SITE, [tree()])
+    assert "keep_out bars the whole site" in model.why_barren(parameters, SITE, [tree()])
     assert len(model.population(model.init(parameters, SITE, [tree()], 1))) == 0
     assert len(place(name, [], plants={})) == 0
     try:
@@ -168,6 +168,17 @@ def test_a_count_on_ground_that_is_all_kept_out(name, tree):
     assert len(found) == 0
     assert len(found.notes) == 1
     assert found.notes[0].startswith("0 of 5 plants of tree were placed: ")
+
+
+@pytest.mark.parametrize("name", ["deformation_kernel", *RELATIVES])
+def test_conditions_that_bar_everything_are_named(name, tree):
+    high = {"elevation_m": [[500, 0], [600, 1]], "slope_deg": [[5, 1], [10, 0]]}
+    found = place(name, [tree()], plants={"tree": {"count": 5, "conditions": high}})
+    bars = "elevation_m bars it on the whole site, where it is 0 m"
+    assert found.notes == (f"0 of 5 plants of tree were placed: {bars}",)
+    model = COMMUNITY_MODELS.load(name)
+    parameters = model.Parameters(plants={"tree": {"plants_per_ha": 900, "conditions": high}})
+    assert model.why_barren(parameters, SITE, [tree()]) == f"no plant is placed: of tree, {bars}"
 
 
 @pytest.mark.parametrize(

@@ -23,11 +23,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.community.ground.drainage import moisture
+from forestgen.community.ground.horizons import Views, exposure, views
+from forestgen.community.ground.relief import Nodes, Relief, far_relief, near_relief
+from forestgen.community.ground.sunshine import irradiation
 from forestgen.community.model import GroundHeight, Site
-from forestgen.community.placement.drainage import moisture
-from forestgen.community.placement.horizons import Views, exposure, views
-from forestgen.community.placement.relief import Nodes, Relief, far_relief, near_relief
-from forestgen.community.placement.sunshine import irradiation
 from forestgen.core.bounded_cache import BoundedCache
 
 Floats = NDArray[np.float64]

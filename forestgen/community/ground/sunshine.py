@@ -30,8 +30,8 @@ from math import atan, pi
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.community.placement.horizons import DIRECTIONS, Views, azimuths_rad
-from forestgen.community.placement.relief import Nodes
+from forestgen.community.ground.horizons import DIRECTIONS, Views, azimuths_rad
+from forestgen.community.ground.relief import Nodes
 from forestgen.core.compiled import compiled
 
 Floats = NDArray[np.float64]

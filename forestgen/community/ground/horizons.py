@@ -28,8 +28,8 @@ from math import atan, cos, floor, pi, sin
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.community.ground.relief import FAR_M, MARGIN_M, Nodes, Relief
 from forestgen.community.model import Site
-from forestgen.community.placement.relief import FAR_M, MARGIN_M, Nodes, Relief
 from forestgen.core.compiled import compiled
 
 Floats = NDArray[np.float64]

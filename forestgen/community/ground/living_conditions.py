@@ -10,7 +10,7 @@ the species' density grows there, 1 all of it, 0 none. The responses are multipl
       wind: [[0.6, 1], [0.9, 0.2]]
       sun: [[0.5, 0], [0.9, 1]]
 
-What the conditions are, and what they are on level ground, is said in `ground_rasters`.
+What the conditions are, and what they are on level ground, is said in `rasters`.
 
 References
 ----------
@@ -28,7 +28,6 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 
 from forestgen.community.model import Site
-from forestgen.community.placement.ground_rasters import NAMES, ground_raster
 from forestgen.recipe.curves import Curve, Formula, Function, Smooth, evaluate
 from forestgen.recipe.fields import Section, mistake
 
@@ -88,11 +87,13 @@ class Conditions(Section):
 
     def responses(self) -> Iterator[tuple[str, Function]]:
         """Name and curve of every condition that counts."""
-        return ((name, curve) for name in NAMES if (curve := getattr(self, name)) is not None)
+        return ((name, curve) for name in type(self).model_fields if (curve := getattr(self, name)) is not None)
 
 
 def suitability(conditions: Conditions, site: Site, shape: tuple[int, int]) -> NDArray[np.float64]:
     """(rows, cols) float64 in [0, 1]: the product of a species' responses; row 0 at y = 0."""
+    from forestgen.community.ground.rasters import ground_raster  # compiled loops, slow to import
+
     product = np.ones(shape)
     block = max(1, _BLOCK_CELLS // shape[1])
     for name, curve in conditions.responses():
@@ -104,6 +105,8 @@ def suitability(conditions: Conditions, site: Site, shape: tuple[int, int]) -> N
 
 def why_barred(conditions: Conditions, site: Site, shape: tuple[int, int]) -> str | None:
     """What bars a species on the whole site, as "elevation_m bars it on the whole site: ..."; None if nothing does."""
+    from forestgen.community.ground.rasters import ground_raster
+
     if suitability(conditions, site, shape).any():
         return None
     bars: dict[str, NDArray[np.bool_]] = {}

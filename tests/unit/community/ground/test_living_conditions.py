@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from forestgen.community.ground import living_conditions
+from forestgen.community.ground.living_conditions import Conditions, suitability, why_barred
+from forestgen.community.ground.rasters import NAMES, ground_raster, ground_rasters
 from forestgen.community.model import Site
-from forestgen.community.placement import living_conditions
-from forestgen.community.placement.ground_rasters import NAMES, ground_raster, ground_rasters
-from forestgen.community.placement.living_conditions import Conditions, suitability, why_barred
 
 SHAPE = (48, 64)
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import chisquare, kstest
 
 from forestgen.community.models.deformation_kernel import MODEL
-from forestgen.community.placement.asked import (
+from forestgen.community.placement.asked_and_placed import (
     _FEWEST_EXPECTED,
     _joined,
     asked_densities,

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from forestgen.community.ground import relief
+from forestgen.community.ground.drainage import route
+from forestgen.community.ground.rasters import NAMES, ground_raster, ground_rasters
+from forestgen.community.ground.relief import Nodes, Relief, near_relief
 from forestgen.community.model import Site
-from forestgen.community.placement import relief
-from forestgen.community.placement.drainage import route
-from forestgen.community.placement.ground_rasters import NAMES, ground_raster, ground_rasters
-from forestgen.community.placement.relief import Nodes, Relief, near_relief
 
 SIZE = (200.0, 200.0)
 SHAPE = (40, 40)

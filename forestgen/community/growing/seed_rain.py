@@ -9,13 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from forestgen.community.ground.living_conditions import Conditions
+from forestgen.community.growing.interactions import Interactions, Rivals, invitation
 from forestgen.community.model import Site, SpeciesEcology
-from forestgen.community.placement.densities import COUNTING_CELLS, grid_shape, species_density
+from forestgen.community.placement.densities import COUNTING_CELLS, grid_shape, relative_density
 from forestgen.community.placement.density_map import DensityMap
 from forestgen.community.placement.field import DensityField
-from forestgen.community.placement.growth_field import Interactions, Rivals, invitation
-from forestgen.community.placement.living_conditions import Conditions
-from forestgen.community.placement.stands import PlacementParameters, Stand
 from forestgen.recipe.fields import Section
 
 _CELLS_PER_REACH = 6
@@ -26,7 +25,7 @@ class GroundSection(Section):
     """What the ground is to one species."""
 
     map: DensityMap | None = Field(None, description="Relative density of seedlings over the site.")
-    conditions: Conditions | None = Field(None, description="What the species asks of the ground.")
+    conditions: Conditions = Field(Conditions(), description="What the species asks of the ground.")
 
 
 @dataclass(frozen=True)
@@ -53,10 +52,8 @@ def ground_of(
     varied = [keep_out is not None or one != plain for one in given]
     shape = grid_shape(site, cells or _cells(site, species, kernels, any(varied)))
     density: list[NDArray[np.float64] | None] = []
-    for one, section, varies in zip(species, given, varied, strict=True):
-        stand = Stand.model_validate({"count": 0, "map": section.map, "conditions": section.conditions or {}})
-        asked = PlacementParameters.model_validate({"plants": {one.name: stand}, "keep_out": keep_out})
-        density.append(species_density(asked, site, one.name, shape) if varies else None)
+    for section, varies in zip(given, varied, strict=True):
+        density.append(relative_density(section.conditions, section.map, keep_out, site, shape) if varies else None)
     mean = [1.0 if one is None else float(one.mean()) for one in density]
     bare = [None if one is None else DensityField(one, site.size_m, periodic=True) for one in density]
     return Ground(shape, tuple(density), np.array(mean, dtype=np.float64), tuple(bare))

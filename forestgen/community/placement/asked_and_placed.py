@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from forestgen.community.model import Site, SpeciesEcology
 from forestgen.community.placement.densities import COUNTING_CELLS, grid_shape, plant_counts, species_density
@@ -141,7 +141,7 @@ def _pearson(found: NDArray[np.float64], expected: NDArray[np.float64]) -> ChiSq
     if freedom < 1:
         return None
     statistic = float(np.sum((found - expected) ** 2 / expected))
-    return ChiSquare(statistic, freedom, float(chi2.sf(statistic, freedom)))
+    return ChiSquare(statistic, freedom, float(chdtrc(freedom, statistic)))
 
 
 def describe_densities(densities: Densities, placed: Population, site: Site) -> dict[str, dict[str, Any]]:

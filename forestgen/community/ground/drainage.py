@@ -35,7 +35,7 @@ from math import atan2, cos, exp, pi, sin
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.community.placement.relief import Relief
+from forestgen.community.ground.relief import Relief
 from forestgen.core.compiled import compiled
 
 UPSLOPE_M = 20.0  # a0

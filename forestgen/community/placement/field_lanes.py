@@ -1,0 +1,173 @@
+"""Eight cells at once: the innermost operations of the probability field as vector instructions.
+
+Numba compiles loops over eight numbers into single steps where it cannot know that arrays do not overlap. These
+operations say it: eight numbers are loaded, worked on, and stored. `core.compiled` keeps kernels on disk and notices
+changes of a kernel's own file only: after a change here touch field_kernel.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from llvmlite import ir
+from numba.core import cgutils, types
+from numba.extending import intrinsic
+
+LANES = 8
+SMALLEST = 1e-290  # a cell below is 0: products stay clear of the slow numbers near the smallest
+_VECTOR = ir.VectorType(ir.DoubleType(), LANES)
+_WHOLE = ir.VectorType(ir.IntType(32), LANES)
+_INDEX = ir.IntType(32)
+
+
+@intrinsic
+def pointer(typing_context, array):  # type: ignore[no-untyped-def]
+    """The memory of an array, which the caller keeps alive: nobody counts references to it."""
+
+    def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return context.make_array(signature.args[0])(context, builder, arguments[0]).data
+
+    return types.CPointer(array.dtype)(array), code  # type: ignore[attr-defined]
+
+
+@intrinsic
+def load(typing_context, memory, index):  # type: ignore[no-untyped-def]
+    """One number."""
+
+    def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.load(builder.gep(arguments[0], [arguments[1]]))
+
+    return memory.dtype(memory, types.int64), code
+
+
+@intrinsic
+def store(typing_context, memory, index, value):  # type: ignore[no-untyped-def]
+    """Write one number."""
+
+    def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        builder.store(arguments[2], builder.gep(arguments[0], [arguments[1]]))
+        return context.get_dummy_value()
+
+    return types.void(memory, types.int64, memory.dtype), code
+
+
+@intrinsic
+def ask_for(typing_context, memory, index):  # type: ignore[no-untyped-def]
+    """Have a line of memory brought near, and go on meanwhile."""
+
+    def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        number = ir.IntType(32)
+        kinds = ir.FunctionType(ir.VoidType(), [cgutils.voidptr_t, number, number, number])
+        place = builder.bitcast(builder.gep(arguments[0], [arguments[1]]), cgutils.voidptr_t)
+        call = cgutils.get_or_insert_function(builder.module, kinds, "llvm.prefetch.p0")
+        builder.call(call, [place, number(1), number(3), number(1)])
+        return context.get_dummy_value()
+
+    return types.void(memory, types.int64), code
+
+
+@intrinsic
+def sum_line(typing_context, memory, index):  # type: ignore[no-untyped-def]
+    """Sum of eight numbers."""
+
+    def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return _sum(builder, _load(builder, arguments[0], arguments[1]))
+
+    return types.float64(memory, types.int64), code
+
+
+@intrinsic
+def sum_near(typing_context, memory, index, squares, dy2, r2):  # type: ignore[no-untyped-def]
+    """Sum of those of eight cells whose `squares` + dy2 is at most r2."""
+
+    def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        cells, index, squares, dy2, r2 = arguments
+        _, near = _near(builder, squares, dy2, r2)
+        return _sum(builder, builder.select(near, _load(builder, cells, index), _all(builder, 0.0)))
+
+    number = types.float64
+    return number(memory, types.int64, squares, number, number), code
+
+
+@intrinsic
+def multiply_near(typing_context, memory, index, squares, dy2, r2, factor):  # type: ignore[no-untyped-def]
+    """Multiply those of eight cells whose `squares` + dy2 is at most r2 by one factor; the sum of all eight."""
+
+    def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        cells, index, squares, dy2, r2, factor = arguments
+        _, near = _near(builder, squares, dy2, r2)
+        return _multiply(builder, cells, index, near, _all(builder, factor))
+
+    number = types.float64
+    return number(memory, types.int64, squares, number, number, number), code
+
+
+@intrinsic
+def multiply_by_table(typing_context, memory, index, squares, dy2, r2, scale, last, table):  # type: ignore[no-untyped-def]
+    """Multiply those of eight cells whose d2 = `squares` + dy2 is at most r2 by a table; the sum of all eight.
+
+    The factor is linear between the table's values at the whole numbers about sqrt(d2) scale, which is at most `last`.
+    """
+
+    def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        cells, index, squares, dy2, r2, scale, last, table = arguments
+        d2, near = _near(builder, squares, dy2, r2)
+        kinds = ir.FunctionType(_VECTOR, [_VECTOR])
+        root = cgutils.get_or_insert_function(builder.module, kinds, "llvm.sqrt.v8f64")
+        at = builder.fmul(builder.call(root, [d2]), _all(builder, scale))
+        most = _all(builder, last)
+        at = builder.select(builder.fcmp_ordered("<", at, most), at, most)
+        whole = builder.fptosi(at, _WHOLE)
+        low, high = ir.Constant(_VECTOR, ir.Undefined), ir.Constant(_VECTOR, ir.Undefined)
+        for lane in range(LANES):
+            number = builder.sext(builder.extract_element(whole, _INDEX(lane)), ir.IntType(64))
+            here = builder.gep(table, [number])
+            low = builder.insert_element(low, builder.load(here), _INDEX(lane))
+            high = builder.insert_element(high, builder.load(builder.gep(here, [_INDEX(1)])), _INDEX(lane))
+        part = builder.fsub(at, builder.sitofp(whole, _VECTOR))
+        factor = builder.fadd(low, builder.fmul(part, builder.fsub(high, low)))
+        return _multiply(builder, cells, index, near, factor)
+
+    number = types.float64
+    return number(memory, types.int64, squares, number, number, number, number, table), code
+
+
+def _load(builder: Any, memory: Any, index: Any) -> Any:
+    place = builder.bitcast(builder.gep(memory, [index]), _VECTOR.as_pointer())
+    return builder.load(place, align=8)
+
+
+def _all(builder: Any, value: Any) -> Any:
+    """A vector of one number."""
+    if isinstance(value, float):
+        return ir.Constant(_VECTOR, [value] * LANES)
+    one = builder.insert_element(ir.Constant(_VECTOR, ir.Undefined), value, _INDEX(0))
+    return _shuffled(builder, one, [0] * LANES)
+
+
+def _shuffled(builder: Any, vector: Any, lanes: Sequence[int]) -> Any:
+    chosen = ir.Constant(ir.VectorType(_INDEX, len(lanes)), list(lanes))
+    return builder.shuffle_vector(vector, ir.Constant(vector.type, ir.Undefined), chosen)
+
+
+def _sum(builder: Any, vector: Any) -> Any:
+    for half in (4, 2, 1):
+        low, high = _shuffled(builder, vector, range(half)), _shuffled(builder, vector, range(half, 2 * half))
+        vector = builder.fadd(low, high)
+    return builder.extract_element(vector, _INDEX(0))
+
+
+def _near(builder: Any, squares: Any, dy2: Any, r2: Any) -> tuple[Any, Any]:
+    d2 = builder.fadd(_load(builder, squares, ir.IntType(64)(0)), _all(builder, dy2))
+    return d2, builder.fcmp_ordered("<=", d2, _all(builder, r2))
+
+
+def _multiply(builder: Any, cells: Any, index: Any, near: Any, factor: Any) -> Any:
+    one = _all(builder, 1.0)
+    product = builder.fmul(_load(builder, cells, index), builder.select(near, factor, one))
+    enough = builder.fcmp_ordered(">=", product, _all(builder, SMALLEST))
+    product = builder.select(enough, product, _all(builder, 0.0))
+    place = builder.bitcast(builder.gep(cells, [index]), _VECTOR.as_pointer())
+    builder.store(product, place, align=8)
+    return _sum(builder, product)
