@@ -1,10 +1,11 @@
 """Kernels of two kinds of plants, where one kernel cannot make the stand's nearest neighbours.
 
 A kernel that invites multiplies with every plant of a clump. One strong enough to leave few strays tends to let the
-first clumps swallow all the rest. Here some plants come first, the founders, and keep apart; those that follow are drawn to founders, so strongly that few stand elsewhere, and act on one another by a
-kernel of their own. Then there are about as many clumps as founders. It is the sequential cousin of processes of
-parents and offspring; the parents are plants, too. Who was a founder in the measured stand is unknown and not asked:
-new stands and the stand are compared as plants of one kind.
+first clumps swallow all the rest. Here some plants come first, the founders, and keep apart; those that follow are
+drawn to founders, so strongly that few stand elsewhere, and act on one another by a kernel of their own. Then there are
+about as many clumps as founders. It is the sequential cousin of processes of parents and offspring; the parents are
+plants, too. Who was a founder in the measured stand is unknown and not asked: new stands and the stand are compared as
+plants of one kind.
 
 References
 ----------

@@ -112,6 +112,7 @@ from forestgen.recipe.sources import Keys
 
 _BYTES_PER_PLANT = 400  # at the peak: a state, its successor, the tables between them, the grid, and a snapshot
 _BYTES_PER_CELL = 32  # and a species, with one more for what is made of them
+_BYTES_PER_KERNEL = 2 * 8 * 1025  # of the matrix, once more while it is made
 _BYTES_AT_LEAST = 1024 * 1024
 
 
@@ -343,7 +344,8 @@ class KernelGrowth:
         plants = self.expected_plants(parameters, site, species)
         plants = min(plants + 6 * math.sqrt(plants), 1e30)
         cells = math.prod(_ground(parameters, site, species).shape) * (len(species) + 1)
-        return _BYTES_AT_LEAST + math.ceil(plants * _BYTES_PER_PLANT) + cells * _BYTES_PER_CELL
+        kernels = len(species) ** 2 * _BYTES_PER_KERNEL
+        return _BYTES_AT_LEAST + math.ceil(plants * _BYTES_PER_PLANT) + cells * _BYTES_PER_CELL + kernels
 
 
 def _ground(parameters: KernelGrowthParameters, site: Site, species: Sequence[SpeciesEcology]) -> Ground:
