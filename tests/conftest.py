@@ -11,6 +11,7 @@ import sys
 from collections.abc import Iterator
 
 import pytest
+from hypothesis import settings
 
 from forestgen.core.disk_cache import ENVIRONMENT
 
@@ -21,6 +22,10 @@ for _number, _handler in (
 ):
     if signal.getsignal(_number) == signal.SIG_IGN:
         signal.signal(_number, _handler)
+
+# A first call compiles kernels, and machines are shared: the time of one example says nothing.
+settings.register_profile("forestgen", deadline=None)
+settings.load_profile("forestgen")
 
 
 @pytest.fixture(scope="session", autouse=True)
