@@ -166,6 +166,7 @@ _NO_CONDITIONS = Conditions.model_validate({})
 _CELLS_PER_LENGTH = 8  # a radius, a reach in metres, or the plants' spacing
 _FEWEST_CELLS = 64  # along the site's longer side
 _MOST_PIXELS = 2048  # of a map, along its longer side, that its own detail asks for
+_IDLE, _MANY = 0.2, 100  # reach over spacing below which kernels hardly act, of so many plants
 _BLURRED = 2  # cells per length: with fewer, a note says so
 _BYTES_PER_CELL = 24  # of a field and what it sums up
 _BYTES_PER_CELL_MADE = 40  # of the one field that is being read from map and conditions
@@ -269,7 +270,7 @@ class DeformationKernel(PlacementModel):
         del densities
         placement = place(fields, layout.field_of[wanted.sp], wanted.r_m, kernels, uniform)
         why = {one.name: _why(i in barred) for i, one in enumerate(species)}
-        notes = _notes(parameters, site, layout, found, placement.position_m)
+        notes = [*_notes(parameters, site, layout, found), *_idle(parameters, site, species)]
         return placed_state(parameters, site, species, seed, wanted, placement.position_m, why, notes)
 
     def estimate_bytes(self, parameters: PlacementParameters, site: Site, species: Sequence[SpeciesEcology]) -> int:
@@ -339,7 +340,6 @@ def _notes(
     site: Site,
     layout: _Layout,
     found: Found | None,
-    position_m: NDArray[np.float64],
 ) -> list[str]:
     notes = []
     cell_m = max(site.size_m) / layout.cells
@@ -355,6 +355,27 @@ def _notes(
         elif found.misses(target):
             notes.append(f"a Hopkins index of {target:g} was asked for, {found.hopkins:.2g} is as near as it comes")
     return notes
+
+
+def _idle(parameters: DeformationKernelParameters, site: Site, species: Sequence[SpeciesEcology]) -> list[str]:
+    """A note if many plants stand so far apart that their kernels hardly ever meet another plant."""
+    if isinstance(parameters.kernels, HopkinsTarget):
+        return []
+    counts = plant_counts(parameters, site, species)
+    spacing_m = math.sqrt(site.area_m2 / max(1, int(counts.sum())))
+    reaches = [0.0]
+    kernels = kernel_matrix(parameters.kernels, [one.name for one in species])
+    for j, one in enumerate(species):
+        if counts[j]:
+            sizes = parameters.plants[one.name].radius_m
+            median_m = sizes.median if sizes else one.max_radius_m / 2
+            reaches += [float(row[j].reach_m(median_m)) for row in kernels if not row[j].is_neutral]
+    if counts.sum() < _MANY or not 0.0 < max(reaches) < _IDLE * spacing_m:
+        return []
+    return [
+        f"kernels hardly act: they reach {max(reaches):.2g} m, and plants stand {spacing_m:.2g} m apart; "
+        "give larger radii, a kernel with distance: metres, or a target ({hopkins: ...})"
+    ]
 
 
 MODEL = DeformationKernel()

@@ -163,3 +163,11 @@ def test_resuming_needs_no_field(tree):
     state = placed({"tree": {"count": 30}}, [tree()], "inhibition", steps=5)
     again = MODEL.resume(state.parameters, SITE, [tree()], 0, MODEL.population(MODEL.step(state)))
     assert dataclasses.replace(MODEL.step(state), plants=again.plants) == again
+
+
+@pytest.mark.parametrize(
+    ("radius_m", "kernels", "idle"), [(0.02, "clustering", True), (0.5, "clustering", False), (0.02, "neutral", False)]
+)
+def test_kernels_that_never_meet_a_plant_are_told(radius_m, kernels, idle, tree):
+    notes = placed({"tree": {"count": 150, "radius_m": radius_m}}, [tree()], kernels).notes
+    assert [note.startswith("kernels hardly act") for note in notes if "blurred" not in note] == [True] * idle
