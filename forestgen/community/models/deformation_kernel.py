@@ -135,6 +135,7 @@ from forestgen.community.placement.densities import (
     cells_for,
     grid_shape,
     plant_counts,
+    sizes_of,
     species_density,
 )
 from forestgen.community.placement.field import DensityField, place
@@ -237,15 +238,22 @@ def _length_m(
     lengths = [math.sqrt(site.area_m2 / max(1, int(counts.sum())))]
     if isinstance(parameters.kernels, HopkinsTarget):
         return lengths[0]
+    for reach_m, median_m, in_radii in _acting(parameters, species, counts):
+        lengths.append(min(reach_m, median_m if in_radii else math.inf))
+    return min(lengths)
+
+
+def _acting(
+    parameters: DeformationKernelParameters, species: Sequence[SpeciesEcology], counts: NDArray[np.int64]
+) -> Iterator[tuple[float, float, bool]]:
+    """Of each kernel that acts: its reach about a plant of median radius; that radius; whether it counts in radii."""
+    assert not isinstance(parameters.kernels, HopkinsTarget)
     kernels = kernel_matrix(parameters.kernels, [one.name for one in species])
     for j, one in enumerate(species):
-        acting = [row[j] for row in kernels if not row[j].is_neutral]
-        if not counts[j] or not acting:
-            continue
-        sizes = parameters.plants[one.name].radius_m
-        median_m = sizes.median if sizes else one.max_radius_m / 2
-        lengths += [min(float(table.reach_m(median_m)), median_m if table.in_radii else math.inf) for table in acting]
-    return min(lengths)
+        if counts[j]:
+            median_m = sizes_of(parameters.plants[one.name].radius_m, one).median
+            acting = [row[j] for row in kernels if not row[j].is_neutral]
+            yield from ((float(table.reach_m(median_m)), median_m, table.in_radii) for table in acting)
 
 
 class DeformationKernel(PlacementModel):
@@ -363,17 +371,11 @@ def _idle(parameters: DeformationKernelParameters, site: Site, species: Sequence
         return []
     counts = plant_counts(parameters, site, species)
     spacing_m = math.sqrt(site.area_m2 / max(1, int(counts.sum())))
-    reaches = [0.0]
-    kernels = kernel_matrix(parameters.kernels, [one.name for one in species])
-    for j, one in enumerate(species):
-        if counts[j]:
-            sizes = parameters.plants[one.name].radius_m
-            median_m = sizes.median if sizes else one.max_radius_m / 2
-            reaches += [float(row[j].reach_m(median_m)) for row in kernels if not row[j].is_neutral]
-    if counts.sum() < _MANY or not 0.0 < max(reaches) < _IDLE * spacing_m:
+    reach_m = max((one for one, _, _ in _acting(parameters, species, counts)), default=0.0)
+    if counts.sum() < _MANY or not 0.0 < reach_m < _IDLE * spacing_m:
         return []
     return [
-        f"kernels hardly act: they reach {max(reaches):.2g} m, and plants stand {spacing_m:.2g} m apart; "
+        f"kernels hardly act: they reach {reach_m:.2g} m, and plants stand {spacing_m:.2g} m apart; "
         "give larger radii, a kernel with distance: metres, or a target ({hopkins: ...})"
     ]
 

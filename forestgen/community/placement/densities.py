@@ -117,13 +117,18 @@ def check_sizes(parameters: PlacementParameters, species: Sequence[SpeciesEcolog
             )
 
 
+def sizes_of(sizes: Sizes | None, species: SpeciesEcology) -> Sizes:
+    """A stand's sizes, or those of a stand that says nothing of them."""
+    return sizes or Sizes(median=species.max_radius_m / 2, sigma=0.4)
+
+
 def draw_radii(sizes: Sizes | None, species: SpeciesEcology, n: int, rng: np.random.Generator) -> NDArray[np.float64]:
     """(n,) radii in metres: log-normal, cut off at the species' largest.
 
     By inverse transformation: u, uniform in [0, 1), times the distribution's value at the largest radius R, is the
     value at the radius drawn. So a plant's radius depends on its own u alone, and the part below R keeps its shape.
     """
-    chosen = sizes or Sizes(median=species.max_radius_m / 2, sigma=0.4)
+    chosen = sizes_of(sizes, species)
     uniform = rng.random(n)
     if chosen.sigma == 0:
         return np.full(n, min(chosen.median, species.max_radius_m))

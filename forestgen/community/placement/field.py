@@ -78,26 +78,6 @@ class DensityField:
 
         return float(total_of(self._fields.trees, self._index))
 
-    def at(self, position_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(N,) values of the cells at (N, 2) places on the site, metres."""
-        rows, cols = self.shape
-        size = np.array(self.size_m)
-        cell = np.minimum((np.asarray(position_m) / size * (cols, rows)).astype(np.int64), (cols - 1, rows - 1))
-        values: NDArray[np.float64] = self._fields.strips(self._index)[
-            cell[:, 0] // LANES, cell[:, 1], cell[:, 0] % LANES
-        ]
-        return values
-
-    def multiply(self, factor: NDArray[np.float64]) -> None:
-        """Multiply by (rows, cols) factors, >= 0 and finite; all sums are taken anew, once."""
-        factor = np.asarray(factor, dtype=np.float64)
-        if not (np.all(factor >= 0.0) and factor.max() <= GREATEST):
-            raise ValueError(f"factors of a density are numbers from 0 to {GREATEST:g}")
-        if factor.shape != self.shape:
-            raise ValueError(f"a field of shape {self.shape} needs as many factors, got {factor.shape}")
-        self._alone().multiply_grid(factor)
-        self._changed()
-
     def deform(self, position_m: NDArray[np.float64], radius_m: NDArray[np.float64], kernel: KernelTable) -> None:
         """Multiply by the kernels of plants at (N, 2) places with (N,) radii, metres."""
         from forestgen.community.placement.field_kernel import place_all
@@ -243,12 +223,6 @@ class _Fields:
         for strip, ours in enumerate(self.strips(0)):
             theirs = cells[:, strip * LANES : (strip + 1) * LANES]
             ours[:, : theirs.shape[1]] = theirs
-
-    def multiply_grid(self, factor: NDArray[np.float64]) -> None:
-        """Multiply the first field's cells by (rows, cols) factors; its sums stay."""
-        for strip, ours in enumerate(self.strips(0)):
-            theirs = factor[:, strip * LANES : (strip + 1) * LANES]
-            ours[:, : theirs.shape[1]] *= theirs
 
     def taken(self, which: Sequence[int]) -> _Fields:
         """Some of the fields, copied."""

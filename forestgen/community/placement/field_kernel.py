@@ -16,8 +16,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.community.placement.field import LANES
 from forestgen.community.placement.field_lanes import (
-    LANES,
     SMALLEST,
     ask_for,
     load,

@@ -14,7 +14,8 @@ from llvmlite import ir
 from numba.core import cgutils, types
 from numba.extending import intrinsic
 
-LANES = 8
+from forestgen.community.placement.field import LANES
+
 SMALLEST = 1e-290  # a cell below is 0: products stay clear of the slow numbers near the smallest
 _VECTOR = ir.VectorType(ir.DoubleType(), LANES)
 _WHOLE = ir.VectorType(ir.IntType(32), LANES)
