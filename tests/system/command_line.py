@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -69,6 +70,22 @@ def start(*arguments: str | Path, cwd: Path | None = None) -> subprocess.Popen[s
         env={name: value for name, value in os.environ.items() if name != "FORESTGEN_DEBUG"},
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL) and None,
     )
+
+
+def wait_for_handler(process: subprocess.Popen[str], number: signal.Signals) -> None:
+    """Until the process has its own handling of a signal; before, Python itself is still starting and dies silently.
+
+    A process that ends meanwhile is left for the caller to judge.
+    """
+    status = Path(f"/proc/{process.pid}/status")
+    if not status.exists():  # no Linux: as long as a start takes
+        time.sleep(1.0)
+        return
+    while process.poll() is None:
+        caught = next((line for line in status.read_text().splitlines() if line.startswith("SigCgt:")), "SigCgt: 0")
+        if int(caught.split()[1], 16) >> (number - 1) & 1:
+            return
+        time.sleep(0.01)
 
 
 def tiny(folder: Path, *swaps: tuple[str, str]) -> Path:

@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 
 import pytest
-from command_line import CAMERAS, run, start, tiny, tree
+from command_line import CAMERAS, run, start, tiny, tree, wait_for_handler
 
 from forestgen.dataset.files import output_error
 
@@ -365,6 +365,7 @@ def test_of_a_plants_files_all_appear_or_none(tmp_path: Path, monkeypatch: pytes
 def test_a_stopped_run_leaves_nothing(number: signal.Signals, code: int, delay_s: float, tmp_path: Path) -> None:
     quickstart = Path(__file__).parents[2] / "recipes" / "quickstart.yaml"
     process = start("render", quickstart, "--set", "render.samples=4096", "-o", tmp_path / "out")
+    wait_for_handler(process, number)
     time.sleep(delay_s)
     process.send_signal(number)
     asked = time.monotonic()
