@@ -17,7 +17,7 @@ import numpy as np
 
 from forestgen.core.timing import Timings
 from forestgen.render.build import load, origin_of, plants_dict, sensor_of, sky_emitter, to_mesh
-from forestgen.render.identity import trace_identity
+from forestgen.render.identity import SceneTracer, trace_identity
 from forestgen.render.radiance import scene_dict
 from forestgen.render.variant import SCALAR, mitsuba
 from forestgen.scene.spec import SceneSpec
@@ -43,7 +43,9 @@ def build_scene(spec: SceneSpec) -> None:
 
 
 def identity(spec: SceneSpec) -> np.ndarray:
-    return trace_identity(spec, spec.cameras[0], samples=1, timer=Timings(), advance=lambda rows: None).plant_id
+    tracer = SceneTracer(spec, Timings())
+    traced, _ = trace_identity(tracer, spec.cameras[0], samples=1, timer=Timings(), advance=lambda rows: None)
+    return traced.plant_id
 
 
 def aov(spec: SceneSpec) -> np.ndarray:

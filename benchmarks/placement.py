@@ -16,7 +16,7 @@ from time import perf_counter, process_time
 import numpy as np
 
 from forestgen.community.placement.field import DensityField, place
-from forestgen.community.placement.field_kernel import build
+from forestgen.community.placement.field_trees import build
 from forestgen.community.placement.kernels import SAMPLES, KernelTable
 from forestgen.testing.lane_algorithms import algorithm_5_2
 

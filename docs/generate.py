@@ -37,8 +37,12 @@ _SECTIONS = {
     "Sun": "sky.sun",
     "Clouds": "sky.clouds",
     "Camera": "cameras (each)",
+    "CameraPath": "cameras: path",
     "Render": "render",
     "Labels": "labels",
+    "Wind": "wind",
+    "Dataset": "dataset",
+    "Licence": "dataset.licence",
     "Species": "species (each)",
     "Ecology": "species: ecology",
     "Allometry": "species: allometry",
@@ -54,10 +58,19 @@ def pages() -> dict[Path, str]:
     made[DOCS / "figures.md"] = figures_page()
     made[DOCS / "models" / "plant.md"] = plant_page()
     made[DOCS / "models" / "variation.md"] = variation_page()
+    made[DOCS / "plants_table.md"] = plants_table_page()
     for registry in (COMMUNITY_MODELS, ENVIRONMENTS, GENERATORS):
         for name in registry.ids():
             made[DOCS / "models" / f"{name}.md"] = model_page(registry, name)
     return made
+
+
+def plants_table_page() -> str:
+    """Columns of plants.parquet."""
+    from forestgen.dataset import tables
+
+    title, _, rest = (tables.__doc__ or "").strip().partition("\n\n")
+    return f"{_NOTICE}\n# plants.parquet\n\n{title.partition(': ')[2].capitalize()}\n\n{rest}\n"
 
 
 def recipe_page() -> str:

@@ -18,6 +18,8 @@ kernel_field.png                kernel_field     a field as plants deform it (Fi
 placement_models.png            placement_models all placement models
 densities.png                   densities        what `forestgen simulate` shows
 
+and, by docs/label_pictures.py, labels.jpg: a view and its labels.
+
 With names behind it, `uv run python docs/pictures.py self_thinning succession_maps`, it makes these alone.
 The plants' pictures, library.jpg and species/, are made by docs/species_sheet.py.
 """
@@ -30,6 +32,7 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
+import label_pictures
 import numpy as np
 import placement_pictures
 from PIL import Image
@@ -145,6 +148,7 @@ PICTURES_OF = {
         one.__name__: one for one in (quickstart, succession, succession_maps, propagation_maps, self_thinning, figures)
     },
     **placement_pictures.PICTURES_OF,
+    "labels": label_pictures.labels,
 }
 
 

@@ -5,7 +5,7 @@ recipe -> community -> plants -> scene -> render -> labels -> dataset
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -13,22 +13,27 @@ from typing import Any
 from forestgen.community.population import Population
 from forestgen.core.progress import Progress
 from forestgen.core.timing import Timings
-from forestgen.dataset.coco import FrameRecord
 from forestgen.dataset.folder import OutputFolder
 from forestgen.dataset.manifest import build_manifest, write_manifest
 from forestgen.dataset.maps import write_maps
+from forestgen.dataset.settings import DatasetSettings
 from forestgen.dataset.writer import frame_bytes, frame_folder_name, write_dataset, write_frame
+from forestgen.labels.labelled import LabelledFrame, label_frame
 from forestgen.recipe.hashing import recipe_hash
 from forestgen.recipe.load import LoadedRecipe, dump_yaml
 from forestgen.render.frame import Frame
+from forestgen.render.identity import SceneTracer
 from forestgen.render.variant import mitsuba
 from forestgen.scene.exemplars import SizeError
+from forestgen.scene.plant_measures import PlantMeter
 from forestgen.stages.community import final_population, snapshots
+from forestgen.stages.data_set import check_one_data_set, class_map, data_set_of
 from forestgen.stages.frames import render_frame
 from forestgen.stages.plan import Plan, check_memory, check_plan, make_plan, views_below_ground, why_barren
 from forestgen.stages.scene import BuiltScene, build_scene
 
-_GUESSED_PLANTS = 5000  # a frame's rows, for the disk space to ask for
+_GUESSED_PLANTS = 5000  # a frame's rows at most, for the disk space to ask for
+_PIXELS_A_PLANT = 40  # and no more than one in so many
 
 
 @dataclass
@@ -65,27 +70,37 @@ def render(
     with timings("load Mitsuba"):
         mitsuba(threads)
     summary = RunSummary(target)
-    frames: list[FrameRecord] = []
+    settings = data_set_of(plan.drawn)
+    for drawn in loaded.probes():
+        check_one_data_set(drawn, settings)
+    frames: list[Path] = []
     seeds: list[int] = []
     with OutputFolder(target, overwrite=overwrite, required_bytes=_disk_bytes(loaded, plan)) as folder:
         with progress.stage("images", loaded.images) as advance:
             for index in range(loaded.images):
                 plan = make_plan(loaded.draw(index))
                 check_memory(plan)
+                check_one_data_set(plan.drawn, settings)
                 seeds.append(plan.drawn.image_seed)
-                frames += _render_image(plan, loaded, folder, summary, progress, timings)
+                frames += _render_image(plan, loaded, settings, folder, summary, progress, timings)
                 advance(1)
         with timings("write"):
-            write_dataset(folder, frames, list(plan.drawn.species))
+            write_dataset(folder, frames, settings)
         summary.timings_s, summary.total_s = dict(timings.seconds), timings.total()
         write_manifest(folder, _manifest(folder, loaded, seeds, summary))
     return summary
 
 
 def _render_image(
-    plan: Plan, loaded: LoadedRecipe, folder: Path, summary: RunSummary, progress: Progress, timings: Timings
-) -> list[FrameRecord]:
-    """One drawn recipe: its community, its scene, and a frame of each camera."""
+    plan: Plan,
+    loaded: LoadedRecipe,
+    settings: DatasetSettings,
+    folder: Path,
+    summary: RunSummary,
+    progress: Progress,
+    timings: Timings,
+) -> list[Path]:
+    """One drawn recipe: its community, its scene, and a frame of each camera; their folders."""
     with timings("community"):
         population = final_population(plan, progress)
     check_memory(plan, plants=len(population))
@@ -93,22 +108,37 @@ def _render_image(
     built = build_scene(plan, population, progress, timings)
     drawn = plan.drawn
     stored = replace(drawn, data=write_maps(folder, drawn.data, drawn.folder))
-    records = []
-    for camera in built.spec.cameras:
-        frame = render_frame(built.spec, camera, plan.drawn.recipe, plan.drawn.image_seed, progress, timings)
+    yaml, folders = dump_yaml(stored), []
+    for labelled in _shots(plan, built, progress, timings):
+        folders.append(folder / frame_folder_name(drawn.image_index, labelled.frame.camera.name))
         with timings("write"):
-            record = write_frame(
-                folder / frame_folder_name(plan.drawn.image_index, camera.name),
-                frame,
-                built.population,
-                list(plan.drawn.species),
-                dump_yaml(stored),
-                _header(plan, loaded, frame),
-            )
-        records.append(record)
-        _account(summary, record, built, plan, camera.name)
+            write_frame(folders[-1], labelled, yaml, _header(plan, loaded, labelled.frame), settings)
+        _account(summary, labelled, folders[-1].name, built, plan)
+        del labelled  # before the next one is made
     summary.images.append(_image_report(plan, built))
-    return records
+    return folders
+
+
+def _shots(plan: Plan, built: BuiltScene, progress: Progress, timings: Timings) -> Iterator[LabelledFrame]:
+    """The frames of all cameras; what does not change between two of them is set up once."""
+    recipe, classes = plan.drawn.recipe, class_map(plan.drawn)
+    with timings("measures"):
+        meter = PlantMeter(built.spec.exemplars)
+    tracer: SceneTracer | None = None
+    for camera in built.spec.cameras:
+        spec = built.at(camera.time_s)
+        if tracer is None or tracer.spec is not spec:
+            tracer = None  # one scene at a time in memory
+            tracer = SceneTracer(spec, timings)
+            with timings("measures"):
+                measures = meter.measure(spec.instances)
+        following = built.next_view(camera)
+        frame = render_frame(tracer, camera, recipe, plan.drawn.image_seed, progress, timings, following)
+        with timings("labels"):
+            labelled = label_frame(frame, built.population, classes, measures, recipe.labels.channels)
+        del frame
+        yield labelled
+        del labelled  # one frame at a time in memory
 
 
 def _header(plan: Plan, loaded: LoadedRecipe, frame: Frame) -> dict[str, str]:
@@ -167,7 +197,16 @@ def simulate(
 
 
 def _disk_bytes(loaded: LoadedRecipe, plan: Plan) -> int:
-    sizes = [frame_bytes(camera.size_px, _GUESSED_PLANTS) for camera in plan.drawn.recipe.cameras]
+    recipe = plan.drawn.recipe
+    sizes = [
+        camera.frames
+        * frame_bytes(
+            camera.size_px,
+            min(_GUESSED_PLANTS, camera.size_px[0] * camera.size_px[1] // _PIXELS_A_PLANT),
+            recipe.dataset.formats,
+        )
+        for camera in recipe.cameras
+    ]
     return loaded.images * sum(sizes)
 
 
@@ -179,16 +218,16 @@ def _empty_site(plan: Plan) -> str:
     return why_barren(plan) or f"no plant lives on the site at step {plan.steps}"
 
 
-def _account(summary: RunSummary, record: FrameRecord, built: BuiltScene, plan: Plan, camera: str) -> None:
+def _account(summary: RunSummary, labelled: LabelledFrame, name: str, built: BuiltScene, plan: Plan) -> None:
     summary.frames += 1
     summary.plants, summary.counts = len(built.population), _counts(built.population)
-    summary.visible_plants = len(record.annotations)
+    summary.visible_plants = int(labelled.views.visible.has_box.sum())
     summary.size_errors = built.size_errors
     if not len(built.population):
-        summary.notes.append(f"{record.folder_name} shows bare ground: {_empty_site(plan)}")
-    elif not record.annotations:
-        reason = "stands below the ground" if camera in views_below_ground(plan) else "sees no plant"
-        summary.notes.append(f"{record.folder_name}: the camera {reason}")
+        summary.notes.append(f"{name} shows bare ground: {_empty_site(plan)}")
+    elif not summary.visible_plants:
+        below = labelled.frame.camera.name in views_below_ground(plan)
+        summary.notes.append(f"{name}: the camera {'stands below the ground' if below else 'sees no plant'}")
 
 
 def _manifest(folder: Path, loaded: LoadedRecipe, seeds: list[int], summary: RunSummary) -> dict[str, Any]:

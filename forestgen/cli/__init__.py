@@ -10,6 +10,7 @@ import typer
 from forestgen import __version__
 from forestgen.cli.console import Bars, errors_for_people
 from forestgen.cli.fit_kernel import fit_kernel
+from forestgen.cli.labels import app as labels
 from forestgen.cli.variadic import RadiiCommand
 
 
@@ -352,6 +353,9 @@ def derive_lsystem(
     from forestgen.cli import lsystem
 
     lsystem.lsystem(file, steps, seed, form, settings or [], most_modules)
+
+
+app.add_typer(labels)
 
 
 @app.command("doctor", epilog="Example: forestgen doctor")

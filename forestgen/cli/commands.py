@@ -152,10 +152,11 @@ def validate(recipe: Path, overrides: Sequence[str]) -> None:
 def _described(loaded: LoadedRecipe, plan: Plan) -> Iterator[tuple[str, str]]:
     drawn = plan.drawn.recipe
     cameras, width, height = drawn.cameras, drawn.site.size_m[0], drawn.site.size_m[1]
-    images = count(loaded.images, "image")
-    yield "makes", f"{count(loaded.images * len(cameras), 'frame')}: {images} x {count(len(cameras), 'camera')}"
+    images, frames = count(loaded.images, "image"), sum(camera.frames for camera in cameras)
+    yield "makes", f"{count(loaded.images * frames, 'frame')}: {images} x {count(len(cameras), 'camera')}"
     for camera in cameras[:_MOST_NOTES]:
-        yield "", f"{camera.name}, {camera.size_px[0]} x {camera.size_px[1]} px"
+        along = f", {camera.frames} along its path" if camera.frames > 1 else ""
+        yield "", f"{camera.name}, {camera.size_px[0]} x {camera.size_px[1]} px{along}"
     if len(cameras) > _MOST_NOTES:
         yield "", "..."
     yield "site", f"{width:g} x {height:g} m, {drawn.site.terrain.kind}"

@@ -6,6 +6,7 @@
 3    this machine lacks memory or a library
 4    a result cannot be written
 5    the renderer failed
+6    a data set's files are damaged or contradict each other
 70   a bug in forestgen
 129  the terminal was closed; 130: interrupted (Ctrl-C); 143: terminated. Nothing is left half-written.
 141  the reader of the output has left, as `head` does

@@ -29,8 +29,15 @@ def fit_kernel(
         ),
     ] = None,
     species: Annotated[
-        str, typer.Option("--species", metavar="NAME", help="What new plants look like: a species of the library.")
-    ] = "poplar",
+        Optional[str],  # noqa: UP045
+        typer.Option(
+            "--species",
+            metavar="NAME",
+            help="What new plants look like: a species of the library; by default poplar, where the library does not "
+            "know the names in the file.",
+            show_default=False,
+        ),
+    ] = None,
     target: Annotated[
         Optional[Path],  # noqa: UP045
         typer.Option(

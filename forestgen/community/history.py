@@ -1,7 +1,8 @@
 """The history of a community as a Parquet table: one row a plant a snapshot, in the snapshots' order.
 
-Columns: ``time_yr`` and those of `Population` (position as ``x_m``, ``y_m``, ``z_m``); a model's own columns follow,
-with ``model.`` before their name. The file's metadata, JSON under ``forestgen.community``, names the species, each
+Columns: ``time_yr``, ``step`` and those of `Population` (position as ``x_m``, ``y_m``, ``z_m``), with ``species_name``
+beside the index ``species``, as text with a dictionary; a model's own columns follow, with ``model.`` before their
+name. The file's metadata, JSON under ``forestgen.community``, names the species, each
 snapshot's time, number of plants (a snapshot without plants has no rows), step and state, and the origin: what the
 simulation was started with, so that `forestgen.stages.resume` can tell whether a recipe continues it. A snapshot is one
 row group, and is read alone. The same snapshots give the same bytes.
@@ -29,8 +30,10 @@ _KEY = b"forestgen.community"
 _VERSION = 2
 _COLUMNS = {
     "time_yr": pa.float64(),
+    "step": pa.uint32(),
     "plant_id": pa.uint32(),
     "species": pa.uint16(),
+    "species_name": pa.dictionary(pa.uint16(), pa.string()),
     "x_m": pa.float64(),
     "y_m": pa.float64(),
     "z_m": pa.float64(),
@@ -41,11 +44,19 @@ _COLUMNS = {
 }
 
 
+_FOR_PEOPLE = ("step", "species_name")  # a snapshot has them from elsewhere; older files lack them
+
+
 def _table(population: Population) -> Any:
+    names = pa.DictionaryArray.from_arrays(
+        pa.array(population.species, type=pa.uint16()), pa.array(population.species_names, type=pa.string())
+    )
     columns = {
         "time_yr": np.full(len(population), population.time_yr),
+        "step": np.full(len(population), population.step),
         "plant_id": population.plant_id,
         "species": population.species,
+        "species_name": names,
         "x_m": population.position_m[:, 0].copy(),
         "y_m": population.position_m[:, 1].copy(),
         "z_m": population.position_m[:, 2].copy(),
@@ -55,7 +66,12 @@ def _table(population: Population) -> Any:
         "status": population.status,
     }
     columns.update({_OWN + name: values for name, values in population.columns.items()})
-    return pa.table({name: pa.array(values, type=_COLUMNS.get(name)) for name, values in columns.items()})
+    return pa.table(
+        {
+            name: values if values is names else pa.array(values, type=_COLUMNS.get(name))
+            for name, values in columns.items()
+        }
+    )
 
 
 def _write(path: Path, populations: Iterable[Population], origin: Mapping[str, Any]) -> None:
@@ -134,8 +150,10 @@ class History:
         plants = [n for _, n, _, _ in self._snapshots]
         group = list(accumulate((n > 0 for n in plants), initial=0))  # snapshots without plants have none
         with _readable(self.path) as file:
+            needed = [name for name in file.schema_arrow.names if name not in _FOR_PEOPLE]
+            nobody = file.schema_arrow.empty_table().select(needed)
             for index in indices:
-                table = file.read_row_group(group[index]) if plants[index] else file.schema_arrow.empty_table()
+                table = file.read_row_group(group[index], columns=needed) if plants[index] else nobody
                 yield self._population(table, index)
 
     def _population(self, table: Any, index: int) -> Population:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import ClassVar, Protocol, Self, TypeVar
+from typing import Any, ClassVar, Protocol, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from forestgen.community.disturbance import Disturbance, Ground, Planting
 from forestgen.community.population import Population
 from forestgen.core.randomness import child_rng
 from forestgen.recipe.fields import Whole, mistake
+from forestgen.recipe.messages import show
 from forestgen.recipe.sources import Keys
 
 GroundHeight = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
@@ -87,6 +88,22 @@ class CommunityParameters(BaseModel):
         (), description="fellings, fires and plantings, in the order in which those of one step are applied"
     )
 
+    @model_validator(mode="before")
+    @classmethod
+    def _no_keys_of_another_model(cls, data: Any) -> Any:
+        """A key left over from another model is told as such: a similar key of this one would mean something else."""
+        strange = [str(key) for key in data if key not in cls.model_fields] if isinstance(data, Mapping) else []
+        for key in strange:
+            if knows := _models_with(key):
+                raise mistake(
+                    f"one of {', '.join(cls.model_fields)}",
+                    problem=f"another model's key, {key!r}",
+                    got=show(data[key]),
+                    hint=f"{key} is a key of {', '.join(knows)}: choose that as community.model, or leave the key out",
+                    at=(key,),
+                )
+        return data
+
     @field_validator("disturbances", mode="before")
     @classmethod
     def _none_is_an_empty_list(cls, value: object) -> object:
@@ -109,6 +126,13 @@ class CommunityParameters(BaseModel):
         for index, one in enumerate(self.disturbances):
             for keys, name in one.named_species():
                 yield ("disturbances", index, *keys), name
+
+
+def _models_with(key: str) -> list[str]:
+    """Names of the community models whose parameters have this key."""
+    from forestgen.community.registry import COMMUNITY_MODELS  # imports all models: only for a mistake
+
+    return [name for name in COMMUNITY_MODELS.ids() if key in COMMUNITY_MODELS.load(name).Parameters.model_fields]
 
 
 class CommunityModel(Protocol[P, S]):

@@ -24,6 +24,7 @@ _MOST_ROWS = 6  # of species, the first of them
 _MOST_SHOWN = 640  # cells along a picture's longer side
 _MOST_DOTS = 100_000  # of a species; more would be a blot
 _PANEL_IN = 4.6
+_WIDE, _DECADES = 100, 4  # times a tenth's density: a top beyond needs a logarithmic scale, of at most so many decades
 _COLOURS = ("#FDFCF9", "#F6EDCB", "#E4E2A8", "#BFD695", "#93C492", "#6BB09A")  # none ... most; dots are darker still
 _BARRED = "#5B5B5B"
 
@@ -33,7 +34,8 @@ def plot_densities(
 ) -> None:
     """A row for each species, as a PNG: the density asked for under the plants, and beside it the field that is left.
 
-    Ground that the recipe bars is hatched. Only a model with kernels leaves a field. At most six species are shown.
+    Ground that the recipe bars is hatched. Only a model with kernels leaves a field. At most six species are shown. The
+    scale is logarithmic where a tenth of the ground that has any density has less than a hundredth of the largest.
     """
     colours = colours_of(species_colours, placed.species_names)
     names = [name for name in densities.asked if densities.asked[name] or _any_plant(placed, name)][:_MOST_ROWS]
@@ -47,13 +49,15 @@ def plot_densities(
     axes = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
     for row, name in enumerate(names):
         asked = densities.asked_per_ha[name]
-        shown = draw_field(axes[row, 0], asked, site, densities.barred)
+        shown = draw_field(axes[row, 0], asked, site, densities.barred, logarithmic=_is_wide(asked))
         points_m = _points(placed, name)
         draw_dots(axes[row, 0], points_m, site, colours[name])
         axes[row, 0].set_title(_title(name, densities.asked[name], len(points_m)), fontsize=11)
         _bar(shown, "asked for, plants per hectare")
         if left is not None:
-            field = draw_field(axes[row, 1], left[name], site, densities.barred, least_top=float(asked.max()))
+            field = draw_field(
+                axes[row, 1], left[name], site, densities.barred, float(asked.max()), logarithmic=_is_wide(left[name])
+            )
             axes[row, 1].set_title(f"{name}: the field after all plants", fontsize=11)
             _bar(field, "plants per hectare, times κ", beyond=left[name].max() > (field.norm.vmax or 0))
         axes[row, 0].set_ylabel("y, north (m)")
@@ -62,12 +66,21 @@ def plot_densities(
     save_figure(figure, path)
 
 
+def _is_wide(density: NDArray[np.float64]) -> bool:
+    some = density[density > 0]
+    return len(some) > 0 and float(np.quantile(some, 0.995)) > _WIDE * float(np.quantile(some, 0.1))
+
+
 def _bar(image: AxesImage, label: str, beyond: bool = False) -> None:
     """A colour bar beside the picture; `beyond`: some cells lie above its top."""
     figure = image.get_figure(root=True)
     assert figure is not None
     extend = "max" if beyond else "neither"
-    figure.colorbar(image, ax=image.axes, label=label, extend=extend, format=_number, aspect=28, pad=0.02)
+    logarithmic = image.norm.vmin != 0
+    label += ", logarithmic" if logarithmic else ""
+    bar = figure.colorbar(image, ax=image.axes, label=label, extend=extend, format=_number, aspect=28, pad=0.02)
+    if logarithmic:
+        bar.ax.yaxis.set_minor_formatter("")
 
 
 def _number(value: float, _: object) -> str:
@@ -99,21 +112,26 @@ def draw_field(
     site: Site,
     barred: NDArray[np.bool_] | None = None,
     least_top: float = 0.0,
+    *,
+    logarithmic: bool = False,
 ) -> AxesImage:
     """A density over the site, paper where there is none; ground that is barred is hatched.
 
     The darkest colour is that of the largest cell, but for a few in a thousand, which clusters may lift far above all
-    others; and of `least_top` at least.
+    others; and of `least_top` at least. A logarithmic scale ends four decades below: what is less is paper.
     """
-    from matplotlib.colors import LinearSegmentedColormap
+    from matplotlib.colors import LinearSegmentedColormap, LogNorm, Normalize
 
     width, height = site.size_m
     some = density[density > 0]
     top = max(least_top, float(np.quantile(some, 0.995)) if len(some) else 0.0) or 1.0
-    palette = LinearSegmentedColormap.from_list("density", _COLOURS)
+    palette = LinearSegmentedColormap.from_list("density", _COLOURS).with_extremes(
+        bad=_COLOURS[0]
+    )  # 0 has no logarithm
+    least = max(top / 10**_DECADES, float(some.min()) / 3 if len(some) else 0.0)  # what is least is not paper yet
     image = axes.imshow(
-        _fewer(density), origin="lower", extent=(0, width, 0, height), cmap=palette, vmin=0.0, vmax=top,
-        interpolation="nearest", aspect="equal",
+        _fewer(density), origin="lower", extent=(0, width, 0, height), cmap=palette,
+        norm=LogNorm(least, top) if logarithmic else Normalize(0.0, top), interpolation="nearest", aspect="equal",
     )  # fmt: skip
     if barred is not None and barred.any():
         _hatch(axes, _fewer(barred.astype(np.float64)), site)
@@ -153,7 +171,7 @@ def draw_dots(axes: Axes, points_m: NDArray[np.float64], site: Site, colour: str
     crowded = max(1.0, len(points_m) * longest**2 / site.area_m2)
     dots = axes.scatter(
         points_m[:, 0], points_m[:, 1], s=float(np.clip(6000 / crowded, 0.12, 22.0)), color=[darker(colour)],
-        edgecolors="white" if crowded < 600 else "none", linewidths=0.35, zorder=3,
+        edgecolors="white" if crowded < 600 else "none", linewidths=0.35, zorder=3, clip_on=crowded >= 600,
     )  # fmt: skip
     axes.set(xlim=(0, site.size_m[0]), ylim=(0, site.size_m[1]))
     return dots

@@ -6,8 +6,9 @@ disturbances (`community.disturbances`) change who is there.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,6 +48,7 @@ class State:
     next_id: int  # the id of the next plant to arrive
     plants: Plants
     notes: tuple[str, ...] = ()  # what its users should know, as that not all plants found a place
+    found: Mapping[str, Any] = field(default_factory=dict)  # what `init` worked out for itself, plain as in JSON
 
 
 def azimuth_of(seed: int, plant_id: int) -> float:
@@ -69,6 +71,7 @@ def first_state(
     r_m: NDArray[np.float64],
     height_m: NDArray[np.float64],
     notes: Sequence[str] = (),
+    found: Mapping[str, Any] | None = None,
 ) -> State:
     """The state of step 0 of plants that have just been placed, numbered from 1 in the order given."""
     n = len(sp)
@@ -83,7 +86,7 @@ def first_state(
         plant_id=ids,
         first_step=np.zeros(n, dtype=np.int32),
     )
-    return State(parameters, tuple(species), seed, 0, 1 + n, plants, tuple(notes))
+    return State(parameters, tuple(species), seed, 0, 1 + n, plants, tuple(notes), dict(found or {}))
 
 
 class Standing:
@@ -116,7 +119,7 @@ class Standing:
                 "first_step": plants.first_step,
             },
             step=state.step,
-            state={"next_id": state.next_id, "notes": list(state.notes)},
+            state={"next_id": state.next_id, "notes": list(state.notes), **state.found},
         )
 
     def resume(
@@ -139,7 +142,8 @@ class Standing:
             first_step=population.columns["first_step"],
         )
         next_id, notes = int(population.state["next_id"]), tuple(population.state["notes"])
-        return State(parameters, tuple(species), seed, population.step, next_id, plants, notes)
+        found = {key: value for key, value in population.state.items() if key not in ("next_id", "notes")}
+        return State(parameters, tuple(species), seed, population.step, next_id, plants, notes, found)
 
     def remove(self, state: State, plant_id: NDArray[np.uint32]) -> State:
         """The others."""

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from forestgen.community.model import Site
 from forestgen.community.point_patterns import (
+    Distances,
     Estimate,
     Window,
     clark_evans_donnelly,
@@ -157,10 +158,19 @@ def _pattern(
     points_m = population.position_m[pick, :2]
     if len(points_m) < 2:
         return None, None
-    window = Window(0.0, site.size_m[0], 0.0, site.size_m[1])
-    rng = child_rng(seed, "statistics", population.step, name)
-    distances = measure_distances(points_m, window, rng, samples=_SAMPLES)
+    distances, window = _distances(points_m, site, seed, population.step, name)
     return _estimate(hopkins(distances)), _estimate(clark_evans_donnelly(distances.from_points_m, window))
+
+
+def _distances(points_m: NDArray[np.float64], site: Site, seed: int, step: int, name: str) -> tuple[Distances, Window]:
+    window = Window(0.0, site.size_m[0], 0.0, site.size_m[1])
+    rng = child_rng(seed, "statistics", step, name)
+    return measure_distances(points_m, window, rng, samples=_SAMPLES), window
+
+
+def told_hopkins(points_m: NDArray[np.float64], site: Site, seed: int) -> float:
+    """Hopkins' index of (N, 2) plants as `describe_step` tells it of all plants of step 0; nan for fewer than two."""
+    return hopkins(_distances(points_m, site, seed, 0, ALL)[0]).value if len(points_m) > 1 else math.nan
 
 
 def _estimate(one: Estimate) -> dict[str, float | None]:

@@ -1,12 +1,27 @@
-"""A camera as files describe it: OpenCV's matrices, and OpenEXR's standard attributes."""
+"""A camera as files describe it: camera.json in OpenCV's terms, and OpenEXR's standard attributes.
+
+| field of camera.json  | what it is                                                                                |
+|-----------------------|-------------------------------------------------------------------------------------------|
+| name, model, axes     | the recipe's name; `pinhole`; the camera's axes: x right, y down, z forward               |
+| size_px               | width, height                                                                             |
+| hfov_deg              | horizontal field of view, between the outer borders of the image                          |
+| K                     | 3 x 3: pixel = K (x, y, z) / z; pixel centres at +0.5, so the image's centre is width / 2 |
+| distortion            | OpenCV's k1 k2 p1 p2 k3: all 0                                                            |
+| camera_from_world     | 4 x 4, for column vectors: world metres (x east, y north, z up) -> the camera's axes      |
+| world_from_camera     | its inverse; its last column is position_m                                                |
+| position_m            | world                                                                                     |
+| sequence, time_s      | the camera path that the frame is of, or null; seconds since its beginning                |
+"""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.dataset.files import write_json
 from forestgen.scene.spec import Camera
 
 _NDC_NEAR_M = 0.1  # of worldToNDC's depth, which readers discard
@@ -28,6 +43,14 @@ def camera_from_world(camera: Camera) -> NDArray[np.float64]:
     return pose
 
 
+def world_from_camera(camera: Camera) -> NDArray[np.float64]:
+    """(4, 4) pose for column vectors: x right, y down, z forward -> world metres."""
+    pose = np.eye(4)
+    pose[:3, :3] = camera.world_from_camera
+    pose[:3, 3] = camera.position_m
+    return pose
+
+
 def camera_model(camera: Camera) -> dict[str, Any]:
     """The camera as plain values for JSON."""
     return {
@@ -37,9 +60,18 @@ def camera_model(camera: Camera) -> dict[str, Any]:
         "size_px": [int(size) for size in camera.size_px],
         "hfov_deg": float(camera.hfov_deg),
         "K": intrinsics(camera).tolist(),
+        "distortion": [0.0] * 5,
         "camera_from_world": camera_from_world(camera).tolist(),
+        "world_from_camera": world_from_camera(camera).tolist(),
         "position_m": [float(x) for x in camera.position_m],
+        "sequence": camera.sequence,
+        "time_s": float(camera.time_s),
     }
+
+
+def write_camera(path: Path, camera: Camera) -> None:
+    """Write camera.json; a failure raises `OutputError`."""
+    write_json(path, camera_model(camera))
 
 
 def world_to_camera(camera: Camera) -> NDArray[np.float32]:

@@ -35,6 +35,14 @@ def output_error(error: OSError, path: Path | None = None) -> OutputError:
     )
 
 
+def make_folder(folder: Path) -> None:
+    """Make a folder and those above it, if they are missing; a failure raises `OutputError`."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise output_error(error, folder) from error
+
+
 def write_bytes(path: Path, content: bytes) -> None:
     """Write a file; a failure raises `OutputError`."""
     try:

@@ -1,9 +1,9 @@
-"""The PNG files of a frame: preview, overlay, instance and semantic masks. No dates in them."""
+"""The PNG files of a frame: preview, overlay, instance and semantic masks, grey pictures. No dates in them."""
 
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from forestgen.core.errors import OutputError
 from forestgen.dataset.files import write_bytes
+from forestgen.dataset.legend import classes_text
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -29,6 +30,15 @@ def write_rgb(path: Path, picture: NDArray[np.uint8]) -> None:
     _save(path, Image.fromarray(np.ascontiguousarray(picture)))
 
 
+def write_grey(
+    path: Path, picture: NDArray[np.uint8] | NDArray[np.uint16], compress_level: int = COMPRESS_LEVEL
+) -> None:
+    """Write an (H, W) picture as a grey PNG of 8 or 16 bits."""
+    from PIL import Image
+
+    _save(path, Image.fromarray(np.ascontiguousarray(picture)), compress_level)
+
+
 def write_instance(path: Path, instance: NDArray[np.uint32]) -> None:
     """Write plant ids as colours, id = R + 256 G + 65536 B, as COCO panoptic does.
 
@@ -44,7 +54,7 @@ def write_instance(path: Path, instance: NDArray[np.uint32]) -> None:
             where=str(path),
             expected=f"ids up to {MAX_PNG_ID}",
             got=str(largest),
-            hint="read ids from frame.exr, which holds 32 bits, and leave the PNG out",
+            hint="ids count all plants that ever lived: make the site smaller, or stop after fewer steps",
         )
     write_rgb(path, np.stack([(instance >> shift) & 0xFF for shift in (0, 8, 16)], axis=-1).astype(np.uint8))
 
@@ -59,12 +69,15 @@ def read_instance(path: Path) -> NDArray[np.uint32]:
 
 
 def write_semantic(path: Path, semantic: NDArray[np.uint8], class_names: Sequence[str]) -> None:
-    """Write (H, W) uint8 classes as a palette PNG: pixel values are class numbers, shown in `class_palette`."""
+    """Write (H, W) uint8 classes as a palette PNG: pixel values are class numbers, shown in `class_palette`.
+
+    The text chunk `classes` holds the names as JSON, number -> name.
+    """
     from PIL import Image
 
     image = Image.fromarray(np.ascontiguousarray(semantic))
     image.putpalette(class_palette(len(class_names)).tobytes())
-    _save(path, image)
+    _save(path, image, text={"classes": classes_text(class_names)})
 
 
 def class_palette(classes: int) -> NDArray[np.uint8]:
@@ -114,7 +127,14 @@ def _rgb_from_hsv(
     return np.asarray(np.rint(rgb * 255.0), dtype=np.uint8)
 
 
-def _save(path: Path, image: Image) -> None:
+def _save(
+    path: Path, image: Image, compress_level: int = COMPRESS_LEVEL, text: Mapping[str, str] | None = None
+) -> None:
+    from PIL.PngImagePlugin import PngInfo
+
+    chunks = PngInfo()
+    for key, value in (text or {}).items():
+        chunks.add_text(key, value)
     buffer = io.BytesIO()
-    image.save(buffer, format="PNG", compress_level=COMPRESS_LEVEL)
+    image.save(buffer, format="PNG", compress_level=compress_level, pnginfo=chunks)
     write_bytes(path, buffer.getvalue())

@@ -1,27 +1,30 @@
-"""All files of a frame, and coco.json over all frames."""
+"""All files of a frame, and those of a whole data set."""
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import cast
 
-from forestgen.community.population import Population
 from forestgen.dataset import png
-from forestgen.dataset.coco import FrameRecord, coco_dataset, frame_annotations
+from forestgen.dataset.camera import write_camera
 from forestgen.dataset.exr import write_exr
-from forestgen.dataset.files import output_error, write_bytes, write_json
+from forestgen.dataset.files import make_folder, write_bytes
+from forestgen.dataset.formats import Format
+from forestgen.dataset.legend import write_legend
+from forestgen.dataset.settings import DatasetSettings
 from forestgen.dataset.tables import write_plants
 from forestgen.dataset.tonemap import tone_map
-from forestgen.labels.masks import ClassMap
-from forestgen.labels.pixels import pixel_labels
-from forestgen.labels.plants_table import visible_plants
-from forestgen.render.frame import Frame
+from forestgen.labels.labelled import LabelledFrame
 
-COCO_NAME = "coco.json"
-# Uncompressed, so never too few: 35 EXR channels of 4 bytes, three RGB pictures and two masks a pixel.
-_BYTES_PER_PIXEL = 35 * 4 + 3 * 3 + 4
-_BYTES_PER_PLANT = 600  # a row of plants.parquet and an annotation of coco.json
-_BYTES_PER_FRAME = 1 << 16
+# Uncompressed, so never too few: 60 EXR channels of 4 bytes, three RGB pictures and a mask a pixel.
+_BYTES_PER_PIXEL = 60 * 4 + 3 * 3 + 1
+# What a format adds, shards and the files that are made of them.
+_FORMAT_BYTES_PER_PIXEL = {"panoptic": 6, "yolo": 6, "bop": 7, "depth_png": 2, "cryptomatte": 48 * 4, "points": 93}
+_FORMAT_BYTES_PER_PLANT = {"coco": 3000, "panoptic": 400, "yolo": 2000, "bop": 6000}
+_BYTES_PER_PLANT = 500  # a row of plants.parquet
+_BYTES_PER_FRAME = 1 << 18  # headers, and what is small
 
 
 def frame_folder_name(image: int, camera_name: str) -> str:
@@ -29,70 +32,57 @@ def frame_folder_name(image: int, camera_name: str) -> str:
     return f"{image:06d}-{camera_name}"
 
 
-def frame_bytes(size_px: tuple[int, int], plants: int) -> int:
+def frame_bytes(size_px: tuple[int, int], plants: int, formats: Sequence[str] = ()) -> int:
     """Disk space to set aside for one frame: an upper estimate, in bytes."""
-    return size_px[0] * size_px[1] * _BYTES_PER_PIXEL + plants * _BYTES_PER_PLANT + _BYTES_PER_FRAME
+    pixel = _BYTES_PER_PIXEL + sum(_FORMAT_BYTES_PER_PIXEL.get(name, 0) for name in formats)
+    plant = _BYTES_PER_PLANT + sum(_FORMAT_BYTES_PER_PLANT.get(name, 0) for name in formats)
+    return size_px[0] * size_px[1] * pixel + plants * plant + _BYTES_PER_FRAME
 
 
 def write_frame(
     folder: Path,
-    frame: Frame,
-    population: Population,
-    species_names: Sequence[str],
+    labelled: LabelledFrame,
     recipe_yaml: str,
     attributes: Mapping[str, str],
-) -> FrameRecord:
-    """Label a frame and write all of its files.
+    settings: DatasetSettings,
+) -> None:
+    """Write a frame's files, and its shards of the data set's formats.
 
     Parameters
     ----------
     folder : the frame's own folder, made if it is missing.
-    frame : what the camera saw of `population`.
-    species_names : the recipe's species in order, which numbers classes and categories. The population's own list may
-        be a part of it, in another order.
     recipe_yaml : the drawn recipe.
     attributes : name -> text for the EXR header, such as recipe_hash and seed.
+    settings : of the data set.
 
     Raises
     ------
     OutputError
         When a file cannot be written or an id does not fit its format.
-    RecipeError
-        When there are more species than classes.
-    ValueError
-        When the image holds a plant that the population does not.
     """
-    classes = ClassMap(tuple(species_names))
-    species = classes.species_index(population.species_names)[population.species]
-    identity = frame.identity
-    labels = pixel_labels(identity.plant_id, identity.part, population.plant_id, species)
-    visible = visible_plants(population.plant_id, identity.plant_id, labels.instance)
-    light = frame.radiance.mean if frame.radiance.denoised is None else frame.radiance.denoised
-    preview = tone_map(light)
-
-    _make_folder(folder)
-    png.write_instance(folder / "instance.png", labels.instance)
-    png.write_semantic(folder / "semantic.png", labels.semantic, classes.names)
+    radiance, pixels = labelled.frame.radiance, labelled.pixels
+    preview = tone_map(radiance.mean if radiance.denoised is None else radiance.denoised)
+    make_folder(folder)
+    png.write_instance(folder / "instance.png", pixels.instance)
+    png.write_semantic(folder / "semantic.png", pixels.semantic, settings.class_names)
     png.write_rgb(folder / "preview.png", preview)
-    png.write_rgb(folder / "overlay.png", png.overlay(preview, labels.instance))
-    write_exr(folder / "frame.exr", frame, labels, attributes)
-    write_plants(folder / "plants.parquet", population, visible)
+    png.write_rgb(folder / "overlay.png", png.overlay(preview, pixels.instance))
+    write_exr(folder / "frame.exr", labelled, attributes)
+    write_plants(folder / "plants.parquet", labelled)
+    write_camera(folder / "camera.json", labelled.frame.camera)
     write_bytes(folder / "recipe.yaml", recipe_yaml.encode())
-    return FrameRecord(
-        folder_name=folder.name,
-        size_px=frame.camera.size_px,
-        species_names=classes.species_names,
-        annotations=frame_annotations(labels.instance, visible, species),
-    )
+    for name in settings.formats:
+        _format(name).write_frame(folder, labelled, settings)
 
 
-def write_dataset(root: Path, frames: Iterable[FrameRecord], species_names: Sequence[str]) -> None:
-    """Write coco.json over all frames."""
-    write_json(root / COCO_NAME, coco_dataset(frames, species_names))
+def write_dataset(root: Path, folders: Iterable[Path], settings: DatasetSettings) -> None:
+    """Write classes.json, and join the shards of all frames; `folders` are the frames', in any order."""
+    known = list(folders)
+    write_legend(root, settings, png.class_palette(len(settings.class_names)))
+    for name in settings.formats:
+        _format(name).merge(root, known, settings)
 
 
-def _make_folder(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise output_error(error, folder) from error
+def _format(name: str) -> Format:
+    """The module of a format."""
+    return cast(Format, importlib.import_module(f"forestgen.dataset.formats.{name}"))

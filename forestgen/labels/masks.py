@@ -8,17 +8,11 @@ The part mask is the commonest part among the winner's samples; ties go to the s
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-
-from forestgen.core.errors import RecipeError
-from forestgen.core.parts import Part
-
-NOTHING_CLASS, GROUND_CLASS, FIRST_SPECIES_CLASS = 0, 1, 2
-MAX_SPECIES = 256 - FIRST_SPECIES_CLASS
 
 _BLOCK_SAMPLES = 1 << 18  # samples worked on at a time: scratch memory stays near 10 MB and in cache
 _ID_MASK = np.uint64(0xFFFFFFFF)
@@ -31,35 +25,6 @@ class CoverageRanks:
 
     plant_id: NDArray[np.uint32]  # (H, W, K); 0 is sky or ground, and also fills ranks that nothing takes
     coverage: NDArray[np.float32]  # (H, W, K) share of samples in [0, 1]; 0 where nothing takes the rank
-
-
-@dataclass(frozen=True)
-class ClassMap:
-    """Semantic classes: 0 nothing (sky), 1 ground, 2... the species in the recipe's order."""
-
-    species_names: tuple[str, ...]
-
-    def __post_init__(self) -> None:
-        if len(self.species_names) > MAX_SPECIES:
-            raise RecipeError(
-                "too many species for an 8-bit semantic mask",
-                where="species",
-                expected=f"at most {MAX_SPECIES} species",
-                got=str(len(self.species_names)),
-                hint="split the recipe into several",
-            )
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Class number -> name."""
-        return ("nothing", "ground", *self.species_names)
-
-    def species_index(self, names: Sequence[str]) -> NDArray[np.intp]:
-        """(M,) positions in the recipe of a population's M species names; an unknown name raises `ValueError`."""
-        missing = sorted(set(names) - set(self.species_names))
-        if missing:
-            raise ValueError(f"species {missing} of the population are not among the recipe's {self.species_names}")
-        return np.array([self.species_names.index(name) for name in names], dtype=np.intp)
 
 
 def coverage_ranks(plant_id: NDArray[np.uint32], k: int = 8) -> CoverageRanks:
@@ -123,33 +88,26 @@ def semantic_mask(
     part: NDArray[np.uint8],
     plant_id: NDArray[np.uint32],
     species: NDArray[np.integer],
+    class_of: NDArray[np.uint8],
 ) -> NDArray[np.uint8]:
-    """Class of each pixel: 0 nothing (sky), 1 ground and what lies on it, 2... the species of a `ClassMap`.
+    """Class of each pixel, by the species of its instance and its part.
 
     Parameters
     ----------
     instance, part : (H, W), from `instance_mask` and `part_mask`.
     plant_id : (N,) uint32, sorted: the population.
     species : (N,) index of each plant's species in the recipe's order.
+    class_of : (species + 1, parts) from `forestgen.labels.classes.ClassMap`; its last row is for what is no plant.
 
     Raises
     ------
-    RecipeError
-        When a species' class does not fit 8 bits.
     ValueError
         When the mask holds an id that the population does not.
     """
-    if len(species) and int(species.max()) >= MAX_SPECIES:
-        raise RecipeError(
-            "too many species for an 8-bit semantic mask",
-            where="species",
-            expected=f"at most {MAX_SPECIES} species",
-            got=f"species number {int(species.max())}",
-        )
-    classes = np.where(part == Part.NOTHING, NOTHING_CLASS, GROUND_CLASS).astype(np.uint8)
+    kind = np.full(instance.shape, len(class_of) - 1, dtype=np.intp)
     is_plant = instance != 0
-    classes[is_plant] = species[rows_of(instance[is_plant], plant_id)] + FIRST_SPECIES_CLASS
-    return classes
+    kind[is_plant] = species[rows_of(instance[is_plant], plant_id)]
+    return class_of[kind, part]
 
 
 def rows_of(ids: NDArray[np.uint32], plant_id: NDArray[np.uint32]) -> NDArray[np.intp]:
@@ -159,7 +117,7 @@ def rows_of(ids: NDArray[np.uint32], plant_id: NDArray[np.uint32]) -> NDArray[np
     known[known] = plant_id[row[known]] == ids[known]
     if not known.all():
         strangers = np.unique(ids[~known])[:5].tolist()
-        raise ValueError(f"the identity pass hit plants that the population does not hold, such as {strangers}")
+        raise ValueError(f"the image shows plants that have no row, such as {strangers}")
     return row
 
 

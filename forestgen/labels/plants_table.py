@@ -1,4 +1,21 @@
-"""What a camera sees of each plant: pixels, area, box. Pure NumPy."""
+"""What a camera sees of each plant: pixels, areas, boxes, keypoints. Pure NumPy.
+
+| term             | definition |
+|------------------|------------|
+| visible pixels   | pixels that the plant wins in the instance mask |
+| visible area     | sum of the plant's coverage over all pixels, won or lost; pixels |
+| amodal area      | the same for the plant alone, with the same sub-pixel positions, within the image |
+| visible fraction | visible area over amodal area: the share of the plant's part of the image that nothing hides |
+| full box         | box of the plant's projection, beyond the image too; of what lies in front of the camera |
+| truncation       | share of the full box' area that lies outside the image |
+| truncated        | a won pixel touches the image's border |
+| keypoints        | stem base (the instance's origin), tip (highest vertex), crown centre: scene/plant_measures.py |
+| keypoint state   | 0 outside the image or behind the camera; 1 inside, where the plant does not win; 2 where it wins |
+| distance         | from the camera to the stem base |
+
+A keypoint at (x, y) falls in the pixel (floor x, floor y). State 2 says that the plant is what the pixel shows, not
+that the point itself is in view: a stem base may stand behind its own plant's leaves.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +24,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.core.parts import Part
+from forestgen.labels.amodal import AmodalMasks
 from forestgen.labels.masks import rows_of
+from forestgen.labels.pixels import PixelLabels
+from forestgen.render.frame import Frame
+from forestgen.scene.plant_measures import PlantMeasures
+from forestgen.scene.spec import Camera
+
+KEYPOINTS = ("stem_base", "tip", "crown_centre")
+OUTSIDE, HIDDEN, VISIBLE = 0, 1, 2  # states of a keypoint
 
 
 @dataclass(frozen=True)
@@ -24,6 +50,113 @@ class VisiblePlants:
     def has_box(self) -> NDArray[np.bool_]:
         """(N,) the plant wins at least one pixel."""
         return self.visible_pixels > 0
+
+
+@dataclass(frozen=True)
+class PlantViews:
+    """Everything that one camera tells of each plant: one row a plant of the population, in its order."""
+
+    visible: VisiblePlants
+    amodal_pixels: NDArray[np.int64]  # (N,) 0 where the plant is unseen or amodal masks were not asked for
+    amodal_area_px: NDArray[np.float64]  # (N,) NaN there
+    amodal_box_px: NDArray[np.int32]  # (N, 4) x, y, width, height; 0 there
+    full_box_px: NDArray[np.float64]  # (N, 4) left, top, right, bottom, beyond the image too; NaN there
+    visible_fraction: NDArray[np.float64]  # (N,) visible_area_px / amodal_area_px, in [0, 1]; NaN there
+    truncation: NDArray[np.float64]  # (N,) share of full_box_px outside the image; NaN there
+    stem_pixels: NDArray[np.int64]  # (N,) pixels that the plant wins with its trunk
+    keypoint_px: NDArray[np.float64]  # (N, 3, 2) stem base, tip, crown centre; NaN behind the camera
+    keypoint_state: NDArray[np.uint8]  # (N, 3) 0 outside the image, 1 hidden, 2 the plant wins the pixel it falls in
+    distance_m: NDArray[np.float64]  # (N,) from the camera to the stem base
+
+
+def plant_views(
+    frame: Frame,
+    plant_id: NDArray[np.uint32],
+    pixels: PixelLabels,
+    measures: PlantMeasures,
+    amodal: AmodalMasks | None,
+) -> PlantViews:
+    """Measure each plant in one image; see the table above.
+
+    Parameters
+    ----------
+    plant_id : (N,) uint32, sorted: the population.
+    pixels : labels of the same frame.
+    measures : of the same plants, in the same order.
+    amodal : masks of plants that the frame shows, or None.
+    """
+    count = len(plant_id)
+    visible = visible_plants(plant_id, frame.identity.plant_id, pixels.instance)
+    points_m = np.stack([measures.stem_base_m, measures.tip_m, measures.crown_centre_m], axis=1)
+    keypoint_px = project(frame.camera, points_m)
+    away = measures.stem_base_m - np.asarray(frame.camera.position_m)
+    alone = np.zeros((count, 5), dtype=np.int64)  # pixels and box
+    area, full_box = np.full(count, np.nan), np.full((count, 4), np.nan)
+    if amodal is not None:
+        row = rows_of(amodal.plant_id, plant_id)
+        alone[row] = np.column_stack([amodal.pixels, amodal.box_px])
+        area[row], full_box[row] = amodal.area_px, amodal.full_box_px
+    return PlantViews(
+        visible=visible,
+        amodal_pixels=alone[:, 0],
+        amodal_area_px=area,
+        amodal_box_px=alone[:, 1:].astype(np.int32),
+        full_box_px=full_box,
+        visible_fraction=_fraction(visible.visible_area_px, area),
+        truncation=truncation(full_box, frame.camera.size_px),
+        stem_pixels=_counts(plant_id, pixels.instance[pixels.part == Part.TRUNK]),
+        keypoint_px=keypoint_px,
+        keypoint_state=_states(keypoint_px, plant_id, pixels.instance),
+        distance_m=np.sqrt(np.einsum("nk,nk->n", away, away)),
+    )
+
+
+def project(camera: Camera, points_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(..., 2) pixels, right and down, of (..., 3) points in the world; NaN for those not in front of the camera."""
+    seen = (points_m - np.asarray(camera.position_m)) @ camera.world_from_camera
+    depth = np.where(seen[..., 2] > 0, seen[..., 2], np.nan)
+    middle = np.asarray(camera.size_px) / 2.0
+    return np.asarray(seen[..., :2] / depth[..., None] * camera.focal_px + middle)
+
+
+def truncation(full_box_px: NDArray[np.float64], size_px: tuple[int, int]) -> NDArray[np.float64]:
+    """(N,) share of the area of (N, 4) boxes (left, top, right, bottom) outside the image; NaN for boxes that are."""
+    box = full_box_px.reshape(-1, 2, 2)  # corner, axis
+    inside = np.clip(box, 0.0, np.asarray(size_px, dtype=np.float64))
+    extent, kept = box[:, 1] - box[:, 0], inside[:, 1] - inside[:, 0]
+    # By axis, so that a box without width is in or out as its line is.
+    within = np.all((box[:, 1] >= 0.0) & (box[:, 0] <= np.asarray(size_px)), axis=1)
+    share = np.divide(kept, extent, out=np.ones_like(kept), where=extent > 0.0).prod(axis=1)
+    outside = 1.0 - np.where(within, share, 0.0)
+    return np.asarray(np.where(np.isnan(full_box_px).any(axis=1), np.nan, outside))
+
+
+def _fraction(visible_px: NDArray[np.float64], alone_px: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Visible over amodal area; NaN where the latter is none or unknown."""
+    share = np.full(len(visible_px), np.nan)
+    np.divide(visible_px, alone_px, out=share, where=alone_px > 0.0)
+    # A ray along the edge of two triangles may meet a plant in the scene and miss it alone.
+    return np.asarray(np.minimum(share, 1.0))
+
+
+def _states(
+    points_px: NDArray[np.float64], plant_id: NDArray[np.uint32], instance: NDArray[np.uint32]
+) -> NDArray[np.uint8]:
+    """(N, K) states of (N, K, 2) keypoints."""
+    height, width = instance.shape
+    x, y = points_px[..., 0], points_px[..., 1]
+    inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)  # False for NaN
+    state = np.zeros(inside.shape, dtype=np.uint8)
+    at = instance[y[inside].astype(np.intp), x[inside].astype(np.intp)]
+    owner = np.broadcast_to(plant_id[:, None], inside.shape)[inside]
+    state[inside] = np.where(at == owner, VISIBLE, HIDDEN)
+    return state
+
+
+def _counts(plant_id: NDArray[np.uint32], ids: NDArray[np.uint32]) -> NDArray[np.int64]:
+    """(N,) how often each plant is among `ids`; 0 there is no plant."""
+    row = rows_of(ids[ids != 0], plant_id)
+    return np.bincount(row, minlength=len(plant_id)).astype(np.int64)
 
 
 def visible_plants(

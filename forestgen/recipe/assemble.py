@@ -18,7 +18,17 @@ from forestgen.recipe.yaml_source import parse_yaml, read_yaml
 _LARGEST_PROGRAM_BYTES = 1_000_000
 
 SHORTHANDS: dict[Keys, str] = {("site", "terrain"): "kind", ("sky", "clouds"): "type"}
-OPTIONAL: tuple[Keys, ...] = (("site",), ("plants",), ("sky",), ("cameras",), ("render",), ("labels",), ("sky", "sun"))
+OPTIONAL: tuple[Keys, ...] = (
+    ("site",),
+    ("plants",),
+    ("sky",),
+    ("cameras",),
+    ("render",),
+    ("labels",),
+    ("wind",),
+    ("dataset",),
+    ("sky", "sun"),
+)
 
 
 def spell_out(data: dict[str, Any]) -> None:

@@ -8,18 +8,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, get_args
 
 from pydantic import Field, field_validator, model_validator
 
+from forestgen.recipe.cameras import Camera, check_cameras, check_motion
+from forestgen.recipe.classes import MOST_CLASSES, NO_SPECIES, check_classes
 from forestgen.recipe.fields import (
     Coordinate,
     Flag,
     Fraction,
     Name,
+    NonNegative,
     Number,
     OpenSection,
-    Point,
     Positive,
     Section,
     Text,
@@ -30,7 +32,6 @@ from forestgen.recipe.species import Species
 
 SCHEMA_VERSION = 1
 Extent = Annotated[Positive, Field(le=5000)]
-Pixels = Annotated[Whole, Field(ge=8, le=16384)]
 
 
 def _spelled_out(value: Any, key: str) -> Any:
@@ -81,7 +82,7 @@ class Site(Section):
             ge=-360,
             le=360,
             description="Where the prevailing wind comes from, degrees clockwise from north: 270 is west; for species "
-            "with a response to wind.",
+            "with a response to wind, and for the wind that plants lean and sway in.",
         ),
     ] = 270.0
 
@@ -194,35 +195,6 @@ class SkySection(Section):
         return _spelled_out(value, "type")
 
 
-class Camera(Section):
-    """A camera; site frame: x east, y north, z up, metres."""
-
-    name: Annotated[Name, Field(description="Name in file names; default camera0, camera1, ...")]
-    kind: Annotated[Literal["perspective"], Field(description="Projection.")] = "perspective"
-    position_m: Annotated[
-        Point, Field(description="Where it stands: x, y, z, metres. Default: eye level, southern edge's middle.")
-    ]
-    look_at_m: Annotated[
-        Point, Field(description="The point in the image's middle: x, y, z, metres. Default: amid the site.")
-    ]
-    size_px: Annotated[tuple[Pixels, Pixels], Field(description="Width and height of the image, pixels.")] = (640, 360)
-    hfov_deg: Annotated[Number, Field(ge=0.1, le=170, description="Horizontal field of view, degrees.")] = 60.0
-    height_above_ground: Annotated[
-        Flag, Field(description="Whether the z of position_m and look_at_m count from the ground below or from z = 0.")
-    ] = True
-
-    @model_validator(mode="after")
-    def _looks_somewhere(self) -> Self:
-        if math.dist(self.position_m, self.look_at_m) < 1e-6:
-            raise mistake(
-                "a look_at_m away from position_m",
-                problem="the camera looks at itself",
-                got=str(list(self.look_at_m)),
-                at=("look_at_m",),
-            )
-        return self
-
-
 class Render(Section):
     """How the radiance is computed."""
 
@@ -231,12 +203,39 @@ class Render(Section):
     max_depth: Annotated[Whole, Field(ge=1, le=4096, description="Most scatterings of a path.")] = 64
 
 
+Channel = Literal["coverage", "surface", "albedo", "sun", "cloud", "motion", "boundaries", "amodal"]
+CHANNELS: tuple[Channel, ...] = get_args(Channel)
+
+
 class Labels(Section):
-    """How the labels are computed."""
+    """Which labels are made, and how."""
 
     samples: Annotated[
         Whole, Field(ge=1, le=1024, description="Identity samples a pixel, a square number: 1, 4, 9, 16, ...")
     ] = 16
+    channels: Annotated[
+        tuple[Channel, ...],
+        Field(
+            description="Labels besides the masks: coverage ranks, surface (position, normals), albedo, sun (shadows), "
+            "cloud opacity, motion, occlusion boundaries, amodal masks."
+        ),
+    ] = CHANNELS
+    classes: Annotated[
+        dict[Name, tuple[Name, ...]] | None,
+        Field(
+            max_length=MOST_CLASSES,
+            description="Semantic classes: name -> the species and parts in it, a part before a species; `others` "
+            "are the species that no class names. Default: each species is a class.",
+        ),
+    ] = None
+
+    @field_validator("channels")
+    @classmethod
+    def _each_once(cls, value: tuple[Channel, ...]) -> tuple[Channel, ...]:
+        for index, channel in enumerate(value):
+            if channel in value[:index]:
+                raise mistake("each channel once", problem="a channel named twice", got=channel, at=(index,))
+        return value
 
     @field_validator("samples")
     @classmethod
@@ -244,6 +243,54 @@ class Labels(Section):
         if math.isqrt(value) ** 2 != value:
             raise mistake("a square number: 1, 4, 9, 16, 25, ...")
         return value
+
+
+Format = Literal["coco", "panoptic", "yolo", "bop", "depth_png", "cryptomatte", "points", "nerfstudio"]
+
+
+class Licence(Section):
+    """The licence of the images, as COCO lists it."""
+
+    name: Annotated[Text, Field(min_length=1, max_length=200, description="Such as CC BY 4.0.")]
+    url: Annotated[Text, Field(max_length=500, description="Where its text stands.")] = ""
+
+
+class Dataset(Section):
+    """Files for those who train and measure, besides the frames' own."""
+
+    formats: Annotated[
+        tuple[Format, ...],
+        Field(
+            description="coco (instances, amodal masks, keypoints), panoptic, yolo, bop, depth_png, cryptomatte, "
+            "points, nerfstudio."
+        ),
+    ] = ("coco",)
+    description: Annotated[Text, Field(max_length=1000, description="What the data set shows.")] = "forestgen dataset"
+    contributor: Annotated[Text, Field(max_length=200, description="Who made it.")] = ""
+    licence: Annotated[Licence | None, Field(description="Of the images.")] = None
+    depth_unit_m: Annotated[
+        Positive, Field(le=1.0, description="Metres of a step of the 16-bit depth PNG, which reaches 65,534 steps.")
+    ] = 0.01
+    point_stride: Annotated[
+        Whole, Field(ge=1, le=1000, description="n: every n-th pixel of every n-th row is a point.")
+    ] = 1
+
+    @field_validator("formats")
+    @classmethod
+    def _each_once(cls, value: tuple[Format, ...]) -> tuple[Format, ...]:
+        for index, name in enumerate(value):
+            if name in value[:index]:
+                raise mistake("each format once", problem="a format named twice", got=name, at=(index,))
+        return value
+
+
+class Wind(Section):
+    """Wind at each plant's top, in which it leans and sways; it blows from site.wind_from_deg, by default the west."""
+
+    speed_m_per_s: Annotated[NonNegative, Field(le=40, description="Mean speed, metres per second; 0: still air.")] = (
+        0.0
+    )
+    gustiness: Annotated[Fraction, Field(description="Amplitude of the sway by the mean lean, 0 to 1.")] = 0.5
 
 
 class Recipe(Section):
@@ -264,6 +311,8 @@ class Recipe(Section):
     cameras: Annotated[list[Camera], Field(min_length=1, max_length=1000, description="Cameras, at least one.")]
     render: Annotated[Render, Field(description="The light's computation.")] = Render()
     labels: Annotated[Labels, Field(description="The labels' computation.")] = Labels()
+    wind: Annotated[Wind, Field(description="How plants lean and sway.")] = Wind()
+    dataset: Annotated[Dataset, Field(description="Files for training and measuring.")] = Dataset()
 
     @model_validator(mode="before")
     @classmethod
@@ -280,20 +329,49 @@ class Recipe(Section):
         ]
         return {**data, "cameras": filled}
 
+    @model_validator(mode="after")
+    def _formats_have_their_channels(self) -> Self:
+        if "bop" in self.dataset.formats and "amodal" not in self.labels.channels:
+            raise mistake(
+                "amodal among labels.channels",
+                problem="BOP's visible fractions need amodal masks",
+                got=", ".join(self.labels.channels) or "none",
+                hint="labels: {channels: [..., amodal]}, or leave bop out of dataset.formats",
+                at=("labels", "channels"),
+            )
+        return self
+
+    @field_validator("species")
+    @classmethod
+    def _species_are_plants(cls, species: dict[str, Species]) -> dict[str, Species]:
+        for name in species:
+            if name.lower() in NO_SPECIES:
+                raise mistake(
+                    f"another name than {', '.join(NO_SPECIES)}",
+                    problem="labels use this name for what is no plant",
+                    got=name,
+                    at=(name,),
+                )
+        return species
+
+    @model_validator(mode="after")
+    def _classes_hold_all(self) -> Self:
+        wrong = None if self.labels.classes is None else check_classes(self.labels.classes, list(self.species))
+        if wrong is not None:
+            at = ("labels", "classes", *wrong.at)
+            raise mistake(wrong.expected, problem=wrong.problem, got=wrong.got, hint=wrong.hint, at=at)
+        return self
+
     @field_validator("cameras")
     @classmethod
     def _names_differ(cls, cameras: list[Camera]) -> list[Camera]:
-        # Compared without case: the names become files, and some file systems ignore case.
-        names = [camera.name.lower() for camera in cameras]
-        for i, name in enumerate(names):
-            if name in names[:i]:
-                raise mistake(
-                    "a different name for each camera",
-                    problem="two cameras of one name",
-                    got=cameras[i].name,
-                    at=(i, "name"),
-                )
+        check_cameras(cameras)
         return cameras
+
+    @model_validator(mode="after")
+    def _paths_show_something(self) -> Self:
+        check_motion(self.cameras, plants_move=self.wind.speed_m_per_s > 0 and self.wind.gustiness > 0)
+        return self
 
 
 def _default_view(site: Any) -> dict[str, list[Coordinate]]:

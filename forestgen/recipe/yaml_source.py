@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from ruamel.yaml import YAML
+from ruamel.yaml.composer import MaxDepthExceededError
 from ruamel.yaml.constructor import ConstructorError
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
@@ -46,6 +47,8 @@ def parse_yaml(
     try:
         node = reader.yaml.compose(text)
         data = None if node is None else reader.value(node, (), 0)
+    except MaxDepthExceededError as cause:
+        raise reader.too_deep(origin) from cause
     except MarkedYAMLError as cause:
         line = None if cause.problem_mark is None else cause.problem_mark.line + 1
         where = f"{origin}:{line}" if line and lines else origin
@@ -94,6 +97,7 @@ class _Reader:
 
     def __init__(self, origin: str, error: type[ForestgenError], lines: bool) -> None:
         self.yaml = YAML(typ="safe", pure=True)
+        self.yaml.max_depth = 2 * MAX_DEPTH  # counts in another way than ours; far deeper text takes minutes to read
         self.sources = SourceMap({(): self._place(origin, 1, lines)})
         self._origin, self._error, self._lines = origin, error, lines
         self._seen: set[int] = set()

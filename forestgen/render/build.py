@@ -18,7 +18,7 @@ from forestgen.plants.bark.texture import SurfaceTexture
 from forestgen.render.variant import mitsuba
 from forestgen.scene.spec import Camera, Material, SceneSpec
 
-_LEAFLIKE = (Part.LEAF, Part.FLOWER)
+LEAFLIKE = (Part.LEAF, Part.FLOWER)
 
 
 def origin_of(camera: Camera) -> NDArray[np.float64]:
@@ -90,7 +90,7 @@ def leaf_bsdf(material: Material) -> dict[str, Any]:
 
 def surface_bsdf(part: Part, material: Material, *, has_uv: bool = False) -> dict[str, Any]:
     """BSDF of a plant's surface; a texture needs a mesh with uv."""
-    if part in _LEAFLIKE:
+    if part in LEAFLIKE:
         return leaf_bsdf(material)
     if material.texture is not None and has_uv:
         return textured_bsdf(material.texture)

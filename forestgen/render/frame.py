@@ -16,11 +16,44 @@ class Identity:
 
     plant_id: NDArray[np.uint32]  # (H, W, S); 0 where no plant is hit
     part: NDArray[np.uint8]  # (H, W, S) forestgen.core.parts.Part; NOTHING is sky
-    depth_m: NDArray[np.float32]  # (H, W) along the camera's z at the pixel centre; inf where nothing is hit
-    position_m: NDArray[np.float32]  # (H, W, 3) world position at the pixel centre; NaN where nothing is hit
-    normal: NDArray[np.float32]  # (H, W, 3) world, unit, geometric, towards the camera; 0 where nothing is hit
     albedo: NDArray[np.float32]  # (H, W, 3) mean of the samples' reflectance + transmittance, for the denoiser; sky 1
     mean_normal: NDArray[np.float32]  # (H, W, 3) mean of the samples' normals, for the denoiser
+    exemplar: NDArray[np.uint32] | None = None  # (H, W, S) index into SceneSpec.exemplars + 1; 0 for ground and sky
+    face: NDArray[np.uint32] | None = None  # (H, W, S) triangle of the exemplar, as in `Surface`
+
+
+@dataclass(frozen=True)
+class Surface:
+    """What the ray through each pixel's centre meets first; the sky where it meets nothing."""
+
+    plant_id: NDArray[np.uint32]  # (H, W); 0 for ground and sky. Not always the mask's plant, which wins by coverage
+    part: NDArray[np.uint8]  # (H, W) forestgen.core.parts.Part; NOTHING is sky
+    exemplar: NDArray[np.uint32]  # (H, W) index into SceneSpec.exemplars + 1; 0 for ground and sky
+    face: NDArray[np.uint32]  # (H, W) triangle of the exemplar, its organs one after another, or of the ground; sky 0
+    depth_m: NDArray[np.float32]  # (H, W) along the camera's z; inf for the sky
+    distance_m: NDArray[np.float32]  # (H, W) along the ray; inf for the sky
+    position_m: NDArray[np.float32]  # (H, W, 3) world; NaN for the sky
+    normal: NDArray[np.float32]  # (H, W, 3) world, unit, geometric, towards the camera; 0 for the sky
+    shading_normal: NDArray[np.float32]  # (H, W, 3) world, unit, interpolated, on the geometric one's side; sky 0
+    albedo: NDArray[np.float32]  # (H, W, 3) reflectance + transmittance there, textures included; sky 0
+    sun_visible: NDArray[np.bool_]  # (H, W) nothing of the scene lies between the point and the sun's centre; sky False
+
+
+@dataclass(frozen=True)
+class Amodal:
+    """Plants seen alone, nothing in front of them: one row a plant that was asked for, by rising plant_id."""
+
+    plant_id: NDArray[np.uint32]  # (M,)
+    samples: int  # a pixel, at the identity pass' own sub-pixel positions
+    window_px: NDArray[np.int32]  # (M, 4) x, y, width, height: the part of the image that holds all of its samples
+    first: NDArray[np.int64]  # (M + 1,) where each window's counts begin, row by row
+    hits: NDArray[np.uint16]  # (first[M],) samples of the pixel that hit the plant alone
+    full_box_px: NDArray[np.float64]  # (M, 4) left, top, right, bottom of the projected plant, to 16 image sizes away
+
+    def hits_of(self, row: int) -> NDArray[np.uint16]:
+        """(h, w) counts of the window of a row."""
+        _, _, width, height = self.window_px[row]
+        return self.hits[self.first[row] : self.first[row + 1]].reshape(height, width)
 
 
 @dataclass(frozen=True)
@@ -40,3 +73,7 @@ class Frame:
     camera: Camera
     radiance: Radiance
     identity: Identity
+    surface: Surface
+    amodal: Amodal | None = None  # of the plants that the identity pass saw
+    cloud_opacity: NDArray[np.float32] | None = None  # (H, W) in [0, 1]: 1 - transmittance along the centre's ray
+    motion_px: NDArray[np.float32] | None = None  # (H, W, 2) right, down, to the sequence's next frame; NaN: unknown

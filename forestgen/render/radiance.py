@@ -32,7 +32,7 @@ from forestgen.render.build import (
 )
 from forestgen.render.frame import Radiance
 from forestgen.render.tracing import interruptible
-from forestgen.render.variant import BLOCK_PX, SCALAR, mitsuba
+from forestgen.render.variant import BLOCK_PX, SCALAR, mitsuba, using
 from forestgen.scene.spec import Camera, SceneSpec
 
 _SLICES = 8
@@ -104,8 +104,7 @@ def render_radiance(
     sky_share : (H, W) pixels that may see the sky; the others skip the cloud pass.
     timer : context manager that books time under a name; "mitsuba" is time inside the renderer's own calls.
     """
-    mi = mitsuba()
-    with mi.variant_context(SCALAR):
+    with using(SCALAR):
         if spec.clouds is None:
             return _clear(spec, camera, samples, max_depth, seed, progress, timer)
         return _cloudy(spec, camera, samples, max_depth, seed, progress, sky_share, timer)

@@ -1,8 +1,9 @@
 """Mitsuba's variants, made ready once. Nothing else in forestgen imports Mitsuba at module level.
 
-The scalar variant traces radiance (bitwise repeatable, any number of instances); the LLVM variant traces identity
-(no per-instance code). Both need Dr.Jit, whose LLVM back end needs libLLVM >= 19: the wheel `karellen-llvm-core` ships
-one in the environment's lib/, and DRJIT_LIBLLVM_PATH must name it before Dr.Jit is first imported.
+The scalar variant traces radiance (bitwise repeatable, any number of instances); the LLVM variant, or where it is asked
+for the CUDA one, traces identity (no per-instance code). All need Dr.Jit, whose LLVM back end needs libLLVM >= 19: the
+wheel `karellen-llvm-core` ships one in the environment's lib/, and DRJIT_LIBLLVM_PATH must name it before Dr.Jit is
+first imported.
 """
 
 from __future__ import annotations
@@ -11,6 +12,8 @@ import importlib
 import os
 import sys
 import sysconfig
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +22,8 @@ from forestgen.core.interrupts import uninterrupted
 
 SCALAR = "scalar_rgb"
 LLVM = "llvm_ad_rgb"
+CUDA = "cuda_ad_rgb"
+TRACING_ENVIRONMENT = "FORESTGEN_TRACING"  # llvm (the default) or cuda
 # Pixels along a render block's side, for every integrator. Each block has a random stream of its own, and unless it is
 # told a size Mitsuba halves it until every thread has a block: the image would depend on the number of cores.
 BLOCK_PX = 16
@@ -36,7 +41,7 @@ def find_llvm() -> Path | None:
 
 
 def mitsuba(threads: int | None = None) -> Any:
-    """The `mitsuba` module, prepared; call `mi.variant_context` before building anything with it.
+    """The `mitsuba` module, prepared; enter `using` before building anything with it.
 
     Parameters
     ----------
@@ -56,11 +61,57 @@ def mitsuba(threads: int | None = None) -> Any:
     return _ready["mitsuba"]
 
 
+@contextmanager
+def using(variant: str) -> Iterator[Any]:
+    """The `mitsuba` module in a variant, which stays the current one afterwards.
+
+    Mitsuba's own context changes back, and each change takes 0.1 s: its integrators in Python are loaded anew.
+    """
+    mi = mitsuba()
+    if mi.variant() != variant:
+        mi.set_variant(variant)
+    yield mi
+
+
 def drjit() -> Any:
     """The `drjit` module, after LLVM's place is known."""
     if "mitsuba" not in _ready:
         mitsuba()
     return importlib.import_module("drjit")
+
+
+def tracing_variant() -> str:
+    """The variant that traces identity: LLVM, or what the environment variable FORESTGEN_TRACING names.
+
+    Both run the same code. Their ids differ in samples that lie within rounding error of an edge: so one machine with
+    a GPU and one without would write different bytes, and CUDA is never chosen by itself.
+    """
+    named = os.environ.get(TRACING_ENVIRONMENT, "llvm").lower()
+    variants = {"llvm": LLVM, "cuda": CUDA}
+    if named not in variants:
+        raise ResourceError(
+            f"the environment variable {TRACING_ENVIRONMENT} names no device to trace on",
+            expected=" or ".join(variants),
+            got=named,
+        )
+    return variants[named]
+
+
+def require(variant: str) -> None:
+    """Raise `ResourceError` if a tracing variant cannot run here."""
+    if variant == LLVM:
+        require_llvm()
+        return
+    from forestgen.render.check import check_cuda
+
+    try:
+        check_cuda()
+    except RuntimeError as error:
+        raise ResourceError(
+            f"the identity pass was asked to run on CUDA, and there is {error}",
+            expected="an NVIDIA driver and device",
+            hint=f"unset {TRACING_ENVIRONMENT} to trace on the processor; `forestgen doctor` shows what is found",
+        ) from error
 
 
 def require_llvm() -> None:

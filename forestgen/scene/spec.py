@@ -35,6 +35,16 @@ class Instances:
     def __len__(self) -> int:
         return len(self.plant_id)
 
+    def rows_of(self, plant_ids: NDArray[np.uint32]) -> NDArray[np.intp]:
+        """(M,) row of each of M plants; one that has no instance, or several, raises `ValueError`."""
+        order = np.argsort(self.plant_id, kind="stable")
+        placed = self.plant_id[order]
+        low, high = np.searchsorted(placed, plant_ids, "left"), np.searchsorted(placed, plant_ids, "right")
+        wrong = plant_ids[high - low != 1]
+        if len(wrong):
+            raise ValueError(f"the scene holds no instance, or several, of plants {wrong[:5].tolist()}")
+        return np.asarray(order[low])
+
 
 @dataclass(frozen=True)
 class Terrain:
@@ -65,11 +75,20 @@ class Camera:
     world_from_camera: NDArray[np.float64]  # (3, 3) rotation; columns are the camera's axes in the world
     size_px: tuple[int, int]  # width, height
     hfov_deg: float
+    sequence: str | None = None  # cameras of one name are the frames of a path, in their order
+    time_s: float = 0.0  # in its sequence; plants stand as the wind holds them then
 
     @property
     def focal_px(self) -> float:
         """Focal length in pixels, the same along x and y: pixels are square."""
         return self.size_px[0] / 2.0 / float(np.tan(np.radians(self.hfov_deg) / 2.0))
+
+    @property
+    def pixel_slopes(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """x / z of the rays through the columns' centres, (W,), and y / z through the rows', (H,); camera's axes."""
+        width, height = self.size_px
+        columns, rows = np.arange(width, dtype=np.float64) + 0.5, np.arange(height, dtype=np.float64) + 0.5
+        return (columns - width / 2) / self.focal_px, (rows - height / 2) / self.focal_px
 
 
 @dataclass(frozen=True)

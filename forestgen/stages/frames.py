@@ -4,24 +4,69 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.atmosphere.optical_depth import cloud_opacity
 from forestgen.core.parts import Part
 from forestgen.core.progress import Progress
 from forestgen.core.randomness import child_seed
 from forestgen.core.timing import Timings
+from forestgen.labels.motion import motion_px
 from forestgen.recipe.schema import Recipe
+from forestgen.render.amodal import trace_amodal
 from forestgen.render.denoise import denoise
-from forestgen.render.frame import Frame
-from forestgen.render.identity import trace_identity
+from forestgen.render.frame import Amodal, Frame, Identity, Radiance, Surface
+from forestgen.render.identity import SceneTracer, trace_identity
 from forestgen.render.radiance import render_radiance
 from forestgen.scene.spec import Camera, SceneSpec
 
+View = tuple[Camera, SceneSpec]
+
 
 def render_frame(
-    spec: SceneSpec, camera: Camera, recipe: Recipe, seed: int, progress: Progress, timings: Timings
+    tracer: SceneTracer,
+    camera: Camera,
+    recipe: Recipe,
+    seed: int,
+    progress: Progress,
+    timings: Timings,
+    following: View | None = None,
 ) -> Frame:
-    """Identity first (it tells where the sky is and guides the denoiser), then radiance, then the denoised copy."""
+    """Identity first, since it tells where the sky is and guides the denoiser; then radiance and the other labels.
+
+    Parameters
+    ----------
+    tracer : of the scene as it is at the camera's time.
+    seed : of the image.
+    following : the sequence's next camera and the scene as it is then, for motion.
+    """
     with progress.stage(f"identity {camera.name}", camera.size_px[1]) as advance:
-        identity = trace_identity(spec, camera, samples=recipe.labels.samples, timer=timings, advance=advance)
+        identity, surface = trace_identity(
+            tracer, camera, samples=recipe.labels.samples, timer=timings, advance=advance
+        )
+    channels = recipe.labels.channels
+    return Frame(
+        camera=camera,
+        radiance=_radiance(tracer.spec, camera, recipe, seed, identity, progress, timings),
+        identity=identity,
+        surface=surface,
+        amodal=_amodal(tracer, camera, identity, progress, timings) if "amodal" in channels else None,
+        cloud_opacity=_cloud_opacity(tracer.spec, camera, surface, timings) if "cloud" in channels else None,
+        motion_px=_motion(tracer.spec, camera, surface, following, timings) if "motion" in channels else None,
+    )
+
+
+def _radiance(
+    spec: SceneSpec,
+    camera: Camera,
+    recipe: Recipe,
+    seed: int,
+    identity: Identity,
+    progress: Progress,
+    timings: Timings,
+) -> Radiance:
+    """With its denoised copy where that is asked for."""
     from scipy.ndimage import binary_dilation
 
     # A sliver of sky may lie between samples: neighbours of pixels that see the sky may see it too.
@@ -40,4 +85,35 @@ def render_frame(
         with timings("denoise"):
             clean = denoise(radiance.mean, identity.albedo, identity.mean_normal)
         radiance = replace(radiance, denoised=clean)
-    return Frame(camera=camera, radiance=radiance, identity=identity)
+    return radiance
+
+
+def _amodal(tracer: SceneTracer, camera: Camera, identity: Identity, progress: Progress, timings: Timings) -> Amodal:
+    """Of the plants that a sample saw."""
+    plants = np.unique(identity.plant_id)
+    plants = plants[plants != 0]
+    samples = identity.plant_id.shape[2]
+    with progress.stage(f"amodal {camera.name}", len(plants)) as advance:
+        return trace_amodal(tracer, camera, plants, samples=samples, timer=timings, advance=advance)
+
+
+def _cloud_opacity(spec: SceneSpec, camera: Camera, surface: Surface, timings: Timings) -> NDArray[np.float32]:
+    """0 everywhere under a clear sky."""
+    if spec.clouds is None:
+        return np.zeros(surface.distance_m.shape, dtype=np.float32)
+    with timings("cloud opacity"):
+        return cloud_opacity(
+            spec.clouds, camera.position_m, camera.world_from_camera, camera.focal_px, surface.distance_m
+        )
+
+
+def _motion(
+    spec: SceneSpec, camera: Camera, surface: Surface, following: View | None, timings: Timings
+) -> NDArray[np.float32] | None:
+    """NaN in a sequence's last frame; None for a still camera."""
+    if camera.sequence is None:
+        return None
+    if following is None:
+        return np.full((*surface.distance_m.shape, 2), np.nan, dtype=np.float32)
+    with timings("motion"):
+        return motion_px(camera, surface, spec.instances, following[0], following[1].instances)

@@ -128,6 +128,8 @@ def _write_statistics(path: Path, plan: Plan, end: _Told, thinning: dict[str, An
     if end.placement is not None:
         hopkins = end.described[0]["hopkins"]
         document["placement"] = {name: {**one, "hopkins": hopkins[name]} for name, one in end.placement.items()}
+    if "clustering" in end.last.state:
+        document["clustering"] = end.last.state["clustering"]
     try:
         path.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n", encoding="utf-8")
     except OSError as error:

@@ -35,7 +35,7 @@ _SHARE_OF_MEMORY = 0.8
 _LOADED_SIMULATOR_BYTES = 500_000_000
 _LOADED_RENDERER_BYTES = 900_000_000  # libraries, kernels, the ground's texture and what it was made from
 _BYTES_PER_SAMPLE = 5 + 16  # an identity sample, and the sorting of it
-_BYTES_PER_PIXEL = 500  # radiance sums in double precision, buffers, channels on their way to files
+_BYTES_PER_PIXEL = 800  # radiance sums in double precision, buffers, channels on their way to files
 _BYTES_PER_TRIANGLE = 200  # mesh, two scenes with their trees, normals' table
 _BYTES_PER_TRIANGLE_UNDER_CLOUDS = 60  # a third scene
 # Of a mature plant, over its height times its width squared: poplar 280, spruce 310, oak 200; and of a herb in all.
@@ -123,10 +123,16 @@ def why_barren(plan: Plan) -> str | None:
 
 
 def views_below_ground(plan: Plan) -> list[str]:
-    """Names of the cameras that stand below the ground, as far as the recipe alone tells."""
+    """Names of the cameras, or frames of a path, that stand below the ground, as far as the recipe alone tells."""
     recipe = plan.drawn.recipe
     flat = recipe.site.terrain.kind == "flat"
-    return [one.name for one in recipe.cameras if one.position_m[2] < 0 and (flat or one.height_above_ground)]
+    return [
+        name
+        for camera in recipe.cameras
+        if flat or camera.height_above_ground
+        for name, position_m in zip(camera.frame_names, camera.positions_m, strict=True)
+        if position_m[2] < 0
+    ]
 
 
 def _check_named_species(drawn: DrawnRecipe, parameters: CommunityParameters) -> None:
@@ -194,12 +200,14 @@ def _check_clouds(drawn: DrawnRecipe) -> None:
             got=f"{clouds.extinction_per_m:g} x {clouds.thickness_m:g} = {depth:g}",
         )
     for index, camera in enumerate(drawn.recipe.cameras):
-        if camera.position_m[2] >= clouds.base_m:
+        highest_m = max(position_m[2] for position_m in camera.positions_m)
+        if highest_m >= clouds.base_m:
+            path = ("path",) if camera.position_m[2] < clouds.base_m else ()
             raise RecipeError(
                 "the camera stands in or above the clouds",
-                where=drawn.where("cameras", index, "position_m"),
+                where=drawn.where("cameras", index, *path, "position_m"),
                 expected=f"a height below sky.clouds.base_m = {clouds.base_m:g} m",
-                got=f"{camera.position_m[2]:g} m",
+                got=f"{highest_m:g} m",
                 hint="lower the camera, raise base_m, or set sky.clouds to none",
             )
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,6 @@ from forestgen.atmosphere.grid import CloudGrid
 from forestgen.atmosphere.procedural import cumulus_field
 from forestgen.community.population import Population
 from forestgen.core.errors import RecipeError
-from forestgen.core.frames import look_at
 from forestgen.core.progress import Progress
 from forestgen.core.randomness import child_rng
 from forestgen.plants.bark.texture import bark_texture
@@ -24,9 +23,9 @@ from forestgen.plants.growing import grow_exemplars
 from forestgen.plants.levels import level_for, level_of_index
 from forestgen.plants.registry import GENERATORS
 from forestgen.plants.solids import as_solids
-from forestgen.recipe.schema import Camera as CameraSection
 from forestgen.recipe.species import Species
 from forestgen.scene.assemble import pixel_size_m, place_instances, stand_on
+from forestgen.scene.camera_path import next_frame, place_cameras
 from forestgen.scene.exemplars import (
     ExemplarPlan,
     SizeError,
@@ -36,7 +35,8 @@ from forestgen.scene.exemplars import (
     with_levels,
 )
 from forestgen.scene.spec import Camera, Material, SceneSpec, Sky
-from forestgen.scene.terrain import HeightField, build_terrain
+from forestgen.scene.terrain import build_terrain
+from forestgen.scene.wind import Sway, spec_at, sway_in
 from forestgen.stages.ground import height_field
 from forestgen.stages.plan import Plan
 
@@ -48,9 +48,26 @@ Timer = Callable[[str], AbstractContextManager[None]]
 class BuiltScene:
     """A scene, the plants in it with their feet on the ground, and how well exemplars stand for them."""
 
-    spec: SceneSpec
+    spec: SceneSpec  # in still air
     population: Population
     size_errors: list[SizeError]
+    sway: Sway | None = None  # of the plants in the wind; None: still air
+    _posed: dict[float, SceneSpec] = field(default_factory=dict, repr=False, compare=False)  # by time, the last two
+
+    def at(self, time_s: float) -> SceneSpec:
+        """The scene as the wind holds its plants at a time; in still air `spec` itself, and one object for one time."""
+        if self.sway is None:
+            return self.spec
+        if time_s not in self._posed:
+            while len(self._posed) > 1:  # a frame and the next one, for its motion
+                del self._posed[next(iter(self._posed))]
+            self._posed[time_s] = spec_at(self.spec, self.sway, time_s)
+        return self._posed[time_s]
+
+    def next_view(self, camera: Camera) -> tuple[Camera, SceneSpec] | None:
+        """The camera and the scene of the frame after `camera`'s in its sequence, if there is one."""
+        following = next_frame(self.spec.cameras, camera)
+        return None if following is None else (following, self.at(following.time_s))
 
 
 def build_scene(plan: Plan, population: Population, progress: Progress, timer: Timer) -> BuiltScene:
@@ -59,7 +76,7 @@ def build_scene(plan: Plan, population: Population, progress: Progress, timer: T
     with timer("scene"):
         height = height_field(plan.drawn)
         population = stand_on(population, height)
-        cameras = tuple(place_camera(camera, height) for camera in recipe.cameras)
+        cameras = place_cameras(recipe.cameras, height)
     with timer("plants"):
         exemplar_plan = choose_exemplars(plan, population, cameras)
         exemplars = grow_planned(plan, exemplar_plan, progress)
@@ -77,7 +94,23 @@ def build_scene(plan: Plan, population: Population, progress: Progress, timer: T
             cameras=cameras,
         )
     _check_below_clouds(plan, spec)
-    return BuiltScene(spec, population, _errors(plan, population, exemplar_plan, exemplars))
+    with timer("scene"):
+        sway = _sway(plan, spec)
+    return BuiltScene(spec, population, _errors(plan, population, exemplar_plan, exemplars), sway)
+
+
+def _sway(plan: Plan, spec: SceneSpec) -> Sway | None:
+    recipe = plan.drawn.recipe
+    if recipe.wind.speed_m_per_s == 0:
+        return None
+    return sway_in(
+        spec.instances,
+        spec.exemplars,
+        speed_m_per_s=recipe.wind.speed_m_per_s,
+        gustiness=recipe.wind.gustiness,
+        from_deg=recipe.site.wind_from_deg,
+        seed=plan.drawn.image_seed,
+    )
 
 
 def _check_below_clouds(plan: Plan, spec: SceneSpec) -> None:
@@ -191,15 +224,6 @@ def _clouds(plan: Plan) -> CloudGrid | None:
         extinction_per_m=clouds.extinction_per_m,
         rng=child_rng(plan.drawn.image_seed, "clouds"),
     )
-
-
-def place_camera(section: CameraSection, height: HeightField) -> Camera:
-    """A recipe's camera in the world."""
-    points = np.array([section.position_m, section.look_at_m], dtype=np.float64)
-    if section.height_above_ground:
-        points[:, 2] += height(points[:, 0], points[:, 1])
-    x, y, z = (float(value) for value in points[0])
-    return Camera(section.name, (x, y, z), look_at(points[0], points[1]), section.size_px, section.hfov_deg)
 
 
 def _errors(

@@ -25,6 +25,7 @@ from forestgen.geometry.mesh import Mesh
 from forestgen.geometry.vectors import unit
 from forestgen.plants.exemplar import Exemplar
 from forestgen.recipe.schema import Recipe
+from forestgen.render.identity import SceneTracer
 from forestgen.scene.spec import Camera, Instances, Material, SceneSpec, Sky, Terrain
 from forestgen.stages.frames import render_frame
 
@@ -79,8 +80,10 @@ def photograph(
 ) -> NDArray[np.uint8]:
     """(H, W, 3) sRGB picture of a plant in the studio."""
     render = recipe.render.model_copy(update={"samples": samples})
-    spec = studio(exemplar, materials, camera)
-    frame = render_frame(spec, camera, recipe.model_copy(update={"render": render}), seed, progress, Timings())
+    labels = recipe.labels.model_copy(update={"channels": ()})
+    recipe = recipe.model_copy(update={"render": render, "labels": labels})
+    tracer = SceneTracer(studio(exemplar, materials, camera), Timings())
+    frame = render_frame(tracer, camera, recipe, seed, progress, Timings())
     radiance = frame.radiance.mean if frame.radiance.denoised is None else frame.radiance.denoised
     return tone_map(radiance, _EXPOSURE)
 

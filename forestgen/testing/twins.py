@@ -8,13 +8,14 @@ precision, by brute force, along rays of its own, from the camera's definition.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.parts import Part
 from forestgen.geometry.mesh import Mesh
-from forestgen.render.build import load, origin_of, to_mesh
+from forestgen.render.build import load, origin_of, sun_direction, to_mesh
 from forestgen.render.identity import camera_rays, sample_offsets
 from forestgen.render.variant import LLVM, drjit, mitsuba
 from forestgen.scene.spec import Camera, SceneSpec
@@ -23,85 +24,170 @@ _RAYS_AT_ONCE = 64
 
 
 @dataclass(frozen=True)
+class BakedMesh:
+    """One organ of one instance, or the terrain."""
+
+    plant_id: int  # 0 for the terrain
+    part: int
+    exemplar: int  # index into SceneSpec.exemplars + 1; 0 for the terrain
+    first_face: int  # of the organ within its exemplar
+    vertices_m: NDArray[np.float64]  # (V, 3) world
+    faces: NDArray[np.uint32]  # (F, 3)
+    normals: NDArray[np.float64] | None  # (V, 3) world, as long as the instance's inverse transpose leaves them
+
+
+def baked_meshes(spec: SceneSpec) -> list[BakedMesh]:
+    """Each organ of each instance in the world, in double precision, and the terrain last."""
+    meshes = []
+    instances = spec.instances
+    for row in range(len(instances)):
+        matrix, exemplar, first = instances.transform[row], int(instances.exemplar[row]), 0
+        for organ in spec.exemplars[exemplar].organs:
+            mesh = organ.mesh
+            vertices = mesh.vertices_m.astype(np.float64) @ matrix[:, :3].T + matrix[:, 3]
+            normals = None if mesh.normals is None else mesh.normals.astype(np.float64) @ np.linalg.inv(matrix[:, :3])
+            kind = int(organ.part)
+            meshes.append(
+                BakedMesh(int(instances.plant_id[row]), kind, exemplar + 1, first, vertices, mesh.faces, normals)
+            )
+            first += len(mesh.faces)
+    ground = spec.terrain.mesh
+    normals = None if ground.normals is None else ground.normals.astype(np.float64)
+    vertices = ground.vertices_m.astype(np.float64)
+    return [*meshes, BakedMesh(0, int(Part.GROUND), 0, 0, vertices, ground.faces, normals)]
+
+
+def _unit(vectors: NDArray[Any]) -> NDArray[np.float64]:
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return np.asarray(vectors / np.maximum(length, 1e-300), dtype=np.float64)
+
+
+@dataclass(frozen=True)
 class Baked:
     """All triangles of a scene in the world."""
 
     corner_m: NDArray[np.float64]  # (T, 3, 3) triangle, corner, coordinate
+    normal: NDArray[np.float64]  # (T, 3, 3) at the corners; the geometric one where the mesh has none
     plant_id: NDArray[np.uint32]  # (T,) 0 for the terrain
     part: NDArray[np.uint8]  # (T,)
-
-
-def baked_meshes(spec: SceneSpec) -> list[tuple[int, int, NDArray[np.float64], NDArray[np.uint32]]]:
-    """(plant_id, part, (V, 3) world vertices in double precision, faces) of each organ of each instance."""
-    meshes = []
-    instances = spec.instances
-    for row in range(len(instances)):
-        matrix = instances.transform[row]
-        for organ in spec.exemplars[int(instances.exemplar[row])].organs:
-            vertices = organ.mesh.vertices_m.astype(np.float64) @ matrix[:, :3].T + matrix[:, 3]
-            meshes.append((int(instances.plant_id[row]), int(organ.part), vertices, organ.mesh.faces))
-    return meshes
+    exemplar: NDArray[np.uint32]  # (T,) as in `BakedMesh`
+    face: NDArray[np.uint32]  # (T,) triangle of the exemplar, its organs one after another, or of the terrain
 
 
 def bake(spec: SceneSpec) -> Baked:
     """Triangles of the plants and of the terrain."""
-    ground = spec.terrain.mesh
-    meshes = [*baked_meshes(spec), (0, int(Part.GROUND), ground.vertices_m.astype(np.float64), ground.faces)]
+    meshes = baked_meshes(spec)
+    corner_m = np.concatenate([mesh.vertices_m[mesh.faces] for mesh in meshes])
+    flat = _unit(np.cross(corner_m[:, 1] - corner_m[:, 0], corner_m[:, 2] - corner_m[:, 0]))[:, None]
+    normals = [np.full((len(m.faces), 3, 3), np.nan) if m.normals is None else m.normals[m.faces] for m in meshes]
+    smooth = np.concatenate(normals)
+
+    def each(values: list[int], kind: type[np.generic]) -> NDArray[Any]:
+        return np.repeat(np.asarray(values, dtype=kind), [len(mesh.faces) for mesh in meshes])
+
     return Baked(
-        corner_m=np.concatenate([vertices[faces] for _, _, vertices, faces in meshes]),
-        plant_id=np.concatenate([np.full(len(faces), plant, np.uint32) for plant, _, _, faces in meshes]),
-        part=np.concatenate([np.full(len(faces), part, np.uint8) for _, part, _, faces in meshes]),
+        corner_m=corner_m,
+        normal=np.where(np.isnan(smooth), flat, smooth),
+        plant_id=each([mesh.plant_id for mesh in meshes], np.uint32),
+        part=each([mesh.part for mesh in meshes], np.uint8),
+        exemplar=each([mesh.exemplar for mesh in meshes], np.uint32),
+        face=np.concatenate([mesh.first_face + np.arange(len(mesh.faces), dtype=np.uint32) for mesh in meshes]),
     )
 
 
 @dataclass(frozen=True)
+class TwinHits:
+    """What rays hit: any shape, names as in `forestgen.render.frame`."""
+
+    plant_id: NDArray[np.uint32]
+    part: NDArray[np.uint8]
+    exemplar: NDArray[np.uint32]
+    face: NDArray[np.uint32]
+    depth_m: NDArray[np.float32]
+    sun_visible: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
 class TwinSamples:
-    """What the twin's samples hit; shapes as in `forestgen.render.frame.Identity`."""
+    """What the twin's samples hit; shapes as in `forestgen.render.frame.Identity`, and centres as in `Surface`."""
 
     plant_id: NDArray[np.uint32]  # (H, W, S)
     part: NDArray[np.uint8]  # (H, W, S)
+    exemplar: NDArray[np.uint32]  # (H, W, S)
+    face: NDArray[np.uint32]  # (H, W, S)
     depth_m: NDArray[np.float32]  # (H, W)
+    centre: TwinHits  # (H, W) each
+
+
+class Twin:
+    """The expanded scene in the renderer: one mesh a plant and organ, told apart by the renderer's shape alone."""
+
+    def __init__(self, spec: SceneSpec, camera: Camera) -> None:
+        mi, dr = mitsuba(), drjit()
+        self._camera, self._meshes, self._sun = camera, baked_meshes(spec), sun_direction(spec)
+        origin = origin_of(camera)
+        shapes = {}
+        for number, baked in enumerate(self._meshes):
+            mesh = Mesh((baked.vertices_m - origin).astype(np.float32), baked.faces)
+            shapes[f"baked-{number}"] = to_mesh(mesh, None, None, f"baked-{number}")
+        self._scene = load(shapes)
+        entry = {}
+        for shape in self._scene.shapes():
+            registry = int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape))[0])
+            entry[registry] = int(shape.id().removeprefix("baked-"))
+        if len(entry) != len(self._meshes):
+            raise RuntimeError(f"the renderer holds {len(entry)} of {len(self._meshes)} shapes")
+        self._mesh_of_registry = np.zeros(max(entry) + 1, dtype=np.int64)
+        self._mesh_of_registry[list(entry)] = list(entry.values())
+
+    def trace(self, offset: NDArray[np.float64]) -> TwinHits:
+        """(H, W, S) hits of the identity pass' rays at (S, 2) sub-pixel positions."""
+        mi, dr = mitsuba(), drjit()
+        width, height = self._camera.size_px
+        along, direction = camera_rays(self._camera, offset, 0, height)
+        hit = self._scene.ray_intersect_preliminary(mi.Ray3f(mi.Point3f(0.0), direction), coherent=True)
+        depth = dr.select(hit.is_valid(), hit.t * along.z, dr.inf)
+        shape = (height, width, len(offset))
+        valid = np.array(hit.is_valid()).reshape(shape)
+        mesh = self._mesh_of_registry[np.array(dr.reinterpret_array(mi.UInt32, hit.shape)).astype(np.int64)]
+        mesh, triangle = mesh.reshape(shape), np.array(hit.prim_index).reshape(shape)
+
+        def of(values: list[int], kind: type[np.generic]) -> NDArray[Any]:
+            return np.where(valid, np.asarray(values, dtype=kind)[mesh], kind(0))
+
+        face = np.asarray([m.first_face for m in self._meshes], dtype=np.uint32)[mesh] + triangle
+        return TwinHits(
+            plant_id=of([m.plant_id for m in self._meshes], np.uint32),
+            part=of([m.part for m in self._meshes], np.uint8),
+            exemplar=of([m.exemplar for m in self._meshes], np.uint32),
+            face=np.where(valid, face, 0).astype(np.uint32),
+            depth_m=np.array(depth).reshape(shape),
+            sun_visible=valid & self._lit(hit, direction, mesh, triangle).reshape(shape),
+        )
+
+    def _lit(self, hit: Any, direction: Any, mesh: NDArray[np.int64], triangle: NDArray[np.uint32]) -> NDArray[Any]:
+        """Shadow rays from a tenth of a millimetre off the surface, at the sun's side."""
+        mi, dr = mitsuba(), drjit()
+        normal = np.zeros((mesh.size, 3))
+        for number in np.unique(mesh):
+            mine = mesh.ravel() == number
+            faces = self._meshes[number].faces
+            corner = self._meshes[number].vertices_m[faces[np.minimum(triangle.ravel()[mine], len(faces) - 1)]]
+            normal[mine] = _unit(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]))
+        normal *= np.where(normal @ self._sun < 0, -1e-4, 1e-4)[:, None]
+        start = hit.t * direction + mi.Vector3f(np.ascontiguousarray(normal.T))
+        start = dr.select(hit.is_valid(), start, 0.0)
+        to_sun = mi.Vector3f(*[float(x) for x in self._sun])
+        return ~np.array(self._scene.ray_test(mi.Ray3f(mi.Point3f(start), to_sun)))
 
 
 def trace_twin(spec: SceneSpec, camera: Camera, samples: int) -> TwinSamples:
-    """Trace the expanded scene: one mesh a plant and organ, told apart by the renderer's shape alone."""
-    mi, dr = mitsuba(), drjit()
-    width, height = camera.size_px
-    with mi.variant_context(LLVM):
-        origin = origin_of(camera)
-        scene_dict = {"terrain": to_mesh(spec.terrain.mesh, None, origin, "terrain")}
-        plant, part = [0], [int(Part.GROUND)]
-        for number, (plant_id, kind, vertices, faces) in enumerate(baked_meshes(spec)):
-            mesh = Mesh((vertices - origin).astype(np.float32), faces)
-            scene_dict[f"baked-{number}"] = to_mesh(mesh, None, None, f"baked-{number}")
-            plant.append(plant_id)
-            part.append(kind)
-        scene = load(scene_dict)
-        entry = {}
-        for shape in scene.shapes():
-            registry = int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape))[0])
-            entry[registry] = 0 if shape.id() == "terrain" else int(shape.id().removeprefix("baked-")) + 1
-        if len(entry) != len(plant):
-            raise RuntimeError(f"the renderer holds {len(entry)} of {len(plant)} shapes")
-        table = np.zeros(max(entry) + 1, dtype=np.int64)
-        table[list(entry)] = list(entry.values())
-        plants, parts = np.asarray(plant, dtype=np.uint32)[table], np.asarray(part, dtype=np.uint8)[table]
-
-        def trace(offset: NDArray[np.float64]) -> tuple[NDArray[np.bool_], NDArray[np.int64], NDArray[np.float32]]:
-            along, direction = camera_rays(camera, offset, 0, height)
-            hit = scene.ray_intersect_preliminary(mi.Ray3f(mi.Point3f(0.0), direction), coherent=True)
-            depth = dr.select(hit.is_valid(), hit.t * along.z, dr.inf)
-            shape = np.array(dr.reinterpret_array(mi.UInt32, hit.shape)).astype(np.int64).reshape(height, width)
-            return np.array(hit.is_valid()).reshape(height, width), shape, np.array(depth).reshape(height, width)
-
-        ids = np.zeros((height, width, samples), dtype=np.uint32)
-        kinds = np.zeros((height, width, samples), dtype=np.uint8)
-        for number, offset in enumerate(sample_offsets(samples)):
-            valid, shape, _ = trace(offset)
-            ids[..., number] = np.where(valid, plants[shape], 0)
-            kinds[..., number] = np.where(valid, parts[shape], 0)
-        _, _, depth_m = trace(np.array([0.5, 0.5]))
-    return TwinSamples(ids, kinds, depth_m)
+    """Trace the expanded scene."""
+    with mitsuba().variant_context(LLVM):
+        twin = Twin(spec, camera)
+        hits, centre = twin.trace(sample_offsets(samples)), twin.trace(np.array([[0.5, 0.5]]))
+    middle = TwinHits(**{name: values[..., 0] for name, values in vars(centre).items()})
+    return TwinSamples(hits.plant_id, hits.part, hits.exemplar, hits.face, middle.depth_m, middle)
 
 
 @dataclass(frozen=True)
@@ -110,15 +196,19 @@ class Hits:
 
     plant_id: NDArray[np.uint32]  # (R,)
     part: NDArray[np.uint8]  # (R,)
+    exemplar: NDArray[np.uint32]  # (R,)
+    face: NDArray[np.uint32]  # (R,)
     distance_m: NDArray[np.float64]  # (R,) inf where nothing is hit
-    normal: NDArray[np.float64]  # (R, 3) unit, towards the ray's origin; 0 where nothing is hit
+    normal: NDArray[np.float64]  # (R, 3) unit, geometric, towards the ray's origin; 0 where nothing is hit
+    shading_normal: NDArray[np.float64]  # (R, 3) unit, interpolated, on the geometric one's side; 0 likewise
+    triangle: NDArray[np.intp]  # (R,) of `Baked`; meaningless where nothing is hit
 
 
 class Oracle:
     """Brute force: every ray against every triangle, in double precision (Möller and Trumbore 1997)."""
 
     def __init__(self, spec: SceneSpec, camera: Camera) -> None:
-        self._baked, self._camera = bake(spec), camera
+        self._baked, self._camera, self._sun = bake(spec), camera, sun_direction(spec)
         corner = self._baked.corner_m - np.asarray(camera.position_m)
         self._a, self._e1, self._e2 = corner[:, 0], corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
 
@@ -141,16 +231,52 @@ class Oracle:
         parts = [self._nearest(direction[k : k + _RAYS_AT_ONCE]) for k in range(0, len(direction), _RAYS_AT_ONCE)]
         distance = np.concatenate([d for d, _ in parts])
         face = np.concatenate([f for _, f in parts])
-        valid = np.isfinite(distance)
-        normal = np.cross(self._e1[face], self._e2[face])
-        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+        valid, baked = np.isfinite(distance), self._baked
+        normal = _unit(np.cross(self._e1[face], self._e2[face]))
         normal *= -np.sign(np.sum(normal * direction, axis=1, keepdims=True))
+        shading = self._interpolated(direction, distance, face)
+        shading *= np.where(np.sum(shading * normal, axis=1, keepdims=True) < 0, -1.0, 1.0)
         return Hits(
-            plant_id=np.where(valid, self._baked.plant_id[face], 0).astype(np.uint32),
-            part=np.where(valid, self._baked.part[face], 0).astype(np.uint8),
+            plant_id=np.where(valid, baked.plant_id[face], 0).astype(np.uint32),
+            part=np.where(valid, baked.part[face], 0).astype(np.uint8),
+            exemplar=np.where(valid, baked.exemplar[face], 0).astype(np.uint32),
+            face=np.where(valid, baked.face[face], 0).astype(np.uint32),
             distance_m=distance,
             normal=np.where(valid[:, None], normal, 0.0),
+            shading_normal=np.where(valid[:, None], shading, 0.0),
+            triangle=face,
         )
+
+    def _interpolated(
+        self, direction: NDArray[np.float64], distance: NDArray[np.float64], face: NDArray[np.intp]
+    ) -> NDArray[np.float64]:
+        """(R, 3) unit: the corners' normals weighed by the areas of the triangles opposite to them."""
+        point = direction * np.where(np.isfinite(distance), distance, 0.0)[:, None]
+        corner = [self._a[face], self._a[face] + self._e1[face], self._a[face] + self._e2[face]]
+        whole = np.cross(self._e1[face], self._e2[face])
+        total = np.zeros(direction.shape)
+        for k in range(3):
+            opposite = np.cross(corner[(k + 1) % 3] - point, corner[(k + 2) % 3] - point)
+            total += np.sum(opposite * whole, axis=1, keepdims=True) * self._baked.normal[face, k]
+        return _unit(total)
+
+    def sun_visible(
+        self, x_px: NDArray[np.float64], y_px: NDArray[np.float64], hits: Hits, start_m: float = 0.0
+    ) -> NDArray[np.bool_]:
+        """(R,) no other triangle lies between the hits of `trace` and the sun; from `start_m` along the way on."""
+        direction = self.rays(np.ravel(x_px), np.ravel(y_px))
+        found = np.isfinite(hits.distance_m)
+        for k in np.flatnonzero(found):
+            away = direction[k] * hits.distance_m[k] - self._a
+            p, q = np.cross(self._sun, self._e2), np.cross(away, self._e1)
+            det = np.sum(p * self._e1, axis=1)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                u, v = np.sum(away * p, axis=1) / det, q @ self._sun / det
+                t = np.sum(self._e2 * q, axis=1) / det
+                meets = (det != 0) & (u >= 0) & (v >= 0) & (u + v <= 1) & (t > start_m)
+            meets[hits.triangle[k]] = False
+            found[k] = not meets.any()
+        return found
 
     def _nearest(self, direction: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
         # With the origin at 0: q = -a x e1 and e2 . q do not depend on the ray, and det = d . (e2 x e1) either sign.

@@ -9,11 +9,11 @@ from stand import FAILURES, REFERENCE, REFERENCE_SEED, build, noise_of, shoot, w
 
 def main() -> None:
     plan, built = build()
-    frame, labels = shoot(plan, built, REFERENCE_SEED)
-    write_reference(frame, labels)
-    seen = len(set(labels.instance.ravel().tolist()) - {0})
+    shot = shoot(plan, built, REFERENCE_SEED)
+    write_reference(shot)
+    seen = len(set(shot.pixels.instance.ravel().tolist()) - {0})
     sys.stdout.write(
-        f"{REFERENCE}: {len(built.population)} plants, {seen} in the mask, noise {noise_of(frame):.3f},"
+        f"{REFERENCE}: {len(built.population)} plants, {seen} in the mask, noise {noise_of(shot.frame):.3f},"
         f" {REFERENCE.stat().st_size:,} bytes; failures go to {FAILURES}\n"
     )
 

@@ -13,11 +13,14 @@ from forestgen.core.progress import Silent
 from forestgen.core.timing import Timings
 from forestgen.dataset.exr import read_exr, write_exr
 from forestgen.dataset.png import write_rgb
-from forestgen.labels.pixels import PixelLabels, pixel_labels
+from forestgen.labels.labelled import LabelledFrame, label_frame
 from forestgen.recipe.load import load_recipe
 from forestgen.render.frame import Frame
+from forestgen.render.identity import SceneTracer
+from forestgen.scene.plant_measures import measure_plants
 from forestgen.scene.spec import SceneSpec
 from forestgen.stages.community import final_population
+from forestgen.stages.data_set import class_map
 from forestgen.stages.frames import render_frame
 from forestgen.stages.plan import Plan, make_plan
 from forestgen.stages.scene import BuiltScene, build_scene
@@ -41,17 +44,18 @@ def build() -> tuple[Plan, BuiltScene]:
     return plan, build_scene(plan, final_population(plan, Silent()), Silent(), Timings())
 
 
-def shoot(plan: Plan, built: BuiltScene, seed: int) -> tuple[Frame, PixelLabels]:
-    frame = render_frame(built.spec, built.spec.cameras[0], plan.drawn.recipe, seed, Silent(), Timings())
-    population = built.population
-    species = population.species
-    return frame, pixel_labels(frame.identity.plant_id, frame.identity.part, population.plant_id, species)
+def shoot(plan: Plan, built: BuiltScene, seed: int) -> LabelledFrame:
+    tracer = SceneTracer(built.spec, Timings())
+    frame = render_frame(tracer, built.spec.cameras[0], plan.drawn.recipe, seed, Silent(), Timings())
+    channels = plan.drawn.recipe.labels.channels
+    return label_frame(frame, built.population, class_map(plan.drawn), measure_plants(built.spec), channels)
 
 
 def without(built: BuiltScene, plant_id: int) -> BuiltScene:
     """The same scene with one plant less; the others keep their place, shape and turn."""
     kept = built.spec.instances.plant_id != plant_id
-    instances = built.spec.instances
+    columns = ("plant_id", "species", "position_m", "radius_m", "height_m", "age_yr", "status")
+    population, instances = built.population, built.spec.instances
     spec: SceneSpec = replace(
         built.spec,
         instances=replace(
@@ -61,11 +65,12 @@ def without(built: BuiltScene, plant_id: int) -> BuiltScene:
             plant_id=instances.plant_id[kept],
         ),
     )
-    return replace(built, spec=spec)
+    rest = replace(population, **{name: getattr(population, name)[kept] for name in columns}, columns={})
+    return replace(built, spec=spec, population=rest)
 
 
-def write_reference(frame: Frame, labels: PixelLabels, path: Path = REFERENCE, sums: Path = SUMS) -> None:
-    write_exr(path, frame, labels, {"golden": "tests/golden/regenerate.py"})
+def write_reference(shot: LabelledFrame, path: Path = REFERENCE, sums: Path = SUMS) -> None:
+    write_exr(path, shot, {"golden": "tests/golden/regenerate.py"})
     sums.write_text(f"{digest(path)}  {path.name}\n", encoding="utf-8")
 
 
@@ -105,7 +110,7 @@ def noise_of(frame: Frame) -> float:
     return float(np.sqrt(frame.radiance.variance.mean()) / frame.radiance.mean.mean())
 
 
-def compare(frame: Frame, labels: PixelLabels, reference: Path = REFERENCE, sums: Path = SUMS) -> Verdict:
+def compare(shot: LabelledFrame, reference: Path = REFERENCE, sums: Path = SUMS) -> Verdict:
     """Raises `AssertionError` when there is no reference or it is not the pinned one."""
     how = "make one: uv run python tests/golden/regenerate.py"
     assert reference.is_file(), f"no golden reference at {reference}; {how}"
@@ -115,21 +120,22 @@ def compare(frame: Frame, labels: PixelLabels, reference: Path = REFERENCE, sums
     parts = read_exr(reference)
     mean, variance = (np.stack([parts[name][c] for c in "RGB"], axis=-1) for name in ("radiance", "radiance.variance"))
     golden = NoisyImage(mean.astype(np.float64), variance.astype(np.float64))
-    shot = NoisyImage(frame.radiance.mean.astype(np.float64), frame.radiance.variance.astype(np.float64))
+    frame, labels = shot.frame, shot.pixels
+    image = NoisyImage(frame.radiance.mean.astype(np.float64), frame.radiance.variance.astype(np.float64))
     return Verdict(
-        pixels=welch(shot, golden, SIGNIFICANCE / 2),
-        blocks=welch_blocks(shot, golden, SIGNIFICANCE / 2),
+        pixels=welch(image, golden, SIGNIFICANCE / 2),
+        blocks=welch_blocks(image, golden, SIGNIFICANCE / 2),
         wrong_instance=labels.instance != parts["identity"]["plant_id"],
         wrong_part=labels.part != parts["identity"]["part"],
         noise=noise_of(frame),
     )
 
 
-def save_failure(frame: Frame, labels: PixelLabels, verdict: Verdict, folder: Path = FAILURES) -> Path:
+def save_failure(shot: LabelledFrame, verdict: Verdict, folder: Path = FAILURES) -> Path:
     """Pictures of what came out, what was wanted, and where they differ."""
     folder.mkdir(parents=True, exist_ok=True)
-    write_exr(folder / "stand.exr", frame, labels, {"golden": "failure"})
-    pictures = {"radiance": tone(frame.radiance.mean)}
+    write_exr(folder / "stand.exr", shot, {"golden": "failure"})
+    pictures = {"radiance": tone(shot.frame.radiance.mean)}
     if REFERENCE.is_file():
         parts = read_exr(REFERENCE)["radiance"]
         pictures["reference"] = tone(np.stack([parts[c] for c in "RGB"], axis=-1))

@@ -7,15 +7,24 @@ import numpy as np
 from forestgen.core.progress import Silent
 from forestgen.core.timing import Timings
 from forestgen.render.build import load, origin_of, sensor_of
-from forestgen.render.frame import Identity, Radiance
-from forestgen.render.identity import trace_identity
+from forestgen.render.frame import Identity, Radiance, Surface
+from forestgen.render.identity import SceneTracer, trace_identity
 from forestgen.render.radiance import render_radiance, scene_dict
 from forestgen.render.variant import SCALAR, mitsuba
-from forestgen.scene.spec import SceneSpec
+from forestgen.scene.spec import Camera, SceneSpec
+
+
+def seen(spec: SceneSpec, samples: int, *, faces: bool = False, variant: str | None = None) -> tuple[Identity, Surface]:
+    """Of the first camera."""
+    return shot(SceneTracer(spec, Timings(), variant), spec.cameras[0], samples, faces=faces)
+
+
+def shot(tracer: SceneTracer, camera: Camera, samples: int, *, faces: bool = False) -> tuple[Identity, Surface]:
+    return trace_identity(tracer, camera, samples=samples, timer=Timings(), advance=lambda rows: None, faces=faces)
 
 
 def identity(spec: SceneSpec, samples: int) -> Identity:
-    return trace_identity(spec, spec.cameras[0], samples=samples, timer=Timings(), advance=lambda rows: None)
+    return seen(spec, samples)[0]
 
 
 def radiance(spec: SceneSpec, samples: int, seed: int, max_depth: int = 64) -> Radiance:

@@ -12,7 +12,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from shots import alpha, identity, radiance
+from shots import alpha, identity, radiance, seen
+from ties import assert_ties
 
 from forestgen.core.parts import Part
 from forestgen.labels.masks import instance_mask, part_mask
@@ -23,7 +24,6 @@ from forestgen.testing.twins import Oracle, trace_twin
 
 SIZE_PX = (192, 108)
 SAMPLES = 16
-TIE_PX = 1e-4  # float32 directions and positions place an edge to within about 4e-5 px at this size and distance
 
 
 def general_scene(seed: int) -> SceneSpec:
@@ -34,14 +34,15 @@ def general_scene(seed: int) -> SceneSpec:
 @pytest.mark.parametrize("quarter_turns", [4, 2, 1])
 def test_every_sample_equals_the_expanded_twin_where_nothing_rounds(quarter_turns):
     spec = dyadic_scene(200, quarter_turns=quarter_turns, size_px=SIZE_PX)
-    ours, twin = identity(spec, SAMPLES), trace_twin(spec, spec.cameras[0], SAMPLES)
+    (ours, surface), twin = seen(spec, SAMPLES, faces=True), trace_twin(spec, spec.cameras[0], SAMPLES)
     assert len(np.unique(ours.plant_id)) > 100
-    np.testing.assert_array_equal(ours.plant_id, twin.plant_id)
-    np.testing.assert_array_equal(ours.part, twin.part)
+    for name in ("plant_id", "part", "exemplar", "face"):
+        np.testing.assert_array_equal(getattr(ours, name), getattr(twin, name))
+        np.testing.assert_array_equal(getattr(surface, name), getattr(twin.centre, name))
     if quarter_turns > 1:
-        np.testing.assert_array_equal(ours.depth_m, twin.depth_m)
+        np.testing.assert_array_equal(surface.depth_m, twin.depth_m)
     else:
-        np.testing.assert_allclose(ours.depth_m, twin.depth_m, rtol=3e-6)
+        np.testing.assert_allclose(surface.depth_m, twin.depth_m, rtol=3e-6)
 
 
 @pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow), pytest.param(3, marks=pytest.mark.slow)])
@@ -54,20 +55,7 @@ def test_masks_equal_the_expanded_twins_and_other_samples_are_ties(seed):
     np.testing.assert_array_equal(
         part_mask(ours.plant_id, ours.part, mask), part_mask(twin.plant_id, twin.part, twin_mask)
     )
-    differ = (ours.plant_id != twin.plant_id) | (ours.part != twin.part)
-    assert differ.mean() < 2e-5
-    for row, column, sample in np.argwhere(differ):
-        x_px, y_px = np.array([column, row]) + sample_offsets(SAMPLES)[sample]
-        found = hits_around(spec, x_px, y_px)
-        for one in (ours, twin):
-            assert (one.plant_id[row, column, sample], one.part[row, column, sample]) in found
-
-
-def hits_around(spec: SceneSpec, x_px: float, y_px: float) -> set[tuple[int, int]]:
-    """(plant, part) hit by exact rays within TIE_PX of a point of the image."""
-    angle = np.arange(16) / 16 * 2 * np.pi
-    hits = Oracle(spec, spec.cameras[0]).trace(x_px + TIE_PX * np.cos(angle), y_px + TIE_PX * np.sin(angle))
-    return set(zip(hits.plant_id.tolist(), hits.part.tolist(), strict=True))
+    assert_ties(spec, ours, twin)
 
 
 @pytest.fixture(scope="module")
@@ -76,21 +64,22 @@ def small():
     ground = plain_ground(-20, 40, 4, bumps_m=0.5)
     spec = scattered_scene(30, size_m=16, exemplars=3, leaves=40, terrain=ground, seed=5)
     camera = camera_at((3.0, -6.0, 2.5), (9.0, 7.0, 3.0), (32, 18))
-    return replace(spec, cameras=(camera,)), identity(replace(spec, cameras=(camera,)), 4), Oracle(spec, camera)
+    spec = replace(spec, cameras=(camera,))
+    return spec, seen(spec, 4, faces=True), Oracle(spec, camera)
 
 
 def test_samples_equal_brute_force_in_double_precision(small):
-    _, ours, oracle = small
+    _, (ours, _), oracle = small
     column, row = np.meshgrid(np.arange(32), np.arange(18))
     offset = sample_offsets(4)
     hits = oracle.trace(column[..., None] + offset[:, 0], row[..., None] + offset[:, 1])
     assert len(np.unique(hits.plant_id)) > 15
-    np.testing.assert_array_equal(ours.plant_id, hits.plant_id.reshape(18, 32, 4))
-    np.testing.assert_array_equal(ours.part, hits.part.reshape(18, 32, 4))
+    for name in ("plant_id", "part", "exemplar", "face"):
+        np.testing.assert_array_equal(getattr(ours, name), getattr(hits, name).reshape(18, 32, 4))
 
 
 def test_depth_normal_and_position_are_those_of_pixel_centres(small):
-    spec, ours, oracle = small
+    spec, (_, ours), oracle = small
     column, row = np.meshgrid(np.arange(32) + 0.5, np.arange(18) + 0.5)
     hits = oracle.trace(column, row)
     direction = oracle.rays(column.ravel(), row.ravel())
@@ -111,24 +100,24 @@ def test_x_is_right_and_y_is_down(small):
     """By hand, without the oracle: what a point east of and above the view's axis means for its pixel."""
     spec, _, _ = small
     camera = camera_at((8.0, -10.0, 2.0), (8.0, 8.0, 2.0), (64, 36), hfov_deg=60)
-    seen = identity(replace(spec, cameras=(camera,)), 1)
-    row, column = np.nonzero(np.isfinite(seen.depth_m))
-    point = seen.position_m[row, column].astype(np.float64) - camera.position_m
+    _, surface = seen(replace(spec, cameras=(camera,)), 1)
+    row, column = np.nonzero(np.isfinite(surface.depth_m))
+    point = surface.position_m[row, column].astype(np.float64) - camera.position_m
     focal_px = 32 / np.tan(np.radians(30))
     np.testing.assert_allclose(32 + focal_px * point[:, 0] / point[:, 1], column + 0.5, atol=1e-3)
     np.testing.assert_allclose(18 - focal_px * point[:, 2] / point[:, 1], row + 0.5, atol=1e-3)
-    np.testing.assert_allclose(seen.depth_m[row, column], point[:, 1], rtol=1e-5)
-    assert np.isinf(seen.depth_m[0]).any()
-    assert np.isfinite(seen.depth_m[-1]).all(), "the ground is below"
+    np.testing.assert_allclose(surface.depth_m[row, column], point[:, 1], rtol=1e-5)
+    assert np.isinf(surface.depth_m[0]).any()
+    assert np.isfinite(surface.depth_m[-1]).all(), "the ground is below"
 
 
 def test_ids_of_32_bits_survive(small):
-    spec, ours, _ = small
+    spec, (ours, _), _ = small
     large = (np.uint64(2**32) - np.arange(1, 31, dtype=np.uint64)[::-1]).astype(np.uint32)
-    seen = identity(replace(spec, instances=replace(spec.instances, plant_id=large)), 4)
+    many = identity(replace(spec, instances=replace(spec.instances, plant_id=large)), 4)
     expected = np.where(ours.plant_id > 0, large[np.maximum(ours.plant_id, 1) - 1], 0)
-    np.testing.assert_array_equal(seen.plant_id, expected)
-    assert int(instance_mask(seen.plant_id).max()) > 2**32 - 30
+    np.testing.assert_array_equal(many.plant_id, expected)
+    assert int(instance_mask(many.plant_id).max()) > 2**32 - 30
     last = replace(spec, instances=replace(spec.instances, plant_id=np.full(30, 2**32 - 1, dtype=np.uint32)))
     np.testing.assert_array_equal(identity(last, 4).plant_id > 0, ours.plant_id > 0)
     assert identity(last, 4).plant_id.max() == 2**32 - 1
@@ -153,12 +142,12 @@ def test_radiance_sees_the_same_sky_as_identity():
 
 def test_identity_does_not_depend_on_the_place():
     spec = general_scene(4)
-    here = identity(spec, 4)
-    there = identity(shifted(spec, (1000.0, -1000.0, 300.0)), 4)
+    here, here_m = seen(spec, 4)
+    there, there_m = seen(shifted(spec, (1000.0, -1000.0, 300.0)), 4)
     # The terrain's float32 vertices round to 3e-5 m at 1 km: a few edges move by that.
     assert (here.plant_id != there.plant_id).mean() < 2e-4
-    same = np.isfinite(here.depth_m) & (here.plant_id == there.plant_id).all(axis=2)
-    assert np.mean(np.abs(here.depth_m[same] / there.depth_m[same] - 1) < 1e-4) > 0.999
+    same = np.isfinite(here_m.depth_m) & (here_m.plant_id == there_m.plant_id)
+    assert np.mean(np.abs(here_m.depth_m[same] / there_m.depth_m[same] - 1) < 1e-4) > 0.999
 
 
 @pytest.mark.parametrize("far_m", [1000.0, 8000.0])

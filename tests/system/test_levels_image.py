@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from forestgen.core.progress import Silent
 from forestgen.core.timing import Timings
 from forestgen.recipe.load import load_recipe_data
+from forestgen.render.identity import SceneTracer
 from forestgen.stages.community import final_population
 from forestgen.stages.frames import render_frame
 from forestgen.stages.plan import make_plan
@@ -35,7 +36,7 @@ def stand(levels: bool) -> dict[str, object]:
         "plants": {"exemplars_per_species": 2, "levels": levels, "cache": False},
         "cameras": [{"position_m": [45, 5, 3], "look_at_m": [45, 100, 7], "size_px": [160, 80], "hfov_deg": 50}],
         "render": {"samples": 96, "max_depth": 8, "denoise": False},
-        "labels": {"samples": 16},
+        "labels": {"samples": 16, "channels": []},
     }
 
 
@@ -45,7 +46,7 @@ def rendered(levels: bool, seed: int) -> tuple[NDArray[np.float64], NDArray[np.b
     recipe = plan.drawn.recipe
     population = final_population(plan, Silent())
     spec = build_scene(plan, population, Silent(), Timings()).spec
-    frame = render_frame(spec, spec.cameras[0], recipe, seed, Silent(), Timings())
+    frame = render_frame(SceneTracer(spec, Timings()), spec.cameras[0], recipe, seed, Silent(), Timings())
     triangles = sum(spec.exemplars[i].triangles for i in spec.instances.exemplar)
     return frame.radiance.mean.mean(axis=2), (frame.identity.plant_id > 0).any(axis=2), triangles
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from shots import identity, radiance
+from shots import identity, radiance, seen
 
 from forestgen.atmosphere.grid import CloudGrid
 from forestgen.core.parts import Part
@@ -111,13 +111,13 @@ def test_the_baked_clear_sky_is_the_sky():
 
 
 def regions(spec: SceneSpec) -> dict[str, np.ndarray]:
-    seen = identity(spec, 16)
-    open_sky = (seen.part == Part.NOTHING).mean(axis=2)
+    found = identity(spec, 16)
+    open_sky = (found.part == Part.NOTHING).mean(axis=2)
     return {
         "sky": open_sky == 1,
         "edge": (open_sky > 0) & (open_sky < 1),
-        "ground": (seen.part == Part.GROUND).all(axis=2),
-        "plants": (seen.plant_id > 0).mean(axis=2) > 0.4,
+        "ground": (found.part == Part.GROUND).all(axis=2),
+        "plants": (found.plant_id > 0).mean(axis=2) > 0.4,
     }
 
 
@@ -240,7 +240,7 @@ def test_a_clouds_shadow_falls_where_the_sun_says():
         scene = load({**scene_dict(spec, origin), "light": light, "sheet": sky.sun_sheet(spec, origin)})
         integrator = mi.load_dict({"type": "volpath", "max_depth": 4})
         image = np.array(integrator.render(scene, sensor=sensor_of(camera, 16), spp=16, seed=1))[..., 1]
-    ground = identity(replace(spec, cameras=(camera,)), 1).position_m
+    ground = seen(replace(spec, cameras=(camera,)), 1)[1].position_m
     dark = image < 0.3 * np.median(image)
     assert dark.sum() > 20
     # The sun stands toward (+x, -y), so light travels to (-x, +y): by 60 m / tan 60 = 34.6 m, plus 0 to 5.8 m for the

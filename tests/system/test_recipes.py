@@ -54,7 +54,8 @@ def test_shipped_recipe_renders(name: str, tmp_path: Path) -> None:
     made = _frames(_render(recipes_dir() / f"{name}.yaml", tmp_path / "out", *one_each))
     kinds = {Path(path).name for path in made}
     assert kinds == {
-        "frame.exr", "preview.png", "overlay.png", "instance.png", "semantic.png", "plants.parquet", "recipe.yaml"
+        "frame.exr", "preview.png", "overlay.png", "instance.png", "semantic.png", "plants.parquet", "camera.json",
+        "annotations.json", "recipe.yaml",
     }  # fmt: skip
 
 

@@ -54,7 +54,7 @@ def assert_equal_runs(recipe_text: str, folder, threads: tuple[int, ...]) -> Non
     recipe = folder / "stand.yaml"
     recipe.write_text(recipe_text, encoding="utf-8")
     first, *others = (run(recipe, folder / f"run{k}", count, str(k)) for k, count in enumerate(threads))
-    assert {"coco.json", "manifest.json"} < set(first)
+    assert {"classes.json", "coco.json", "manifest.json"} < set(first)
     assert any(name.endswith("frame.exr") for name in first)
     for other in others:
         assert set(first) == set(other)

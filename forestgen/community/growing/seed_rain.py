@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import hashlib
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +17,11 @@ from forestgen.community.model import Site, SpeciesEcology
 from forestgen.community.placement.densities import COUNTING_CELLS, grid_shape, relative_density
 from forestgen.community.placement.density_map import DensityMap
 from forestgen.community.placement.field import DensityField
+from forestgen.core.bounded_cache import BoundedCache
 from forestgen.recipe.fields import Section
 
 _CELLS_PER_REACH = 6
+_means: BoundedCache[float] = BoundedCache(256, lambda _: 1)  # a plan asks for the same many times; densities are large
 _FEWEST_CELLS, _MOST_CELLS = 64, 1024  # along the site's longer side, unless a recipe says otherwise
 
 
@@ -30,12 +34,22 @@ class GroundSection(Section):
 
 @dataclass(frozen=True)
 class Ground:
-    """The species' relative densities b_i, on one grid."""
+    """The species' relative densities b_i, on one grid; each is made when it is first asked for, and kept."""
 
     shape: tuple[int, int]  # rows, columns
-    density: tuple[NDArray[np.float64] | None, ...]  # (rows, cols) of each species, row 0 at y = 0; None: 1 everywhere
     mean: NDArray[np.float64]  # (S,) of each density
-    bare: tuple[DensityField | None, ...]  # the densities where nobody invites, ready to draw from
+    _size_m: tuple[float, float]
+    _makers: tuple[Callable[[], NDArray[np.float64]] | None, ...]  # of each species' density; None: it is 1 everywhere
+
+    @cached_property
+    def density(self) -> tuple[NDArray[np.float64] | None, ...]:
+        """(rows, cols) of each species, row 0 at y = 0; None: 1 everywhere."""
+        return tuple(None if make is None else make() for make in self._makers)
+
+    @cached_property
+    def bare(self) -> tuple[DensityField | None, ...]:
+        """The densities where nobody invites, ready to draw from."""
+        return tuple(None if one is None else DensityField(one, self._size_m, periodic=True) for one in self.density)
 
 
 def ground_of(
@@ -51,12 +65,30 @@ def ground_of(
     given = [sections.get(one.name, plain) for one in species]
     varied = [keep_out is not None or one != plain for one in given]
     shape = grid_shape(site, cells or _cells(site, species, kernels, any(varied)))
-    density: list[NDArray[np.float64] | None] = []
-    for section, varies in zip(given, varied, strict=True):
-        density.append(relative_density(section.conditions, section.map, keep_out, site, shape) if varies else None)
-    mean = [1.0 if one is None else float(one.mean()) for one in density]
-    bare = [None if one is None else DensityField(one, site.size_m, periodic=True) for one in density]
-    return Ground(shape, tuple(density), np.array(mean, dtype=np.float64), tuple(bare))
+    makers = tuple(
+        partial(relative_density, section.conditions, section.map, keep_out, site, shape) if varies else None
+        for section, varies in zip(given, varied, strict=True)
+    )
+    mean = [
+        1.0 if make is None else _mean(make, section, keep_out, site, shape)
+        for section, make in zip(given, makers, strict=True)
+    ]
+    return Ground(shape, np.array(mean, dtype=np.float64), site.size_m, makers)
+
+
+def _mean(
+    make: Callable[[], NDArray[np.float64]],
+    section: GroundSection,
+    keep_out: DensityMap | None,
+    site: Site,
+    shape: tuple[int, int],
+) -> float:
+    """Mean of the density that `make` makes of the others; maps of files are told apart by their SHA-256."""
+    maps = [one for one in (section.map, keep_out) if one is not None]
+    if any(one.rows is None and one.sha256 is None for one in maps):
+        return float(make().mean())
+    said = section.model_dump_json() + (keep_out.model_dump_json() if keep_out is not None else "")
+    return _means.get((hashlib.sha256(said.encode()).digest(), site, shape), lambda: float(make().mean()))
 
 
 def _cells(site: Site, species: Sequence[SpeciesEcology], kernels: Interactions, varied: bool) -> int:

@@ -13,15 +13,18 @@ All of them are balanced: they move probability about within their reach, so tha
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.community.model import Site
 from forestgen.community.placement.field import DensityField, place
 from forestgen.community.placement.kernels import SAMPLES, KernelTable
 from forestgen.community.statistics import hopkins_index
+from forestgen.community.trajectory import told_hopkins
 
 MOST_REHEARSED = 2000  # plants: of more, every so-manieth is placed on a site that is smaller by as much
 FEWEST = 10  # plants that have a Hopkins index worth aiming at
@@ -30,6 +33,8 @@ _LEAST, _MOST = -0.85, 6.2  # t
 _ROUNDS = 14
 _CLOSE = 0.005  # of the logarithm of H: nearer is not looked for
 TOLERANCE = 0.1  # of H or, above 1, of its ratio to the target: what counts as reached
+TOLD = 0.05  # the same, of the placed plants: what is farther off is told
+_CORE, _RISEN, _TOP, _FALLEN = 0.06, 0.08, 0.4, 0.65  # knots of a kernel that makes clusters, in spacings
 
 
 def family(t: float, spacing_m: float) -> KernelTable:
@@ -39,11 +44,32 @@ def family(t: float, spacing_m: float) -> KernelTable:
         distance = np.linspace(0.0, reach, SAMPLES + 1)
         values = np.where(distance < -t, 0.0, 1.0)
     else:
-        reach = 1.5 + 0.6 * max(0.0, t - 1.2)
+        reach = _reach(t)
         distance = np.linspace(0.0, reach, SAMPLES + 1)
-        core = max(0.0, 1.0 - 2.0 * t)  # neutral at t = 0, without a jump
-        values = np.interp(distance, [0.0, 0.06, 0.08, 0.4, 0.65], [core, core, math.exp(t), math.exp(t), 1.0])
+        core = _core(t)
+        values = np.interp(distance, [0.0, _CORE, _RISEN, _TOP, _FALLEN], [core, core, math.exp(t), math.exp(t), 1.0])
     return KernelTable(values, reach * spacing_m, in_radii=False, balanced=True)
+
+
+def _reach(t: float) -> float:
+    return 1.5 + 0.6 * max(0.0, t - 1.2)
+
+
+def _core(t: float) -> float:
+    """κ at the plant itself: neutral at t = 0, without a jump."""
+    return max(0.0, 1.0 - 2.0 * t)
+
+
+def as_section(t: float, spacing_m: float) -> dict[str, Any]:
+    """The kernel of parameter t as a recipe says it, to six digits: a `KernelSection` with the same table."""
+    if t < 0:
+        reach, edge = 2.5 * -t, 0.5 / SAMPLES  # the step lies between two samples of the table, as in `family`
+        points = [(0.0, 0.0), (reach * (0.4 - edge / 2), 0.0), (reach * (0.4 + edge / 2), 1.0), (reach, 1.0)]
+    else:
+        core, top = _core(t), math.exp(t)
+        points = [(0.0, core), (_CORE, core), (_RISEN, top), (_TOP, top), (_FALLEN, 1.0), (_reach(t), 1.0)]
+    curve = [[float(f"{one * spacing_m:.6g}"), float(f"{value:.6g}")] for one, value in points]
+    return {"curve": curve, "distance": "metres", "balanced": True}
 
 
 def spacing(densities: Sequence[NDArray[np.float64]], counts: NDArray[np.integer], area_m2: float) -> float:
@@ -94,6 +120,7 @@ class Found:
     kernel: KernelTable
     t: float
     hopkins: float  # in the rehearsal
+    section: dict[str, Any]  # the kernel as a recipe says it
 
     def misses(self, target: float) -> bool:
         return abs(self.hopkins - target) > TOLERANCE * max(1.0, target)
@@ -119,4 +146,42 @@ def kernel_for(target: float, rehearsal: Rehearsal) -> Found:
             break
         low, high = (low, middle) if error > 0 else (middle, high)
     t = min(tried, key=lambda one: abs(math.log(max(tried[one], 1e-9) / target)))
-    return Found(family(t, rehearsal.spacing_m), t, tried[t])
+    return Found(family(t, rehearsal.spacing_m), t, tried[t], as_section(t, rehearsal.spacing_m))
+
+
+def describe(
+    target: float, found: Found | None, position_m: NDArray[np.float64], site: Site, seed: int, cells: int
+) -> dict[str, Any]:
+    """What became of a target, plain as in JSON.
+
+    Parameters
+    ----------
+    found : None: there were too few plants.
+    position_m : (N, 2) the plants that found a place.
+    cells : along the site's longer side; with as many, the kernel makes the same pattern again.
+    """
+    if found is None:
+        return {"asked_hopkins": target}
+    measured = told_hopkins(position_m, site, seed)
+    return {
+        "asked_hopkins": target,
+        "hopkins": measured if math.isfinite(measured) else None,
+        "reached": not found.misses(target),
+        "kernels": found.section,
+        "cells": cells,
+    }
+
+
+def notes_on(told: Mapping[str, Any]) -> list[str]:
+    """A note if there were too few plants for the target that was asked for, or the plants have another index."""
+    target = told["asked_hopkins"]
+    asked = f"a Hopkins index of {target:g} was asked for"
+    if "kernels" not in told:
+        return [f"{asked}: there are too few plants for one"]
+    measured = math.nan if told["hopkins"] is None else told["hopkins"]
+    if told["reached"] and abs(measured - target) <= TOLD * max(1.0, target):
+        return []
+    nearest = "" if told["reached"] else ", as near as it comes"
+    points = ", ".join(f"[{one:g}, {value:g}]" for one, value in told["kernels"]["curve"])
+    kernel = f"{{distance: metres, balanced: true, curve: [{points}]}}"
+    return [f"{asked}, and that of the plants is {measured:.3g}{nearest}; the kernel found is {kernel}"]

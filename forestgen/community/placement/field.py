@@ -2,7 +2,7 @@
 
 The field is a grid of cells, each of one density. A place is drawn by the inverse transformation method: first its row
 by the rows' sums and its y inside the row by linear interpolation, then its column by that row's partial sums and its
-x in the same way. That is exact: the density is constant in a cell. Sums are kept in trees (`field_kernel`), so that a
+x in the same way. That is exact: the density is constant in a cell. Sums are kept in trees (`field_trees`), so that a
 plant costs what its kernel's reach asks for, however large the field is.
 
 References
@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 from forestgen.community.placement.kernels import GREATEST, KernelTable
 
 if TYPE_CHECKING:
-    from forestgen.community.placement.field_kernel import Effects, Trees
+    from forestgen.community.placement.field_kernel import Effects
+    from forestgen.community.placement.field_trees import Trees
 
 LANES = 8  # cells of a strip: a line of the processor's memory
 
@@ -74,7 +75,7 @@ class DensityField:
     @property
     def total(self) -> float:
         """Sum of all cells; 0: no place is left."""
-        from forestgen.community.placement.field_kernel import total_of
+        from forestgen.community.placement.field_trees import total_of
 
         return float(total_of(self._fields.trees, self._index))
 
@@ -92,7 +93,7 @@ class DensityField:
 
     def draw(self, uniform: NDArray[np.float64]) -> NDArray[np.float64]:
         """(N, 2) places, metres, of (N, 2) numbers in [0, 1): the first chooses y, then x; `total` must be > 0."""
-        from forestgen.community.placement.field_kernel import draw_all
+        from forestgen.community.placement.field_trees import draw_all
 
         if not self.total > 0.0:
             raise ValueError("nothing can be drawn from a field that is 0 everywhere")
@@ -115,8 +116,8 @@ class DensityField:
         return self._fields
 
     def _changed(self) -> None:
-        from forestgen.community.placement.field_kernel import build
         from forestgen.community.placement.field_lanes import SMALLEST
+        from forestgen.community.placement.field_trees import build
 
         cells = self._fields.trees.cells
         np.copyto(cells, 0.0, where=cells < SMALLEST)
@@ -175,7 +176,7 @@ class _Fields:
 
     @classmethod
     def empty(cls, count: int, shape: tuple[int, ...], size_m: tuple[float, float], periodic: bool) -> _Fields:
-        from forestgen.community.placement.field_kernel import Trees
+        from forestgen.community.placement.field_trees import Trees
 
         rows, cols = shape
         strips = -(-cols // LANES)

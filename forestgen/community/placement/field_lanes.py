@@ -1,8 +1,8 @@
 """Eight cells at once: the innermost operations of the probability field as vector instructions.
 
 Numba compiles loops over eight numbers into single steps where it cannot know that arrays do not overlap. These
-operations say it: eight numbers are loaded, worked on, and stored. `core.compiled` keeps kernels on disk and notices
-changes of a kernel's own file only: after a change here touch field_kernel.py.
+operations say it: eight numbers are loaded into a register, worked on, and stored. `core.compiled` keeps kernels on
+disk and notices changes of a kernel's own file only: after a change here touch field_kernel.py.
 """
 
 from __future__ import annotations
@@ -12,7 +12,8 @@ from typing import Any
 
 from llvmlite import ir
 from numba.core import cgutils, types
-from numba.extending import intrinsic
+from numba.core.datamodel import models
+from numba.extending import intrinsic, register_model
 
 from forestgen.community.placement.field import LANES
 
@@ -20,6 +21,22 @@ SMALLEST = 1e-290  # a cell below is 0: products stay clear of the slow numbers 
 _VECTOR = ir.VectorType(ir.DoubleType(), LANES)
 _WHOLE = ir.VectorType(ir.IntType(32), LANES)
 _INDEX = ir.IntType(32)
+
+
+class Eight(types.Type):
+    """Eight numbers in a register."""
+
+    def __init__(self) -> None:
+        super().__init__(name="Eight")
+
+
+@register_model(Eight)
+class _EightModel(models.PrimitiveModel):  # type: ignore[misc]
+    def __init__(self, manager: Any, kind: Any) -> None:
+        super().__init__(manager, kind, _VECTOR)
+
+
+EIGHT = Eight()
 
 
 @intrinsic
@@ -69,50 +86,108 @@ def ask_for(typing_context, memory, index):  # type: ignore[no-untyped-def]
 
 
 @intrinsic
-def sum_line(typing_context, memory, index):  # type: ignore[no-untyped-def]
+def load_line(typing_context, memory, index):  # type: ignore[no-untyped-def]
+    """Eight numbers."""
+
+    def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.load(_line(builder, arguments), align=8)
+
+    return EIGHT(memory, types.int64), code
+
+
+@intrinsic
+def store_line(typing_context, memory, index, eight):  # type: ignore[no-untyped-def]
+    """Write eight numbers."""
+
+    def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        builder.store(arguments[2], _line(builder, arguments), align=8)
+        return context.get_dummy_value()
+
+    return types.void(memory, types.int64, EIGHT), code
+
+
+@intrinsic
+def sum_of(typing_context, eight):  # type: ignore[no-untyped-def]
     """Sum of eight numbers."""
 
     def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return _sum(builder, _load(builder, arguments[0], arguments[1]))
+        vector = arguments[0]
+        for half in (4, 2, 1):
+            low, high = _shuffled(builder, vector, range(half)), _shuffled(builder, vector, range(half, 2 * half))
+            vector = builder.fadd(low, high)
+        return builder.extract_element(vector, _INDEX(0))
 
-    return types.float64(memory, types.int64), code
+    return types.float64(EIGHT), code
 
 
 @intrinsic
-def sum_near(typing_context, memory, index, squares, dy2, r2):  # type: ignore[no-untyped-def]
-    """Sum of those of eight cells whose `squares` + dy2 is at most r2."""
+def with_number(typing_context, eight, k, value):  # type: ignore[no-untyped-def]
+    """Eight numbers, of which number k has become `value`."""
 
     def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        cells, index, squares, dy2, r2 = arguments
-        _, near = _near(builder, squares, dy2, r2)
-        return _sum(builder, builder.select(near, _load(builder, cells, index), _all(builder, 0.0)))
+        eight, k, value = arguments
+        chosen = builder.icmp_signed("==", _all(builder, builder.trunc(k, _INDEX)), _WHOLE(list(range(LANES))))
+        return builder.select(chosen, _all(builder, value), eight)
 
-    number = types.float64
-    return number(memory, types.int64, squares, number, number), code
+    return EIGHT(EIGHT, types.int64, types.float64), code
 
 
 @intrinsic
-def multiply_near(typing_context, memory, index, squares, dy2, r2, factor):  # type: ignore[no-untyped-def]
-    """Multiply those of eight cells whose `squares` + dy2 is at most r2 by one factor; the sum of all eight."""
+def distances(typing_context, b, x, width, first, last):  # type: ignore[no-untyped-def]
+    """((j + 0.5 - x) width)² of the columns j = 8 b .. 8 b + 7; infinite outside first .. last."""
 
     def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        cells, index, squares, dy2, r2, factor = arguments
-        _, near = _near(builder, squares, dy2, r2)
-        return _multiply(builder, cells, index, near, _all(builder, factor))
+        b, x, width, first, last = arguments
+        kind = ir.VectorType(ir.IntType(64), LANES)
+        start = _all(builder, builder.mul(b, ir.IntType(64)(LANES)))
+        j = builder.add(start, kind(list(range(LANES))))
+        dx = builder.fsub(builder.fadd(builder.sitofp(j, _VECTOR), _all(builder, 0.5)), _all(builder, x))
+        dx = builder.fmul(dx, _all(builder, width))
+        inside = builder.and_(
+            builder.icmp_signed(">=", j, _all(builder, first)), builder.icmp_signed("<=", j, _all(builder, last))
+        )
+        square = _rounded(builder, builder.fmul(dx, dx))
+        return builder.select(inside, square, _all(builder, float("inf")))
 
-    number = types.float64
-    return number(memory, types.int64, squares, number, number, number), code
+    whole, number = types.int64, types.float64
+    return EIGHT(whole, number, number, whole, whole), code
 
 
 @intrinsic
-def multiply_by_table(typing_context, memory, index, squares, dy2, r2, scale, last, table):  # type: ignore[no-untyped-def]
-    """Multiply those of eight cells whose d2 = `squares` + dy2 is at most r2 by a table; the sum of all eight.
+def only_near(typing_context, eight, squares, dy2, r2):  # type: ignore[no-untyped-def]
+    """Those of eight cells whose `squares` + dy2 is at most r2, and 0.0 for others."""
+
+    def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        eight, squares, dy2, r2 = arguments
+        _, near = _near(builder, squares, dy2, r2)
+        return builder.select(near, eight, _all(builder, 0.0))
+
+    number = types.float64
+    return EIGHT(EIGHT, EIGHT, number, number), code
+
+
+@intrinsic
+def times(typing_context, eight, squares, dy2, r2, factor):  # type: ignore[no-untyped-def]
+    """Multiply those of eight cells whose `squares` + dy2 is at most r2 by one factor."""
+
+    def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        eight, squares, dy2, r2, factor = arguments
+        _, near = _near(builder, squares, dy2, r2)
+        return _multiply(builder, eight, near, _all(builder, factor))
+
+    number = types.float64
+    return EIGHT(EIGHT, EIGHT, number, number, number), code
+
+
+@intrinsic
+def times_table(typing_context, eight, squares, dy2, r2, scale, last, table):  # type: ignore[no-untyped-def]
+    """Multiply those of eight cells whose d2 = `squares` + dy2 is at most r2 by a table.
 
     The factor is linear between the table's values at the whole numbers about sqrt(d2) scale, which is at most `last`.
     """
 
     def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        cells, index, squares, dy2, r2, scale, last, table = arguments
+        eight, squares, dy2, r2, scale, last, table = arguments
         d2, near = _near(builder, squares, dy2, r2)
         kinds = ir.FunctionType(_VECTOR, [_VECTOR])
         root = cgutils.get_or_insert_function(builder.module, kinds, "llvm.sqrt.v8f64")
@@ -128,22 +203,28 @@ def multiply_by_table(typing_context, memory, index, squares, dy2, r2, scale, la
             high = builder.insert_element(high, builder.load(builder.gep(here, [_INDEX(1)])), _INDEX(lane))
         part = builder.fsub(at, builder.sitofp(whole, _VECTOR))
         factor = builder.fadd(low, builder.fmul(part, builder.fsub(high, low)))
-        return _multiply(builder, cells, index, near, factor)
+        return _multiply(builder, eight, near, factor)
 
     number = types.float64
-    return number(memory, types.int64, squares, number, number, number, number, table), code
+    return EIGHT(EIGHT, EIGHT, number, number, number, number, table), code
 
 
-def _load(builder: Any, memory: Any, index: Any) -> Any:
-    place = builder.bitcast(builder.gep(memory, [index]), _VECTOR.as_pointer())
-    return builder.load(place, align=8)
+def _line(builder: Any, arguments: Any) -> Any:
+    return builder.bitcast(builder.gep(arguments[0], [arguments[1]]), _VECTOR.as_pointer())
+
+
+def _rounded(builder: Any, vector: Any) -> Any:
+    """The same, never contracted with a later sum."""
+    kinds = ir.FunctionType(_VECTOR, [_VECTOR])
+    return builder.call(cgutils.get_or_insert_function(builder.module, kinds, "llvm.arithmetic.fence.v8f64"), [vector])
 
 
 def _all(builder: Any, value: Any) -> Any:
     """A vector of one number."""
     if isinstance(value, float):
         return ir.Constant(_VECTOR, [value] * LANES)
-    one = builder.insert_element(ir.Constant(_VECTOR, ir.Undefined), value, _INDEX(0))
+    kind = ir.VectorType(value.type, LANES)
+    one = builder.insert_element(ir.Constant(kind, ir.Undefined), value, _INDEX(0))
     return _shuffled(builder, one, [0] * LANES)
 
 
@@ -152,23 +233,12 @@ def _shuffled(builder: Any, vector: Any, lanes: Sequence[int]) -> Any:
     return builder.shuffle_vector(vector, ir.Constant(vector.type, ir.Undefined), chosen)
 
 
-def _sum(builder: Any, vector: Any) -> Any:
-    for half in (4, 2, 1):
-        low, high = _shuffled(builder, vector, range(half)), _shuffled(builder, vector, range(half, 2 * half))
-        vector = builder.fadd(low, high)
-    return builder.extract_element(vector, _INDEX(0))
-
-
 def _near(builder: Any, squares: Any, dy2: Any, r2: Any) -> tuple[Any, Any]:
-    d2 = builder.fadd(_load(builder, squares, ir.IntType(64)(0)), _all(builder, dy2))
+    d2 = builder.fadd(squares, _all(builder, dy2))
     return d2, builder.fcmp_ordered("<=", d2, _all(builder, r2))
 
 
-def _multiply(builder: Any, cells: Any, index: Any, near: Any, factor: Any) -> Any:
-    one = _all(builder, 1.0)
-    product = builder.fmul(_load(builder, cells, index), builder.select(near, factor, one))
+def _multiply(builder: Any, eight: Any, near: Any, factor: Any) -> Any:
+    product = builder.fmul(eight, builder.select(near, factor, _all(builder, 1.0)))
     enough = builder.fcmp_ordered(">=", product, _all(builder, SMALLEST))
-    product = builder.select(enough, product, _all(builder, 0.0))
-    place = builder.bitcast(builder.gep(cells, [index]), _VECTOR.as_pointer())
-    builder.store(product, place, align=8)
-    return _sum(builder, product)
+    return builder.select(enough, product, _all(builder, 0.0))

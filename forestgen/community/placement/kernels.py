@@ -18,7 +18,7 @@ Lane 2002, section 5.1, Figures 5.1, 5.2, 5.4 and 5.7.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Annotated, Any, Literal, Self
@@ -130,7 +130,9 @@ _KERNEL_KEYS = tuple(KernelSection.model_fields)
 _KERNEL_FORMS = f"a kernel's name ({', '.join(NAMED)}) or {{curve: ...}}"
 
 
-def _named(value: Any) -> Any:
+def _named(value: Any, check: Callable[[Any], Any]) -> Any:
+    if isinstance(value, KernelSection):
+        return value
     if isinstance(value, str):
         if value not in NAMED:
             near = difflib.get_close_matches(value, NAMED, n=1)
@@ -138,15 +140,15 @@ def _named(value: Any) -> Any:
             raise mistake(
                 f"{', '.join(NAMED)}, or {{curve: ...}}", problem="no such kernel", got=repr(value[:60]), hint=hint
             )
-        return NAMED[value]
-    if not isinstance(value, Mapping | KernelSection):
+        return _sections[value]
+    if not isinstance(value, Mapping):
         hint = "write {curve: ...}" if isinstance(value, int | float | list | tuple) else None
         raise mistake(_KERNEL_FORMS, problem="this is no kernel", hint=hint)
-    return value
+    return check(value)
 
 
 #: A kernel in a recipe: its name, or a section.
-Kernel = Annotated[KernelSection, BeforeValidator(_named, json_schema_input_type=KernelName | KernelSection)]
+Kernel = Annotated[KernelSection, WrapValidator(_named, json_schema_input_type=KernelName | KernelSection)]
 _kernel: TypeAdapter[KernelSection] = TypeAdapter(Kernel)
 _row: TypeAdapter[dict[str, KernelSection]] = TypeAdapter(dict[Name, Kernel])
 _target = TypeAdapter(HopkinsTarget)
@@ -253,6 +255,8 @@ def table(kernel: KernelSection) -> KernelTable:
 
 
 NEUTRAL = KernelTable(np.ones(SAMPLES + 1), 1.0, in_radii=True)
+#: Made once: a matrix of hundreds of species names a few kernels many thousand times.
+_sections = {name: KernelSection(**keys) for name, keys in NAMED.items()}
 
 
 def kernel_matrix(

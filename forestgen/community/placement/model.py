@@ -6,6 +6,7 @@ import hashlib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -97,6 +98,7 @@ def placed_state(
     position_m: NDArray[np.float64],
     why: str | Mapping[str, str],
     notes: Sequence[str] = (),
+    found: Mapping[str, Any] | None = None,
 ) -> State:
     """The state of step 0; plants whose (N, 2) position is nan found no place, and a note says how many and `why`.
 
@@ -104,17 +106,18 @@ def placed_state(
     ----------
     why : the reason; or one by species. Conditions that bar a species on the whole site are told instead.
     notes : what else a user should know.
+    found : what the model worked out for itself, plain as in JSON; it is kept with every snapshot.
     """
     placed = ~np.isnan(position_m[:, 0])
     asked = np.bincount(wanted.sp, minlength=len(species))
-    found = np.bincount(wanted.sp[placed], minlength=len(species))
+    standing = np.bincount(wanted.sp[placed], minlength=len(species))
     reasons = dict.fromkeys((one.name for one in species), why) if isinstance(why, str) else why
     missing = []
     for i, one in enumerate(species):
-        if found[i] < asked[i]:
-            bars = None if found[i] else _bars(parameters, site, one.name)
+        if standing[i] < asked[i]:
+            bars = None if standing[i] else _bars(parameters, site, one.name)
             missing.append(
-                f"{found[i]:,} of {asked[i]:,} plants of {one.name} were placed: {bars or reasons[one.name]}"
+                f"{standing[i]:,} of {asked[i]:,} plants of {one.name} were placed: {bars or reasons[one.name]}"
             )
     return first_state(
         parameters,
@@ -125,6 +128,7 @@ def placed_state(
         r_m=wanted.r_m[placed],
         height_m=wanted.height_m[placed],
         notes=[*missing, *notes],
+        found=found,
     )
 
 

@@ -7,12 +7,13 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from forestgen.cli import app
+from forestgen.cli import app, fit_report
 from forestgen.community.fitting import fit as fitting
 from forestgen.community.fitting import founders, likeliest, matching
 from forestgen.core.errors import RecipeError
@@ -60,7 +61,14 @@ def test_a_fit_leaves_a_recipe_a_picture_and_numbers(quick, tmp_path):
     assert "at all 50 radii" in result.output or "of 50 radii; not at r =" in result.output
     assert "of 2 such checks" in result.output
     recipe = target.read_text()
-    assert recipe.rstrip() in result.output
+    head = recipe.splitlines()[:3]
+    assert "\n".join(head) in result.output
+    assert f"more lines in {target}" in result.output
+    assert recipe.splitlines()[-1] not in result.output  # of many numbers
+    assert re.search(
+        r"^new stands (agree with|differ from) the measured one.* in \d of 2 fresh sets", result.output.splitlines()[-1]
+    )
+    assert "drawn as" not in result.output
     assert target.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
     numbers = json.loads(target.with_suffix(".json").read_text())
     assert numbers["n"] == 42
@@ -122,6 +130,8 @@ def test_two_species_and_sizes_give_a_kernel_for_each_direction(quick, points, t
     result = run(points(rows, "# window 0 10 0 10\nx,y,radius_m,species"), "-o", tmp_path / "two.yaml")
     assert result.exit_code == 0, result.output
     assert "K(r) of fern tree to oak" in result.output
+    note = "note: fern tree: drawn as poplar, since no --species says what they look like"
+    assert result.output.index(note) < result.output.index("40 plants in 10 x 10 m")
     assert "G(r) of oak to fern tree" in result.output
     community = load_recipe(tmp_path / "two.yaml", []).draw(0)
     assert set(community.species) == {"oak", "fern-tree"}
@@ -130,6 +140,33 @@ def test_two_species_and_sizes_give_a_kernel_for_each_direction(quick, points, t
         (a, b) for a in ("oak", "fern tree") for b in ("oak", "fern tree")
     }
     assert not kernels[0]["symmetric"]
+
+
+def test_a_window_that_nobody_stated_is_told_before_the_fit(points, tmp_path, monkeypatch):
+    def stop(*_):
+        raise RecipeError("stopped")
+
+    monkeypatch.setattr(fit_report, "fit_stand", stop)
+    result = run(points(scattered(30), "x,y"), "-o", tmp_path / "fit")
+    assert result.output.index("note: the window is the points' bounding box") < result.output.index("stopped")
+    assert "note: new plants: drawn as poplar" in result.output
+
+
+@pytest.mark.parametrize(
+    ("held", "own", "says"),
+    [
+        ({"K": 19, "g": 12, "G": 20}, 20, "new stands agree with the measured one: "),
+        ({"K": 7, "g": 6, "G": 20}, 6, "new stands agree with the measured one: "),
+        ({"K": 19, "g": 12, "G": 2}, 15, "new stands differ from the measured one in nearest neighbours: "),
+        ({"K": 0, "g": 12, "G": 2}, 15, "in pairs and nearest neighbours: "),
+    ],
+)
+def test_the_verdict_in_words(held, own, says):
+    fit = SimpleNamespace(checks=[()] * 20, held=held.__getitem__, own_held=lambda _: own)
+    verdict = fit_report._in_words(fit)
+    assert says in verdict
+    assert f"K (pairs) in {held['K']} of 20, " in verdict
+    assert verdict.endswith(f"G (nearest neighbours) in {held['G']} of 20 fresh sets")
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,8 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from forestgen.community.history import open_history, read_history, write_history
@@ -36,6 +38,32 @@ def test_same_snapshots_same_bytes(history, tmp_path):
     write_history(tmp_path / "b.parquet", history)
     assert (tmp_path / "a.parquet").read_bytes() == (tmp_path / "b.parquet").read_bytes()
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.parquet", "b.parquet"]
+
+
+def test_a_row_says_its_step_and_its_species(history, tmp_path):
+    path = tmp_path / "a.parquet"
+    write_history(path, history)
+    table = pq.read_table(path)
+    names = np.array(history[0].species_names)
+    assert isinstance(table.schema.field("species_name").type, pa.DictionaryType)
+    assert table["species_name"].to_pylist() == names[table["species"].to_numpy()].tolist()
+    assert set(table["species_name"].to_pylist()) == set(names)
+    assert table["step"].to_pylist() == [one.step for one in history for _ in range(len(one))]
+
+
+def test_histories_without_these_columns_are_read(history, tmp_path):
+    """As forestgen wrote them before: their snapshots, written again, are those of today."""
+    path, older = tmp_path / "a.parquet", tmp_path / "older.parquet"
+    write_history(path, history)
+    with pq.ParquetFile(path) as file:
+        kept = [name for name in file.schema_arrow.names if name not in ("step", "species_name")]
+        about = file.metadata.metadata[b"forestgen.community"]
+        with pq.ParquetWriter(older, pa.schema([file.schema_arrow.field(name) for name in kept])) as writer:
+            for group in range(file.num_row_groups):
+                writer.write_table(file.read_row_group(group, columns=kept))
+            writer.add_key_value_metadata({b"forestgen.community": about})
+    write_history(tmp_path / "b.parquet", read_history(older))
+    assert (tmp_path / "b.parquet").read_bytes() == path.read_bytes()
 
 
 def test_only_empty_snapshots(history, tmp_path):

@@ -334,6 +334,23 @@ def test_barred_ground_and_no_species(tree):
     assert [len(now) for now in simulate(MODEL, MODEL.Parameters(), site, [], 0, steps=2)] == [0, 0, 0]
 
 
+def test_the_mean_of_the_ground_is_that_of_its_own_density(tree):
+    """It is kept by content: for estimates no density is made twice, and no field at all."""
+    site, species = Site((20.0, 30.0)), [tree(), tree(name="b")]
+    grounds = [
+        {"tree": {"map": [[1, 0.2], [0.3, 1]]}},
+        {"tree": {"map": [[1, 0.2], [0.3, 0.5]]}},
+        {"tree": {"map": {"rows": [[1, 0.2], [0.3, 1]], "invert": True}}, "b": {"map": [[0, 1]]}},
+    ]
+    for keep_out in (None, [[1, 0], [0, 0]]):
+        for ground in grounds:
+            parameters = MODEL.Parameters(ground=ground, keep_out=keep_out, cells=64)
+            for _ in range(2):
+                found = MODEL.init(parameters, site, species, 0).ground
+                means = [1.0 if one is None else one.mean() for one in found.density]
+                np.testing.assert_allclose(found.mean, means, rtol=1e-12)
+
+
 @pytest.mark.parametrize(
     ("keys", "message"),
     [

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from pydantic import ValidationError
 
 from forestgen.community.disturbance import Planting
 from forestgen.community.history import open_history, write_history
@@ -60,6 +61,24 @@ def run(name, species, seed, **more):
     chosen = {"disturbances": DISTURBANCES, **NEEDED.get(name, {}), **more.pop("parameters", {})}
     parameters = model.Parameters(steps=STEPS, **chosen)
     return list(simulate(model, parameters, SITE, species, seed, steps=STEPS, **more))
+
+
+@pytest.mark.parametrize(
+    ("name", "key", "knows"),
+    [
+        ("uniform", "kernels", "deformation_kernel, kernel_growth"),
+        ("deformation_kernel", "program", "multiset_lsystem"),
+    ],
+)
+def test_a_key_left_over_from_another_model_is_told_as_such(name, key, knows):
+    with pytest.raises(ValidationError) as caught:
+        COMMUNITY_MODELS.load(name).Parameters(**{key: "inhibition"})
+    (one,) = caught.value.errors()
+    assert one["ctx"]["at"] == (key,)
+    assert one["ctx"]["got"] == "'inhibition'"
+    assert one["ctx"]["hint"].startswith(f"{key} is a key of {knows}: ")
+    with pytest.raises(ValidationError, match="Extra inputs"):
+        COMMUNITY_MODELS.load(name).Parameters(kernles=1)
 
 
 @pytest.fixture

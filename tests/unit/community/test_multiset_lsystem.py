@@ -286,9 +286,9 @@ def peak_bytes(parameters, site, species, steps):
 @pytest.mark.parametrize("size", [(60.0, 60.0), (10_000.0, 1.0)])
 def test_the_estimate_is_above_what_is_allocated(tree, rate, numbers, size):
     species = [tree(seedlings_per_ha_per_yr=rate, **numbers), tree(name="b", max_radius_m=0.3)]
-    parameters = MODEL.Parameters(steps=30)
-    peak_bytes(parameters, Site(size), species, 2)  # compile first
-    assert peak_bytes(parameters, Site(size), species, 30) < MODEL.estimate_bytes(parameters, Site(size), species)
+    parameters = MODEL.Parameters(steps=15)
+    peak_bytes(parameters, Site((20.0, 20.0)), species, 2)  # compile first
+    assert peak_bytes(parameters, Site(size), species, 15) < MODEL.estimate_bytes(parameters, Site(size), species)
 
 
 @pytest.mark.parametrize("per_ha", [0.0, 5e4, 1e6])

@@ -61,6 +61,26 @@ def test_north_is_up_and_east_to_the_right(tmp_path):
     assert means[0] == pytest.approx(means[3], abs=3)
 
 
+def test_a_wide_range_of_densities_is_shown_in_full(tmp_path):
+    """Of 1000, 1 and 0: on a plain scale the last two would look alike."""
+    density = south_west() * 10
+    density[20:, :20] = 1.0
+    north_west, north_east, south_west_, _ = (
+        quarter.mean() for quarter in quarters(drawn(tmp_path, Densities({"tree": 1}, {"tree": density}), stand([])))
+    )
+    assert south_west_ < north_west - 30
+    assert north_west < north_east - 3
+
+
+def test_dots_are_whole_at_the_edge(tmp_path):
+    densities = Densities({"tree": 1}, {"tree": np.ones((40, 40))})
+    inside, corner = (
+        drawn(tmp_path, densities, stand([place]), name=f"{place[0]}.png") for place in ([10.0, 10.0], [0.0, 10.0])
+    )
+    dark = [(np.asarray(Image.open(path).convert("L")) < 60).sum() for path in (inside, corner)]
+    assert dark[1] > dark[0] - 40  # but for what the frame covers
+
+
 def test_plants_are_dots_at_their_places(tmp_path):
     densities = Densities({"tree": 40}, {"tree": np.ones((40, 40))})
     places = 12 + 6 * np.random.default_rng(0).random((40, 2))

@@ -110,6 +110,20 @@ def test_thinning_and_sizes_of_few_or_equal_plants(plants, site, tmp_path):
     assert (tmp_path / "thinning.png").stat().st_size > 0
 
 
+def test_white_petals_show_on_white_paper(tmp_path):
+    """Bars of two species of which one is white, and as small beside the other as a daisy beside a spruce."""
+    two = stand(300)
+    radius_m = np.where(two.species == 0, 0.02, 1.0) * two.radius_m
+    plot_sizes(Population(**{**vars(two), "radius_m": radius_m}), {"tree": "#FFFFFF"}, tmp_path / "white.png")
+    plot_sizes(Population(**{**vars(two), "radius_m": radius_m}), {"tree": "#000000"}, tmp_path / "black.png")
+    white, black = (pixels(tmp_path / name).min(axis=2) < 128 for name in ("white.png", "black.png"))
+    upper_right = np.s_[80 : white.shape[0] // 2 - 60, white.shape[1] // 2 + 100 :]
+    columns = np.nonzero(white[upper_right])[1]
+    assert np.ptp(columns) > 0.6 * white[upper_right].shape[1]  # the small ones have their own axis
+    outlined, filled = white[upper_right].sum(), black[upper_right].sum()
+    assert 0.05 * filled < outlined < filled
+
+
 def test_sizes_leave_out_the_dead(tmp_path):
     population = stand(300)
     dead = Population(**{**vars(population), "status": np.full(300, Status.DEAD, np.uint8)})

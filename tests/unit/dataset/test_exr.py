@@ -1,6 +1,9 @@
 from __future__ import annotations
 
 import json
+import shutil
+import subprocess
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,50 +13,119 @@ from forestgen.core.errors import OutputError
 from forestgen.dataset import exr
 from forestgen.dataset.camera import camera_from_world, intrinsics, screen_window_width, world_to_camera, world_to_ndc
 from forestgen.dataset.exr import read_exr, read_exr_attributes, write_exr
-from forestgen.labels.pixels import pixel_labels
+from forestgen.recipe.schema import CHANNELS
 
 POINTS = (
     np.random.default_rng(0).uniform(-5, 5, (50, 3)) + np.array([3.0, -4.0, 12.0]) + 40 * np.array([0.6, 0.7, -0.2])
 )
 
 
-def labels_of(shot):
-    identity, population = shot.frame.identity, shot.population
-    return pixel_labels(identity.plant_id, identity.part, population.plant_id, population.species)
+GEOMETRY = {"normal", "normal.camera", "normal.shading", "normal.shading.camera", "position", "position.camera"}
 
 
 def written(path, shot, **attributes):
-    write_exr(path, shot.frame, labels_of(shot), attributes)
+    write_exr(path, shot.labelled, attributes)
     return path
 
 
 def test_every_value_survives(tmp_path, wide_shot):
     parts = read_exr(written(tmp_path / "a.exr", wide_shot))
-    labels, frame = labels_of(wide_shot), wide_shot.frame
-    assert list(parts) == [
-        "radiance", "radiance.denoised", "radiance.variance", "depth", "normal", "position", "identity", "coverage",
-    ]  # fmt: skip
-    for name, channels, values in [
-        ("radiance", "RGB", frame.radiance.mean),
-        ("radiance.denoised", "RGB", frame.radiance.denoised),
-        ("radiance.variance", "RGB", frame.radiance.variance),
-        ("depth", "Z", frame.identity.depth_m[..., None]),
-        ("normal", "XYZ", frame.identity.normal),
-        ("position", "XYZ", frame.identity.position_m),
-    ]:
+    labelled, frame = wide_shot.labelled, wide_shot.frame
+    surface, labels = frame.surface, labelled.pixels
+    rotation = frame.camera.world_from_camera
+    expected = {
+        "radiance": dict(zip("RGB", np.moveaxis(frame.radiance.mean, -1, 0), strict=True)),
+        "radiance.denoised": dict(zip("RGB", np.moveaxis(frame.radiance.denoised, -1, 0), strict=True)),
+        "radiance.variance": dict(zip("RGB", np.moveaxis(frame.radiance.variance, -1, 0), strict=True)),
+        "depth": {"Z": surface.depth_m, "distance": surface.distance_m},
+        "normal": dict(zip("XYZ", np.moveaxis(surface.normal, -1, 0), strict=True)),
+        "normal.camera": dict(zip("XYZ", np.moveaxis((surface.normal @ rotation), -1, 0), strict=True)),
+        "normal.shading": dict(zip("XYZ", np.moveaxis(surface.shading_normal, -1, 0), strict=True)),
+        "normal.shading.camera": dict(zip("XYZ", np.moveaxis(surface.shading_normal @ rotation, -1, 0), strict=True)),
+        "position": dict(zip("XYZ", np.moveaxis(surface.position_m, -1, 0), strict=True)),
+        "albedo": dict(zip("RGB", np.moveaxis(surface.albedo, -1, 0), strict=True)),
+        "sun": {"visible": surface.sun_visible},
+        "cloud": {"opacity": frame.cloud_opacity},
+        "motion": {"forward.u": frame.motion_px[..., 0], "forward.v": frame.motion_px[..., 1]},
+        "boundary": {"occluding": labelled.boundaries},
+        "identity": {
+            "plant_id": labels.instance, "part": labels.part, "semantic": labels.semantic,
+            "centre.plant_id": surface.plant_id, "centre.part": surface.part,
+            "centre.exemplar": surface.exemplar, "centre.face": surface.face,
+        },
+        "coverage": {
+            **{f"rank{k}.id": labels.ranks.plant_id[..., k] for k in range(8)},
+            **{f"rank{k}.coverage": labels.ranks.coverage[..., k] for k in range(8)},
+        },
+    }  # fmt: skip
+    assert set(parts) == {*expected, "position.camera"}
+    for name, channels in expected.items():
         assert set(parts[name]) == set(channels)
-        for i, channel in enumerate(channels):
-            assert parts[name][channel].dtype == np.float32
-            np.testing.assert_array_equal(parts[name][channel], values[..., i])
-    for name in ("plant_id", "part", "semantic"):
-        assert parts["identity"][name].dtype == np.uint32
-    np.testing.assert_array_equal(parts["identity"]["plant_id"], labels.instance)
-    np.testing.assert_array_equal(parts["identity"]["part"], labels.part)
-    np.testing.assert_array_equal(parts["identity"]["semantic"], labels.semantic)
+        for channel, values in channels.items():
+            kind = np.float32 if np.issubdtype(values.dtype, np.floating) else np.uint32
+            assert parts[name][channel].dtype == kind
+            np.testing.assert_array_equal(parts[name][channel], values.astype(kind))
     assert labels.instance.max() > 2**31
-    for rank in range(4):
-        np.testing.assert_array_equal(parts["coverage"][f"rank{rank}.id"], labels.ranks.plant_id[..., rank])
-        np.testing.assert_array_equal(parts["coverage"][f"rank{rank}.coverage"], labels.ranks.coverage[..., rank])
+    assert np.isnan(parts["motion"]["forward.u"][0, 0])
+
+
+def test_camera_positions_are_rays_times_depth(tmp_path, shot):
+    parts = read_exr(written(tmp_path / "a.exr", shot))
+    seen = np.stack([parts["position.camera"][axis] for axis in "XYZ"], axis=-1)
+    depth = parts["depth"]["Z"]
+    sky = np.isinf(depth)
+    assert 0 < sky.sum() < sky.size
+    assert np.isnan(seen[sky]).all()
+    np.testing.assert_array_equal(seen[~sky, 2], depth[~sky])
+    pixel = seen[~sky].astype(float) @ intrinsics(shot.frame.camera).T
+    y, x = np.nonzero(~sky)
+    np.testing.assert_allclose(pixel[:, :2] / pixel[:, 2:], np.stack([x, y], axis=1) + 0.5, atol=1e-4)
+
+
+def test_camera_normals_are_in_opencv_axes(tmp_path, shot):
+    right, _, forward = shot.frame.camera.world_from_camera.T
+    normal = np.broadcast_to(-forward, shot.frame.surface.normal.shape).astype(np.float32)
+    surface = replace(shot.frame.surface, normal=normal, shading_normal=np.broadcast_to(right, normal.shape))
+    frame = replace(shot.frame, surface=surface)
+    write_exr(tmp_path / "a.exr", replace(shot.labelled, frame=frame), {})
+    parts = read_exr(tmp_path / "a.exr")
+    for name, expected in (("normal.camera", (0, 0, -1)), ("normal.shading.camera", (1, 0, 0))):
+        for axis, value in zip("XYZ", expected, strict=True):
+            np.testing.assert_allclose(parts[name][axis], value, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("channels", "missing"),
+    [
+        (set(CHANNELS) - {"surface"}, GEOMETRY),
+        (set(CHANNELS) - {"albedo", "sun"}, {"albedo", "sun"}),
+        (set(), {*GEOMETRY, "albedo", "sun", "cloud", "motion", "boundary", "coverage"}),
+    ],
+)
+def test_only_what_the_recipe_asks_for(tmp_path, shot, channels, missing):
+    everything = set(read_exr(written(tmp_path / "a.exr", shot)))
+    boundaries = shot.labelled.boundaries if "boundaries" in channels else None
+    labelled = replace(shot.labelled, channels=frozenset(channels), boundaries=boundaries)
+    write_exr(tmp_path / "b.exr", labelled, {})
+    parts = read_exr(tmp_path / "b.exr")
+    assert set(parts) == everything - missing
+    assert ("centre.plant_id" in parts["identity"]) == ("surface" in channels)
+
+
+def test_what_a_frame_has_not_is_left_out(tmp_path, shot):
+    frame = replace(shot.frame, cloud_opacity=None, motion_px=None)
+    write_exr(tmp_path / "a.exr", replace(shot.labelled, frame=frame, boundaries=None), {})
+    assert not {"cloud", "motion", "boundary"} & set(read_exr(tmp_path / "a.exr"))
+
+
+@pytest.mark.parametrize("tool", ["exrheader", "exrinfo"])
+def test_openexrs_own_tools_read_it(tmp_path, shot, tool):
+    program = shutil.which(tool)
+    if program is None:
+        pytest.skip(f"{tool} is not installed (Debian: openexr)")
+    path = written(tmp_path / "a.exr", shot)
+    told = subprocess.run([program, str(path)], capture_output=True, text=True, check=True).stdout
+    assert all(name in told for name in read_exr(path))
 
 
 def test_without_denoising(tmp_path):
@@ -65,6 +137,9 @@ def test_attributes(tmp_path, shot):
     camera = shot.frame.camera
     assert header["forestgen/recipe_hash"] == "abc"
     assert header["forestgen/seed"] == "7"
+    names = json.loads(header["forestgen/classes"])
+    assert names == {"0": "nothing", "1": "ground", "2": "poplar", "3": "spruce", "4": "oak"}
+    assert json.loads(header["forestgen/parts"])["7"] == "dead_wood"
     model = json.loads(header["forestgen/camera"])
     np.testing.assert_array_equal(model["K"], intrinsics(camera))
     np.testing.assert_array_equal(model["camera_from_world"], camera_from_world(camera))

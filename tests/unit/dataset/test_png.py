@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 from PIL import Image
@@ -31,7 +33,9 @@ def test_semantic_is_a_palette_image(tmp_path):
         assert image.mode == "P"
         np.testing.assert_array_equal(np.asarray(image), classes)
         np.testing.assert_array_equal(np.asarray(image.convert("RGB")).reshape(-1, 3), png.class_palette(256))
-        assert not image.text
+        assert {key: json.loads(value) for key, value in image.text.items()} == {
+            "classes": {str(i): str(i) for i in range(256)}
+        }
 
 
 def test_class_colours_do_not_depend_on_their_number():

@@ -1,40 +1,43 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
+from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from dataset_shots import SPECIES, make_shot
+from dataset_shots import SETTINGS, make_shot
 
 from forestgen.core.errors import OutputError
-from forestgen.dataset import manifest, png
+from forestgen.dataset import manifest, png, tables
 from forestgen.dataset.exr import read_exr
 from forestgen.dataset.files import write_bytes, write_json
 from forestgen.dataset.tables import write_plants
 from forestgen.dataset.writer import frame_bytes, frame_folder_name, write_dataset, write_frame
-from forestgen.labels.masks import instance_mask
-from forestgen.labels.plants_table import visible_plants
+from forestgen.recipe.schema import Format
 
-FILES = ["frame.exr", "instance.png", "overlay.png", "plants.parquet", "preview.png", "recipe.yaml", "semantic.png"]
+FILES = {
+    "camera.json", "frame.exr", "instance.png", "overlay.png", "plants.parquet", "preview.png", "recipe.yaml",
+    "semantic.png",
+}  # fmt: skip
 
 
 def write(path, shot):
-    return write_frame(path, shot.frame, shot.population, SPECIES, "seed: 7  # ü\n", {"seed": "7"})
+    write_frame(path, shot.labelled, "seed: 7  # ü\n", {"seed": "7"}, SETTINGS)
+    return path
 
 
-def test_all_files_agree_and_fit_the_estimate(tmp_path, shot):
-    folder = tmp_path / frame_folder_name(0, "camera0")
-    record = write(folder, shot)
-    assert folder.name == record.folder_name == "000000-camera0"
-    assert sorted(path.name for path in folder.iterdir()) == FILES
+def test_all_files_agree(tmp_path, shot):
+    folder = write(tmp_path / frame_folder_name(0, "camera0"), shot)
+    assert folder.name == "000000-camera0"
+    assert {path.name for path in folder.iterdir()} >= FILES
     identity = read_exr(folder / "frame.exr")["identity"]
     np.testing.assert_array_equal(identity["plant_id"], png.read_instance(folder / "instance.png"))
     assert (folder / "recipe.yaml").read_text(encoding="utf-8") == "seed: 7  # ü\n"
-    size = sum(path.stat().st_size for path in folder.iterdir())
-    assert size < frame_bytes(shot.frame.camera.size_px, len(shot.population))
     # The population lists oak first, the recipe third: class 2 + 2.
     oak = shot.population.plant_id[shot.population.species == 0]
     assert set(np.unique(identity["semantic"][np.isin(identity["plant_id"], oak)]).tolist()) <= {4}
@@ -42,11 +45,31 @@ def test_all_files_agree_and_fit_the_estimate(tmp_path, shot):
 
 def test_equal_input_gives_equal_bytes(tmp_path):
     for name in ("a", "b"):
-        record = write(tmp_path / name / "000000-camera0", make_shot(range(1, 20)))
-        write_dataset(tmp_path / name, [record], SPECIES)
+        folder = write(tmp_path / name / "000000-camera0", make_shot(range(1, 20)))
+        write_dataset(tmp_path / name, [folder], SETTINGS)
     first, second = (manifest.list_files(tmp_path / name) for name in ("a", "b"))
-    assert len(first) == len(FILES) + 1
+    assert {"coco.json", "classes.json"} < set(first)
     assert first == second
+
+
+@pytest.mark.parametrize("name", ["", *get_args(Format)])
+def test_the_estimate_of_disk_space_holds(tmp_path, name):
+    """Everything is noise here, which nothing compresses."""
+    shot = make_shot(range(1, 40))
+    settings = replace(SETTINGS, formats=(name,) if name else ())
+    write_frame(tmp_path / "000000-a", shot.labelled, "", {}, settings)
+    write_dataset(tmp_path, [tmp_path / "000000-a"], settings)
+    size = sum(path.stat().st_size for path in tmp_path.rglob("*") if path.is_file())
+    small = (1 << 18) // 2  # of the estimate's constant part no more than half: the pictures are small
+    assert size < frame_bytes(shot.frame.camera.size_px, len(shot.population), settings.formats) - small
+
+
+def test_formats_are_those_asked_for(tmp_path, shot):
+    none = replace(SETTINGS, formats=())
+    write_frame(tmp_path / "000000-a", shot.labelled, "", {}, none)
+    write_dataset(tmp_path, [tmp_path / "000000-a"], none)
+    assert {path.name for path in (tmp_path / "000000-a").iterdir()} == FILES
+    assert {path.name for path in tmp_path.iterdir()} == {"000000-a", "classes.json"}
 
 
 def test_wide_ids_fail_before_anything_is_written(tmp_path, wide_shot):
@@ -55,36 +78,59 @@ def test_wide_ids_fail_before_anything_is_written(tmp_path, wide_shot):
     assert not list((tmp_path / "f").iterdir())
 
 
-def test_nothing_grows(tmp_path):
-    record = write(tmp_path / "f", make_shot([9]))  # the only plant is unseen
-    assert record.annotations == ()
-
-
-def test_plants_table(tmp_path, shot):
-    population, samples = shot.population, shot.frame.identity.plant_id
-    seen = visible_plants(population.plant_id, samples, instance_mask(samples))
+def test_every_column_of_the_plants(tmp_path, shot):
+    labelled = shot.labelled
     for name in ("a", "b"):
-        write_plants(tmp_path / name, population, seen)
+        write_plants(tmp_path / name, labelled)
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
     table = pq.read_table(tmp_path / "a")
     assert b"pandas" not in table.schema.metadata
     assert json.loads(table.schema.metadata[b"forestgen.status"])["3"] == "dead"
+    population, measures, views = labelled.population, labelled.measures, labelled.views
+    seen = views.visible
     assert table.column("plant_id").to_pylist() == population.plant_id.tolist()
     assert table.column("species").to_pylist()[:2] == ["oak", "poplar"]
-    assert table.column("z_m").to_pylist() == population.position_m[:, 2].tolist()
-    boxes = list(zip(*(table.column(f"box_{side}").to_pylist() for side in "xywh"), strict=True))
-    for row, box in enumerate(boxes):
-        assert box == (tuple(seen.box_px[row].tolist()) if seen.has_box[row] else (None,) * 4)
-    assert boxes[-1] == (None,) * 4
-    assert table.column("visible_area_px").to_pylist() == seen.visible_area_px.tolist()
+    expected = {
+        "z_m": population.position_m[:, 2],
+        "visible_area_px": seen.visible_area_px,
+        "stem_pixels": views.stem_pixels,
+        "crown_width_m": measures.crown_width_m,
+        "dbh_m": measures.dbh_m,
+        "leaf_area_m2": measures.leaf_area_m2,
+        "exemplar": measures.exemplar,
+        "distance_m": views.distance_m,
+        "visible_fraction": views.visible_fraction,
+        "amodal_area_px": views.amodal_area_px,
+        "full_box_right": views.full_box_px[:, 2],
+        "truncation": views.truncation,
+        "tip_y_px": views.keypoint_px[:, 1, 1],
+        "crown_centre_state": views.keypoint_state[:, 2],
+    }
+    for name, values in expected.items():
+        nulls = [None if np.isnan(value) else value for value in values.tolist()]
+        assert table.column(name).to_pylist() == nulls, name
+    assert None in table.column("dbh_m").to_pylist()
+    for name, box, known in [
+        ("box", seen.box_px, seen.has_box),
+        ("amodal_box", views.amodal_box_px, views.amodal_pixels > 0),
+    ]:
+        rows = list(zip(*(table.column(f"{name}_{side}").to_pylist() for side in "xywh"), strict=True))
+        assert rows == [tuple(box[i].tolist()) if known[i] else (None,) * 4 for i in range(len(box))]
+        assert rows[-1] == (None,) * 4  # the last plant is unseen
+    assert table.column("amodal_pixels").to_pylist()[-1] is None
+
+
+def test_the_docstring_names_every_column(tmp_path, shot):
+    write_plants(tmp_path / "p", shot.labelled)
+    described = tables.__doc__ or ""
+    for name in pq.read_schema(tmp_path / "p").names:
+        stem = re.sub(r"^(tip|crown_centre)_.*", r"\1_...", name)
+        stem = re.sub(r"^(amodal_box|full_box)_(?!x$|left$)", "..._", stem)
+        assert re.search(rf"[| ]{re.escape(stem)}[ ,]", described), name
 
 
 def test_an_empty_population_has_a_table(tmp_path):
-    shot = make_shot([])
-    write_plants(
-        tmp_path / "p", shot.population, visible_plants(shot.population.plant_id, np.zeros((2, 2, 1), np.uint32),
-                                                        np.zeros((2, 2), np.uint32))
-    )  # fmt: skip
+    write_plants(tmp_path / "p", make_shot([]).labelled)
     assert pq.read_table(tmp_path / "p").num_rows == 0
 
 

@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from forestgen.core.errors import RecipeError
 from forestgen.core.parts import Part
 from forestgen.labels import masks
-from forestgen.labels.masks import ClassMap, coverage_ranks, instance_mask, part_mask, rows_of, semantic_mask
+from forestgen.labels.classes import ClassMap
+from forestgen.labels.masks import coverage_ranks, instance_mask, part_mask, rows_of, semantic_mask
 from forestgen.labels.pixels import pixel_labels
 
 IDS = st.sampled_from([0, 1, 2, 3, 2**24 + 1, 2**31 + 5, 2**32 - 1])
@@ -95,33 +95,16 @@ def test_part_mask_refuses_other_shapes():
         part_mask(ids, np.zeros((2, 2, 3), np.uint8), np.zeros((2, 2), np.uint32))
 
 
-def test_semantic_classes():
+def test_the_semantic_mask_looks_up_species_and_part():
     instance = np.array([[0, 0, 0, 10, 4_000_000_000]], np.uint32)
     part = np.array([[Part.NOTHING, Part.GROUND, Part.ROCK, Part.LEAF, Part.TRUNK]], np.uint8)
     plant_id = np.array([10, 4_000_000_000], np.uint32)
-    semantic = semantic_mask(instance, part, plant_id, np.array([1, 0], np.uint16))
+    table = np.arange(3 * len(Part), dtype=np.uint8).reshape(3, -1)
+    semantic = semantic_mask(instance, part, plant_id, np.array([1, 0], np.uint16), table)
     assert semantic.dtype == np.uint8
-    assert semantic.tolist() == [[0, 1, 1, 3, 2]]
-
-
-def test_last_class_fits_and_the_next_fails_loudly():
-    one = np.array([[1]], np.uint32)
-    leaf = np.array([[Part.LEAF]], np.uint8)
-    ids = np.array([1], np.uint32)
-    assert semantic_mask(one, leaf, ids, np.array([253], np.uint16))[0, 0] == 255
-    with pytest.raises(RecipeError, match="254"):
-        semantic_mask(one, leaf, ids, np.array([254], np.uint16))
-    assert len(ClassMap(tuple(f"s{i}" for i in range(254))).names) == 256
-    with pytest.raises(RecipeError, match="at most 254"):
-        ClassMap(tuple(f"s{i}" for i in range(255)))
-
-
-def test_class_map_follows_the_recipes_order():
-    classes = ClassMap(("poplar", "spruce", "oak"))
-    assert classes.names == ("nothing", "ground", "poplar", "spruce", "oak")
-    assert classes.species_index(("oak", "poplar")).tolist() == [2, 0]
-    with pytest.raises(ValueError, match="fir"):
-        classes.species_index(("fir",))
+    nothing = 2 * len(Part)
+    expected = [nothing, nothing + Part.GROUND, nothing + Part.ROCK, len(Part) + Part.LEAF, Part.TRUNK]
+    assert semantic.tolist() == [expected]
 
 
 @pytest.mark.parametrize("population", [[], [5], [5, 9]])
@@ -132,7 +115,9 @@ def test_an_unknown_plant_is_refused(population):
 
 def test_empty_population_and_sky():
     ids = np.zeros((3, 4, 2), np.uint32)
-    labels = pixel_labels(ids, np.zeros((3, 4, 2), np.uint8), np.zeros(0, np.uint32), np.zeros(0, np.uint16))
+    labels = pixel_labels(
+        ids, np.zeros((3, 4, 2), np.uint8), np.zeros(0, np.uint32), np.zeros(0, np.uint16), ClassMap(())
+    )
     assert not labels.instance.any()
     assert not labels.semantic.any()
     assert labels.ranks.coverage[..., 0].min() == 1.0

@@ -188,9 +188,23 @@ WORDS = st.recursive(
 )
 
 
-@settings(max_examples=150, deadline=None)
-@given(st.lists(WORDS, max_size=8).map("".join), st.sampled_from(DIALECTS))
+A_WORD = given(st.lists(WORDS, max_size=8).map("".join), st.sampled_from(DIALECTS))
+
+
+@settings(max_examples=50, deadline=None)
+@A_WORD
 def test_random_words_as_the_slow_turtle_draws_them(text, options):
+    as_the_slow_turtle(text, options)
+
+
+@pytest.mark.slow
+@settings(max_examples=800, deadline=None)
+@A_WORD
+def test_many_random_words_as_the_slow_turtle_draws_them(text, options):
+    as_the_slow_turtle(text, options)
+
+
+def as_the_slow_turtle(text, options):
     if options.dialect == "cpfg":
         text = text.replace("#", "X")  # the slow turtle knows one width symbol
     if options.dialect == "rhover":

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -42,9 +43,25 @@ class Noted:
         yield advance
 
 
-def test_a_run_tells_its_progress_its_notes_and_its_numbers(tmp_path: Path) -> None:
-    noted, timings = Noted(), Timings()
-    summary = pipeline.render(load_recipe(QUICKSTART, TINY), tmp_path / "out", progress=noted, timings=timings)
+@dataclass(frozen=True)
+class Rendered:
+    """A run of the tiny recipe, which the tests share: it takes seconds."""
+
+    folder: Path
+    summary: pipeline.RunSummary
+    noted: Noted
+    timings: Timings
+
+
+@pytest.fixture(scope="module")
+def rendered(tmp_path_factory: pytest.TempPathFactory) -> Rendered:
+    folder, noted, timings = tmp_path_factory.mktemp("run") / "out", Noted(), Timings()
+    summary = pipeline.render(load_recipe(QUICKSTART, TINY), folder, progress=noted, timings=timings)
+    return Rendered(folder, summary, noted, timings)
+
+
+def test_a_run_tells_its_progress_its_notes_and_its_numbers(rendered: Rendered) -> None:
+    summary, noted, timings = rendered.summary, rendered.noted, rendered.timings
     assert summary.frames == 2
     assert summary.plants == sum(summary.counts.values()) > 0
     assert summary.notes[-1] == "000000-b: the camera stands below the ground"
@@ -52,18 +69,17 @@ def test_a_run_tells_its_progress_its_notes_and_its_numbers(tmp_path: Path) -> N
     assert all(done == total for done, total in noted.done.values()), noted.done
     assert set(summary.timings_s) <= set(timings.seconds)
     assert 0 < sum(summary.timings_s.values()) <= summary.total_s * 1.01
-    manifest = json.loads((tmp_path / "out" / "manifest.json").read_text())
+    manifest = json.loads((rendered.folder / "manifest.json").read_text())
     assert manifest["run"]["notes"] == summary.notes
     assert "coco.json" in manifest["files"]
 
 
-def test_a_simulation_is_the_first_images_community(tmp_path: Path) -> None:
+def test_a_simulation_is_the_first_images_community(tmp_path: Path, rendered: Rendered) -> None:
     loaded = load_recipe(QUICKSTART, TINY)
     alone = pipeline.simulate(loaded, tmp_path / "alone", progress=Silent(), timings=Timings())
     assert alone.frames == 0
     assert not alone.notes
-    rendered = pipeline.render(loaded, tmp_path / "out", progress=Silent(), timings=Timings())
-    assert alone.counts == rendered.counts
+    assert alone.counts == rendered.summary.counts
 
 
 def test_an_image_that_fails_takes_the_whole_run_with_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -77,7 +93,8 @@ def test_an_image_that_fails_takes_the_whole_run_with_it(tmp_path: Path, monkeyp
         return real(*arguments)  # type: ignore[arg-type]
 
     monkeypatch.setattr(pipeline, "build_scene", second_fails)
-    loaded = load_recipe(QUICKSTART, [*TINY, "images=2"])
+    one_camera = ["cameras=[{size_px: [16, 16]}]", "community.steps=3", "images=2"]
+    loaded = load_recipe(QUICKSTART, [*TINY, *one_camera])
     with pytest.raises(RuntimeError, match="no"):
         pipeline.render(loaded, tmp_path / "out", progress=Silent(), timings=Timings())
     assert len(calls) == 2

@@ -118,10 +118,10 @@ def test_the_seed_comes_from_the_stream():
 def test_explosions_are_refused(rule):
     plant = parameters(f"axiom: F\n{rule}", steps=30)
     GENERATOR.grow(parameters("axiom: F", steps=0), 1.0, 1.0, np.random.default_rng(0))
-    begin = time.perf_counter()
+    begin = time.process_time()
     with pytest.raises(RecipeError, match="grows too long"):
         GENERATOR.grow(plant, 1.0, 1.0, np.random.default_rng(0))
-    assert time.perf_counter() - begin < 10.0
+    assert time.process_time() - begin < 10.0
 
 
 @pytest.mark.parametrize(

@@ -30,7 +30,7 @@ def draws(written: dict[str, Any]) -> np.ndarray[Any, Any]:
         ({"normal": {"mean": 0, "sd": 1, "low": -1, "high": 2}}, stats.truncnorm(-1, 2)),
         ({"lognormal": [20, 0.3]}, stats.lognorm(0.3, scale=20)),
     ],
-    ids=str,
+    ids=lambda value: str(value) if isinstance(value, dict) else "",
 )
 def test_continuous_draws_follow_their_distribution(written: dict[str, Any], expected: Any) -> None:
     assert stats.kstest(draws(written), expected.cdf).pvalue > 1e-3

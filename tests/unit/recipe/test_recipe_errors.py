@@ -222,11 +222,24 @@ KEYS = [
 ]  # fmt: skip
 
 
-@settings(
-    max_examples=150, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
-@given(key=st.sampled_from(KEYS), value=VALUES, text=st.text(max_size=20), as_text=st.booleans())
+A_CHANGE = given(key=st.sampled_from(KEYS), value=VALUES, text=st.text(max_size=20), as_text=st.booleans())
+THE_SAME = settings(deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
+
+
+@settings(THE_SAME, max_examples=50)
+@A_CHANGE
 def test_no_value_makes_a_traceback(write: Write, key: str, value: object, text: str, as_text: bool) -> None:
+    no_traceback(write, key, value, text, as_text)
+
+
+@pytest.mark.slow
+@settings(THE_SAME, max_examples=600)
+@A_CHANGE
+def test_none_of_many_values_makes_a_traceback(write: Write, key: str, value: object, text: str, as_text: bool) -> None:
+    no_traceback(write, key, value, text, as_text)
+
+
+def no_traceback(write: Write, key: str, value: object, text: str, as_text: bool) -> None:
     try:
         loaded = load_recipe(write(), [f"{key}={text if as_text else value!r}"])
     except ForestgenError:

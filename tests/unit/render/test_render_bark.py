@@ -1,19 +1,19 @@
 from __future__ import annotations
 
-from contextlib import nullcontext
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from forestgen.core.frames import look_at
 from forestgen.core.parts import Part
+from forestgen.core.timing import Timings
 from forestgen.geometry.mesh import Mesh
 from forestgen.plants.bark.texture import SurfaceTexture, bark_texture
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.recipe.species import Bark
 from forestgen.render.build import load, origin_of, plants_dict, sensor_of, surface_bsdf
-from forestgen.render.identity import trace_identity
+from forestgen.render.identity import SceneTracer, trace_identity
 from forestgen.render.variant import SCALAR, mitsuba
 from forestgen.scene.spec import Camera, Instances, Material, SceneSpec
 from forestgen.testing.scenes import plain_ground, scattered_scene
@@ -130,12 +130,21 @@ def test_only_opaque_parts_take_a_texture():
     assert surface_bsdf(Part.TRUNK, material)["bsdf"]["type"] == "diffuse"
 
 
-def test_labels_do_not_see_the_texture():
+def test_of_all_labels_only_the_albedo_sees_the_texture():
     texture = bark_texture(Bark(pattern="furrowed", tile_m=TILE_M), REFLECTANCE, "post/bark")
-    plain, textured = (
-        trace_identity(one, one.cameras[0], samples=4, timer=lambda name: nullcontext(), advance=lambda rows: None)
+    (plain, plain_surface), (textured, textured_surface) = (
+        trace_identity(
+            SceneTracer(one, Timings()), one.cameras[0], samples=4, timer=Timings(), advance=lambda rows: None
+        )
         for one in (scene(Material(REFLECTANCE)), scene(Material(REFLECTANCE, texture=texture)))
     )
-    for field in fields(plain):
-        assert np.array_equal(getattr(plain, field.name), getattr(textured, field.name), equal_nan=True)
+    for ours, theirs in ((plain, textured), (plain_surface, textured_surface)):
+        for name, values in vars(ours).items():
+            if values is not None and values is not plain_surface.albedo:
+                assert np.array_equal(values, vars(theirs)[name], equal_nan=values.dtype == np.float32), name
     assert plain.part.max() == Part.TRUNK
+    trunk = plain_surface.part == Part.TRUNK
+    np.testing.assert_allclose(plain_surface.albedo[trunk], np.tile(REFLECTANCE, (trunk.sum(), 1)), rtol=1e-6)
+    seen = textured_surface.albedo[trunk]
+    np.testing.assert_allclose(seen.mean(axis=0), REFLECTANCE, rtol=0.1)
+    assert seen.std(axis=0).min() > 0.02

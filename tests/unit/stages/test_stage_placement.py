@@ -57,6 +57,16 @@ def test_a_placement_is_shown_beside_what_was_asked_for(tmp_path: Path) -> None:
     assert told["self_thinning"] is None
 
 
+def test_the_kernel_found_for_a_target_is_told(tmp_path: Path) -> None:
+    last, _, told = written(tmp_path, "community.kernels={hopkins: 0.8}")
+    clustering = told["clustering"]
+    assert isinstance(clustering, dict)
+    assert clustering == last.state["clustering"]
+    assert clustering["asked_hopkins"] == 0.8
+    assert clustering["hopkins"] == told["steps"][0]["hopkins"]["all"]["value"]  # type: ignore[index]
+    assert set(clustering["kernels"]) == {"curve", "distance", "balanced"}
+
+
 def test_plants_that_age_are_shown_as_they_were_placed(tmp_path: Path) -> None:
     fell = "community.disturbances=[{at_step: 2, fell: {}}]"
     last, files, told = written(tmp_path, "community.steps=2", fell)

@@ -107,6 +107,14 @@ def test_mistakes_are_told_where_they_are(value, at, problem):
     assert (*where, *context["at"]) == ("kernels", *inside, *at)
 
 
+def test_a_kernel_named_many_times_is_made_once():
+    """So a matrix of hundreds of species is read in a moment."""
+    kernels = kernels_of({"a": {"b": "clustering", "c": "clustering"}, "b": "inhibition"})
+    assert kernels["a"]["b"] is kernels["a"]["c"]
+    assert kernels["a"]["b"] == kernels_of(NAMED["clustering"])
+    assert kernels["b"] == kernels_of("inhibition") == KernelSection(**NAMED["inhibition"])
+
+
 @pytest.mark.parametrize("value", [{"curve": [[0, float("nan")], [1, 1]]}, {"hopkins": 0.2}, {"hopkins": 11}])
 def test_numbers_out_of_range_are_refused_at_their_key(value):
     ((where, _),) = mistakes(value)

@@ -1,0 +1,11 @@
+"""Whether a data set is what it claims to be: invariants over its files, and the first place where one breaks.
+
+Each family of invariants is a small module; `registry` lists the checks in their order; `run` applies them. The checks
+recompute from the files' definitions in plain NumPy. They share no code with those who wrote the files, except the
+numbers of parts.
+"""
+
+from forestgen.dataset.check.offence import Offence
+from forestgen.dataset.check.run import Report, Tally, check_dataset
+
+__all__ = ["Offence", "Report", "Tally", "check_dataset"]

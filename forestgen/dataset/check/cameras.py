@@ -1,0 +1,56 @@
+"""transforms.json against camera.json: one camera in OpenGL's axes and in OpenCV's."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+
+import numpy as np
+
+from forestgen.dataset.check.frame_data import FrameData
+from forestgen.dataset.check.merged import TRANSFORMS, Merged, folder_of
+from forestgen.dataset.check.offence import Offence, number, numbers
+
+_TOLERANCE = 1e-6
+
+
+def has_transforms(merged: Merged) -> bool:
+    return bool(merged.transforms_files)
+
+
+def has_share(frame: FrameData) -> bool:
+    return TRANSFORMS in frame.task.shared
+
+
+def structure(merged: Merged) -> Iterator[Offence]:
+    """Each frame is once in the transforms of its image, and the files that they name are there."""
+    seen: Counter[str] = Counter()
+    for file in merged.transforms_files:
+        for frame in merged.transforms(file)["frames"]:
+            name = folder_of(frame["file_path"])
+            seen[name] += 1
+            for key in ("file_path", "depth_file_path"):
+                if key in frame and not (merged.root / str(frame[key])).is_file():
+                    yield Offence(file, f"{key} is not there", got=str(frame[key]), image=name)
+    for name in merged.frames:
+        if seen[name] != 1:
+            got = f"{seen[name]} times"
+            yield Offence(merged.transforms_files[0], "a frame is not listed once", "once", got, name)
+
+
+def transforms(frame: FrameData) -> Iterator[Offence]:
+    """The pose is camera.json's inverse with y and z turned round; the focal lengths and the centre are K's."""
+    share, camera = frame.task.shared[TRANSFORMS], frame.camera
+    file = share["file"]
+    expected = np.linalg.inv(camera.camera_from_world) @ np.diag([1.0, -1.0, -1.0, 1.0])
+    got = np.asarray(share["transform_matrix"], dtype=np.float64)
+    if got.shape != (4, 4) or not np.allclose(got, expected, rtol=_TOLERANCE, atol=_TOLERANCE):
+        problem = "transform_matrix is not camera.json's pose"
+        yield Offence(file, problem, numbers(expected), numbers(got), frame.name)
+    width, height = camera.size_px
+    for key, value in (
+        *(("w", width), ("h", height), ("fl_x", camera.k[0, 0]), ("fl_y", camera.k[1, 1])),
+        *(("cx", camera.k[0, 2]), ("cy", camera.k[1, 2])),
+    ):
+        if not abs(float(share[key]) - float(value)) <= _TOLERANCE * max(1.0, abs(float(value))):
+            yield Offence(file, f"{key} is not camera.json's", number(value), number(share[key]), frame.name)

@@ -1,0 +1,155 @@
+"""cryptomatte.exr against frame.exr: names hash to ids, and plants have the shares that the coverage's ranks tell.
+
+Where the recipe leaves coverage out, shares are held against the instance mask: its plant has the largest.
+
+References
+----------
+Psyop, "Cryptomatte specification", version 1.2.0. Appleby, MurmurHash3, x86, 32 bits.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.dataset.check.coverage import has_coverage
+from forestgen.dataset.check.files import read_exr
+from forestgen.dataset.check.frame_data import FrameData
+from forestgen.dataset.check.offence import Offence, numbers
+from forestgen.dataset.check.pixels import wrong_pixels
+
+FILE = "cryptomatte.exr"
+_LAYER = "CryptoPlant"
+_RANKS = 8
+_TOLERANCE = 1e-6
+
+
+def has_cryptomatte(frame: FrameData) -> bool:
+    return frame.has(FILE)
+
+
+def cryptomatte(frame: FrameData) -> Iterator[Offence]:
+    """Every name has the standard's id; plants and shares are those of frame.exr's ranks, or suit its mask."""
+    parts, header = read_exr(frame.task.root, frame.file(FILE))
+    channels = next(iter(parts.values()))
+    manifests = _manifests(header)
+    for layer, names in manifests.items():
+        for name, code in names.items():
+            if int(code, 16) != standard_id(name):
+                expected = f"{standard_id(name):08x}"
+                yield frame.offence(FILE, f"{layer}: the id of {name} is not its hash", expected=expected, got=code)
+    plant_of = {int(code, 16): int(name.rpartition("_")[2]) for name, code in manifests[_LAYER].items()}
+    for plant in sorted(set(plant_of.values()) - set(frame.row_of)):
+        yield frame.offence(FILE, "a named plant is not in plants.parquet", expected="a row of it", plant_id=plant)
+    ids, share = _ranks(channels)
+    if share.shape[:2] != frame.instance.shape:
+        yield frame.offence(FILE, "the picture has another size than frame.exr", got=str(share.shape[1::-1]))
+        return
+    if not has_coverage(frame):
+        yield from _by_mask(frame, _plants(ids, plant_of), share)
+        return
+    told, told_share = frame.ranks
+    at = np.nonzero((ids != 0).any(axis=-1) | (told != 0).any(axis=-1))
+    plants = _plants(ids[at], plant_of)
+    wanted, shares = _without_background(told[at], told_share[at])
+    got_share = np.where(plants != 0, share[at], np.float32(0.0))
+    # frame.exr gives one of its ranks to the background, so cryptomatte.exr may hold one plant more.
+    differs = (shares > 0) & ((wanted != plants) | ~(np.abs(shares - got_share) <= _TOLERANCE))
+    more = (told_share[at][:, -1:] == 0) & (shares == 0) & (got_share > 0)
+    for wrong, problem in (
+        (plants < 0, "an id is not in the manifest"),
+        (differs, "plants or shares are not those of frame.exr's coverage"),
+        (more, "a plant is covered that frame.exr's coverage has not"),
+    ):
+        image = np.zeros(frame.instance.shape, dtype=bool)
+        image[at] = wrong.any(axis=-1)
+        if image.any():
+            row = int(np.argmax(wrong.any(axis=-1)))  # the first: rows are in the order of pixels
+            yield from wrong_pixels(frame, FILE, image, problem, numbers(wanted[row]), numbers(plants[row]))
+
+
+def _by_mask(frame: FrameData, plants: NDArray[np.int64], share: NDArray[np.float32]) -> Iterator[Offence]:
+    """(H, W, K) plants and shares: known, falling, within 1, and the mask's plant has the largest share, 0 the rest."""
+    held = np.where(plants != 0, share, np.float32(0.0))
+    total, most = held.sum(axis=-1), held.max(axis=-1)
+    own = np.where(plants == frame.instance[..., None].astype(np.int64), held, 0).max(axis=-1)
+    won: NDArray[np.float64] = np.where(frame.instance != 0, own, 1.0 - total)
+    bounded = np.isfinite(held).all(axis=-1) & (held >= 0).all(axis=-1) & (total <= 1 + _TOLERANCE)
+    falling = bounded & (np.diff(held, axis=-1) <= _TOLERANCE).all(axis=-1)
+    for right, problem in (
+        (np.all(plants >= 0, axis=-1), "an id is not in the manifest"),
+        (falling, "shares do not fall within 0 to 1"),
+        (won >= most - _TOLERANCE, "the mask's plant has not the largest share"),
+    ):
+        wrong = np.asarray(~right, dtype=np.bool_)
+        if wrong.any():
+            yield from wrong_pixels(frame, FILE, wrong, problem, frame.instance, plants[..., 0])
+
+
+def _plants(ids: NDArray[np.uint32], plant_of: dict[int, int]) -> NDArray[np.int64]:
+    """plant_id of each id; 0 of none, and -1 of one that no name has."""
+    plants = np.zeros(ids.shape, dtype=np.int64)
+    values, index = np.unique(ids[ids != 0], return_inverse=True)
+    plants[ids != 0] = np.array([plant_of.get(value, -1) for value in values.tolist()], dtype=np.int64)[index]
+    return plants
+
+
+def standard_id(name: str) -> int:
+    """Bits of the standard's float: MurmurHash3 of the name, its exponent kept from 0 and 255."""
+    bits = murmur3(name.encode())
+    return bits ^ (1 << 23) if (bits >> 23) & 0xFF in (0, 0xFF) else bits
+
+
+def murmur3(data: bytes) -> int:
+    """MurmurHash3 (x86, 32 bits) of seed 0."""
+    state, whole = 0, len(data) - len(data) % 4
+    for start in range(0, whole, 4):
+        state ^= _mixed(int.from_bytes(data[start : start + 4], "little"))
+        state = (_turned(state, 13) * 5 + 0xE6546B64) & 0xFFFFFFFF
+    if whole < len(data):
+        state ^= _mixed(int.from_bytes(data[whole:], "little"))
+    state ^= len(data)
+    for shift, factor in ((16, 0x85EBCA6B), (13, 0xC2B2AE35)):
+        state = ((state ^ (state >> shift)) * factor) & 0xFFFFFFFF
+    return state ^ (state >> 16)
+
+
+def _mixed(block: int) -> int:
+    return (_turned((block * 0xCC9E2D51) & 0xFFFFFFFF, 15) * 0x1B873593) & 0xFFFFFFFF
+
+
+def _turned(value: int, by: int) -> int:
+    return ((value << by) | (value >> (32 - by))) & 0xFFFFFFFF
+
+
+def _manifests(header: dict[str, Any]) -> dict[str, dict[str, str]]:
+    """Layer -> name -> id as hexadecimal digits."""
+    found = {}
+    for key, value in header.items():
+        if key.startswith("cryptomatte/") and key.endswith("/name"):
+            found[str(value)] = dict(json.loads(header[key.removesuffix("name") + "manifest"]))
+    return found
+
+
+def _ranks(channels: dict[str, NDArray[Any]]) -> tuple[NDArray[np.uint32], NDArray[np.float32]]:
+    """(H, W, 8) bits of ids and coverages of the layer of plants."""
+    names = [(f"{_LAYER}{rank // 2:02d}", "RG" if rank % 2 == 0 else "BA") for rank in range(_RANKS)]
+    ids = [np.ascontiguousarray(channels[f"{level}.{pair[0]}"]).view(np.uint32) for level, pair in names]
+    share = [channels[f"{level}.{pair[1]}"] for level, pair in names]
+    return np.stack(ids, axis=-1), np.stack(share, axis=-1)
+
+
+def _without_background(
+    ids: NDArray[np.uint32], share: NDArray[np.float32]
+) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+    """(B, K) ranks with 0 taken out, those behind it moved up."""
+    # 0 has one rank at most, before those that nothing takes: what stands behind it moves up by one.
+    behind = np.arange(ids.shape[-1]) >= np.argmax(ids == 0, axis=-1)[:, None]
+    behind &= (ids == 0).any(axis=-1)[:, None]
+    next_ids, next_share = (np.pad(ranks[:, 1:], ((0, 0), (0, 1))) for ranks in (ids, share))
+    plants = np.where(behind, next_ids, ids).astype(np.int64)
+    return plants, np.where(plants != 0, np.where(behind, next_share, share), np.float32(0.0))

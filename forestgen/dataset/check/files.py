@@ -1,0 +1,111 @@
+"""Read a file, or say in one sentence why it cannot be read. The libraries' readers, and none of the writers' code."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.dataset.check.offence import Offence, UnreadableError
+
+
+def read_bytes(root: Path, name: str) -> bytes:
+    try:
+        return (root / name).read_bytes()
+    except FileNotFoundError as error:
+        raise UnreadableError(Offence(name, "the file is missing")) from error
+    except OSError as error:
+        raise unreadable(name, error) from error
+
+
+def read_text(root: Path, name: str) -> str:
+    try:
+        return read_bytes(root, name).decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise unreadable(name, error) from error
+
+
+def read_json(root: Path, name: str) -> Any:
+    try:
+        return json.loads(read_text(root, name))
+    except (ValueError, RecursionError) as error:
+        raise UnreadableError(Offence(name, "this is no JSON", got=_one_line(error))) from error
+
+
+def read_exr(root: Path, name: str) -> tuple[dict[str, dict[str, NDArray[Any]]], dict[str, Any]]:
+    """Part -> channel -> (H, W) array in the type it was stored in; and the first part's header."""
+    import OpenEXR
+
+    if not read_head(root, name).startswith(b"\x76\x2f\x31\x01"):  # OpenEXR's magic number
+        raise UnreadableError(Offence(name, "this is no OpenEXR file"))
+    try:
+        parts = OpenEXR.File(str(root / name), separate_channels=True).parts
+        pixels = {part.name(): {c: np.asarray(v.pixels) for c, v in part.channels.items()} for part in parts}
+        return pixels, dict(parts[0].header)
+    except (OSError, RuntimeError, ValueError, TypeError, MemoryError) as error:
+        raise unreadable(name, error) from error
+
+
+def read_picture(root: Path, name: str) -> NDArray[Any]:
+    """(H, W) or (H, W, 3) pixels of a PNG; a palette's indices, not its colours."""
+    import warnings
+
+    from PIL import Image
+
+    read_head(root, name)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of a picture's size
+            with Image.open(root / name) as image:
+                return np.asarray(image)
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+        raise unreadable(name, error) from error
+
+
+def read_palette(root: Path, name: str) -> tuple[list[int], dict[str, str]]:
+    """Colours of a palette PNG, red, green, blue, red, ..., and its texts; of another PNG no colours."""
+    from PIL import Image
+
+    read_head(root, name)
+    try:
+        with Image.open(root / name) as image:
+            image.load()
+            texts = {str(key): value for key, value in image.info.items() if isinstance(value, str)}
+            return list(image.getpalette() or []), texts
+    except (OSError, ValueError, SyntaxError) as error:
+        raise unreadable(name, error) from error
+
+
+def read_table(root: Path, name: str) -> dict[str, NDArray[Any]]:
+    """Columns of a Parquet file; null is NaN, and None among texts."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    content = read_bytes(root, name)
+    try:
+        table = pq.read_table(pa.BufferReader(content))
+    except (OSError, ValueError, pa.ArrowException) as error:
+        raise unreadable(name, error) from error
+    return {column: table[column].to_numpy() for column in table.column_names}
+
+
+def read_head(root: Path, name: str) -> bytes:
+    """The first bytes of a file, which must be there."""
+    try:
+        with (root / name).open("rb") as stream:
+            return stream.read(16)
+    except FileNotFoundError as error:
+        raise UnreadableError(Offence(name, "the file is missing")) from error
+    except OSError as error:
+        raise unreadable(name, error) from error
+
+
+def unreadable(name: str, error: Exception) -> UnreadableError:
+    return UnreadableError(Offence(name, "the file cannot be read", got=_one_line(error) or type(error).__name__))
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())[:200]

@@ -1,0 +1,271 @@
+"""One frame's files, read once. What cannot be read raises `UnreadableError`, which names the file and the reason."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.dataset.check.files import read_exr, read_json, read_picture, read_table
+from forestgen.dataset.check.offence import Offence, UnreadableError
+from forestgen.dataset.check.recipe import categories, read_recipe
+
+EXR, INSTANCE, SEMANTIC, PLANTS, CAMERA = "frame.exr", "instance.png", "semantic.png", "plants.parquet", "camera.json"
+RECIPE = "recipe.yaml"
+IDENTITY_CHANNELS = ("plant_id", "part", "semantic")
+PLANT_COLUMNS = (
+    *("plant_id", "species", "visible_pixels", "visible_area_px", "box_x", "box_y", "box_w", "box_h", "truncated"),
+)
+
+
+@dataclass(frozen=True)
+class FrameTask:
+    """What a worker is told about a frame: plain values, so that it can cross to another process."""
+
+    root: Path
+    name: str  # of the frame's folder
+    listed: Mapping[str, Mapping[str, Any]]  # manifest's entries of this frame: path relative to the root -> entry
+    shared: Mapping[str, Any]  # this frame's share of the data set's merged files, by file
+    following: str | None = None  # folder of the sequence's next frame; None: there is none
+
+
+@dataclass
+class FrameData:
+    """A frame's files as arrays, each read when it is first asked for."""
+
+    task: FrameTask
+    following: FrameData | None = field(default=None, repr=False)
+
+    @property
+    def name(self) -> str:
+        return self.task.name
+
+    @property
+    def folder(self) -> Path:
+        return self.task.root / self.task.name
+
+    def file(self, name: str) -> str:
+        """A file of this frame, relative to the data set's folder."""
+        return f"{self.task.name}/{name}"
+
+    def has(self, name: str) -> bool:
+        return (self.folder / name).is_file()
+
+    def offence(self, name: str, problem: str, **about: Any) -> Offence:
+        """An offence of a file of this frame."""
+        return Offence(self.file(name), problem, image=self.name, **about)
+
+    @cached_property
+    def _exr(self) -> tuple[dict[str, dict[str, NDArray[Any]]], dict[str, Any]]:
+        return read_exr(self.task.root, self.file(EXR))
+
+    @property
+    def exr_header(self) -> dict[str, Any]:
+        """Attributes of frame.exr."""
+        return self._exr[1]
+
+    @property
+    def exr_camera(self) -> dict[str, Any] | None:
+        """The camera of frame.exr's header, if there is one."""
+        try:
+            camera = json.loads(self.exr_header.get("forestgen/camera", "null"))
+        except (TypeError, ValueError):
+            return None
+        return camera if isinstance(camera, dict) else None
+
+    @cached_property
+    def recipe(self) -> dict[str, Any]:
+        """What the drawn recipe says of labels."""
+        return read_recipe(self.task.root, self.file(RECIPE))
+
+    @cached_property
+    def categories(self) -> dict[int, str]:
+        """plant_id -> category, by the recipe and plants.parquet; a species that no recipe has is left out."""
+        _, of_species = categories(self.recipe)
+        rows = zip(self.plants["plant_id"].tolist(), self.plants["species"].tolist(), strict=True)
+        return {int(plant): of_species[species] for plant, species in rows if species in of_species}
+
+    @cached_property
+    def exr(self) -> dict[str, dict[str, NDArray[Any]]]:
+        """Part -> channel -> (H, W), all of one size."""
+        parts, _ = self._exr
+        for channel in IDENTITY_CHANNELS:
+            if channel not in parts.get("identity", {}):
+                raise UnreadableError(self.offence(EXR, f"the part identity has no channel {channel}"))
+        shape = parts["identity"]["plant_id"].shape
+        for part, channels in parts.items():
+            for channel, values in channels.items():
+                if values.shape != shape:
+                    problem = f"the channel {part}.{channel} has another size than identity.plant_id"
+                    raise UnreadableError(
+                        self.offence(EXR, problem, expected=_size(shape), got=_size(values.shape)),
+                    )
+        return parts
+
+    def has_part(self, part: str, *channels: str) -> bool:
+        """Whether frame.exr holds these channels."""
+        return all(channel in self.exr.get(part, {}) for channel in channels) and part in self.exr
+
+    def vectors(self, part: str) -> NDArray[np.float64]:
+        """(H, W, 3) of a part with channels X, Y and Z."""
+        channels = self.exr[part]
+        return np.stack([channels[axis] for axis in "XYZ"], axis=-1).astype(np.float64)
+
+    @property
+    def instance(self) -> NDArray[np.uint32]:
+        """(H, W) frame.exr's plant_id, which all other files are held against."""
+        return self.exr["identity"]["plant_id"]
+
+    @property
+    def part(self) -> NDArray[np.uint32]:
+        return self.exr["identity"]["part"]
+
+    @property
+    def semantic(self) -> NDArray[np.uint32]:
+        return self.exr["identity"]["semantic"]
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        height, width = self.instance.shape
+        return width, height
+
+    @cached_property
+    def extents(self) -> Extents:
+        """Pixel count and box of each plant of the instance mask."""
+        return extents_of(self.instance)
+
+    @cached_property
+    def ranks(self) -> tuple[NDArray[np.uint32], NDArray[np.float32]]:
+        """(H, W, K) ids and coverages."""
+        channels = self.exr["coverage"]
+        count = sum(name.endswith(".id") for name in channels)
+        ids = np.stack([channels[f"rank{rank}.id"] for rank in range(count)], axis=-1)
+        share = np.stack([channels[f"rank{rank}.coverage"] for rank in range(count)], axis=-1)
+        return ids, share
+
+    @cached_property
+    def plants(self) -> dict[str, NDArray[Any]]:
+        """Columns of plants.parquet; null is NaN."""
+        table = read_table(self.task.root, self.file(PLANTS))
+        for column in PLANT_COLUMNS:
+            if column not in table:
+                raise UnreadableError(self.offence(PLANTS, f"the column {column} is missing"))
+        return table
+
+    @cached_property
+    def row_of(self) -> dict[int, int]:
+        """plant_id -> row of plants.parquet."""
+        return {int(plant): row for row, plant in enumerate(self.plants["plant_id"].tolist())}
+
+    def known(self, column: str) -> bool:
+        return column in self.plants
+
+    @cached_property
+    def camera(self) -> CameraFile:
+        return camera_of(read_json(self.task.root, self.file(CAMERA)), self.file(CAMERA))
+
+    def picture(self, name: str) -> NDArray[np.uint8]:
+        """(H, W) or (H, W, 3) of a PNG, of the frame's size."""
+        pixels = read_picture(self.task.root, self.file(name))
+        if pixels.shape[:2] != self.instance.shape:
+            raise UnreadableError(
+                self.offence(
+                    name, "the picture has another size", expected=_size(self.instance.shape), got=_size(pixels.shape)
+                )
+            )
+        return pixels
+
+
+@dataclass(frozen=True)
+class Extents:
+    """What a mask of ids covers, ids rising, 0 left out."""
+
+    plant_id: NDArray[np.uint32]  # (M,)
+    pixels: NDArray[np.int64]  # (M,)
+    box_px: NDArray[np.int64]  # (M, 4) x, y, width, height
+
+    @cached_property
+    def row_of(self) -> dict[int, int]:
+        return {int(plant): row for row, plant in enumerate(self.plant_id.tolist())}
+
+
+def extents_of(mask: NDArray[np.integer]) -> Extents:
+    """Count pixels and find the boxes of (H, W) ids, pixel by pixel."""
+    y, x = np.nonzero(mask)
+    ids, index = np.unique(mask[y, x], return_inverse=True)
+    low = np.full((2, len(ids)), max(mask.shape))
+    high = np.full((2, len(ids)), -1)
+    for axis, place in enumerate((x, y)):
+        np.minimum.at(low[axis], index, place)
+        np.maximum.at(high[axis], index, place)
+    box = np.concatenate([low, high - low + 1]).T
+    counts = np.bincount(index, minlength=len(ids))
+    return Extents(ids.astype(np.uint32), counts.astype(np.int64), np.ascontiguousarray(box, dtype=np.int64))
+
+
+@dataclass(frozen=True)
+class CameraFile:
+    """camera.json, as far as checks use it."""
+
+    size_px: tuple[int, int]
+    k: NDArray[np.float64]  # (3, 3)
+    camera_from_world: NDArray[np.float64]  # (4, 4)
+    position_m: NDArray[np.float64]  # (3,) world
+    values: Mapping[str, Any]  # all of it
+
+    @property
+    def rotation(self) -> NDArray[np.float64]:
+        return self.camera_from_world[:3, :3]
+
+    def project(self, points_m: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """(..., 2) pixels and (...) depths of (..., 3) world points."""
+        seen = points_m @ self.rotation.T + self.camera_from_world[:3, 3]
+        depth = seen[..., 2]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            pixel = (seen @ self.k.T)[..., :2] / depth[..., None]
+        return pixel, depth
+
+    def pixel_rays(self, size_px: tuple[int, int]) -> NDArray[np.float64]:
+        """(H, W, 3) world directions through the pixels' centres, of depth 1 along the camera's axis."""
+        width, height = size_px
+        x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+        rays = np.stack([x, y, np.ones_like(x)], axis=-1) @ np.linalg.inv(self.k).T
+        return np.asarray(rays @ self.rotation)  # rows times R = R^T times columns: camera -> world
+
+
+def camera_of(values: Any, file: str) -> CameraFile:
+    """Read camera.json's fields; what is missing or no matrix raises `UnreadableError`."""
+    try:
+        size = [int(side) for side in values["size_px"]]
+        k = _matrix(values["K"], (3, 3))
+        pose = _matrix(values["camera_from_world"], (4, 4))
+        position = _matrix(values["position_m"], (3,))
+        if abs(np.linalg.det(k)) < 1e-12 or len(size) != 2:
+            raise ValueError("K cannot be inverted, or size_px is not a pair")
+    except (KeyError, TypeError, ValueError) as error:
+        expected = "size_px, K (3 x 3), camera_from_world (4 x 4) and position_m, finite numbers"
+        raise UnreadableError(
+            Offence(file, "the camera cannot be understood", expected=expected, got=_reason(error))
+        ) from error
+    return CameraFile((size[0], size[1]), k, pose, position, values)
+
+
+def _matrix(values: Sequence[Any], shape: tuple[int, ...]) -> NDArray[np.float64]:
+    matrix = np.asarray(values, dtype=np.float64)
+    if matrix.shape != shape or not np.isfinite(matrix).all():
+        raise ValueError(f"expected {shape} finite numbers")
+    return matrix
+
+
+def _reason(error: Exception) -> str:
+    return f"no {error}" if isinstance(error, KeyError) else str(error)
+
+
+def _size(shape: tuple[int, ...]) -> str:
+    return f"{shape[1]} x {shape[0]} pixels" if len(shape) > 1 else str(shape)

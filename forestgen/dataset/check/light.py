@@ -1,0 +1,53 @@
+"""Light's channels: radiance, albedo, sun, clouds; and the marks of occlusion boundaries."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from forestgen.dataset.check.frame_data import EXR, FrameData
+from forestgen.dataset.check.offence import Offence
+from forestgen.dataset.check.pixels import wrong_pixels
+
+_RADIANCE = ("radiance", "radiance.denoised", "radiance.variance")
+_MARKS = ("sun", "boundary")  # 0 or 1
+
+
+def radiance(frame: FrameData) -> Iterator[Offence]:
+    """Radiance and its variance are finite and not negative; one sample has no variance."""
+    for part in _RADIANCE:
+        if part == "radiance.variance" and frame.exr_header.get("forestgen/samples") == "1":
+            continue
+        for name, values in frame.exr.get(part, {}).items():
+            wrong = ~np.isfinite(values)
+            if part != "radiance.denoised":
+                wrong |= ~(values >= 0)
+            yield from wrong_pixels(frame, EXR, wrong, f"{part}.{name} is no light", "0 or more, finite", values)
+
+
+def surfaces(frame: FrameData) -> Iterator[Offence]:
+    """Marks are 0 or 1, the sun shines on surfaces alone, albedo and cloud opacity lie within 0 to 1."""
+    sky = np.isinf(frame.exr["depth"]["Z"])
+    for part in _MARKS:
+        for name, values in frame.exr.get(part, {}).items():
+            yield from wrong_pixels(frame, EXR, values > 1, f"{part}.{name} is no mark", "0 or 1", values)
+    for name, values in frame.exr.get("sun", {}).items():
+        wrong = sky & (values != 0)
+        yield from wrong_pixels(frame, EXR, wrong, f"sun.{name}: the sun shines on the sky", "0 for the sky", values)
+    for name, values in frame.exr.get("albedo", {}).items():
+        wrong = ~((values >= 0) & (values <= 1 + 1e-5))
+        yield from wrong_pixels(frame, EXR, wrong, f"albedo.{name} lies outside 0 to 1", "0 to 1", values)
+        wrong = sky & (values != 0)
+        yield from wrong_pixels(frame, EXR, wrong, f"albedo.{name}: the sky has none", "0 for the sky", values)
+    for name, values in frame.exr.get("cloud", {}).items():
+        wrong = ~((values >= 0) & (values <= 1))
+        yield from wrong_pixels(frame, EXR, wrong, f"cloud.{name} lies outside 0 to 1", "0 to 1", values)
+
+
+def has_radiance(frame: FrameData) -> bool:
+    return any(part in frame.exr for part in _RADIANCE)
+
+
+def has_light(frame: FrameData) -> bool:
+    return "depth" in frame.exr and any(part in frame.exr for part in (*_MARKS, "albedo", "cloud"))

@@ -1,0 +1,98 @@
+"""What a check finds, and what a check is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from forestgen.dataset.check.frame_data import FrameData
+    from forestgen.dataset.check.merged import Merged
+
+
+@dataclass(frozen=True)
+class Offence:
+    """One place where a data set contradicts itself."""
+
+    file: str  # relative to the data set's folder
+    problem: str  # one sentence
+    expected: str = ""
+    got: str = ""
+    image: str = ""  # the frame's folder
+    plant_id: int | None = None
+    pixel: tuple[int, int] | None = None  # x, y from the upper left
+    check: str = ""  # name of the check that found it; the runner fills it in
+
+    @property
+    def where(self) -> str:
+        """File, image, plant and pixel, for people."""
+        places = [self.file]
+        if self.image and not self.file.startswith(f"{self.image}/"):
+            places.append(f"image {self.image}")
+        if self.plant_id is not None:
+            places.append(f"plant_id {self.plant_id}")
+        if self.pixel is not None:
+            places.append(f"pixel x {self.pixel[0]}, y {self.pixel[1]}")
+        return ", ".join(places)
+
+
+class UnreadableError(Exception):
+    """A file that cannot be read or understood."""
+
+    def __init__(self, offence: Offence) -> None:
+        self.offence = offence
+        super().__init__(offence.where)
+
+
+@dataclass(frozen=True)
+class FrameCheck:
+    """An invariant of one image."""
+
+    name: str
+    holds: str  # what is true if it passes, for people
+    file: str  # that it is about, inside the frame's folder or, if `shared`, in the data set's
+    applies: Callable[[FrameData], bool]  # whether the files that it reads are there
+    find: Callable[[FrameData], Iterator[Offence]]
+    shared: bool = False
+
+
+@dataclass(frozen=True)
+class DatasetCheck:
+    """An invariant of the files over all images."""
+
+    name: str
+    holds: str
+    file: str
+    applies: Callable[[Merged], bool]
+    find: Callable[[Merged], Iterator[Offence]]
+
+
+def always(_: object) -> bool:
+    """Of checks whose files are in every data set."""
+    return True
+
+
+def first_pixel(wrong: NDArray[np.bool_]) -> tuple[int, int] | None:
+    """x, y of the first true pixel of (H, W), row by row; None where there is none."""
+    if not wrong.any():
+        return None
+    y, x = divmod(int(np.argmax(wrong)), wrong.shape[1])
+    return x, y
+
+
+def number(value: Any) -> str:
+    """A value of an array in plain figures."""
+    if isinstance(value, float | np.floating):
+        return f"{float(value):.9g}"
+    if isinstance(value, np.generic):
+        value = value.item()
+    return str(value)
+
+
+def numbers(values: Any) -> str:
+    """A few values, such as a box or a position."""
+    return " ".join(number(value) for value in np.asarray(values).ravel()[:8])

@@ -1,0 +1,145 @@
+"""points.ply and points.laz: points of frame.exr's surfaces, with ids that plants.parquet holds."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.dataset.check.files import read_bytes, unreadable
+from forestgen.dataset.check.frame_data import FrameData
+from forestgen.dataset.check.offence import Offence, UnreadableError, numbers
+
+PLY, LAZ = "points.ply", "points.laz"
+_TYPES = {"double": "<f8", "float": "<f4", "uchar": "u1", "ushort": "<u2", "uint": "<u4"}
+_RELATIVE = 1e-5
+_LAZ_M = 1e-3
+_END = b"end_header\n"
+
+
+def has_ply(frame: FrameData) -> bool:
+    return frame.has(PLY)
+
+
+def has_laz(frame: FrameData) -> bool:
+    return frame.has(LAZ) and frame.has(PLY)
+
+
+def ply(frame: FrameData) -> Iterator[Offence]:
+    """Each point is its pixel's: position, plant and part of the centre's ray."""
+    found = read_ply(frame)
+    known = frame.plants["plant_id"]
+    plant = found["plant_id"]
+    strange = np.flatnonzero((plant != 0) & ~np.isin(plant, known))
+    if len(strange):
+        yield _offence(frame, PLY, found, int(strange[0]), "the plant is not in plants.parquet", "a row of it", "none")
+        return
+    row, column = found["row"].astype(np.int64), found["column"].astype(np.int64)
+    width, height = frame.size_px
+    if len(found) and (row.max() >= height or column.max() >= width):
+        at = int(np.argmax((row >= height) | (column >= width)))
+        got = f"row {row[at]}, column {column[at]}"
+        yield frame.offence(PLY, f"point {at} is outside the image", expected=f"{width} x {height}", got=got)
+        return
+    yield from _count(frame, row, column)
+    for name, channel in (("plant_id", "centre.plant_id"), ("part", "centre.part")):
+        if frame.has_part("identity", channel):
+            truth = frame.exr["identity"][channel][row, column]
+            problem = f"{name} is not frame.exr's {channel}"
+            yield from _first(frame, found, truth != found[name], problem, truth, found[name])
+    place = np.stack([found[axis] for axis in "xyz"], axis=-1)
+    if frame.has_part("position", *"XYZ"):
+        truth = frame.vectors("position")[row, column]
+        scale = np.maximum(np.abs(truth).max(axis=-1), 1.0)
+        wrong = ~(np.abs(place - truth).max(axis=-1) <= _RELATIVE * scale) if len(found) else np.zeros(0, dtype=bool)
+        yield from _first(frame, found, wrong, "the point is not at frame.exr's position", truth, place)
+    names = np.array(["", *frame.recipe["species"]], dtype=object)
+    own = np.full(len(found), "", dtype=object)
+    own[plant != 0] = frame.plants["species"][np.searchsorted(known, plant[plant != 0])]
+    got = names[np.minimum(found["species"], len(names) - 1)]
+    wrong = (got != own) | (found["species"] >= len(names))
+    yield from _first(frame, found, wrong, "the species is not the plant's", own, got)
+
+
+def laz(frame: FrameData) -> Iterator[Offence]:
+    """points.laz holds the points of points.ply, in their order."""
+    import laspy
+
+    content = read_bytes(frame.task.root, frame.file(LAZ))
+    try:
+        cloud = laspy.read(io.BytesIO(content))
+        plant, place = np.asarray(cloud["plant_id"]), np.asarray(cloud.xyz)
+    except Exception as error:  # its two backends raise their own kinds, and struct's and NumPy's
+        raise unreadable(frame.file(LAZ), error) from error
+    found = read_ply(frame)
+    if len(plant) != len(found):
+        problem = "there are not as many points as in points.ply"
+        yield frame.offence(LAZ, problem, expected=str(len(found)), got=str(len(plant)))
+        return
+    truth = found["plant_id"]
+    yield from _first(frame, found, truth != plant, "plant_id is not points.ply's", truth, plant, LAZ)
+    there = np.stack([found[axis] for axis in "xyz"], axis=-1)
+    wrong = ~(np.abs(there - place).max(axis=-1, initial=0.0) <= _LAZ_M)
+    yield from _first(frame, found, wrong, "the point is not points.ply's", there, place, LAZ)
+
+
+def read_ply(frame: FrameData) -> NDArray[Any]:
+    """(P,) records of a binary PLY."""
+    content = read_bytes(frame.task.root, frame.file(PLY))
+    end = content.find(_END)
+    lines = content[: max(end, 0)].decode("ascii", errors="replace").splitlines()
+    try:
+        if end < 0 or lines[:2] != ["ply", "format binary_little_endian 1.0"]:
+            raise ValueError("no binary PLY")
+        count = next(int(line.split()[2]) for line in lines if line.startswith("element vertex"))
+        words = [line.split() for line in lines if line.startswith("property ")]
+        kind = np.dtype([(word[2], _TYPES[word[1]]) for word in words])
+        body = content[end + len(_END) :]
+        if len(body) != count * kind.itemsize:
+            raise ValueError(f"{len(body)} bytes of points where {count * kind.itemsize} belong: cut short?")
+        return np.frombuffer(body, dtype=kind, count=count)
+    except (ValueError, KeyError, IndexError, StopIteration) as error:
+        raise UnreadableError(
+            frame.offence(PLY, "the file cannot be read", expected="binary PLY", got=str(error))
+        ) from error
+
+
+def _count(frame: FrameData, row: NDArray[np.int64], column: NDArray[np.int64]) -> Iterator[Offence]:
+    """Every n-th pixel of every n-th row is a point, once, if it is not the sky."""
+    if not frame.has_part("depth", "Z"):
+        return
+    stride = int(frame.recipe["dataset"].get("point_stride", 1))
+    solid = ~np.isinf(frame.exr["depth"]["Z"])
+    expected = np.zeros(solid.shape, dtype=np.int64)
+    expected[::stride, ::stride] = solid[::stride, ::stride]
+    got = np.zeros(solid.shape, dtype=np.int64)
+    np.add.at(got, (row, column), 1)
+    if (got != expected).any():
+        y, x = np.argwhere(got != expected)[0].tolist()
+        yield frame.offence(
+            PLY, "the pixel has not its point", expected=str(expected[y, x]), got=str(got[y, x]), pixel=(x, y)
+        )
+
+
+def _first(
+    frame: FrameData, found: NDArray[Any], wrong: Any, problem: str, truth: Any, got: Any, file: str = PLY
+) -> Iterator[Offence]:
+    at = np.flatnonzero(wrong)
+    if len(at):
+        yield _offence(frame, file, found, int(at[0]), problem, numbers(truth[at[0]]), numbers(got[at[0]]))
+
+
+def _offence(
+    frame: FrameData, file: str, found: NDArray[Any], at: int, problem: str, expected: str, got: str
+) -> Offence:
+    return frame.offence(
+        file,
+        f"point {at}: {problem}",
+        expected=expected,
+        got=got,
+        plant_id=int(found["plant_id"][at]) or None,
+        pixel=(int(found["column"][at]), int(found["row"][at])),
+    )

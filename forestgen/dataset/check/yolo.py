@@ -1,0 +1,158 @@
+"""YOLO's boxes and outlines: the masks' boxes, and rings that fill to the masks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.dataset.check.files import read_text
+from forestgen.dataset.check.frame_data import FrameData
+from forestgen.dataset.check.merged import Merged
+from forestgen.dataset.check.offence import Offence, numbers
+from forestgen.dataset.check.recipe import categories
+
+_TASKS = ("boxes", "segmentation")
+_TOLERANCE = 1e-6
+
+
+def has_yolo(merged: Merged) -> bool:
+    return merged.has("yolo/boxes/data.yaml") or merged.has("yolo/segmentation/data.yaml")
+
+
+def has_boxes(frame: FrameData) -> bool:
+    return (frame.task.root / _file(frame, "boxes")).is_file()
+
+
+def has_outlines(frame: FrameData) -> bool:
+    return (frame.task.root / _file(frame, "segmentation")).is_file()
+
+
+def structure(merged: Merged) -> Iterator[Offence]:
+    """Each frame has an image and a file of labels in both layouts; data.yaml names the categories."""
+    for task in _TASKS:
+        for name in merged.frames:
+            for kind, end in (("images", "png"), ("labels", "txt")):
+                file = f"yolo/{task}/{kind}/{name}.{end}"
+                if not (merged.root / file).is_file():
+                    yield Offence(file, "the file is missing", expected="one for each frame", image=name)
+        names = _class_names(read_text(merged.root, f"yolo/{task}/data.yaml"))
+        if names != merged.category_names:
+            file, expected = f"yolo/{task}/data.yaml", ", ".join(merged.category_names)
+            yield Offence(file, "names are not the recipe's categories", expected, ", ".join(names))
+
+
+def boxes(frame: FrameData) -> Iterator[Offence]:
+    """A line a plant of the mask, by rising id: class, centre and size of its box as shares of the image."""
+    file, width, height = _file(frame, "boxes"), *frame.size_px
+    for row, values in _lines(frame, "boxes"):
+        if isinstance(values, Offence):
+            yield values
+            continue
+        if row >= len(frame.extents.plant_id):
+            break
+        yield from _class(frame, file, row, values[0])
+        x, y, w, h = frame.extents.box_px[row].tolist()
+        expected = np.array([(x + w / 2) / width, (y + h / 2) / height, w / width, h / height])
+        if len(values) != 5 or not (np.abs(values[1:] - expected) <= _TOLERANCE).all():
+            yield _offence(frame, file, row, "the box is not the mask's", numbers(expected), numbers(values[1:]))
+    yield from _count(frame, "boxes")
+
+
+def outlines(frame: FrameData) -> Iterator[Offence]:
+    """Each ring lies in its box and fills, at the pixels' centres, to its plant's mask."""
+    file, size = _file(frame, "segmentation"), np.array(frame.size_px, dtype=np.float64)
+    for row, values in _lines(frame, "segmentation"):
+        if isinstance(values, Offence):
+            yield values
+            continue
+        if row >= len(frame.extents.plant_id):
+            break
+        yield from _class(frame, file, row, values[0])
+        if len(values) < 7 or len(values) % 2 == 0:
+            got = f"{len(values)} numbers"
+            yield _offence(frame, file, row, "the line is no ring", "class and 3 or more points", got)
+            continue
+        ring = np.floor(values[1:].reshape(-1, 2) * size + 1e-3)
+        box = frame.extents.box_px[row]
+        low, high = ring.min(axis=0), ring.max(axis=0)
+        if (low < box[:2]).any() or (high > box[:2] + box[2:]).any():
+            got = numbers([*low, *(high - low)])
+            yield _offence(frame, file, row, "the outline leaves the mask's box", numbers(box), got)
+            continue
+        x, y, w, h = box.tolist()
+        truth = frame.instance[y : y + h, x : x + w] == frame.extents.plant_id[row]
+        wrong = fill(ring - box[:2], (w, h)) != truth
+        if wrong.any():
+            line, column = np.argwhere(wrong)[0].tolist()
+            plant = int(frame.extents.plant_id[row])
+            expected, got = ("inside", "outside") if truth[line, column] else ("outside", "inside")
+            pixel = (x + column, y + line)
+            yield Offence(file, "the outline does not fill to the mask", expected, got, frame.name, plant, pixel)
+    yield from _count(frame, "segmentation")
+
+
+def fill(ring: NDArray[np.float64], size_px: tuple[int, int]) -> NDArray[np.bool_]:
+    """(H, W) pixels whose centre lies inside a ring (N, 2) by the even-odd rule.
+
+    An edge turns over all centres to its right in the rows that it crosses; edges walked there and back cancel.
+    """
+    width, height = size_px
+    start, end = ring, np.roll(ring, -1, axis=0)
+    up = start[:, 1] > end[:, 1]
+    top, bottom = np.where(up[:, None], end, start), np.where(up[:, None], start, end)
+    first = np.ceil(top[:, 1] - 0.5).astype(np.int64)
+    count = np.ceil(bottom[:, 1] - 0.5).astype(np.int64) - first
+    edge = np.repeat(np.arange(len(ring)), count)
+    row = first[edge] + np.arange(len(edge)) - np.repeat(np.cumsum(count) - count, count)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        slope = (bottom[:, 0] - top[:, 0]) / (bottom[:, 1] - top[:, 1])
+    crossing = top[edge, 0] + (row + 0.5 - top[edge, 1]) * slope[edge]
+    column = np.ceil(crossing - 0.5).astype(np.int64)
+    kept = (row >= 0) & (row < height)
+    cell = row[kept] * (width + 1) + np.clip(column[kept], 0, width)
+    turns = np.bincount(cell, minlength=height * (width + 1)).reshape(height, width + 1)
+    return np.asarray(np.cumsum(turns[:, :width], axis=1) % 2 == 1)
+
+
+def _lines(frame: FrameData, task: str) -> Iterator[tuple[int, NDArray[np.float64] | Offence]]:
+    for row, line in enumerate(read_text(frame.task.root, _file(frame, task)).splitlines()):
+        try:
+            values = np.array(line.split(), dtype=np.float64)
+            if not len(values) or not np.isfinite(values).all():
+                raise ValueError
+        except ValueError:
+            yield row, _offence(frame, _file(frame, task), row, f"line {row + 1} is not numbers alone", "", line[:60])
+            continue
+        yield row, values
+
+
+def _count(frame: FrameData, task: str) -> Iterator[Offence]:
+    lines = len(read_text(frame.task.root, _file(frame, task)).splitlines())
+    if lines != len(frame.extents.plant_id):
+        problem = "there is not a line for each plant of the mask"
+        yield Offence(_file(frame, task), problem, str(len(frame.extents.plant_id)), str(lines), frame.name)
+
+
+def _class(frame: FrameData, file: str, row: int, number: float) -> Iterator[Offence]:
+    names, _ = categories(frame.recipe)
+    own = frame.categories.get(int(frame.extents.plant_id[row]))
+    if own not in names or number != names.index(own):
+        yield _offence(frame, file, row, "the class is not that of the plant's species", str(own), str(number))
+
+
+def _class_names(text: str) -> list[str]:
+    from ruamel.yaml import YAML
+
+    names = YAML(typ="safe").load(text)["names"]
+    return [str(names[key]) for key in sorted(names)]
+
+
+def _file(frame: FrameData, task: str) -> str:
+    return f"yolo/{task}/labels/{frame.name}.txt"
+
+
+def _offence(frame: FrameData, file: str, row: int, problem: str, expected: str, got: str) -> Offence:
+    plant = int(frame.extents.plant_id[row]) if row < len(frame.extents.plant_id) else None
+    return Offence(file, problem, expected, got, frame.name, plant)

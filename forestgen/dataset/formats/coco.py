@@ -1,0 +1,212 @@
+"""coco.json: COCO instances of all frames, with amodal masks and keypoints.
+
+Files: ``FRAME/annotations.json``, the shard, and ``coco.json``, merged. Images are numbered from 1 in the order of
+their folders' names, annotations from 1 in that order and by plant_id, categories from 1. Categories are the recipe's
+species or, where labels.classes are given, the classes that list species (labels/classes.py).
+
+A plant is an instance in an image if it wins at least one pixel of the instance mask. Plants that are hidden wholly, or
+that win no pixel though some samples hit them, are in plants.parquet alone. `iscrowd` is always 0.
+
+Beyond COCO's own fields an annotation holds:
+
+| field | what it is |
+|---|---|
+| `plant_id` | key of plants.parquet, the EXR and the other formats |
+| `visible_area_px` | sum of the plant's coverage over all pixels, won or lost; `area` counts pixels won |
+| `truncated` | a won pixel touches the image's border |
+| `amodal_segmentation`, `amodal_bbox`, `amodal_area` | the plant alone, in the image: RLE, tight box, pixels |
+| `visible_fraction` | visible_area_px by the amodal coverage, 0 to 1 |
+| `full_bbox` | x, y, width, height of the projected plant, beyond the image too |
+| `truncation` | share of full_bbox that lies outside the image |
+| `stem_segmentation` | RLE of the pixels won by its trunk; absent where there are none |
+| `species`, `status`, `age_yr` | the plant; a null, here and below, is unknown or none |
+| `height_m`, `crown_width_m`, `dbh_m`, `leaf_area_m2` | its measures |
+| `distance_m` | camera to stem base |
+
+The amodal fields, `visible_fraction`, `full_bbox` and `truncation` are absent where the recipe leaves out `amodal`.
+
+Pixels are squares: x and y run from 0 to the image's width and height, and a pixel's centre lies at +0.5. This holds
+for boxes and keypoints. The keypoints are stem base, tip and crown centre, with COCO's v: 0 outside the image
+(x = y = 0), 1 inside the image but hidden, 2 visible.
+
+References
+----------
+Lin et al. 2014, "Microsoft COCO: Common Objects in Context"; the data format page of cocodataset.org.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.core.parts import Part
+from forestgen.dataset.formats.rle import encode_amodal, encode_masks
+from forestgen.dataset.formats.shards import (
+    JsonList,
+    finite,
+    in_order,
+    json_text,
+    numbering,
+    read_frame,
+    whole_file,
+    write_shard,
+)
+from forestgen.dataset.settings import DatasetSettings
+from forestgen.dataset.tables import STATUS_NAMES
+from forestgen.labels.labelled import LabelledFrame
+from forestgen.labels.masks import rows_of
+from forestgen.labels.plants_table import KEYPOINTS
+
+SHARD_NAME = "annotations.json"
+FILE_NAME = "coco.json"
+SKELETON = ((1, 3), (3, 2))  # COCO counts keypoints from 1
+
+_SHARD: dict[str, type] = {"annotations": list[dict[str, Any]], "image": dict}
+
+
+def write_frame(folder: Path, labelled: LabelledFrame, settings: DatasetSettings) -> None:
+    """Write the frame's annotations into its folder; a failure raises `OutputError`."""
+    width, height = labelled.frame.camera.size_px
+    shard = {
+        "annotations": frame_annotations(labelled),
+        "image": {"height": int(height), "width": int(width)},
+        **numbering(settings),
+    }
+    write_shard(folder / SHARD_NAME, shard)
+
+
+def merge(root: Path, folders: Iterable[Path | str], settings: DatasetSettings) -> None:
+    """Write coco.json over all frames.
+
+    Raises
+    ------
+    OutputError
+        When a shard is missing or damaged, when frames differ in species or classes, or the file cannot be written.
+    """
+    images: list[dict[str, Any]] = []
+    annotation_id = 0
+    with whole_file(root / FILE_NAME) as stream:
+        stream.write('{"annotations":')
+        annotations = JsonList(stream)
+        for image_id, folder in enumerate(in_order(folders), start=1):
+            shard = read_frame(root / folder / SHARD_NAME, _SHARD, settings)
+            images.append({**shard["image"], **image_entry(folder, image_id, settings)})
+            for one in shard["annotations"]:
+                annotation_id += 1
+                annotations.add({**one, "id": annotation_id, "image_id": image_id})
+        annotations.close()
+        write_rest(stream, _categories(settings.category_names), images, settings)
+
+
+def write_rest(
+    stream: IO[str], categories: list[dict[str, Any]], images: list[dict[str, Any]], settings: DatasetSettings
+) -> None:
+    """What follows a file's annotations, to its end: categories, images, `info` and `licenses`."""
+    stream.write(',\n"categories":' + json_text(categories) + ',\n"images":')
+    listed = JsonList(stream)
+    for image in images:
+        listed.add(image)
+    listed.close()
+    for key, value in head(settings).items():
+        stream.write(f",\n{json_text(key)}:{json_text(value)}")
+    stream.write("}\n")
+
+
+def head(settings: DatasetSettings) -> dict[str, Any]:
+    """COCO's `info` and `licenses`. No date: equal data sets have equal files."""
+    info = {"contributor": settings.contributor, "description": settings.description, "version": "1"}
+    if not settings.licence_name:
+        return {"info": info, "licenses": []}
+    return {"info": info, "licenses": [{"id": 1, "name": settings.licence_name, "url": settings.licence_url}]}
+
+
+def image_entry(folder: str, image_id: int, settings: DatasetSettings) -> dict[str, Any]:
+    """What COCO says of an image beside its size; paths are relative to the data set's folder."""
+    entry = {"camera": f"{folder}/camera.json", "file_name": f"{folder}/preview.png", "id": image_id}
+    return {**entry, "license": 1} if settings.licence_name else entry
+
+
+def frame_annotations(labelled: LabelledFrame) -> list[dict[str, Any]]:
+    """COCO annotations, without `id` and `image_id`, of the plants that win a pixel, by rising plant_id."""
+    rows = np.flatnonzero(labelled.views.visible.has_box)
+    masks = encode_masks(labelled.pixels.instance)
+    is_stem = labelled.pixels.part == Part.TRUNK
+    stems = encode_masks(np.where(is_stem, labelled.pixels.instance, np.uint32(0)))
+    extra = _amodal_fields(labelled, rows)
+    found = []
+    for one, more in zip(_records(_fields(labelled, rows)), extra, strict=True):
+        one["segmentation"] = masks[one["plant_id"]]
+        if one["plant_id"] in stems:
+            one["stem_segmentation"] = stems[one["plant_id"]]
+        found.append({**one, **more, "iscrowd": 0})
+    return found
+
+
+def _fields(labelled: LabelledFrame, rows: NDArray[np.intp]) -> dict[str, list[Any]]:
+    """Values of all plants of `rows`, by field."""
+    population, views, measures = labelled.population, labelled.views, labelled.measures
+    species = labelled.species[rows]
+    state = views.keypoint_state[rows]
+    return {
+        "plant_id": population.plant_id[rows].tolist(),
+        "category_id": (labelled.category[rows] + 1).tolist(),
+        "species": [labelled.classes.species_names[i] for i in species],
+        "status": [STATUS_NAMES[i] for i in population.status[rows].tolist()],
+        "area": views.visible.visible_pixels[rows].tolist(),
+        "bbox": views.visible.box_px[rows].astype(np.float64).tolist(),
+        "visible_area_px": views.visible.visible_area_px[rows].tolist(),
+        "truncated": views.visible.truncated[rows].tolist(),
+        "keypoints": _keypoints(views.keypoint_px[rows], state),
+        "num_keypoints": (state > 0).sum(axis=1).tolist(),
+        "distance_m": _finite(views.distance_m[rows]),
+        "age_yr": _finite(population.age_yr[rows]),
+        "height_m": _finite(population.height_m[rows]),
+        "crown_width_m": _finite(measures.crown_width_m[rows]),
+        "dbh_m": _finite(measures.dbh_m[rows]),
+        "leaf_area_m2": _finite(measures.leaf_area_m2[rows]),
+    }
+
+
+def _amodal_fields(labelled: LabelledFrame, rows: NDArray[np.intp]) -> list[dict[str, Any]]:
+    amodal, views = labelled.amodal, labelled.views
+    if amodal is None:
+        return [{} for _ in rows]
+    size_px = labelled.frame.camera.size_px
+    own = rows_of(labelled.population.plant_id[rows], amodal.plant_id)
+    left, top, right, bottom = amodal.full_box_px[own].T
+    full = np.stack([left, top, right - left, bottom - top], axis=1)
+    fields = {
+        "amodal_segmentation": [encode_amodal(amodal, row, size_px) for row in own.tolist()],
+        "amodal_bbox": amodal.box_px[own].astype(np.float64).tolist(),
+        "amodal_area": amodal.pixels[own].tolist(),
+        "visible_fraction": _finite(views.visible_fraction[rows]),
+        "truncation": _finite(views.truncation[rows]),
+        "full_bbox": [box if np.isfinite(box).all() else None for box in full.tolist()],
+    }
+    return list(_records(fields))
+
+
+def _keypoints(points_px: NDArray[np.float64], state: NDArray[np.uint8]) -> list[list[float]]:
+    """Per plant x, y, v of each keypoint; 0, 0, 0 for those outside the image."""
+    shown = np.where(state[..., None] > 0, points_px, 0.0)
+    return [
+        [value for (x, y), v in zip(points, states, strict=True) for value in (x, y, v)]
+        for points, states in zip(shown.tolist(), state.tolist(), strict=True)
+    ]
+
+
+def _finite(values: NDArray[np.float64]) -> list[float | None]:
+    return [finite(value) for value in values.tolist()]
+
+
+def _records(fields: Mapping[str, Sequence[Any]]) -> list[dict[str, Any]]:
+    return [dict(zip(fields, values, strict=True)) for values in zip(*fields.values(), strict=True)]
+
+
+def _categories(names: Sequence[str]) -> list[dict[str, Any]]:
+    keypoints = {"keypoints": list(KEYPOINTS), "skeleton": [list(pair) for pair in SKELETON]}
+    return [{"id": i, "name": name, "supercategory": "plant", **keypoints} for i, name in enumerate(names, start=1)]

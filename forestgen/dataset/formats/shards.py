@@ -1,0 +1,172 @@
+"""What all formats share: the shard of a frame, the file over all frames, and its pictures' places.
+
+A shard is a JSON file in the frame's folder. A merge reads one shard at a time, in the order of the folders' names, and
+writes its file from front to back, so memory holds one frame. The file appears under its name when it is complete.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import os
+import shutil
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import IO, Any, get_args, get_origin
+
+from forestgen.core.errors import OutputError
+from forestgen.dataset.files import output_error, write_bytes
+from forestgen.dataset.settings import DatasetSettings
+
+_REMEDY = "a worker may have stopped early: make this frame again"
+
+
+def json_text(content: Any) -> str:
+    """JSON on one line with sorted keys; NaN and infinities, which JSON lacks, raise `ValueError`."""
+    return json.dumps(content, sort_keys=True, allow_nan=False, ensure_ascii=False, separators=(",", ":"))
+
+
+def finite(value: float) -> float | None:
+    """The number, or None, JSON's null, where it is NaN or infinite: unknown."""
+    return float(value) if math.isfinite(value) else None
+
+
+def write_shard(path: Path, content: Mapping[str, Any]) -> None:
+    """Write a frame's share of a format; a failure raises `OutputError`."""
+    write_bytes(path, (json_text(content) + "\n").encode())
+
+
+def read_shard(path: Path, types: Mapping[str, type]) -> dict[str, Any]:
+    """A frame's share of a format.
+
+    Parameters
+    ----------
+    path : of a file of `write_shard`.
+    types : key -> type of the value that it must hold: dict, int, list[dict], list[str].
+
+    Raises
+    ------
+    OutputError
+        When the file is missing, cut short, or not a shard of this format.
+    """
+    try:
+        content = json.loads(read_bytes(path))
+    except (ValueError, RecursionError) as error:
+        raise damaged(path, str(error)) from error
+    for key, kind in types.items():
+        if not isinstance(content, dict) or not _is_a(content.get(key), kind):
+            raise OutputError(
+                "a frame's labels are not of this format",
+                where=str(path),
+                expected=f"{key}: {kind}",
+                got=json_text(content)[:80],
+                hint=_REMEDY,
+            )
+    return dict(content)
+
+
+def read_bytes(path: Path) -> bytes:
+    """A frame's share of a format as it is; one that is missing or cannot be read raises `OutputError`."""
+    try:
+        return path.read_bytes()
+    except FileNotFoundError as error:
+        raise OutputError("a frame lacks its share of the labels", where=str(path), hint=_REMEDY) from error
+    except OSError as error:
+        raise OutputError(f"cannot read: {error.strerror or error}", where=str(path), hint=_REMEDY) from error
+
+
+def damaged(path: Path, got: str | None = None) -> OutputError:
+    """The error of a share that is there and is no whole one."""
+    return OutputError("a frame's labels are cut short or damaged", where=str(path), got=got, hint=_REMEDY)
+
+
+def _is_a(value: Any, kind: type) -> bool:
+    if not get_args(kind):
+        return isinstance(value, kind)
+    item = get_origin(get_args(kind)[0]) or get_args(kind)[0]
+    return isinstance(value, list) and all(isinstance(one, item) for one in value)
+
+
+def in_order(folders: Iterable[Path | str]) -> list[str]:
+    """Names of the frames' folders, sorted, each once."""
+    return sorted({Path(folder).name for folder in folders})
+
+
+def numbering(settings: DatasetSettings) -> dict[str, list[str]]:
+    """What numbers the categories, for a shard: the species, and the category of each where it is another."""
+    species = list(settings.species_names)
+    categories = [settings.category_names[index] for index in settings.species_category]
+    return {"species": species} if categories == species else {"species": species, "categories": categories}
+
+
+def read_frame(path: Path, types: Mapping[str, type], settings: DatasetSettings) -> dict[str, Any]:
+    """As `read_shard`, of a frame whose `numbering` must be the data set's."""
+    shard = read_shard(path, {**types, "species": list[str]})
+    wanted = numbering(settings)
+    for key, what in (("species", "species"), ("categories", "labels.classes")):
+        expected, got = wanted.get(key, wanted["species"]), shard.get(key, shard["species"])
+        if got != expected:
+            raise OutputError(
+                f"frames of one dataset must share their {what}",
+                where=str(path),
+                expected=", ".join(expected),
+                got=", ".join(map(str, got)),
+            )
+    return shard
+
+
+@contextlib.contextmanager
+def whole_file(path: Path) -> Iterator[IO[str]]:
+    """A text file to write, which takes its name when all is written; after a failure nothing is left of it."""
+    partial = path.with_name(path.name + ".partial")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with partial.open("w", encoding="utf-8", newline="\n") as stream:
+            yield stream
+        partial.replace(path)
+    except BaseException as error:
+        with contextlib.suppress(OSError):
+            partial.unlink(missing_ok=True)
+        if isinstance(error, OSError):
+            raise output_error(error, path) from error
+        raise
+
+
+class JsonList:
+    """Items of a JSON list, written as they come, one a line."""
+
+    def __init__(self, stream: IO[str]) -> None:
+        self._stream = stream
+        self._count = 0
+        stream.write("[")
+
+    def add(self, item: Any) -> None:
+        """Write one more item."""
+        self._stream.write(("\n" if self._count == 0 else ",\n") + json_text(item))
+        self._count += 1
+
+    def close(self) -> None:
+        """Write the list's end."""
+        self._stream.write("\n]" if self._count else "]")
+
+
+def place(source: Path, target: Path) -> None:
+    """Give a file a second place: a hard link, or a copy where the file system has no links.
+
+    Raises
+    ------
+    OutputError
+        When the file is missing or cannot be placed.
+    """
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.unlink(missing_ok=True)
+        if not source.is_file():
+            raise OutputError("a frame lacks a file", where=str(source), hint=_REMEDY)
+        try:
+            os.link(source, target)
+        except OSError:
+            shutil.copyfile(source, target)
+    except OSError as error:
+        raise output_error(error, target) from error

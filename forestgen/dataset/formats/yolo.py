@@ -1,0 +1,112 @@
+"""yolo/: the layout that YOLO trainers load, once with outlines and once with boxes.
+
+    yolo/segmentation/data.yaml, images/FRAME.png, labels/FRAME.txt     class x1 y1 x2 y2 ...
+    yolo/boxes/data.yaml, images/FRAME.png, labels/FRAME.txt            class cx cy w h
+
+A line is a plant that wins a pixel of the instance mask, by rising plant_id; lengths are shares of the image's width
+and height; a class is coco.json's category less 1. An image without plants has an empty file. `train` and `val` of
+data.yaml both name all images, the same ones: a score on val says nothing until they are split as the task asks.
+
+What the format cannot hold: plant_id (a line's number is the annotation's place among its image's in coco.json), and
+any label besides class and outline.
+
+**One polygon a plant.** A line has one ring, but a crown is many pieces with gaps. All loops of the mask's border,
+holes too, are joined by bridges of no width (`contours.py`), as converters from COCO join pieces. Corners lie on the
+edges of pixels: filling the ring by the even-odd or the non-zero rule at the pixels' centres gives the instance mask,
+exactly. Readers that draw the ring's own line as well (OpenCV's fillPoly, which Ultralytics and supervision use) add
+the pixels right and below of edges, and those under bridges: on crowns of single pixels that is a lot
+(`benchmarks/readers.py` prints how much). Ultralytics also resamples a ring of more than 1,000 corners to 1,000. For
+masks as they are, read coco.json.
+
+Shares have seven digits and are rounded up, by less than 2e-7: times the width they are the corner or just above it, in
+single precision too, so readers that cut off decimals get the right corner.
+
+Files in the frame's folder: ``yolo_segmentation.txt`` and ``yolo_boxes.txt``; merging places them, and the preview.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+from forestgen.dataset.files import make_folder, write_bytes
+from forestgen.dataset.formats.contours import polygons
+from forestgen.dataset.formats.shards import damaged, in_order, place, read_bytes
+from forestgen.dataset.settings import DatasetSettings
+from forestgen.labels.labelled import LabelledFrame
+
+FOLDER_NAME = "yolo"
+TASKS = ("segmentation", "boxes")
+_DIGITS = 7
+
+
+def write_frame(folder: Path, labelled: LabelledFrame, settings: DatasetSettings) -> None:
+    """Write the frame's lines of both tasks into its folder; a failure raises `OutputError`."""
+    for task, lines in zip(TASKS, (outline_lines(labelled), box_lines(labelled)), strict=True):
+        write_bytes(folder / f"yolo_{task}.txt", "".join(line + "\n" for line in lines).encode())
+
+
+def merge(root: Path, folders: Iterable[Path | str], settings: DatasetSettings) -> None:
+    """Place images and labels of all frames where trainers look for them, and write data.yaml.
+
+    Raises
+    ------
+    OutputError
+        When a frame's file is missing or cut short, or cannot be placed.
+    """
+    frames = in_order(folders)
+    names = "".join(f"  {i}: {json.dumps(name)}\n" for i, name in enumerate(settings.category_names))
+    for task in TASKS:
+        home = root / FOLDER_NAME / task
+        make_folder(home / "images")
+        make_folder(home / "labels")
+        for folder in frames:
+            shard = root / folder / f"yolo_{task}.txt"
+            _check_whole(shard)
+            place(shard, home / "labels" / f"{folder}.txt")
+            place(root / folder / "preview.png", home / "images" / f"{folder}.png")
+        write_bytes(home / "data.yaml", f"train: images\nval: images\nnames:\n{names}".encode())
+
+
+def outline_lines(labelled: LabelledFrame) -> list[str]:
+    """``class x1 y1 x2 y2 ...`` of each plant that wins a pixel."""
+    width, height = labelled.frame.camera.size_px
+    across, down = _shares(width), _shares(height)
+    rings = polygons(labelled.pixels.instance)
+    visible = labelled.views.visible
+    lines = []
+    for row in np.flatnonzero(visible.has_box):
+        ring = rings[int(visible.plant_id[row])]
+        corners = " ".join(f"{across[x]} {down[y]}" for x, y in ring.tolist())
+        lines.append(f"{labelled.category[row]} {corners}")
+    return lines
+
+
+def box_lines(labelled: LabelledFrame) -> list[str]:
+    """``class cx cy w h`` of each plant that wins a pixel."""
+    visible = labelled.views.visible
+    rows = np.flatnonzero(visible.has_box)
+    size = np.array(labelled.frame.camera.size_px, dtype=np.float64)
+    box = visible.box_px[rows].astype(np.float64)
+    shares = np.hstack([(box[:, :2] + box[:, 2:] / 2.0) / size, box[:, 2:] / size])
+    return [
+        f"{category} " + " ".join(f"{share:.9f}" for share in one)
+        for category, one in zip(labelled.category[rows].tolist(), shares.tolist(), strict=True)
+    ]
+
+
+def _shares(length_px: int) -> list[str]:
+    """Text of k / length for k = 0 ... length, rounded up and a step more, but 0 and 1 as they are."""
+    step = 10**_DIGITS
+    whole = [0, *(-(-k * step // length_px) + 1 for k in range(1, length_px)), step]
+    return [f"{value / step:.{_DIGITS}f}" for value in whole]
+
+
+def _check_whole(shard: Path) -> None:
+    """A file of lines that ends within a line was cut short."""
+    text = read_bytes(shard)
+    if text and not text.endswith(b"\n"):
+        raise damaged(shard)

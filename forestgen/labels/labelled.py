@@ -1,0 +1,81 @@
+"""The contract between labels and files: everything that is known of one image."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.community.population import Population
+from forestgen.labels.amodal import AmodalMasks, amodal_masks
+from forestgen.labels.boundaries import occlusion_boundaries
+from forestgen.labels.classes import ClassMap
+from forestgen.labels.pixels import PixelLabels, pixel_labels
+from forestgen.labels.plants_table import PlantViews, plant_views
+from forestgen.recipe.schema import CHANNELS
+from forestgen.render.frame import Frame
+from forestgen.scene.plant_measures import PlantMeasures
+
+
+@dataclass(frozen=True)
+class LabelledFrame:
+    """One camera's view with all of its labels. Rows of plants are the population's, sorted by plant_id."""
+
+    frame: Frame
+    population: Population
+    species: NDArray[np.intp]  # (N,) index into `classes.species_names`, the recipe's order
+    classes: ClassMap
+    pixels: PixelLabels
+    views: PlantViews
+    measures: PlantMeasures
+    amodal: AmodalMasks | None
+    boundaries: NDArray[np.bool_] | None = None  # (H, W) see labels/boundaries.py; None: not asked for
+    channels: frozenset[str] = frozenset(CHANNELS)  # of the recipe's labels.channels: what files should hold
+
+    @property
+    def category(self) -> NDArray[np.intp]:
+        """(N,) index of each plant's category, see `ClassMap.instance_categories`."""
+        return self.classes.instance_categories[1][self.species]
+
+
+def label_frame(
+    frame: Frame,
+    population: Population,
+    classes: ClassMap,
+    measures: PlantMeasures,
+    channels: Collection[str] = CHANNELS,
+) -> LabelledFrame:
+    """Make all labels of a frame.
+
+    Parameters
+    ----------
+    frame : what the camera saw of `population`.
+    population : the plants of the scene; `classes` knows their species.
+    measures : of the same plants, in the same order.
+    channels : what to make and to write, names as in the recipe's labels.channels.
+
+    Raises
+    ------
+    ValueError
+        When the image holds a plant that the population does not, or the measures are of other plants.
+    """
+    if len(measures.exemplar) != len(population):
+        raise ValueError(f"measures of {len(measures.exemplar)} plants for a population of {len(population)}")
+    identity = frame.identity
+    species = classes.species_index(population.species_names)[population.species]
+    pixels = pixel_labels(identity.plant_id, identity.part, population.plant_id, species, classes)
+    amodal = None if frame.amodal is None else amodal_masks(frame.amodal, pixels.instance)
+    return LabelledFrame(
+        frame=frame,
+        population=population,
+        species=species,
+        classes=classes,
+        pixels=pixels,
+        views=plant_views(frame, population.plant_id, pixels, measures, amodal),
+        measures=measures,
+        amodal=amodal,
+        boundaries=occlusion_boundaries(frame.surface, frame.camera) if "boundaries" in channels else None,
+        channels=frozenset(channels),
+    )

@@ -1,0 +1,294 @@
+"""Amodal counts: which samples of the image hit a plant when it stands alone.
+
+Each exemplar has a scene of its own, in which it stands unmoved, and each plant's rays are brought into the
+exemplar's frame. So all plants of an exemplar are traced in one launch, whatever hides whatever, and the number of
+scenes is that of exemplars. Rays run only through the pixels that the plant's projected hull can touch
+(`render.windows`).
+
+A sample that hits a plant in the identity pass must hit it here. The rays of the two passes are equal to the last bit
+because the frames change as Embree changes them for an instance: the inverse is the adjoint over the determinant in
+single precision, each operation rounded; rays are then transformed with fused multiply-adds. In tests/system distances
+and barycentric coordinates of the two are compared bit by bit. OptiX does not tell how it transforms rays: on
+CUDA, samples within rounding error of an edge may differ.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.core.compiled import compiled
+from forestgen.geometry.hull import Hull, hull_of
+from forestgen.plants.exemplar import Exemplar
+from forestgen.render.build import load, to_mesh
+from forestgen.render.frame import Amodal
+from forestgen.render.identity.tracer import SceneTracer, pixel_rays, sample_offsets
+from forestgen.render.variant import drjit, mitsuba, using
+from forestgen.render.windows import outlines
+from forestgen.scene.spec import Camera
+
+_RAYS_AT_ONCE = 1 << 21  # of a launch: about 100 bytes each
+_PIXELS_AT_ONCE = 1 << 23  # of windows that wait to be cut to their hits: 2 bytes each
+_TRIANGLES_KEPT = 4_000_000  # in scenes that wait for the next camera: about 0.6 GB
+
+
+class _Alone:
+    """Exemplars of one tracer, each in a scene of its own; built when first asked for, kept for the next camera."""
+
+    def __init__(self) -> None:
+        self._hulls: dict[int, Hull] = {}
+        self._scenes: dict[int, Any] = {}
+        self._triangles = 0
+
+    def hull(self, number: int, exemplar: Exemplar) -> Hull:
+        if number not in self._hulls:
+            self._hulls[number] = hull_of([organ.mesh for organ in exemplar.organs])
+        return self._hulls[number]
+
+    def scene(self, number: int, exemplar: Exemplar) -> Any:
+        if number in self._scenes:
+            return self._scenes[number]
+        scene = alone_scene(exemplar)
+        if self._triangles + exemplar.triangles <= _TRIANGLES_KEPT:
+            self._scenes[number] = scene
+            self._triangles += exemplar.triangles
+        return scene
+
+
+def alone_scene(exemplar: Exemplar) -> Any:
+    """A scene of the current variant that holds one exemplar in its own frame.
+
+    It is an instance that is not moved, which changes no bit: a group's tree is built three times as fast as a
+    scene's, and it is the identity pass' own.
+    """
+    meshes = {f"organ-{k:02d}": to_mesh(organ.mesh, name=f"organ-{k}") for k, organ in enumerate(exemplar.organs)}
+    instance = {"type": "instance", "exemplar": {"type": "ref", "id": "group"}}
+    return load({"group": {"type": "shapegroup", **meshes}, "instance": instance})
+
+
+_alone: WeakKeyDictionary[SceneTracer, _Alone] = WeakKeyDictionary()
+
+
+def trace_amodal(
+    tracer: SceneTracer,
+    camera: Camera,
+    plant_ids: NDArray[np.uint32],
+    *,
+    samples: int,
+    timer: Callable[[str], Any],
+    advance: Callable[[int], None],
+) -> Amodal:
+    """Count, pixel by pixel, the samples that hit each plant when nothing else is there.
+
+    Time O(pixels of all windows x samples x log triangles). Memory: 2 bytes a pixel of the windows, cut to their hits,
+    twice; some 250 MB for the rays and pixels in work; and the scenes of exemplars that were asked for, of
+    4 million triangles at most.
+
+    Parameters
+    ----------
+    plant_ids : (M,) uint32 in any order, those that the identity pass saw.
+    samples : a pixel; a perfect square, at most 1024.
+    timer : context manager that books time under a name.
+    advance : is told of plants that are done.
+
+    Raises
+    ------
+    ValueError
+        When the scene holds no such plant, or several instances of one.
+    """
+    if not 0 < samples <= 1024:
+        raise ValueError(f"samples must be 1 to 1024, got {samples}")
+    ids = np.unique(np.asarray(plant_ids, dtype=np.uint32))
+    rows = tracer.spec.instances.rows_of(ids)
+    exemplar = tracer.spec.instances.exemplar[rows]
+    alone = _alone.setdefault(tracer, _Alone())
+    offsets = sample_offsets(samples)
+    window, box = np.zeros((len(ids), 4), dtype=np.int32), np.full((len(ids), 4), np.nan)
+    parts: list[tuple[NDArray[np.int64], NDArray[np.uint16]]] = []
+    with using(tracer.variant):
+        for number in np.unique(exemplar).tolist():
+            members = np.flatnonzero(exemplar == number)
+            model = tracer.spec.exemplars[number]
+            with timer("amodal: outlines"):
+                found = outlines(alone.hull(number, model), tracer.spec.instances.transform[rows[members]], camera)
+            window[members], box[members] = found.window_px, found.full_box_px
+            with timer("amodal: build"):
+                scene = alone.scene(number, model)
+            with timer("amodal: trace"):
+                for chunk in _chunks(members, window):
+                    counts = _trace(scene, tracer, camera, rows[chunk], window[chunk], offsets)
+                    window[chunk], counts = _cut_to_hits(window[chunk], counts)
+                    parts.append((chunk, counts))
+                    advance(len(chunk))
+        drjit().flush_malloc_cache()
+    first, hits = _in_order(window, parts)
+    return Amodal(plant_id=ids, samples=samples, window_px=window, first=first, hits=hits, full_box_px=box)
+
+
+def _chunks(members: NDArray[np.intp], window: NDArray[np.int32]) -> list[NDArray[np.intp]]:
+    """Members, a few at a time: as many as have `_PIXELS_AT_ONCE` pixels, and at least one."""
+    pixels = np.cumsum(window[members, 2].astype(np.int64) * window[members, 3])
+    chunks, start, before = [], 0, 0
+    while start < len(members):
+        end = max(int(np.searchsorted(pixels, before + _PIXELS_AT_ONCE, "right")), start + 1)
+        chunks.append(members[start:end])
+        start, before = end, int(pixels[end - 1])
+    return chunks
+
+
+def _first(window: NDArray[np.int32]) -> NDArray[np.int64]:
+    """(M + 1,) where each window's pixels begin."""
+    return np.concatenate([[0], np.cumsum(window[:, 2].astype(np.int64) * window[:, 3])]).astype(np.int64)
+
+
+def frames_of_plants(transform: NDArray[np.float64], origin_m: NDArray[np.float64]) -> NDArray[np.float32]:
+    """(N, 12) plant's frame <- world shifted to `origin_m`: three columns of the linear part, then the shift.
+
+    As Embree 3 inverts an instance's transform: adjoint over determinant in single precision, nothing fused.
+    """
+    matrix = transform.copy()
+    matrix[:, :, 3] -= origin_m
+    x, y, z, place = (list(matrix[:, :, k].T.astype(np.float32)) for k in range(4))
+    rows = [_cross(y, z), _cross(z, x), _cross(x, y)]
+    with np.errstate(all="ignore"):
+        determinant = (x[0] * rows[0][0] + x[1] * rows[0][1]) + x[2] * rows[0][2]
+        columns = [[rows[k][axis] / determinant for k in range(3)] for axis in range(3)]
+        shift = [-(place[0] * columns[0][k] + (place[1] * columns[1][k] + place[2] * columns[2][k])) for k in range(3)]
+    return np.stack([*columns[0], *columns[1], *columns[2], *shift], axis=1)
+
+
+def _cross(a: list[NDArray[np.float32]], b: list[NDArray[np.float32]]) -> list[NDArray[np.float32]]:
+    return [a[i] * b[j] - a[j] * b[i] for i, j in ((1, 2), (2, 0), (0, 1))]
+
+
+def _trace(
+    scene: Any,
+    tracer: SceneTracer,
+    camera: Camera,
+    rows: NDArray[np.intp],
+    window: NDArray[np.int32],
+    offsets: NDArray[np.float64],
+) -> NDArray[np.uint16]:
+    """Counts of the windows of plants of one exemplar, one window after another."""
+    mi, dr = mitsuba(), drjit()
+    samples = len(offsets)
+    first = _first(window)
+    counts = np.zeros(first[-1], dtype=np.uint16)
+    frame = mi.Float(frames_of_plants(tracer.spec.instances.transform[rows], tracer.origin_m).ravel())
+    step = max(1, _RAYS_AT_ONCE // samples)
+    for start in range(0, len(counts), step):
+        plant, column, row = _pixels(first, window, start, min(start + step, len(counts)))
+        ray = alone_rays(tracer, camera, offsets, frame, plant, column, row)
+        hit = scene.ray_intersect_preliminary(ray, coherent=True)
+        counts[start : start + step] = np.array(dr.block_sum(dr.select(hit.is_valid(), mi.UInt32(1), 0), samples))
+    return counts
+
+
+def alone_rays(
+    tracer: SceneTracer,
+    camera: Camera,
+    offsets: NDArray[np.float64],
+    frame: Any,
+    plant: NDArray[np.uint32],
+    column: NDArray[np.uint32],
+    row: NDArray[np.uint32],
+) -> Any:
+    """The identity pass' rays through S positions of pixels, each in its plant's frame.
+
+    Parameters
+    ----------
+    frame : device array of `frames_of_plants`.
+    plant, column, row : (P,) row of `frame` and pixel.
+    """
+    mi, dr = mitsuba(), drjit()
+    samples = len(offsets)
+    index = dr.arange(mi.UInt32, len(plant) * samples)
+    pixel = index // samples
+    number = index - pixel * samples
+    _, direction = pixel_rays(
+        camera,
+        dr.gather(mi.UInt32, mi.UInt32(column), pixel),
+        dr.gather(mi.UInt32, mi.UInt32(row), pixel),
+        dr.gather(mi.Float, mi.Float(offsets[:, 0]), number),
+        dr.gather(mi.Float, mi.Float(offsets[:, 1]), number),
+    )
+    start = tracer.start_of(camera)
+    first = dr.gather(mi.UInt32, mi.UInt32(plant), pixel) * 12
+    m = [dr.gather(mi.Float, frame, first + k) for k in range(12)]
+    # As Embree does: fused, from the last coordinate on.
+    origin = [dr.fma(start.x, m[k], dr.fma(start.y, m[3 + k], dr.fma(start.z, m[6 + k], m[9 + k]))) for k in range(3)]
+    along = [dr.fma(direction.x, m[k], dr.fma(direction.y, m[3 + k], direction.z * m[6 + k])) for k in range(3)]
+    return mi.Ray3f(mi.Point3f(*origin), mi.Vector3f(*along))
+
+
+@compiled
+def _pixels(first, window, start, stop):  # type: ignore[no-untyped-def]
+    """Window, column and row of the pixels `start` to `stop` of all windows, one after another."""
+    plant = np.empty(stop - start, dtype=np.uint32)
+    column = np.empty(stop - start, dtype=np.uint32)
+    row = np.empty(stop - start, dtype=np.uint32)
+    current = np.searchsorted(first, start, side="right") - 1
+    for index in range(start, stop):
+        while index >= first[current + 1]:
+            current += 1
+        within = index - first[current]
+        plant[index - start] = current
+        column[index - start] = window[current, 0] + within % window[current, 2]
+        row[index - start] = window[current, 1] + within // window[current, 2]
+    return plant, column, row
+
+
+@compiled
+def _cut_to_hits(window, counts):  # type: ignore[no-untyped-def]
+    """Windows without their empty borders, and the counts of what is left; 0 where nothing is hit."""
+    tight = np.zeros_like(window)
+    kept, start = 0, 0
+    for plant in range(len(window)):
+        width, height = window[plant, 2], window[plant, 3]
+        left, right, top, bottom = width, -1, height, -1
+        for y in range(height):
+            for x in range(width):
+                if counts[start + y * width + x] > 0:
+                    left, right = min(left, x), max(right, x)
+                    top, bottom = min(top, y), y
+        start += width * height
+        if bottom >= 0:
+            tight[plant, 0], tight[plant, 1] = window[plant, 0] + left, window[plant, 1] + top
+            tight[plant, 2], tight[plant, 3] = right - left + 1, bottom - top + 1
+            kept += tight[plant, 2] * tight[plant, 3]
+    result = np.empty(kept, dtype=counts.dtype)
+    kept, start = 0, 0
+    for plant in range(len(window)):
+        width, height = window[plant, 2], window[plant, 3]
+        x0, y0 = tight[plant, 0] - window[plant, 0], tight[plant, 1] - window[plant, 1]
+        for y in range(tight[plant, 3]):
+            for x in range(tight[plant, 2]):
+                result[kept] = counts[start + (y0 + y) * width + x0 + x]
+                kept += 1
+        start += width * height
+    return tight, result
+
+
+def _in_order(
+    window: NDArray[np.int32], parts: list[tuple[NDArray[np.intp], NDArray[np.uint16]]]
+) -> tuple[NDArray[np.int64], NDArray[np.uint16]]:
+    """Counts of all plants in the windows' order, and where each plant's begin."""
+    first = _first(window)
+    hits = np.zeros(first[-1], dtype=np.uint16)
+    while parts:
+        members, counts = parts.pop()
+        _put(hits, first, members, counts)
+    return first, hits
+
+
+@compiled
+def _put(hits, first, members, counts):  # type: ignore[no-untyped-def]
+    start = 0
+    for member in members:
+        size = first[member + 1] - first[member]
+        hits[first[member] : first[member + 1]] = counts[start : start + size]
+        start += size

@@ -1,0 +1,155 @@
+"""What the rays through pixel centres meet: depth, position, normals, colour, and whether the sun reaches it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.render.build import origin_of
+from forestgen.render.frame import Surface
+from forestgen.render.identity.tables import NONE
+from forestgen.render.identity.tracer import Hits, SceneTracer
+from forestgen.render.variant import drjit, mitsuba
+from forestgen.scene.spec import Camera
+
+# Of the largest coordinate, a metre at least: shadow rays start this far above their surface. Single precision places
+# a hit to within a few times 6e-8 of it, in the scene's frame and again in the instance's.
+_LIFT = 1e-5
+
+
+def empty_surface(height: int, width: int) -> Surface:
+    """Sky alone."""
+    return Surface(
+        plant_id=np.zeros((height, width), dtype=np.uint32),
+        part=np.zeros((height, width), dtype=np.uint8),
+        exemplar=np.zeros((height, width), dtype=np.uint32),
+        face=np.zeros((height, width), dtype=np.uint32),
+        depth_m=np.full((height, width), np.inf, dtype=np.float32),
+        distance_m=np.full((height, width), np.inf, dtype=np.float32),
+        position_m=np.full((height, width, 3), np.nan, dtype=np.float32),
+        normal=np.zeros((height, width, 3), dtype=np.float32),
+        shading_normal=np.zeros((height, width, 3), dtype=np.float32),
+        albedo=np.zeros((height, width, 3), dtype=np.float32),
+        sun_visible=np.zeros((height, width), dtype=np.bool_),
+    )
+
+
+def trace_rows(tracer: SceneTracer, camera: Camera, rows: slice, surface: Surface) -> None:
+    """Fill `rows` of `surface`."""
+    mi, dr = mitsuba(), drjit()
+    width, count = camera.size_px[0], rows.stop - rows.start
+    hits = tracer.trace(camera, np.array([0.5, 0.5]), rows.start, count)
+    normal = tracer.geometric_normal(hits)
+    found = {
+        "plant_id": dr.gather(mi.UInt32, tracer.plant_id, hits.instance, hits.valid),
+        "part": dr.gather(mi.UInt32, tracer.part, hits.organ, hits.valid),
+        "exemplar": dr.gather(mi.UInt32, tracer.exemplar, hits.instance, hits.valid),
+        "face": tracer.face_in_exemplar(hits),
+        "depth_m": dr.select(hits.valid, hits.distance_m * hits.along_z, dr.inf),
+        "distance_m": dr.select(hits.valid, hits.distance_m, dr.inf),
+        "normal": dr.ravel(normal),
+        "shading_normal": dr.ravel(shading_normal(tracer, hits, normal)),
+        "albedo": dr.ravel(albedo(tracer, hits)),
+        "sun_visible": dr.select(sun_visible(tracer, camera, hits, normal), mi.UInt32(1), 0),
+    }
+    dr.eval(found)
+    for name, values in found.items():
+        field = getattr(surface, name)
+        field[rows] = np.array(values).reshape(count, width, *field.shape[2:])
+    surface.position_m[rows] = positions(camera, rows, surface.distance_m[rows])
+
+
+def positions(camera: Camera, rows: slice, distance_m: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(rows, W, 3) world, in double precision from the distances along pixel centres' rays; NaN for the sky."""
+    u, v = camera.pixel_slopes
+    v = v[rows]
+    length = np.sqrt(1.0 + u**2 + v[:, None] ** 2)
+    depth = np.where(np.isfinite(distance_m), distance_m, np.nan) / length
+    position = np.empty((*depth.shape, 3), dtype=np.float32)
+    for axis, (right, down, forward) in enumerate(np.asarray(camera.world_from_camera, dtype=np.float64)):
+        position[..., axis] = depth * (u * right + v[:, None] * down + forward) + origin_of(camera)[axis]
+    return position
+
+
+def _corners(tracer: SceneTracer, hits: Hits, active: Any) -> list[Any]:
+    """The triangle's three vertices, counted within the organ's mesh."""
+    mi, dr = mitsuba(), drjit()
+    return [dr.gather(mi.UInt32, tracer.corner, hits.face * 3 + k, active) for k in range(3)]
+
+
+def _weights(hits: Hits) -> tuple[Any, Any, Any]:
+    return 1.0 - hits.uv.x - hits.uv.y, hits.uv.x, hits.uv.y
+
+
+def shading_normal(tracer: SceneTracer, hits: Hits, normal: Any) -> Any:
+    """Vertex normals interpolated, on the side of the geometric `normal`; that one where the mesh has none."""
+    mi, dr = mitsuba(), drjit()
+    first = dr.gather(mi.UInt32, tracer.first_normal, hits.organ, hits.valid)
+    smooth = hits.valid & (first != NONE)
+    corners = _corners(tracer, hits, smooth)
+    local = mi.Vector3f(0.0)
+    for weight, corner in zip(_weights(hits), corners, strict=True):
+        local += weight * dr.gather(mi.Vector3f, tracer.vertex_normal, first + corner, smooth)
+    smooth &= dr.squared_norm(local) > 1e-12
+    world = tracer.to_world(local, hits)
+    world = dr.select(dr.dot(world, normal) < 0, -world, world)
+    return dr.select(smooth, world, normal)
+
+
+def albedo(tracer: SceneTracer, hits: Hits) -> Any:
+    """Reflectance + transmittance at the hits, textures and the ground's distant colour included; 0 for the sky."""
+    mi, dr = mitsuba(), drjit()
+    mean = dr.gather(mi.Color3f, tracer.mean_albedo, hits.organ, hits.valid)
+    first = dr.gather(mi.UInt32, tracer.first_uv, hits.organ, hits.valid)
+    textured = hits.valid & (first != NONE)
+    corners, weights = _corners(tracer, hits, hits.valid), _weights(hits)
+    u, v = (
+        sum(
+            weight * dr.gather(mi.Float, tracer.uv, (first + corner) * 2 + axis, textured)
+            for weight, corner in zip(weights, corners, strict=True)
+        )
+        for axis in range(2)
+    )
+    offset, width, height = (dr.gather(mi.UInt32, tracer.texture, hits.organ * 3 + k, textured) for k in range(3))
+    colour = dr.select(textured, bilinear(tracer.texel, offset, width, height, u, v, textured), mean)
+    ground = hits.valid & (hits.instance == 0)
+    far = mi.Float(0.0)
+    for weight, corner in zip(weights, corners, strict=True):
+        far += weight * dr.gather(mi.Float, tracer.far_share, corner, ground)
+    far = dr.clip(far, 0.0, 1.0)
+    blended = colour * (1.0 - far) + tracer.far_albedo * far
+    return dr.select(hits.valid, dr.select(ground, blended, colour), 0.0)
+
+
+def bilinear(texel: Any, first: Any, width: Any, height: Any, u: Any, v: Any, active: Any) -> Any:
+    """Colours of repeating textures as in Mitsuba's `bitmap`: texel centres at (i + 0.5) / width, row 0 at v = 0."""
+    mi, dr = mitsuba(), drjit()
+    x, y = ((t - dr.floor(t)) * mi.Float(size) - 0.5 for t, size in ((u, width), (v, height)))
+    left, low = mi.Int32(dr.floor(x)), mi.Int32(dr.floor(y))
+    columns, rows = mi.Int32(width), mi.Int32(height)
+    result = mi.Color3f(0.0)
+    for i, across in ((0, 1.0 - (x - dr.floor(x))), (1, x - dr.floor(x))):
+        for j, up in ((0, 1.0 - (y - dr.floor(y))), (1, y - dr.floor(y))):
+            column, row = _wrapped(left + i, columns), _wrapped(low + j, rows)
+            index = first + mi.UInt32(row * columns + column)
+            result += across * up * dr.gather(mi.Color3f, texel, index, active)
+    return result
+
+
+def _wrapped(index: Any, size: Any) -> Any:
+    """Index of -1 to `size`, into a row that repeats."""
+    dr = drjit()
+    return dr.select(index < 0, index + size, dr.select(index >= size, index - size, index))
+
+
+def sun_visible(tracer: SceneTracer, camera: Camera, hits: Hits, normal: Any) -> Any:
+    """Whether nothing of the scene lies between the hits and the sun's centre; clouds do not count."""
+    mi, dr = mitsuba(), drjit()
+    point = tracer.start_of(camera) + hits.direction * hits.distance_m
+    sunny = dr.select(dr.dot(normal, tracer.to_sun) < 0, -normal, normal)  # leaves are lit through from below, too
+    lift = _LIFT * dr.maximum(dr.max(dr.abs(point)), 1.0)
+    ray = mi.Ray3f(point + sunny * lift, tracer.to_sun)
+    # Single rays: from leaf to leaf neighbours lose each other, and packets take 1.7 times as long.
+    return hits.valid & ~tracer.scene.ray_test(ray, coherent=False, active=hits.valid)

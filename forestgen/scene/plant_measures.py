@@ -1,0 +1,155 @@
+"""What a forester would measure on the plants of a scene, from the geometry that is rendered.
+
+Each exemplar is measured once, and its measures go through the instances' transforms: lengths with the scale, which is
+the cube root of the transform's determinant, since a lean keeps volumes; points as they are.
+
+- Diameter at breast height: that of the circle whose area the trunk's section has, 1.3 m from the stem base along the
+  plant's own axis, across that axis. Stems that overlap there count once; several stems give the diameter of one stem
+  of their basal area, sqrt(sum d^2). No trunk there: NaN, as for plants below 1.3 m, and for dead trees, whose trunk
+  and branches are one part. Bark and the root's flare count, as under a tape. A stem that leans within its plant is cut
+  at its slant: 7% wider at 30 degrees.
+- Crown width: the mean of the extents along the exemplar's x and y.
+- Leaf area: one side of all blades.
+- Stem base: the origin of the plant, where it stands. Tip: its highest vertex in the world. Crown centre: the centroid
+  of the surface of the leaves, else of the flowers, else of all, in the exemplar; carried along.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.core.parts import Part
+from forestgen.geometry.hull import hull_of
+from forestgen.geometry.sections import section_area_m2
+from forestgen.plants.exemplar import Exemplar
+from forestgen.scene.spec import Instances, SceneSpec
+
+Floats = NDArray[np.float64]
+
+BREAST_HEIGHT_M = 1.3
+_DIRECTIONS_AT_ONCE = 1024
+_MOST_SECTIONS = 64  # of an exemplar: its instances are of many scales
+
+
+@dataclass(frozen=True)
+class PlantMeasures:
+    """One row an instance of the scene, in its order (the population's)."""
+
+    exemplar: NDArray[np.uint32]  # (N,) index into SceneSpec.exemplars
+    world_from_exemplar: NDArray[np.float64]  # (N, 3, 4) metres: the instance's transform
+    crown_width_m: NDArray[np.float64]  # (N,) mean of its geometry's extents in x and y of its own frame
+    dbh_m: NDArray[np.float64]  # (N,) stem diameter at 1.3 m; NaN for plants that have no trunk there
+    leaf_area_m2: NDArray[np.float64]  # (N,) one side of all blades
+    stem_base_m: NDArray[np.float64]  # (N, 3) world
+    tip_m: NDArray[np.float64]  # (N, 3) world: the highest point of its geometry
+    crown_centre_m: NDArray[np.float64]  # (N, 3) world: area-weighted centre of leaves, or of all where there are none
+
+
+def measure_plants(spec: SceneSpec) -> PlantMeasures:
+    """Measure all plants of a scene; see `PlantMeter` for several poses of the same plants."""
+    return PlantMeter(spec.exemplars).measure(spec.instances)
+
+
+class PlantMeter:
+    """Exemplars, measured once: O(their triangles). Then any instances of them: O(instances)."""
+
+    def __init__(self, exemplars: Sequence[Exemplar]) -> None:
+        self._exemplars = exemplars
+        self._centre = np.array([crown_centre(exemplar) for exemplar in exemplars]).reshape(-1, 3)
+        self._top = np.array([_top(exemplar) for exemplar in exemplars]).reshape(-1, 3)
+        self._hulls: dict[int, Floats] = {}  # of exemplars that have been seen leaning
+
+    def measure(self, instances: Instances) -> PlantMeasures:
+        """Measures of plants as they stand."""
+        linear, origin = instances.transform[:, :, :3], instances.transform[:, :, 3]
+        scale = np.cbrt(np.abs(np.linalg.det(linear)))  # that of a leaning plant too: a lean keeps volumes
+        along = np.linalg.norm(linear[:, :, 2], axis=1)  # of a stem's length
+        mine = instances.exemplar.astype(np.intp)
+        tip, diameter = self._top[mine], np.full(len(instances), np.nan)
+        for index in np.unique(mine).tolist():
+            rows = np.flatnonzero(mine == index)
+            diameter[rows] = stem_diameter_m(self._exemplars[index], BREAST_HEIGHT_M / along[rows])
+            lean = rows[np.any(linear[rows, 2, :2], axis=1)]
+            if len(lean):
+                tip[lean] = _furthest(self._hull(index), linear[lean, 2])
+        width, leaf_area = (
+            np.array([getattr(exemplar, name) for exemplar in self._exemplars], dtype=np.float64)[mine]
+            for name in ("crown_width_m", "leaf_area_m2")
+        )
+        return PlantMeasures(
+            exemplar=instances.exemplar.astype(np.uint32),
+            world_from_exemplar=instances.transform,
+            crown_width_m=width * scale,
+            # Volume over length is the area across the axis, whatever the transform does besides.
+            dbh_m=diameter * np.sqrt(scale**3 / along),
+            leaf_area_m2=leaf_area * scale**2,
+            stem_base_m=origin.copy(),
+            tip_m=_moved(linear, tip) + origin,
+            crown_centre_m=_moved(linear, self._centre[mine]) + origin,
+        )
+
+    def _hull(self, index: int) -> Floats:
+        """(V, 3) corners of an exemplar's convex hull, which hold the highest point of every pose."""
+        if index not in self._hulls:
+            self._hulls[index] = hull_of([organ.mesh for organ in self._exemplars[index].organs]).vertices_m
+        return self._hulls[index]
+
+
+def _vertices(exemplar: Exemplar) -> Floats:
+    return np.concatenate([organ.mesh.vertices_m for organ in exemplar.organs]).astype(np.float64)
+
+
+def _top(exemplar: Exemplar) -> Floats:
+    points = _vertices(exemplar)
+    return np.asarray(points[np.argmax(points[:, 2])])
+
+
+def _moved(linear: Floats, points: Floats) -> Floats:
+    return np.asarray(np.einsum("nij,nj->ni", linear, points))
+
+
+def crown_centre(exemplar: Exemplar) -> Floats:
+    """(3,) centroid of the surface of all leaves, else of all flowers, else of everything; the exemplar's frame."""
+    for parts in ((Part.LEAF,), (Part.FLOWER,), tuple(Part)):
+        meshes = [organ.mesh for organ in exemplar.organs if organ.part in parts]
+        if not meshes:
+            continue
+        total, moment = 0.0, np.zeros(3)
+        for mesh in meshes:
+            a, b, c = (mesh.vertices_m[mesh.faces[:, k]].astype(np.float64) for k in range(3))
+            normal = np.cross(b - a, c - a)
+            area = np.sqrt(np.einsum("fk,fk->f", normal, normal))
+            total += area.sum()
+            moment += area @ (a + b + c) / 3.0
+        if total > 0.0:
+            return np.asarray(moment / total)
+    return np.zeros(3)
+
+
+def stem_diameter_m(exemplar: Exemplar, height_m: Floats) -> Floats:
+    """(M,) diameters of the trunk at (M,) heights above the exemplar's origin; NaN where it has no trunk there.
+
+    Beyond `_MOST_SECTIONS` different heights the diameters between as many equidistant ones are interpolated.
+    """
+    trunks = [organ.mesh for organ in exemplar.organs if organ.part == Part.TRUNK]
+    if not trunks or not len(height_m):
+        return np.full(len(height_m), np.nan)
+    at, which = np.unique(height_m, return_inverse=True)
+    exact = len(at) <= _MOST_SECTIONS
+    stops = at if exact else np.linspace(at[0], at[-1], _MOST_SECTIONS)
+    area = section_area_m2(trunks, stops)
+    diameter = np.sqrt(4.0 / np.pi * np.where(area > 0.0, area, np.nan))
+    return np.asarray((diameter if exact else np.interp(at, stops, diameter))[which])
+
+
+def _furthest(points: Floats, directions: Floats) -> Floats:
+    """(M, 3) the point that reaches furthest along each of (M, 3) directions: the world's up in the exemplar."""
+    chosen = [
+        np.argmax(directions[k : k + _DIRECTIONS_AT_ONCE] @ points.T, axis=1)
+        for k in range(0, len(directions), _DIRECTIONS_AT_ONCE)
+    ]
+    return np.asarray(points[np.concatenate(chosen)])

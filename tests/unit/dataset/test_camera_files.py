@@ -1,0 +1,117 @@
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from dataset_shots import HEIGHT, SETTINGS, WIDTH, make_camera
+
+from forestgen.core.errors import OutputError
+from forestgen.dataset.camera import write_camera
+from forestgen.dataset.exr import camera_position_m
+from forestgen.dataset.formats import nerfstudio
+
+
+def pixel_surface(camera, rng):
+    """World points that the pixels' centres see, (H, W, 3), by the camera's own axes; and the centres, (H, W, 2)."""
+    width, height = camera.size_px
+    x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+    right, down, forward = np.asarray(camera.world_from_camera).T
+    half = np.tan(np.radians(camera.hfov_deg) / 2)  # of the view's width at distance 1
+    u, v = (x - width / 2) * 2 * half / width, (y - height / 2) * 2 * half / width
+    ray = forward + u[..., None] * right + v[..., None] * down
+    depth = rng.uniform(1, 60, (height, width, 1))
+    return np.asarray(camera.position_m) + depth * ray, depth[..., 0], np.stack([x, y], axis=-1)
+
+
+def frames_on_disk(root, cameras, image=0):
+    folders = []
+    for camera in cameras:
+        folder = root / f"{image:06d}-{camera.name}"
+        folder.mkdir(parents=True)
+        write_camera(folder / "camera.json", camera)
+        folders.append(folder)
+    return folders
+
+
+def test_camera_json_projects_surfaces_to_pixel_centres(tmp_path):
+    camera = replace(make_camera(), sequence="walk", time_s=0.25)
+    points, depth, centres = pixel_surface(camera, np.random.default_rng(1))
+    write_camera(tmp_path / "camera.json", camera)
+    read = json.loads((tmp_path / "camera.json").read_text())
+    pose, k = np.array(read["camera_from_world"]), np.array(read["K"])
+    seen = points @ pose[:3, :3].T + pose[:3, 3]
+    np.testing.assert_allclose(seen[..., 2], depth, rtol=1e-9)
+    pixel = seen @ k.T
+    np.testing.assert_allclose(pixel[..., :2] / pixel[..., 2:], centres, atol=1e-8)
+    np.testing.assert_allclose(np.array(read["world_from_camera"]) @ pose, np.eye(4), atol=1e-12)
+    np.testing.assert_allclose(np.array(read["world_from_camera"])[:3, 3], read["position_m"])
+    assert read["size_px"] == [WIDTH, HEIGHT]
+    assert read["distortion"] == [0.0] * 5
+    assert (read["sequence"], read["time_s"]) == ("walk", 0.25)
+    np.testing.assert_allclose(camera_position_m(depth.astype(np.float32), camera), seen, rtol=1e-5, atol=1e-5)
+
+
+def test_a_still_camera_has_no_sequence(tmp_path):
+    write_camera(tmp_path / "camera.json", make_camera())
+    assert json.loads((tmp_path / "camera.json").read_text())["sequence"] is None
+
+
+def test_transforms_project_surfaces_to_pixel_centres(tmp_path):
+    """By nerfstudio's own convention: the camera looks along -z, y is up, a pixel's centre lies at +0.5."""
+    turned = replace(make_camera("b", (33, 47)), position_m=(-7.0, 2.5, 1.5), sequence="walk", time_s=0.5)
+    cameras = [make_camera("a"), turned]
+    settings = replace(SETTINGS, formats=("nerfstudio", "depth_png"), depth_unit_m=0.02)
+    folders = frames_on_disk(tmp_path, cameras)
+    nerfstudio.merge(tmp_path, folders[::-1], settings)
+    read = json.loads((tmp_path / "transforms.json").read_text())
+    assert read["camera_model"] == "OPENCV"
+    assert read["depth_unit_scale_factor"] == 0.02
+    assert [frame["file_path"] for frame in read["frames"]] == ["000000-a/preview.png", "000000-b/preview.png"]
+    assert [frame["depth_file_path"] for frame in read["frames"]] == ["000000-a/depth.png", "000000-b/depth.png"]
+    assert [frame.get("time") for frame in read["frames"]] == [None, 0.5]
+    for camera, frame in zip(cameras, read["frames"], strict=True):
+        points, depth, centres = pixel_surface(camera, np.random.default_rng(2))
+        world_from_camera = np.array(frame["transform_matrix"])
+        assert np.linalg.det(world_from_camera[:3, :3]) == pytest.approx(1)
+        seen = (points - world_from_camera[:3, 3]) @ world_from_camera[:3, :3]
+        np.testing.assert_allclose(-seen[..., 2], depth, rtol=1e-9)
+        x = frame["fl_x"] * seen[..., 0] / -seen[..., 2] + frame["cx"]
+        y = frame["fl_y"] * -seen[..., 1] / -seen[..., 2] + frame["cy"]
+        np.testing.assert_allclose(np.stack([x, y], axis=-1), centres, atol=1e-8)
+        assert (frame["w"], frame["h"]) == camera.size_px
+        assert [frame[name] for name in ("k1", "k2", "p1", "p2")] == [0.0] * 4
+
+
+def test_each_image_is_a_scene_of_its_own(tmp_path):
+    folders = [
+        *frames_on_disk(tmp_path, [make_camera("a"), make_camera("b")], 3),
+        *frames_on_disk(tmp_path, [make_camera("a")], 12),
+    ]
+    nerfstudio.merge(tmp_path, folders, SETTINGS)
+    names = {path.name for path in tmp_path.glob("*.json")}
+    assert names == {"transforms-000003.json", "transforms-000012.json"}
+    read = json.loads((tmp_path / "transforms-000003.json").read_text())
+    assert len(read["frames"]) == 2
+    assert "depth_unit_scale_factor" not in read
+    assert not any("depth_file_path" in frame for frame in read["frames"])
+    first = (tmp_path / "transforms-000003.json").read_bytes()
+    nerfstudio.merge(tmp_path, folders[::-1], SETTINGS)
+    assert (tmp_path / "transforms-000003.json").read_bytes() == first
+
+
+def test_a_missing_or_damaged_camera_is_an_output_error(tmp_path):
+    folders = frames_on_disk(tmp_path, [make_camera("a"), make_camera("b")])
+    (folders[1] / "camera.json").write_text('{"K": 3}')
+    with pytest.raises(OutputError, match="not of this format"):
+        nerfstudio.merge(tmp_path, folders, SETTINGS)
+    shutil.rmtree(folders[0])
+    with pytest.raises(OutputError, match="lacks"):
+        nerfstudio.merge(tmp_path, folders, SETTINGS)
+
+
+def test_a_missing_folder_is_an_output_error(tmp_path):
+    with pytest.raises(OutputError, match=r"missing"):
+        write_camera(tmp_path / "missing" / "camera.json", make_camera())

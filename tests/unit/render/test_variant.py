@@ -1,0 +1,33 @@
+"""Which variant traces identity."""
+
+from __future__ import annotations
+
+import pytest
+
+from forestgen.core.errors import ResourceError
+from forestgen.render import check
+from forestgen.render.variant import CUDA, LLVM, TRACING_ENVIRONMENT, require, tracing_variant
+
+
+@pytest.mark.parametrize(("named", "variant"), [(None, LLVM), ("llvm", LLVM), ("cuda", CUDA), ("CUDA", CUDA)])
+def test_the_environment_chooses(monkeypatch, named, variant):
+    monkeypatch.delenv(TRACING_ENVIRONMENT, raising=False)
+    if named is not None:
+        monkeypatch.setenv(TRACING_ENVIRONMENT, named)
+    assert tracing_variant() == variant
+
+
+def test_a_device_that_nobody_knows_is_refused(monkeypatch):
+    monkeypatch.setenv(TRACING_ENVIRONMENT, "abacus")
+    with pytest.raises(ResourceError, match=r"FORESTGEN_TRACING(?s:.)*llvm or cuda(?s:.)*abacus"):
+        tracing_variant()
+
+
+def test_cuda_without_a_device_is_refused_with_the_way_out(monkeypatch):
+    def none() -> str:
+        raise RuntimeError("no CUDA driver")
+
+    monkeypatch.setattr(check, "check_cuda", none)
+    with pytest.raises(ResourceError, match=r"no CUDA driver(?s:.)*unset FORESTGEN_TRACING"):
+        require(CUDA)
+    require(LLVM)
