@@ -42,7 +42,6 @@ def make_camera(name="camera0", size_px=(WIDTH, HEIGHT)):
 def make_shot(plant_id, seed=0, denoised=True):
     rng = np.random.default_rng(seed)
     plants = np.array(sorted(plant_id), np.uint32)
-    n = len(plants)
     ids = np.zeros((HEIGHT, WIDTH, SAMPLES), np.uint32)
     part = np.zeros(ids.shape, np.uint8)
     part[HEIGHT // 2 :] = Part.GROUND
@@ -79,17 +78,7 @@ def make_shot(plant_id, seed=0, denoised=True):
         sun_visible=~sky & (noise(HEIGHT, WIDTH) < 0.5),
     )
     radiance = Radiance(mean, mean * np.float32(0.01), mean * np.float32(1.1) if denoised else None, 64)
-    population = Population(
-        time_yr=30.0,
-        species_names=("oak", "poplar"),
-        plant_id=plants,
-        species=(np.arange(n) % 2).astype(np.uint16),
-        position_m=rng.random((n, 3)),
-        radius_m=rng.random(n),
-        height_m=rng.random(n) * 20,
-        age_yr=rng.random(n) * 30,
-        status=(np.arange(n) % 4).astype(np.uint8),
-    )
+    population = make_population(plants, rng)
     motion = noise(HEIGHT, WIDTH, 2) * 3
     motion[0, 0] = np.nan
     frame = Frame(
@@ -109,6 +98,22 @@ def make_labels(frame, population, rng, classes=CLASSES):
     amodal = make_amodal(frame.identity.plant_id, labelled.pixels.instance, rng)
     views = plant_views(frame, population.plant_id, labelled.pixels, labelled.measures, amodal)
     return replace(labelled, amodal=amodal, views=views)
+
+
+def make_population(plants, rng):
+    """Oaks and poplars by turns."""
+    n = len(plants)
+    return Population(
+        time_yr=30.0,
+        species_names=("oak", "poplar"),
+        plant_id=plants,
+        species=(np.arange(n) % 2).astype(np.uint16),
+        position_m=rng.random((n, 3)),
+        radius_m=rng.random(n),
+        height_m=rng.random(n) * 20,
+        age_yr=rng.random(n) * 30,
+        status=(np.arange(n) % 4).astype(np.uint8),
+    )
 
 
 def make_measures(population, rng):

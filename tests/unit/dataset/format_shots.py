@@ -6,9 +6,8 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
-from dataset_shots import CLASSES, SETTINGS, make_camera, make_labels
+from dataset_shots import CLASSES, SETTINGS, make_camera, make_labels, make_population
 
-from forestgen.community.population import Population
 from forestgen.core.parts import Part
 from forestgen.dataset.png import write_rgb
 from forestgen.render.frame import Frame, Identity, Radiance, Surface
@@ -33,7 +32,6 @@ def drawn(instance, part=None, unseen=(), seed=0, classes=CLASSES):
     part = np.asarray(part, np.uint8)
     rng = np.random.default_rng(seed)
     plants = np.array(sorted({*np.unique(instance[instance > 0]).tolist(), *unseen}), np.uint32)
-    n = len(plants)
     sky = part == Part.NOTHING
     depth = np.where(sky, np.inf, 5 + rng.random(instance.shape)).astype(np.float32)
     colour = rng.random((height, width, 3)).astype(np.float32)
@@ -53,17 +51,7 @@ def drawn(instance, part=None, unseen=(), seed=0, classes=CLASSES):
     samples = np.repeat(instance[..., None], SAMPLES, axis=2)
     identity = Identity(samples, np.repeat(part[..., None], SAMPLES, axis=2), colour, colour)
     frame = Frame(make_camera(size_px=(width, height)), Radiance(colour, colour, None, 4), identity, surface)
-    population = Population(
-        time_yr=30.0,
-        species_names=("oak", "poplar"),
-        plant_id=plants,
-        species=(np.arange(n) % 2).astype(np.uint16),
-        position_m=rng.random((n, 3)),
-        radius_m=rng.random(n),
-        height_m=rng.random(n) * 20,
-        age_yr=rng.random(n) * 30,
-        status=(np.arange(n) % 4).astype(np.uint8),
-    )
+    population = make_population(plants, rng)
     assert CLASSES.species_names == SETTINGS.species_names
     return make_labels(frame, population, rng, classes)
 
