@@ -16,10 +16,13 @@ from time import perf_counter
 import numpy as np
 
 from forestgen.core.timing import Timings
-from forestgen.render.build import load, origin_of, plants_dict, sensor_of, sky_emitter, to_mesh
+from forestgen.render.build import load, origin_of, plants_dict, scene_dict, to_mesh
 from forestgen.render.identity import SceneTracer, trace_identity
-from forestgen.render.radiance import scene_dict
+from forestgen.render.light import lights
+from forestgen.render.sensors import sensor_of
+from forestgen.render.surfaces import Paints
 from forestgen.render.variant import SCALAR, mitsuba
+from forestgen.scene.channels import RGB
 from forestgen.scene.spec import SceneSpec
 from forestgen.testing.scenes import scattered_scene
 from forestgen.testing.twins import trace_twin
@@ -39,7 +42,7 @@ def seconds(work: Callable[[], object]) -> float:
 def build_scene(spec: SceneSpec) -> None:
     mi = mitsuba()
     with mi.variant_context(SCALAR):
-        load({**scene_dict(spec, origin_of(spec.cameras[0])), "light": sky_emitter(spec, sun=True, sky=True)})
+        load({**scene_dict(spec, origin_of(spec.cameras[0]), Paints()), **lights(spec.sky, RGB)})
 
 
 def identity(spec: SceneSpec) -> np.ndarray:
@@ -53,7 +56,7 @@ def aov(spec: SceneSpec) -> np.ndarray:
     with mi.variant_context(SCALAR):
         origin = origin_of(spec.cameras[0])
         terrain = to_mesh(spec.terrain.mesh, None, origin, "terrain")
-        scene = load({**plants_dict(spec, origin, shaded=False), "terrain": terrain})
+        scene = load({**plants_dict(spec, origin, None), "terrain": terrain})
         integrator = mi.load_dict({"type": "aov", "aovs": "shape:shape_index"})
         return np.array(integrator.render(scene, sensor=sensor_of(spec.cameras[0], 1), spp=1))
 

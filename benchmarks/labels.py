@@ -37,9 +37,12 @@ from forestgen.labels.plants_table import plant_views
 from forestgen.render.amodal import trace_amodal
 from forestgen.render.frame import Amodal, Frame, Identity, Radiance, Surface
 from forestgen.render.identity import SceneTracer, trace_identity
+from forestgen.render.noise import Until
 from forestgen.render.radiance import render_radiance
 from forestgen.render.variant import drjit, mitsuba
+from forestgen.render.views import Shot
 from forestgen.scene.plant_measures import PlantMeasures, measure_plants
+from forestgen.scene.projection import world_rays
 from forestgen.scene.spec import SceneSpec
 from forestgen.testing.scenes import scattered_scene
 
@@ -94,18 +97,9 @@ class Subject:
 
     def radiance(self, samples: int, watch: Stopwatch) -> None:
         """Without the time to build its scene."""
-        timings, size = Timings(), self.camera.size_px
+        timings = Timings()
         start = process_time()
-        render_radiance(
-            self.spec,
-            self.camera,
-            samples=samples,
-            max_depth=64,
-            seed=1,
-            progress=Silent(),
-            sky_share=np.ones(size[::-1], dtype=bool),
-            timer=timings,
-        )
+        render_radiance(Shot(self.spec, self.camera, Until(samples), seed=1), progress=Silent(), timer=timings)
         watch.add("radiance", timings.seconds["mitsuba"], process_time() - start)
 
     def labels(self, watch: Stopwatch) -> tuple[Identity, Surface, PixelLabels]:
@@ -132,7 +126,7 @@ class Subject:
         watch.run(
             "cloud opacity",
             lambda: cloud_opacity(
-                self.clouds, camera.position_m, camera.world_from_camera, camera.focal_px, surface.distance_m
+                self.clouds, *(vars(world_rays(camera))[name] for name in ("origin_m", "direction")), surface.distance_m
             ),
         )
         return identity, surface, pixels

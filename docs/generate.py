@@ -38,6 +38,11 @@ _SECTIONS = {
     "Clouds": "sky.clouds",
     "Camera": "cameras (each)",
     "CameraPath": "cameras: path",
+    "Stereo": "cameras: rig of kind stereo",
+    "Orbit": "cameras: rig of kind orbit",
+    "Walk": "cameras: rig of kind walk",
+    "DroneGrid": "cameras: rig of kind drone_grid",
+    "Exposure": "cameras: exposure",
     "Render": "render",
     "Labels": "labels",
     "Wind": "wind",
@@ -321,8 +326,8 @@ def _type(value: Mapping[str, Any]) -> str:
         if end >= len(curve) and kinds[end - len(curve) : end] == curve:
             before, after = kinds[: end - len(curve)], kinds[end:]
             return " or ".join([*(_type(one) for one in before), "curve", *(_type(one) for one in after)])
-    if "anyOf" in value:
-        return " or ".join(dict.fromkeys(_type(one) for one in value["anyOf"]))
+    if "anyOf" in value or "oneOf" in value:
+        return " or ".join(dict.fromkeys(_type(one) for one in value.get("anyOf") or value["oneOf"]))
     if "$ref" in value:
         return value["$ref"].rsplit("/", 1)[1]
     if "enum" in value:

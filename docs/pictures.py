@@ -18,7 +18,8 @@ kernel_field.png                kernel_field     a field as plants deform it (Fi
 placement_models.png            placement_models all placement models
 densities.png                   densities        what `forestgen simulate` shows
 
-and, by docs/label_pictures.py, labels.jpg: a view and its labels.
+and, by docs/label_pictures.py, labels.jpg: a view and its labels; by docs/light_pictures.py, light.jpg: other skies,
+seasons and cameras.
 
 With names behind it, `uv run python docs/pictures.py self_thinning succession_maps`, it makes these alone.
 The plants' pictures, library.jpg and species/, are made by docs/species_sheet.py.
@@ -33,6 +34,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import label_pictures
+import light_pictures
 import numpy as np
 import placement_pictures
 from PIL import Image
@@ -149,6 +151,7 @@ PICTURES_OF = {
     },
     **placement_pictures.PICTURES_OF,
     "labels": label_pictures.labels,
+    "light": light_pictures.light,
 }
 
 

@@ -28,11 +28,12 @@ from forestgen.scene.exemplars import SizeError
 from forestgen.scene.plant_measures import PlantMeter
 from forestgen.stages.community import final_population, snapshots
 from forestgen.stages.data_set import check_one_data_set, class_map, data_set_of
-from forestgen.stages.frames import render_frame
+from forestgen.stages.frames import noise_notes, render_frame
 from forestgen.stages.plan import Plan, check_memory, check_plan, make_plan, views_below_ground, why_barren
 from forestgen.stages.scene import BuiltScene, build_scene
 
 _GUESSED_PLANTS = 5000  # a frame's rows at most, for the disk space to ask for
+_MOST_CHANNELS = 13  # of a sensor, at a guess
 _PIXELS_A_PLANT = 40  # and no more than one in so many
 
 
@@ -43,7 +44,8 @@ class RunSummary:
     folder: Path
     frames: int = 0
     plants: int = 0
-    visible_plants: int = 0
+    visible_plants: int = 0  # in any frame of the last image
+    relative_errors: list[float] = field(default_factory=list)  # of the frames' radiance, render/noise.py
     size_errors: list[SizeError] = field(default_factory=list)
     counts: dict[str, int] = field(default_factory=dict)
     images: list[dict[str, Any]] = field(default_factory=list)  # a report of each, for the manifest
@@ -106,14 +108,16 @@ def _render_image(
     check_memory(plan, plants=len(population))
     summary.notes += [f"image {plan.drawn.image_index}: {note}" for note in population.notes]
     built = build_scene(plan, population, progress, timings)
+    summary.notes += [note for note in built.notes if note not in summary.notes]
     drawn = plan.drawn
     stored = replace(drawn, data=write_maps(folder, drawn.data, drawn.folder))
     yaml, folders = dump_yaml(stored), []
+    seen: set[int] = set()  # plants in view of any camera
     for labelled in _shots(plan, built, progress, timings):
         folders.append(folder / frame_folder_name(drawn.image_index, labelled.frame.camera.name))
         with timings("write"):
             write_frame(folders[-1], labelled, yaml, _header(plan, loaded, labelled.frame), settings)
-        _account(summary, labelled, folders[-1].name, built, plan)
+        _account(summary, labelled, folders[-1].name, built, plan, seen)
         del labelled  # before the next one is made
     summary.images.append(_image_report(plan, built))
     return folders
@@ -121,7 +125,7 @@ def _render_image(
 
 def _shots(plan: Plan, built: BuiltScene, progress: Progress, timings: Timings) -> Iterator[LabelledFrame]:
     """The frames of all cameras; what does not change between two of them is set up once."""
-    recipe, classes = plan.drawn.recipe, class_map(plan.drawn)
+    recipe, classes, key = plan.drawn.recipe, class_map(plan.drawn), recipe_hash(plan.drawn.data)
     with timings("measures"):
         meter = PlantMeter(built.spec.exemplars)
     tracer: SceneTracer | None = None
@@ -133,7 +137,7 @@ def _shots(plan: Plan, built: BuiltScene, progress: Progress, timings: Timings) 
             with timings("measures"):
                 measures = meter.measure(spec.instances)
         following = built.next_view(camera)
-        frame = render_frame(tracer, camera, recipe, plan.drawn.image_seed, progress, timings, following)
+        frame = render_frame(tracer, camera, recipe, plan.drawn.image_seed, progress, timings, following, key)
         with timings("labels"):
             labelled = label_frame(frame, built.population, classes, measures, recipe.labels.channels)
         del frame
@@ -156,6 +160,7 @@ def _image_report(plan: Plan, built: BuiltScene) -> dict[str, Any]:
     return {
         "image": plan.drawn.image_index,
         "seed": plan.drawn.image_seed,
+        "view": plan.drawn.recipe.dataset.view,  # of its previews
         "counts": _counts(built.population),
         "size_errors": [asdict(error) for error in built.size_errors],
     }
@@ -204,6 +209,7 @@ def _disk_bytes(loaded: LoadedRecipe, plan: Plan) -> int:
             camera.size_px,
             min(_GUESSED_PLANTS, camera.size_px[0] * camera.size_px[1] // _PIXELS_A_PLANT),
             recipe.dataset.formats,
+            _MOST_CHANNELS if camera.bands else 3,
         )
         for camera in recipe.cameras
     ]
@@ -218,16 +224,22 @@ def _empty_site(plan: Plan) -> str:
     return why_barren(plan) or f"no plant lives on the site at step {plan.steps}"
 
 
-def _account(summary: RunSummary, labelled: LabelledFrame, name: str, built: BuiltScene, plan: Plan) -> None:
+def _account(
+    summary: RunSummary, labelled: LabelledFrame, name: str, built: BuiltScene, plan: Plan, seen: set[int]
+) -> None:
     summary.frames += 1
     summary.plants, summary.counts = len(built.population), _counts(built.population)
-    summary.visible_plants = int(labelled.views.visible.has_box.sum())
+    visible = labelled.views.visible
+    seen.update(visible.plant_id[visible.has_box].tolist())
+    summary.visible_plants = len(seen)
+    summary.relative_errors.append(labelled.frame.radiance.relative_error)
     summary.size_errors = built.size_errors
     if not len(built.population):
         summary.notes.append(f"{name} shows bare ground: {_empty_site(plan)}")
-    elif not summary.visible_plants:
+    elif not visible.has_box.any():
         below = labelled.frame.camera.name in views_below_ground(plan)
         summary.notes.append(f"{name}: the camera {'stands below the ground' if below else 'sees no plant'}")
+    summary.notes += noise_notes(labelled.frame.radiance, name)
 
 
 def _manifest(folder: Path, loaded: LoadedRecipe, seeds: list[int], summary: RunSummary) -> dict[str, Any]:

@@ -52,26 +52,19 @@ def optical_depth(
 
 def cloud_opacity(
     grid: CloudGrid,
-    position_m: tuple[float, float, float],
-    world_from_camera: NDArray[np.float64],
-    focal_px: float,
+    origin_m: NDArray[np.float64],
+    direction: NDArray[np.float64],
     distance_m: NDArray[np.float32],
 ) -> NDArray[np.float32]:
     """(H, W) share of the light along each pixel centre's ray that clouds scatter or take away, in [0, 1].
 
     Parameters
     ----------
-    position_m, world_from_camera, focal_px : of the pinhole camera, OpenCV axes; its axis meets the image's middle.
-    distance_m : (H, W) along the ray to the surface behind which clouds do not count; inf for the sky.
+    origin_m : (3,) or (H, W, 3) world, where the rays begin.
+    direction : (H, W, 3) unit, world.
+    distance_m : (H, W) along the ray to the surface behind which clouds do not count; inf for the sky, 0: no ray.
     """
-    height, width = distance_m.shape
-    right = (np.arange(width) + 0.5 - width / 2) / focal_px
-    down = (np.arange(height) + 0.5 - height / 2) / focal_px
-    along = np.empty((height, width, 3))
-    along[..., 0], along[..., 1], along[..., 2] = right, down[:, None], 1.0
-    along /= np.linalg.norm(along, axis=-1, keepdims=True)
-    direction = along @ np.asarray(world_from_camera, dtype=np.float64).T
-    depth = optical_depth(grid, np.asarray(position_m), direction, distance_m, enough=_OPAQUE)
+    depth = optical_depth(grid, origin_m, direction, distance_m, enough=_OPAQUE)
     return (-np.expm1(-depth)).astype(np.float32)
 
 

@@ -8,9 +8,11 @@ from typing import Annotated, Any, Optional
 import typer
 
 from forestgen import __version__
+from forestgen.cli.calibrate import calibrate
 from forestgen.cli.console import Bars, errors_for_people
 from forestgen.cli.fit_kernel import fit_kernel
 from forestgen.cli.labels import app as labels
+from forestgen.cli.light import PointsCommand, light
 from forestgen.cli.variadic import RadiiCommand
 
 
@@ -356,6 +358,10 @@ def derive_lsystem(
 
 
 app.add_typer(labels)
+
+app.command("calibrate", cls=PointsCommand, epilog="Example: forestgen calibrate recipes/quickstart.yaml")(calibrate)
+
+app.command("light", cls=PointsCommand, epilog="Example: forestgen light recipes/quickstart.yaml --at 60 40 1.5")(light)
 
 
 @app.command("doctor", epilog="Example: forestgen doctor")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import inspect
 import json
+import math
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -35,7 +36,7 @@ _REGISTRIES = (COMMUNITY_MODELS, ENVIRONMENTS, GENERATORS)
 _ASSETS = ("species", "lsystems", "recipes")
 
 
-def _target(chosen: Path | None, recipe: Path) -> Path:
+def output_folder(chosen: Path | None, recipe: Path) -> Path:
     """The folder asked for; else the first of outputs/NAME, outputs/NAME-2, ... that is free."""
     if chosen is not None:
         return chosen
@@ -57,12 +58,13 @@ def render(
         loaded = load_recipe(recipe, overrides)
     with bars.running():
         summary = pipeline.render(
-            loaded, _target(target, recipe), overwrite=overwrite, threads=threads, progress=bars, timings=timings
+            loaded, output_folder(target, recipe), overwrite=overwrite, threads=threads, progress=bars, timings=timings
         )
     out = output()
     if loaded.images > 1:
         _say(out, "The last image:")
     _say_counts(out, summary)
+    _say_noise(out, summary.relative_errors)
     if summary.size_errors:
         _say_size_errors(out, summary.size_errors)
     _say_notes(out, summary.notes)
@@ -89,6 +91,14 @@ def _say_counts(out: Console, summary: RunSummary) -> None:
     kinds = ", ".join(f"{number:,} {name}" for name, number in summary.counts.items())
     seen = f"; {summary.visible_plants:,} of them in view" if summary.frames else ""
     _say(out, f"{count(summary.plants, 'plant')} ({kinds}){seen}")
+
+
+def _say_noise(out: Console, errors: Sequence[float]) -> None:
+    """The relative error of the frames' radiance, as far as it is known."""
+    known = [100 * error for error in errors if math.isfinite(error)]
+    if known:
+        least, most = f"{min(known):.2g}", f"{max(known):.2g}"
+        _say(out, f"noise: relative error {least if least == most else f'{least} to {most}'} % before denoising")
 
 
 def _say_size_errors(out: Console, errors: Sequence[SizeError]) -> None:
@@ -118,7 +128,7 @@ def simulate(
         raise RecipeError("no history to go on from", where="--from-step", expected="--resume history.parquet with it")
     timings = Timings()
     loaded = load_recipe(recipe, overrides)
-    folder = _target(target, recipe.with_name(f"{recipe.stem}-community"))
+    folder = output_folder(target, recipe.with_name(f"{recipe.stem}-community"))
     with bars.running():
         summary = pipeline.simulate(
             loaded,
@@ -155,7 +165,7 @@ def _described(loaded: LoadedRecipe, plan: Plan) -> Iterator[tuple[str, str]]:
     images, frames = count(loaded.images, "image"), sum(camera.frames for camera in cameras)
     yield "makes", f"{count(loaded.images * frames, 'frame')}: {images} x {count(len(cameras), 'camera')}"
     for camera in cameras[:_MOST_NOTES]:
-        along = f", {camera.frames} along its path" if camera.frames > 1 else ""
+        along = f", {camera.frames} images" if camera.frames > 1 else ""
         yield "", f"{camera.name}, {camera.size_px[0]} x {camera.size_px[1]} px{along}"
     if len(cameras) > _MOST_NOTES:
         yield "", "..."

@@ -6,7 +6,7 @@
     ├── LsystemError          2   an L-system program is wrong, or asks for the impossible
     ├── ResourceError         3   this machine lacks memory or a library for the task
     ├── OutputError           4   a result cannot be written
-    ├── RenderError           5   the renderer failed
+    ├── RenderError           5   the renderer failed, or a calibration misses its bounds
     └── DatasetError          6   a data set's files are damaged or contradict each other
 
 Every message says where, what was expected, what was got, and what to do. A KeyboardInterrupt is not an error of

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.errors import AssetError, ResourceError
+from forestgen.core.spectrum import LUMINANCE
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
 MOST_SIDE_PX = 16_384
 MOST_PIXELS = 100_000_000
 KNOWN = "a PNG, TIFF, OpenEXR or .npy file"
-LUMINANCE = (0.2126, 0.7152, 0.0722)  # of red, green, blue: ITU-R BT.709-6, item 3.2
 _ROWS_AT_ONCE = 256
 _TIFF_SAMPLE_FORMAT, _TIFF_BITS, _TIFF_PHOTOMETRIC = 339, 258, 262
 _SHARE_OF_MEMORY = 0.8

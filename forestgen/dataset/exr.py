@@ -2,16 +2,18 @@
 
 | part                  | channels                    | type   | meaning                                               |
 |-----------------------|-----------------------------|--------|-------------------------------------------------------|
-| radiance              | R G B                       | float  | linear Rec. 709                                       |
-| radiance.denoised     | R G B                       | float  | the same, denoised; only where it was asked for       |
-| radiance.variance     | R G B                       | float  | variance of `radiance`                                |
-| depth                 | Z distance                  | float  | metres along the camera's axis, along the ray         |
+| radiance              | R G B, or a channel a band  | float  | linear Rec. 709 in cd/m2; bands: W m-2 sr-1 nm-1      |
+| radiance.denoised     | as above                    | float  | the same, denoised: biased; only where asked for      |
+| radiance.variance     | as above                    | float  | variance of `radiance`, its unit squared              |
+| depth                 | Z distance                  | float  | metres along the camera's axis, along the ray; of     |
+|                       |                             |        | fisheyes and panoramas both along the ray             |
 | normal                | X Y Z                       | float  | world, unit, geometric, towards the camera; sky 0     |
 | normal.camera         | X Y Z                       | float  | the same, in the camera's axes                        |
 | normal.shading        | X Y Z                       | float  | world, unit, interpolated over the mesh; sky 0        |
 | normal.shading.camera | X Y Z                       | float  | the same, in the camera's axes                        |
 | position              | X Y Z                       | float  | world, metres; NaN for the sky                        |
-| position.camera       | X Y Z                       | float  | the camera's axes, metres; Z is depth.Z to the bit    |
+| position.camera       | X Y Z                       | float  | the camera's axes, metres; Z is depth.Z to the bit,   |
+|                       |                             |        | but of fisheyes and panoramas                         |
 | albedo                | R G B                       | float  | reflectance + transmittance; sky 0                    |
 | sun                   | visible                     | uint32 | 1 where nothing hides the sun's centre; sky 0         |
 | cloud                 | opacity                     | float  | 1 - transmittance of the clouds along the ray         |
@@ -29,9 +31,21 @@ that the recipe's labels.channels leaves out are absent, and so is the motion of
 
 Channels have bare names: programs that know layers, as Blender, put the part's name before them (normal.camera.X).
 Integers are for readers that keep them; programs for pictures turn them into floats, which hold ids up to 2^24 only:
-cryptomatte.exr is made for those. Attributes: OpenEXR's standard ones for colour and camera, and ``forestgen/...``
-strings; of these `classes` and `parts` are JSON, the names of the numbers in semantic and part. Equal input gives equal
-bytes: no date, no host name.
+cryptomatte.exr is made for those. Equal input gives equal bytes: no date, no host name.
+
+Attributes are OpenEXR's standard ones for colour and camera, and ``forestgen/...`` strings:
+
+| attribute                        | what it says                                                                      |
+|----------------------------------|-----------------------------------------------------------------------------------|
+| chromaticities, whiteLuminance   | of Rec. 709; the luminance of (1, 1, 1) in cd/m2, which is 1 (radiance in colour) |
+| colour_space, units.PART         | of radiance in colour; the unit of a part's values                                |
+| bands                            | of radiance in bands, JSON: channel, response, centre and width in nm             |
+| samples, biased                  | light paths a pixel; the part that is no mean of samples, if there is one         |
+| relative_error, .._p95           | of radiance: standard error over value, mean of the pixels and 95th percentile    |
+| stopped_by                       | why no more samples were taken                                                    |
+| view, picture                    | the previews' view transform, and the channels that they show                     |
+| classes, parts                   | JSON: the names of the numbers in semantic and part                               |
+| camera, recipe_hash, seed, ...   | camera.json in one line; where the image comes from                               |
 
 Compression is ZIP, lossless. Measured on 640 x 480 pixels of 10,000 trees, all parts: 104 bytes a pixel of 240;
 radiance, its variance and the denoised copy take 36, what is in the camera's axes 22, identity and coverage 8. PIZ took
@@ -49,11 +63,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.errors import OutputError
-from forestgen.dataset.camera import camera_model, screen_window_width, world_to_camera, world_to_ndc
+from forestgen.dataset.camera import camera_model, exr_attributes
 from forestgen.dataset.legend import classes_text, parts_text
+from forestgen.dataset.light_parts import light_attributes, own_attributes, radiance_channels
 from forestgen.labels.labelled import LabelledFrame
 from forestgen.labels.masks import CoverageRanks
 from forestgen.render.frame import Surface
+from forestgen.scene.projection import centre_rays
 from forestgen.scene.spec import Camera
 
 Channels = dict[str, NDArray[Any]]
@@ -72,12 +88,24 @@ def write_exr(path: Path, labelled: LabelledFrame, attributes: Mapping[str, str]
     labelled : what is known of the frame.
     attributes : name -> text, written as ``forestgen/name`` in every part's header.
     """
+    parts, radiance = _parts(labelled), labelled.frame.radiance
     names = {"classes": classes_text(labelled.classes.names), "parts": parts_text()}
-    write_parts(path, _parts(labelled), _header(labelled.frame.camera, {**names, **attributes}))
+    header = _header(labelled.frame.camera, {**names, **light_attributes(radiance, parts), **attributes})
+    write_parts(path, parts, header, own_attributes(radiance))
 
 
-def write_parts(path: Path, parts: Mapping[str, Channels], header: Mapping[str, Any]) -> None:
-    """Write parts of (H, W) channels with one header; a single part makes a file that old readers know, without name.
+def write_parts(
+    path: Path,
+    parts: Mapping[str, Channels],
+    header: Mapping[str, Any],
+    own: Mapping[str, Mapping[str, Any]] | None = None,
+) -> None:
+    """Write parts of (H, W) channels; a single part makes a file that old readers know, without name.
+
+    Parameters
+    ----------
+    header : attributes of all parts.
+    own : part -> attributes that it has besides, or instead.
 
     Raises
     ------
@@ -90,7 +118,10 @@ def write_parts(path: Path, parts: Mapping[str, Channels], header: Mapping[str, 
     if len(parts) == 1:
         file = OpenEXR.File(common, *parts.values())
     else:
-        file = OpenEXR.File([OpenEXR.Part(dict(common), channels, name) for name, channels in parts.items()])
+        own = own or {}
+        file = OpenEXR.File(
+            [OpenEXR.Part({**common, **own.get(name, {})}, channels, name) for name, channels in parts.items()]
+        )
     try:
         file.write(str(path))
     except (OSError, RuntimeError) as error:
@@ -123,17 +154,12 @@ def _header(camera: Camera, attributes: Mapping[str, str]) -> dict[str, Any]:
     ours = {
         "camera": json.dumps(camera_model(camera), sort_keys=True),
         "units": "metres, world frame: x east, y north, z up",
-        "colour_space": "linear Rec. 709 (D65)",
         **attributes,
     }
     return {
         # OpenEXR demands equal chromaticities in all parts of a file, those without colour included.
         "chromaticities": REC709_CHROMATICITIES,
-        "worldToCamera": world_to_camera(camera),
-        "worldToNDC": world_to_ndc(camera),
-        "pixelAspectRatio": 1.0,
-        "screenWindowCenter": np.zeros(2, dtype=np.float32),
-        "screenWindowWidth": screen_window_width(camera),
+        **exr_attributes(camera),
         **{f"forestgen/{name}": str(ours[name]) for name in sorted(ours)},
     }
 
@@ -142,9 +168,7 @@ def _parts(labelled: LabelledFrame) -> dict[str, Channels]:
     frame, labels = labelled.frame, labelled.pixels
     wanted = labelled.channels
     parts = {
-        "radiance": _split("RGB", frame.radiance.mean),
-        "radiance.denoised": _split("RGB", frame.radiance.denoised),
-        "radiance.variance": _split("RGB", frame.radiance.variance),
+        **radiance_channels(frame.radiance),
         "depth": _single("Z", frame.surface.depth_m) | _single("distance", frame.surface.distance_m),
         **(_surface_parts(frame.surface, frame.camera) if "surface" in wanted else {}),
         "albedo": _split("RGB", frame.surface.albedo if "albedo" in wanted else None),
@@ -195,6 +219,9 @@ def _rank_channels(ranks: CoverageRanks) -> Channels:
 def camera_position_m(depth_m: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
     """(H, W, 3) in the camera's axes, of pixel centres: exact far from the world's origin too; NaN for the sky."""
     depth = np.where(np.isfinite(depth_m), depth_m, np.nan).astype(np.float64)
+    if camera.projection != "perspective":
+        rays = centre_rays(camera)
+        return (rays.origin_m + rays.direction * depth[..., None]).astype(np.float32)
     x, y = camera.pixel_slopes
     return np.stack([depth * x, depth * y[:, None], depth], axis=-1).astype(np.float32)
 

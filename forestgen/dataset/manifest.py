@@ -23,6 +23,8 @@ PACKAGES = (
     "mitsuba",
     "drjit",
     "mitsuba-oidn",
+    "colour-science",
+    "pvlib",
     "karellen-llvm-core",
     "trimesh",
     "OpenEXR",

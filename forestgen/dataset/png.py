@@ -23,11 +23,11 @@ _TINT = 0.42  # share of a plant's own colour inside its mask
 _SKY_RGB, _GROUND_RGB = (110, 160, 220), (122, 96, 70)
 
 
-def write_rgb(path: Path, picture: NDArray[np.uint8]) -> None:
-    """Write an (H, W, 3) uint8 sRGB picture."""
+def write_rgb(path: Path, picture: NDArray[np.uint8], text: Mapping[str, str] | None = None) -> None:
+    """Write an (H, W, 3) uint8 picture; `text` goes into text chunks."""
     from PIL import Image
 
-    _save(path, Image.fromarray(np.ascontiguousarray(picture)))
+    _save(path, Image.fromarray(np.ascontiguousarray(picture)), text=text)
 
 
 def write_grey(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from forestgen.labels.classes import ClassMap
-from forestgen.recipe.schema import Recipe
+from forestgen.recipe.schema import Recipe, View
 
 
 @dataclass(frozen=True)
@@ -17,6 +17,7 @@ class DatasetSettings:
     category_names: tuple[str, ...]  # of instances, in the order of their numbers
     species_category: tuple[int, ...]  # index into category_names of each species
     formats: tuple[str, ...] = ("coco",)  # modules of forestgen.dataset.formats
+    view: View = "filmic"  # view transform of the previews
     description: str = "forestgen dataset"
     contributor: str = ""
     licence_name: str = ""  # "" where the recipe names none
@@ -36,6 +37,7 @@ def dataset_settings(recipe: Recipe, classes: ClassMap) -> DatasetSettings:
         category_names=category_names,
         species_category=tuple(species_category.tolist()),
         formats=tuple(section.formats),
+        view=section.view,
         description=section.description,
         contributor=section.contributor,
         licence_name="" if licence is None else licence.name,

@@ -1,51 +1,109 @@
-"""From linear radiance to a picture for people: exposure, a filmic curve, sRGB. Pure NumPy, deterministic.
+"""From linear radiance to a picture for people: exposure, then a named view transform. Deterministic.
 
 Exposure brings the picture's key to middle grey (0.18). The key is the geometric mean of luminance clipped at
-its 5th and 95th percentile: black gaps and the sun's disc hardly count. Each channel then follows
+its 5th and 95th percentile: black gaps and the sun's disc hardly count. Then follows one of the views:
 
-    y = x^n (1 + (c/w)^n) / (x^n + c^n),        n = 1.25
+- ``filmic``: each channel follows
 
-which is steep around middle grey, bends highlights over as film does and reaches 1 at w, the exposed luminance of
-the 99.7th percentile (at least 4: a dull picture is not stretched). c is such that middle grey maps to itself.
+      y = x^n (1 + (c/w)^n) / (x^n + c^n),        n = 1.25
+
+  which is steep around middle grey, bends highlights over as film does and reaches 1 at w, the exposed luminance of
+  the 99.7th percentile (at least 4: a dull picture is not stretched). c is such that middle grey maps to itself. Then
+  the sRGB encoding.
+- ``srgb``: the sRGB encoding alone (IEC 61966-2-1); what is brighter than 1 is white. Values below white can be undone
+  to radiance.
+- ``acescct``: the logarithmic encoding of Academy S-2016-001, on AP1's primaries: flat to look at, made to be graded.
+  Its 8 bits hold 16 stops.
+
+ACEScct and its primaries are colour-science's own; the sRGB table is equal to colour-science's.
+
+Bands: three that lie in red, green and blue make a picture in true colour; else near infrared, red and green one in
+false colour, as infrared film did; else the longest, middle and shortest; a sensor of one or two bands a grey one.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+
 import numpy as np
 from numpy.typing import NDArray
+
+from forestgen.core.spectrum import LUMINANCE
+from forestgen.dataset.bands import picture_bands
+from forestgen.recipe.schema import View
+from forestgen.render.frame import Radiance
 
 MIDDLE_GREY = 0.18
 KEY_PERCENTILES = (5.0, 95.0)
 WHITE_PERCENTILE = 99.7
 LEAST_WHITE = 4.0
 CONTRAST = 1.25
-_RED, _GREEN, _BLUE = np.float32(0.2126), np.float32(0.7152), np.float32(0.0722)  # ITU-R BT.709-6, item 3.2
+_STEPS = 1 << 12
+_RED, _GREEN, _BLUE = (np.float32(weight) for weight in LUMINANCE)
 _DARKEST, _INFINITE = 1e-20, 1e30
 
 
-def tone_map(radiance: NDArray[np.float32], exposure: float | None = None) -> NDArray[np.uint8]:
-    """sRGB picture of linear Rec. 709 radiance.
+@dataclass(frozen=True)
+class Preview:
+    """A picture and how it was made."""
+
+    picture: NDArray[np.uint8]  # (H, W, 3)
+    texts: Mapping[str, str]  # for the PNG's text chunks: view, colours, exposure
+
+
+def preview_of(radiance: Radiance, view: View = "filmic") -> Preview:
+    """A frame's picture, of the denoised radiance where there is one."""
+    light, colours = picture_light(radiance)
+    light = _cleaned(light)
+    exposure, white = _metered(light)
+    texts = {"view": view, "colours": colours, "exposure": f"{exposure:.6g}"}
+    return Preview(_developed(light * exposure, white, view), texts)
+
+
+def picture_light(radiance: Radiance) -> tuple[NDArray[np.float32], str]:
+    """(H, W, 3) light to show as red, green and blue, and which it is, for people."""
+    light = radiance.mean if radiance.denoised is None else radiance.denoised
+    if not radiance.bands:
+        return light, "linear Rec. 709"
+    chosen = picture_bands(radiance.bands)
+    names = ", ".join(radiance.channels[channel] for channel in chosen.channels)
+    shown = light[..., list(chosen.channels)]
+    if radiance.open_irradiance:  # a white surface in the open is white
+        white = np.array([radiance.open_irradiance[channel] for channel in chosen.channels], dtype=np.float32)
+        shown = np.asarray(shown / white, dtype=np.float32)
+    return shown, f"{chosen.kind}: {names} as red, green, blue"
+
+
+def tone_map(radiance: NDArray[np.float32], exposure: float | None = None, view: View = "filmic") -> NDArray[np.uint8]:
+    """Picture of linear Rec. 709 radiance, in any unit.
 
     Parameters
     ----------
     radiance : (H, W, 3) float32. NaN and negative values count as 0, infinite ones as white.
     exposure : factor on radiance, for pictures that are compared; by default the one that the picture's key asks for.
+    view : the view transform.
 
     Returns
     -------
-    (H, W, 3) uint8, sRGB.
+    (H, W, 3) uint8, in the view's encoding.
     """
-    light = np.nan_to_num(radiance, nan=0.0, posinf=_INFINITE, neginf=0.0).clip(0.0)
+    light = _cleaned(radiance)
+    factor, white = _metered(light) if exposure is None else (np.float32(exposure), LEAST_WHITE)
+    return _developed(light * factor, white, view)
+
+
+def _developed(exposed: NDArray[np.float32], white: float, view: View) -> NDArray[np.uint8]:
+    if view == "acescct":
+        return _acescct(exposed)
+    return _encode(_curve(exposed, white) if view == "filmic" else exposed)
+
+
+def _metered(light: NDArray[np.float32]) -> tuple[np.float32, float]:
+    """Factor that brings the key of (H, W, 3) light to middle grey, and the exposed luminance that becomes white."""
     red, green, blue = np.moveaxis(light, -1, 0)
     luminance = _RED * red + _GREEN * green + _BLUE * blue
-    if exposure is not None:
-        return _encode(_curve(light * np.float32(exposure), LEAST_WHITE))
-    metered, white = _exposure(luminance)
-    return _encode(_curve(light * metered, white))
-
-
-def _exposure(luminance: NDArray[np.float32]) -> tuple[np.float32, float]:
-    """Factor that brings the key to middle grey, and the exposed luminance that becomes white."""
     lit = luminance[luminance > _DARKEST]
     if lit.size == 0:
         return np.float32(1.0), LEAST_WHITE
@@ -53,6 +111,10 @@ def _exposure(luminance: NDArray[np.float32]) -> tuple[np.float32, float]:
     key = float(np.exp(np.mean(np.log(lit.clip(low, high)), dtype=np.float64)))
     exposure = MIDDLE_GREY / key
     return np.float32(exposure), max(LEAST_WHITE, float(top) * exposure)
+
+
+def _cleaned(radiance: NDArray[np.float32]) -> NDArray[np.float32]:
+    return np.asarray(np.nan_to_num(radiance, nan=0.0, posinf=_INFINITE, neginf=0.0).clip(0.0), dtype=np.float32)
 
 
 def _curve(x: NDArray[np.float32], white: float) -> NDArray[np.float32]:
@@ -66,10 +128,28 @@ def _curve(x: NDArray[np.float32], white: float) -> NDArray[np.float32]:
 
 
 def _encode(linear: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """IEC 61966-2-1, through a table of 4096 steps of the square root: exact to under one step of 255."""
-    steps = 1 << 12
-    grid = (np.arange(steps) / (steps - 1)) ** 2
-    srgb = np.where(grid <= 0.0031308, 12.92 * grid, 1.055 * grid ** (1 / 2.4) - 0.055)
-    table = np.floor(srgb * 255.0 + 0.5).astype(np.uint8)
-    step = np.sqrt(linear.clip(0.0, 1.0)) * np.float32(steps - 1) + np.float32(0.5)
-    return np.asarray(table[step.astype(np.uint16)], dtype=np.uint8)
+    """The sRGB encoding through a table of 4096 steps of the square root: exact to under one step of 255."""
+    step = np.sqrt(linear.clip(0.0, 1.0)) * np.float32(_STEPS - 1) + np.float32(0.5)
+    return np.asarray(_srgb_table()[step.astype(np.uint16)], dtype=np.uint8)
+
+
+@cache
+def _srgb_table() -> NDArray[np.uint8]:
+    """In code, since importing colour-science takes longer than all pictures of a run; tests compare the two."""
+    linear = (np.arange(_STEPS) / (_STEPS - 1)) ** 2
+    encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    return np.floor(encoded * 255.0 + 0.5).astype(np.uint8)
+
+
+def _acescct(linear: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """In bands of rows: the encoding is computed in float64."""
+    import colour
+
+    matrix = colour.matrix_RGB_to_RGB("ITU-R BT.709", "ACEScct", "Bradford").T
+    picture = np.empty(linear.shape, dtype=np.uint8)
+    for first in range(0, len(linear), 64):
+        rows = slice(first, first + 64)
+        lit = (linear[rows].astype(np.float64) @ matrix).clip(_DARKEST)  # both pieces of the encoding are computed
+        encoded = colour.cctf_encoding(lit, function="ACEScct")
+        picture[rows] = np.floor(np.clip(encoded, 0.0, 1.0) * 255.0 + 0.5)
+    return picture

@@ -9,17 +9,20 @@ from typing import cast
 
 from forestgen.dataset import png
 from forestgen.dataset.camera import write_camera
+from forestgen.dataset.canopy import write_canopy
 from forestgen.dataset.exr import write_exr
 from forestgen.dataset.files import make_folder, write_bytes
 from forestgen.dataset.formats import Format
 from forestgen.dataset.legend import write_legend
+from forestgen.dataset.raw import raw_image, write_raw
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.dataset.tables import write_plants
-from forestgen.dataset.tonemap import tone_map
+from forestgen.dataset.tonemap import preview_of
 from forestgen.labels.labelled import LabelledFrame
 
-# Uncompressed, so never too few: 60 EXR channels of 4 bytes, three RGB pictures and a mask a pixel.
-_BYTES_PER_PIXEL = 60 * 4 + 3 * 3 + 1
+# Uncompressed, so never too few: 60 EXR channels of 4 bytes, three RGB pictures, a mask and a raw image a pixel.
+_BYTES_PER_PIXEL = 60 * 4 + 3 * 3 + 1 + 3 * 2
+_BYTES_PER_CHANNEL = 3 * 4 + 2  # of light, beyond the third: mean, variance, denoised copy, raw
 # What a format adds, shards and the files that are made of them.
 _FORMAT_BYTES_PER_PIXEL = {"panoptic": 6, "yolo": 6, "bop": 7, "depth_png": 2, "cryptomatte": 48 * 4, "points": 93}
 _FORMAT_BYTES_PER_PLANT = {"coco": 3000, "panoptic": 400, "yolo": 2000, "bop": 6000}
@@ -32,9 +35,10 @@ def frame_folder_name(image: int, camera_name: str) -> str:
     return f"{image:06d}-{camera_name}"
 
 
-def frame_bytes(size_px: tuple[int, int], plants: int, formats: Sequence[str] = ()) -> int:
-    """Disk space to set aside for one frame: an upper estimate, in bytes."""
-    pixel = _BYTES_PER_PIXEL + sum(_FORMAT_BYTES_PER_PIXEL.get(name, 0) for name in formats)
+def frame_bytes(size_px: tuple[int, int], plants: int, formats: Sequence[str] = (), channels: int = 3) -> int:
+    """Disk space to set aside for one frame of so many channels of light: an upper estimate, in bytes."""
+    light = max(0, channels - 3) * _BYTES_PER_CHANNEL
+    pixel = _BYTES_PER_PIXEL + light + sum(_FORMAT_BYTES_PER_PIXEL.get(name, 0) for name in formats)
     plant = _BYTES_PER_PLANT + sum(_FORMAT_BYTES_PER_PLANT.get(name, 0) for name in formats)
     return size_px[0] * size_px[1] * pixel + plants * plant + _BYTES_PER_FRAME
 
@@ -52,7 +56,8 @@ def write_frame(
     ----------
     folder : the frame's own folder, made if it is missing.
     recipe_yaml : the drawn recipe.
-    attributes : name -> text for the EXR header, such as recipe_hash and seed.
+    attributes : name -> text for the EXR header, such as recipe_hash and seed; from image_seed, 0 if it is missing,
+        comes the noise of a raw image.
     settings : of the data set.
 
     Raises
@@ -60,16 +65,19 @@ def write_frame(
     OutputError
         When a file cannot be written or an id does not fit its format.
     """
-    radiance, pixels = labelled.frame.radiance, labelled.pixels
-    preview = tone_map(radiance.mean if radiance.denoised is None else radiance.denoised)
+    radiance, camera, pixels = labelled.frame.radiance, labelled.frame.camera, labelled.pixels
+    made = preview_of(radiance, settings.view)
     make_folder(folder)
     png.write_instance(folder / "instance.png", pixels.instance)
     png.write_semantic(folder / "semantic.png", pixels.semantic, settings.class_names)
-    png.write_rgb(folder / "preview.png", preview)
-    png.write_rgb(folder / "overlay.png", png.overlay(preview, pixels.instance))
-    write_exr(folder / "frame.exr", labelled, attributes)
+    png.write_rgb(folder / "preview.png", made.picture, made.texts)
+    png.write_rgb(folder / "overlay.png", png.overlay(made.picture, pixels.instance))
+    write_exr(folder / "frame.exr", labelled, {"view": settings.view, **attributes})
+    if camera.exposure is not None:
+        write_raw(folder, raw_image(radiance, camera, camera.exposure, int(attributes.get("image_seed", "0"))))
     write_plants(folder / "plants.parquet", labelled)
-    write_camera(folder / "camera.json", labelled.frame.camera)
+    write_camera(folder / "camera.json", camera)
+    write_canopy(folder, labelled.frame)
     write_bytes(folder / "recipe.yaml", recipe_yaml.encode())
     for name in settings.formats:
         _format(name).write_frame(folder, labelled, settings)

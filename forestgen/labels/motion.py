@@ -2,7 +2,8 @@
 
 The point that a pixel's centre sees is taken into the frame of its plant's exemplar, from there to where the plant is
 in the next frame, and into that frame's image. A point of the ground stays where it is; the sky turns with the camera
-alone. The point is built from its distance along the ray, in double precision: what does not move, moves by nothing.
+alone, and has no motion along the parallel rays of an orthographic camera. The point is built from its distance along
+the ray, in double precision: what does not move, moves by nothing.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.render.frame import Surface
+from forestgen.scene.projection import project, world_rays
 from forestgen.scene.spec import Camera, Instances
 
 _NEAREST = 1e-6  # of the distance: a point nearer to the next camera's plane than this has no place in its image
@@ -21,7 +23,8 @@ def motion_px(
 ) -> NDArray[np.float32]:
     """(H, W, 2) way of each pixel's surface point from this image to the next, pixels to the right and down.
 
-    NaN where the point lies behind the next camera. Nothing is said about what then stands in front of it.
+    NaN where the next camera cannot see the point: it lies behind it, or outside of a fisheye's circle. Nothing is said
+    about what then stands in front of it. In a panorama the way is the shorter one around.
 
     Parameters
     ----------
@@ -36,36 +39,47 @@ def motion_px(
     if not np.array_equal(instances.plant_id, next_instances.plant_id):
         raise ValueError("motion needs the same plants in both frames")
     width, height = camera.size_px
-    x_px, y_px = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
-    along = np.stack([*np.meshgrid(*camera.pixel_slopes), np.ones_like(x_px)])
-    along /= np.linalg.norm(along, axis=0)
-    direction = np.moveaxis(along, 0, -1) @ camera.world_from_camera.T  # (H, W, 3) unit, world
+    centre = np.stack(np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5), axis=-1)
+    rays = world_rays(camera)
     distance = surface.distance_m.astype(np.float64)
     seen = np.isfinite(distance)
     # Relative to the next camera, all of them: the sky as directions, which no shift changes.
-    shift = np.subtract(camera.position_m, next_camera.position_m)
-    point = np.where(seen[..., None], direction * np.where(seen, distance, 0.0)[..., None] + shift, direction)
+    shift = rays.origin_m - np.asarray(next_camera.position_m)
+    way = rays.direction * np.where(seen, distance, 0.0)[..., None]
+    point = np.where(seen[..., None], way + shift, rays.direction)
     if next_instances is not instances:
         moved = seen & (surface.plant_id > 0)
+        start = np.broadcast_to(rays.origin_m, point.shape)[moved]
         point[moved] += _carried(
-            direction[moved] * distance[moved][:, None] + camera.position_m,
-            instances.rows_of(surface.plant_id[moved]),
-            instances,
-            next_instances,
+            way[moved] + start, instances.rows_of(surface.plant_id[moved]), instances, next_instances
         )
-    right, down, depth = np.moveaxis(point @ next_camera.world_from_camera, -1, 0)
+    landing, known = _landing(next_camera, point @ next_camera.world_from_camera, seen)
+    motion = landing - centre
+    if next_camera.projection == "panorama":
+        motion[..., 0] -= next_camera.size_px[0] * np.round(motion[..., 0] / next_camera.size_px[0])
+    motion[~(known & rays.valid)] = np.nan
+    return np.asarray(motion, dtype=np.float32)
+
+
+def _landing(
+    camera: Camera, points_m: NDArray[np.float64], near: NDArray[np.bool_]
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """(H, W, 2) image points of (H, W, 3) points in the camera's axes, and whether they have one.
+
+    Parameters
+    ----------
+    near : (H, W) False for the sky, of which there is a direction alone: an orthographic camera has no place for it.
+    """
+    if camera.projection != "perspective":
+        found = project(camera, points_m)
+        known = found.in_front & (near | (camera.projection != "orthographic"))
+        return np.stack([found.x_px, found.y_px], axis=-1), known
+    right, down, depth = np.moveaxis(points_m, -1, 0)
     in_front = depth > _NEAREST * np.maximum(np.hypot(right, down), 1e-300)
     safe = np.where(in_front, depth, 1.0)
-    next_width, next_height = next_camera.size_px
-    motion = np.stack(
-        [
-            next_camera.focal_px * right / safe + next_width / 2 - x_px,
-            next_camera.focal_px * down / safe + next_height / 2 - y_px,
-        ],
-        axis=-1,
-    )
-    motion[~in_front] = np.nan
-    return motion.astype(np.float32)
+    width, height = camera.size_px
+    at = (camera.focal_px * right / safe + width / 2, camera.focal_px * down / safe + height / 2)
+    return np.stack(at, axis=-1), in_front
 
 
 def _carried(

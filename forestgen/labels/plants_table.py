@@ -6,15 +6,17 @@
 | visible area     | sum of the plant's coverage over all pixels, won or lost; pixels |
 | amodal area      | the same for the plant alone, with the same sub-pixel positions, within the image |
 | visible fraction | visible area over amodal area: the share of the plant's part of the image that nothing hides |
-| full box         | box of the plant's projection, beyond the image too; of what lies in front of the camera |
+| full box         | box of the projection of the plant's convex hull, beyond the image too; of what the camera faces |
 | truncation       | share of the full box' area that lies outside the image |
-| truncated        | a won pixel touches the image's border |
+| truncated        | a won pixel touches the image's border, the seam of a panorama too; a fisheye's circle is none |
 | keypoints        | stem base (the instance's origin), tip (highest vertex), crown centre: scene/plant_measures.py |
 | keypoint state   | 0 outside the image or behind the camera; 1 inside, where the plant does not win; 2 where it wins |
 | distance         | from the camera to the stem base |
 
 A keypoint at (x, y) falls in the pixel (floor x, floor y). State 2 says that the plant is what the pixel shows, not
-that the point itself is in view: a stem base may stand behind its own plant's leaves.
+that the point itself is in view: a stem base may stand behind its own plant's leaves. Outside of a fisheye's circle
+there is no keypoint, as behind the camera. A lens projects through its middle; its areas and boxes are of what is seen
+through all of it. A plant across a panorama's seam has boxes as wide as the image: its parts lie at both ends.
 """
 
 from __future__ import annotations
@@ -29,6 +31,7 @@ from forestgen.labels.amodal import AmodalMasks
 from forestgen.labels.masks import rows_of
 from forestgen.labels.pixels import PixelLabels
 from forestgen.render.frame import Frame
+from forestgen.scene import projection
 from forestgen.scene.plant_measures import PlantMeasures
 from forestgen.scene.spec import Camera
 
@@ -64,7 +67,7 @@ class PlantViews:
     visible_fraction: NDArray[np.float64]  # (N,) visible_area_px / amodal_area_px, in [0, 1]; NaN there
     truncation: NDArray[np.float64]  # (N,) share of full_box_px outside the image; NaN there
     stem_pixels: NDArray[np.int64]  # (N,) pixels that the plant wins with its trunk
-    keypoint_px: NDArray[np.float64]  # (N, 3, 2) stem base, tip, crown centre; NaN behind the camera
+    keypoint_px: NDArray[np.float64]  # (N, 3, 2) stem base, tip, crown centre; NaN where the camera cannot see
     keypoint_state: NDArray[np.uint8]  # (N, 3) 0 outside the image, 1 hidden, 2 the plant wins the pixel it falls in
     distance_m: NDArray[np.float64]  # (N,) from the camera to the stem base
 
@@ -112,11 +115,10 @@ def plant_views(
 
 
 def project(camera: Camera, points_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(..., 2) pixels, right and down, of (..., 3) points in the world; NaN for those not in front of the camera."""
-    seen = (points_m - np.asarray(camera.position_m)) @ camera.world_from_camera
-    depth = np.where(seen[..., 2] > 0, seen[..., 2], np.nan)
-    middle = np.asarray(camera.size_px) / 2.0
-    return np.asarray(seen[..., :2] / depth[..., None] * camera.focal_px + middle)
+    """(..., 2) pixels, right and down, of (..., 3) points in the world; NaN for those that the camera cannot see."""
+    seen = projection.project(camera, (points_m - np.asarray(camera.position_m)) @ camera.world_from_camera)
+    pixels = np.stack([seen.x_px, seen.y_px], axis=-1)
+    return np.asarray(np.where(seen.in_front[..., None], pixels, np.nan))
 
 
 def truncation(full_box_px: NDArray[np.float64], size_px: tuple[int, int]) -> NDArray[np.float64]:

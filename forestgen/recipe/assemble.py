@@ -12,6 +12,7 @@ from forestgen.core.errors import AssetError, RecipeError
 from forestgen.core.text_file import read_text
 from forestgen.recipe.assets import find_asset
 from forestgen.recipe.distributions import is_distribution
+from forestgen.recipe.own_tables import embed_sensors, embed_spectra
 from forestgen.recipe.sources import Keys, Place, SourceMap, dotted
 from forestgen.recipe.yaml_source import parse_yaml, read_yaml
 
@@ -112,7 +113,9 @@ def merge_species(data: dict[str, Any], sources: SourceMap, folder: Path) -> Non
         if path not in files:
             files[path] = read_yaml(path, error=AssetError)
             _embed(files[path][0].get("plant"), files[path][1], ("plant", "program"), path.parent)
+            embed_spectra(files[path][0].get("materials"), files[path][1], ("materials",), path.parent)
         base, base_sources = copy.deepcopy(files[path][0]), files[path][1]
+        _without_other_light(base.get("materials"), entry.get("materials"))
         recipe_sources = SourceMap(written.get(name, {}))
         merged = SourceMap(dict(recipe_sources.places))  # of this species alone, for dropping keys looks at all
         merged.take(base_sources, (), keys)
@@ -147,6 +150,19 @@ def embed_program(data: dict[str, Any], sources: SourceMap, folder: Path) -> Non
             _embed(entry.get("plant"), sources, ("species", name, "plant", "program"), folder)
 
 
+def embed_tables(data: dict[str, Any], sources: SourceMap, folder: Path) -> None:
+    """Check the spectra that species and cameras name, in place, and keep the user's own as text: see `embed_spectra`.
+
+    As with programs, a species file's own tables were taken when the file was read.
+    """
+    species, plants = data.get("species"), data.get("plants")
+    season = plants.get("season", "summer") if isinstance(plants, dict) else "summer"
+    for name, entry in species.items() if isinstance(species, dict) else ():
+        if isinstance(entry, dict):
+            embed_spectra(entry.get("materials"), sources, ("species", name, "materials"), folder, season)
+    embed_sensors(data.get("cameras"), sources, folder)
+
+
 def _embed(section: Any, sources: SourceMap, keys: Keys, folder: Path) -> None:
     """Replace the section's ``program``, whose key path is `keys`, if it is a name."""
     if not isinstance(section, dict) or not isinstance(section.get("program"), str):
@@ -169,6 +185,20 @@ def _without_other_generator(
         return base
     sources.drop((*keys, "plant"))
     return {key: value for key, value in base.items() if key != "plant"}
+
+
+def _without_other_light(base: Any, override: Any) -> None:
+    """Take from materials in place what a recipe replaces: a spectrum by colours, or colours by a spectrum."""
+    for name, material in base.items() if isinstance(base, dict) and isinstance(override, dict) else ():
+        new = override.get(name)
+        if not (isinstance(material, dict) and isinstance(new, dict)):
+            continue
+        if "reflectance" in new and "spectrum" not in new:
+            material.pop("spectrum", None)
+            material.pop("season", None)
+        elif new.get("spectrum") is not None:
+            for key in ("reflectance", "transmittance", "season", "spectrum"):
+                material.pop(key, None)
 
 
 def _merged(base: Any, override: Any, sources: SourceMap, override_sources: SourceMap, keys: Keys) -> Any:

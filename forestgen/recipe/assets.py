@@ -17,6 +17,7 @@ SUFFIXES = {
     "terrain": (".yaml",),
     "climate": (".yaml",),
     "lsystems": (".lsys", ".sys"),
+    "spectra": (".csv",),
 }
 
 
@@ -65,7 +66,7 @@ def find_asset(kind: str, name: str, *, folder: Path | None = None, where: str |
 
     Parameters
     ----------
-    kind : "species", "lsystems", "terrain", "climate" or "recipes".
+    kind : "species", "lsystems", "spectra", "terrain", "climate" or "recipes".
     name : a shipped part's name; or, with a slash or the kind's suffix, a path relative to `folder`. A file at that
         path goes before a shipped part of the same name.
     folder : the recipe's folder; the working directory if None.
@@ -80,8 +81,13 @@ def find_asset(kind: str, name: str, *, folder: Path | None = None, where: str |
         path = (folder or Path()) / name
         if _is_file(path):
             return path
-        if name not in list_assets(kind):
-            raise AssetError(f"no such {kind} file", where=where, expected="an existing file", got=str(path))
+        if _shipped(kind, name) is None:
+            near = difflib.get_close_matches(name, list_assets(kind), n=1)
+            hint = f"did you mean {near[0]!r}?" if near else None
+            raise AssetError(f"no such {kind} file", where=where, expected="an existing file", got=str(path), hint=hint)
+    shipped = _shipped(kind, name)
+    if shipped is not None:
+        return shipped
     names = list_assets(kind)
     if name not in names:
         near = difflib.get_close_matches(name, names, n=1)
@@ -94,6 +100,18 @@ def find_asset(kind: str, name: str, *, folder: Path | None = None, where: str |
             hint=f"did you mean {near[0]!r}?" if near else None,
         )
     return _files(kind)[name]
+
+
+def _shipped(kind: str, name: str) -> Path | None:
+    """The file of a shipped part, without looking through all of them; None: go and look."""
+    parts = name.split("/")
+    if any(part in ("", ".", "..") or "\\" in part or ":" in part for part in parts):
+        return None
+    for suffix in SUFFIXES.get(kind, ()):
+        path = _kind_dir(kind) / f"{name}{suffix}"
+        if _is_file(path):
+            return path
+    return None
 
 
 def _is_file(path: Path) -> bool:

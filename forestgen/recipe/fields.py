@@ -43,6 +43,11 @@ def mistake(
     return PydanticCustomError("mistake", "{problem}: expected {expected}", context)
 
 
+def spelled_out(value: Any, key: str) -> Any:
+    """A shorthand such as ``terrain: flat`` as the mapping that it stands for."""
+    return {key: value} if isinstance(value, str) else value
+
+
 def _no_text_for_whole_number(value: Any) -> Any:
     # Lax integers also take "16" and true; 16.0 is welcome because YAML writes 1e3 as a float.
     if isinstance(value, bool | str | bytes):

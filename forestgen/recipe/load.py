@@ -22,7 +22,7 @@ from ruamel.yaml.representer import SafeRepresenter
 
 from forestgen.core.errors import AssetError, RecipeError
 from forestgen.core.randomness import child_rng, child_root
-from forestgen.recipe.assemble import apply_override, embed_program, merge_species, spell_out
+from forestgen.recipe.assemble import apply_override, embed_program, embed_tables, merge_species, spell_out
 from forestgen.recipe.assets import list_assets, recipes_dir
 from forestgen.recipe.distributions import (
     BadDistributionError,
@@ -173,6 +173,7 @@ class LoadedRecipe:
             _put(data, keys, value)
         spell_out(data)
         embed_program(data, self.sources, self.path.parent)
+        embed_tables(data, self.sources, self.path.parent)
         embed_maps(data, self.sources, self.path.parent, self.file_sha256)
         try:
             return Recipe.model_validate(data)

@@ -12,10 +12,10 @@ from typing import Annotated, Any, Literal, Self, get_args
 
 from pydantic import Field, field_validator, model_validator
 
-from forestgen.recipe.cameras import Camera, check_cameras, check_motion
+from forestgen.recipe.camera_checks import check_cameras, check_motion
+from forestgen.recipe.cameras import Camera, default_view
 from forestgen.recipe.classes import MOST_CLASSES, NO_SPECIES, check_classes
 from forestgen.recipe.fields import (
-    Coordinate,
     Flag,
     Fraction,
     Name,
@@ -27,16 +27,17 @@ from forestgen.recipe.fields import (
     Text,
     Whole,
     mistake,
+    spelled_out,
 )
+from forestgen.recipe.render import Render
+from forestgen.recipe.sky import SkySection
 from forestgen.recipe.species import Species
+from forestgen.recipe.spectra import Season
 
 SCHEMA_VERSION = 1
+# Kinds of cameras that a format has words for; the others have them for all.
+_KINDS_OF_FORMATS = {"bop": ("perspective",), "nerfstudio": ("perspective", "fisheye", "panorama")}
 Extent = Annotated[Positive, Field(le=5000)]
-
-
-def _spelled_out(value: Any, key: str) -> Any:
-    """A shorthand such as ``terrain: flat`` as the mapping that it stands for."""
-    return {key: value} if isinstance(value, str) else value
 
 
 class Terrain(Section):
@@ -51,6 +52,9 @@ class Terrain(Section):
     ] = 70.0
 
 
+Ground = Literal["litter", "soil_dry", "soil_wet", "grass", "rock", "sand", "snow"]
+
+
 class Site(Section):
     """The piece of land: x from 0 to size_m[0] (east), y from 0 to size_m[1] (north)."""
 
@@ -59,12 +63,19 @@ class Site(Section):
         100.0,
     )
     terrain: Annotated[Terrain, Field(description="Shape of the ground, or just its kind.")] = Terrain()
+    ground: Annotated[
+        Ground,
+        Field(
+            description="What covers it: litter (fallen leaves and moss), soil_dry, soil_wet, grass, rock, sand, snow."
+        ),
+    ] = "litter"
     altitude_m: Annotated[
         Number,
         Field(
             ge=-430,
             le=9000,
-            description="Height of z = 0 above sea level, metres; for species with a response to elevation_m.",
+            description="Height of z = 0 above sea level, metres; for species with a response to elevation_m, and for "
+            "the light that comes through the air above.",
         ),
     ] = 0.0
     latitude_deg: Annotated[
@@ -73,9 +84,13 @@ class Site(Section):
             ge=-90,
             le=90,
             description="Latitude, degrees, north positive: where the sun stands over the year, for species with a "
-            "response to sun. An image's own sun is sky.sun.",
+            "response to sun, and for an image's own sun where sky.sun has a date.",
         ),
     ] = 50.0
+    longitude_deg: Annotated[
+        Number | None,
+        Field(ge=-180, le=180, description="Longitude, degrees, east positive; for a sun by date and time."),
+    ] = None
     wind_from_deg: Annotated[
         Number,
         Field(
@@ -89,7 +104,7 @@ class Site(Section):
     @field_validator("terrain", mode="before")
     @classmethod
     def _kind_alone(cls, value: Any) -> Any:
-        return _spelled_out(value, "kind")
+        return spelled_out(value, "kind")
 
 
 class Community(OpenSection):
@@ -143,6 +158,12 @@ class Plants(Section):
             "chosen so that they stay below a pixel."
         ),
     ] = False
+    season: Annotated[
+        Season,
+        Field(
+            description="Of the leaves' spectra: spring, summer, autumn, dry. It changes their light, not their number."
+        ),
+    ] = "summer"
     cache: Annotated[
         Flag,
         Field(
@@ -158,49 +179,6 @@ class Plants(Section):
             if trait in value[:index]:
                 raise mistake("each trait once", problem="a trait named twice", got=repr(trait), at=(index,))
         return value
-
-
-class Sun(Section):
-    """Where the sun stands."""
-
-    elevation_deg: Annotated[Number, Field(gt=0, le=90, description="Height above the horizon, degrees.")] = 40.0
-    azimuth_deg: Annotated[
-        Number, Field(ge=-360, le=360, description="Direction clockwise from north, degrees: 90 is east.")
-    ] = 140.0
-
-
-class Clouds(Section):
-    """The cloud field above the site."""
-
-    type: Annotated[Literal["cumulus", "none"], Field(description="Kind of cloud.")] = "none"
-    cover: Annotated[Fraction, Field(description="Fraction of the sky's area under cloud, 0 to 1.")] = 0.35
-    base_m: Annotated[Positive, Field(le=20000, description="Height of the clouds' base above ground, metres.")] = 900.0
-    thickness_m: Annotated[Positive, Field(le=20000, description="Height of the cloud layer, metres.")] = 350.0
-    extinction_per_m: Annotated[Positive, Field(le=1, description="Extinction inside a cloud, per metre.")] = 0.05
-    extent_m: Annotated[Positive, Field(le=20000, description="Side of the square of clouds, metres.")] = 8000.0
-
-
-class SkySection(Section):
-    """Sun, clear sky and clouds."""
-
-    sun: Annotated[Sun, Field(description="Direction of the sun.")] = Sun()
-    turbidity: Annotated[Number, Field(ge=1, le=10, description="Haze: 1 is pure air, 3 clear, 10 hazy; no unit.")] = (
-        3.0
-    )
-    clouds: Annotated[Clouds, Field(description="The cloud field, or just its type.")] = Clouds()
-
-    @field_validator("clouds", mode="before")
-    @classmethod
-    def _type_alone(cls, value: Any) -> Any:
-        return _spelled_out(value, "type")
-
-
-class Render(Section):
-    """How the radiance is computed."""
-
-    samples: Annotated[Whole, Field(ge=1, le=65536, description="Light paths a pixel.")] = 16
-    denoise: Annotated[Flag, Field(description="Whether to remove the noise that remains.")] = True
-    max_depth: Annotated[Whole, Field(ge=1, le=4096, description="Most scatterings of a path.")] = 64
 
 
 Channel = Literal["coverage", "surface", "albedo", "sun", "cloud", "motion", "boundaries", "amodal"]
@@ -248,6 +226,9 @@ class Labels(Section):
 Format = Literal["coco", "panoptic", "yolo", "bop", "depth_png", "cryptomatte", "points", "nerfstudio"]
 
 
+View = Literal["filmic", "srgb", "acescct"]
+
+
 class Licence(Section):
     """The licence of the images, as COCO lists it."""
 
@@ -265,6 +246,13 @@ class Dataset(Section):
             "points, nerfstudio."
         ),
     ] = ("coco",)
+    view: Annotated[
+        View,
+        Field(
+            description="View transform of preview.png: filmic bends highlights over, srgb is the plain encoding, "
+            "acescct a logarithmic one for grading."
+        ),
+    ] = "filmic"
     description: Annotated[Text, Field(max_length=1000, description="What the data set shows.")] = "forestgen dataset"
     contributor: Annotated[Text, Field(max_length=200, description="Who made it.")] = ""
     licence: Annotated[Licence | None, Field(description="Of the images.")] = None
@@ -322,9 +310,9 @@ class Recipe(Section):
         cameras = data.get("cameras", [{}])
         if not isinstance(cameras, list):
             return data
-        view = _default_view(data.get("site"))
+        size = _size_m(data.get("site"))
         filled = [
-            {"name": f"camera{i}", **view, **camera} if isinstance(camera, Mapping) else camera
+            {"name": f"camera{i}", **camera, **default_view(camera, size)} if isinstance(camera, Mapping) else camera
             for i, camera in enumerate(cameras)
         ]
         return {**data, "cameras": filled}
@@ -338,6 +326,33 @@ class Recipe(Section):
                 got=", ".join(self.labels.channels) or "none",
                 hint="labels: {channels: [..., amodal]}, or leave bop out of dataset.formats",
                 at=("labels", "channels"),
+            )
+        for name, kinds in _KINDS_OF_FORMATS.items():
+            wrong = [index for index, camera in enumerate(self.cameras) if camera.kind not in kinds]
+            if name in self.dataset.formats and wrong:
+                raise mistake(
+                    f"a kind that the format {name} can hold: {', '.join(kinds)}",
+                    problem=f"{name} has no such camera",
+                    got=self.cameras[wrong[0]].kind,
+                    hint=f"leave {name} out of dataset.formats, or the camera out of this recipe",
+                    at=("cameras", wrong[0], "kind"),
+                )
+        return self
+
+    @model_validator(mode="after")
+    def _dated_sun_has_a_place(self) -> Self:
+        given = {
+            "latitude_deg": "latitude_deg" in self.site.model_fields_set,  # its default is no place to trust
+            "longitude_deg": self.site.longitude_deg is not None,
+        }
+        missing = [key for key, known in given.items() if not known]
+        if self.sky.sun.date is not None and missing:
+            raise mistake(
+                "site.latitude_deg and site.longitude_deg, degrees",
+                problem="the sun by date needs a place on earth",
+                got="no " + " and no ".join(missing),
+                hint="site: {latitude_deg: 51.0, longitude_deg: 13.7} is Dresden",
+                at=("site", missing[0]),
             )
         return self
 
@@ -374,12 +389,9 @@ class Recipe(Section):
         return self
 
 
-def _default_view(site: Any) -> dict[str, list[Coordinate]]:
-    """Eye level at the middle of the southern edge, looking north over the site; metres."""
+def _size_m(site: Any) -> tuple[float, float]:
+    """The site's extent; its default instead of a bad one, which is left for validation to name."""
     size = site.get("size_m") if isinstance(site, Mapping) else None
-    width, depth = 100.0, 100.0
-    # A bad size is left for validation to name.
     pair = size if isinstance(size, list | tuple) and len(size) == 2 else (0, 0)
     good = all(isinstance(extent, int | float) and 0 < extent <= 5000 for extent in pair)
-    width, depth = pair if good else (100.0, 100.0)
-    return {"position_m": [0.5 * width, 0.02 * depth, 1.7], "look_at_m": [0.5 * width, 0.6 * depth, 6.0]}
+    return (float(pair[0]), float(pair[1])) if good else (100.0, 100.0)

@@ -6,11 +6,11 @@ or holds the whole species itself.
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from forestgen.recipe.fields import (
     Colour,
@@ -23,7 +23,9 @@ from forestgen.recipe.fields import (
     Section,
     Text,
     mistake,
+    spelled_out,
 )
+from forestgen.recipe.spectra import MOST_BYTES, Season
 
 TALLEST_M = 200.0
 
@@ -129,23 +131,67 @@ class Bark(Section):
         return self
 
 
-class Material(Section):
-    """Colour of an organ, linear Rec. 709; reflectance and transmittance together stay within 1."""
+class SpectrumFile(Section):
+    """A table of reflectance and perhaps transmittance by wavelength; see recipe/spectra.py."""
 
-    reflectance: Annotated[Colour, Field(description="Reflected fraction of red, green, blue; linear Rec. 709.")]
+    name: Annotated[Text, Field(min_length=1, max_length=1000, description="Such as leaves/birch, or a path.")]
+    text: Annotated[
+        Text | None,
+        Field(max_length=MOST_BYTES, description="The table itself, as drawn recipes keep a file of your own."),
+    ] = None
+
+
+class Material(Section):
+    """What an organ's surface does with light: by a spectrum, or by a colour, linear Rec. 709."""
+
+    spectrum: Annotated[
+        SpectrumFile | None,
+        Field(
+            description="Table of reflectance and transmittance by wavelength, of which the colours follow: "
+            "leaves/birch, bark/oak, ... or a path from the recipe's folder. In place of reflectance and transmittance."
+        ),
+    ] = None
+    season: Annotated[
+        Season | None, Field(description="Of the spectrum, where it has seasons; null: plants.season.")
+    ] = None
+    reflectance: Annotated[
+        Colour | None, Field(description="Reflected fraction of red, green, blue; linear Rec. 709.")
+    ] = None
     transmittance: Annotated[
         Colour, Field(description="Fraction let through of red, green, blue; linear Rec. 709.")
     ] = (0.0, 0.0, 0.0)
-    roughness: Annotated[
+    roughness: Annotated[Fraction, Field(description="Roughness of the gloss, 0 to 1: 0.2 is waxy, 0.6 matt.")] = 0.5
+    gloss: Annotated[
         Fraction,
         Field(
-            description="Roughness of the gloss, 0 to 1, for mesh files. Rendered leaves and bark have no gloss: all "
-            "that they reflect is diffuse."
+            le=0.08,
+            description="Share of light that the skin of a leaf or petal mirrors, part of its reflectance: 0 is matt, "
+            "0.04 smooth wax. Bark has none.",
         ),
-    ] = 0.5
+    ] = 0.0
     bark: Annotated[
         Bark | None, Field(description="Pattern of an opaque surface; null: one colour. The reflectance is its mean.")
     ] = None
+
+    @field_validator("spectrum", mode="before")
+    @classmethod
+    def _name_alone(cls, value: Any) -> Any:
+        return spelled_out(value, "name")
+
+    @model_validator(mode="after")
+    def _says_it_once(self) -> Self:
+        if self.spectrum is None and self.reflectance is None:
+            raise mistake("reflectance, or a spectrum", problem="a material without colour", got="neither")
+        if self.spectrum is None and self.season is not None:
+            raise mistake("a season of a spectrum", problem="colours have no season", got=self.season, at=("season",))
+        if self.spectrum is not None and (self.reflectance is not None or max(self.transmittance) > 0):
+            raise mistake(
+                "a spectrum, or reflectance and transmittance",
+                problem="colours beside a spectrum, of which they follow",
+                got="both",
+                hint="leave one out; `spectrum: null` takes back a species file's",
+            )
+        return self
 
     @model_validator(mode="after")
     def _bark_is_opaque(self) -> Self:
@@ -155,7 +201,8 @@ class Material(Section):
 
     @model_validator(mode="after")
     def _conserves_energy(self) -> Self:
-        for channel, r, t in zip(("red", "green", "blue"), self.reflectance, self.transmittance, strict=True):
+        reflectance = self.reflectance or (0.0, 0.0, 0.0)
+        for channel, r, t in zip(("red", "green", "blue"), reflectance, self.transmittance, strict=True):
             if r + t > 1.0 + 1e-9:
                 raise mistake(
                     "reflectance + transmittance of at most 1 in every channel",

@@ -182,9 +182,11 @@ def _trace(
     step = max(1, _RAYS_AT_ONCE // samples)
     for start in range(0, len(counts), step):
         plant, column, row = _pixels(first, window, start, min(start + step, len(counts)))
-        ray = alone_rays(tracer, camera, offsets, frame, plant, column, row)
-        hit = scene.ray_intersect_preliminary(ray, coherent=True)
-        counts[start : start + step] = np.array(dr.block_sum(dr.select(hit.is_valid(), mi.UInt32(1), 0), samples))
+        ray, active = alone_rays(tracer, camera, offsets, frame, plant, column, row)
+        hit = scene.ray_intersect_preliminary(ray, coherent=True, active=active)
+        counts[start : start + step] = np.array(
+            dr.block_sum(dr.select(hit.is_valid() & active, mi.UInt32(1), 0), samples)
+        )
     return counts
 
 
@@ -196,8 +198,8 @@ def alone_rays(
     plant: NDArray[np.uint32],
     column: NDArray[np.uint32],
     row: NDArray[np.uint32],
-) -> Any:
-    """The identity pass' rays through S positions of pixels, each in its plant's frame.
+) -> tuple[Any, Any]:
+    """The identity pass' rays through S positions of pixels, each in its plant's frame; and which of them there are.
 
     Parameters
     ----------
@@ -209,20 +211,22 @@ def alone_rays(
     index = dr.arange(mi.UInt32, len(plant) * samples)
     pixel = index // samples
     number = index - pixel * samples
-    _, direction = pixel_rays(
+    rays = pixel_rays(
         camera,
         dr.gather(mi.UInt32, mi.UInt32(column), pixel),
         dr.gather(mi.UInt32, mi.UInt32(row), pixel),
         dr.gather(mi.Float, mi.Float(offsets[:, 0]), number),
         dr.gather(mi.Float, mi.Float(offsets[:, 1]), number),
+        number,
     )
-    start = tracer.start_of(camera)
+    start, direction = tracer.start_of(camera, rays), rays.direction
     first = dr.gather(mi.UInt32, mi.UInt32(plant), pixel) * 12
     m = [dr.gather(mi.Float, frame, first + k) for k in range(12)]
     # As Embree does: fused, from the last coordinate on.
     origin = [dr.fma(start.x, m[k], dr.fma(start.y, m[3 + k], dr.fma(start.z, m[6 + k], m[9 + k]))) for k in range(3)]
     along = [dr.fma(direction.x, m[k], dr.fma(direction.y, m[3 + k], direction.z * m[6 + k])) for k in range(3)]
-    return mi.Ray3f(mi.Point3f(*origin), mi.Vector3f(*along))
+    active = mi.Bool(True) if rays.valid is None else rays.valid
+    return mi.Ray3f(mi.Point3f(*origin), mi.Vector3f(*along)), active
 
 
 @compiled

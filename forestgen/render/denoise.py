@@ -9,20 +9,36 @@ from forestgen.render.variant import mitsuba
 
 
 def denoise(
-    colour: NDArray[np.float32], albedo: NDArray[np.float32] | None = None, normal: NDArray[np.float32] | None = None
+    colour: NDArray[np.float32], guide: NDArray[np.float32] | None = None, normal: NDArray[np.float32] | None = None
 ) -> NDArray[np.float32]:
-    """(H, W, 3) radiance, guided by albedo (1 where the sky is: 0 there biases clouds by -2.8%) and world normals."""
+    """(H, W, 3) radiance, guided by noise-free colours (1 where the sky is: 0 biases clouds by -2.8%) and normals."""
     mitsuba()  # the denoiser shares Dr.Jit's thread pool: load it first
     import mitsuba_oidn
 
     result = mitsuba_oidn.denoise(
         np.ascontiguousarray(colour),
-        albedo=None if albedo is None else np.ascontiguousarray(albedo),
+        albedo=None if guide is None else np.ascontiguousarray(guide),
         normal=None if normal is None else np.ascontiguousarray(normal),
         hdr=True,
+        clean_aux=guide is not None,
         input_scale=_exposure(colour),
     )
     return np.asarray(result, dtype=np.float32)
+
+
+def denoise_bands(
+    image: NDArray[np.float32], guide: NDArray[np.float32] | None = None, normal: NDArray[np.float32] | None = None
+) -> NDArray[np.float32]:
+    """(H, W, C) of any number of bands: three at a time, each group brought to one brightness and back."""
+    bands = image.shape[2]
+    level = np.maximum(np.nan_to_num(image).mean(axis=(0, 1), dtype=np.float64), 1e-30)
+    result = np.empty_like(image)
+    for first in range(0, bands, 3):
+        own = np.minimum(np.arange(first, first + 3), bands - 1)  # the last group repeats its last band
+        clean = denoise((image[..., own] / level[own]).astype(np.float32), guide, normal)
+        kept = min(3, bands - first)
+        result[..., first : first + kept] = clean[..., :kept] * level[own[:kept]]
+    return result
 
 
 def _exposure(colour: NDArray[np.float32]) -> float:

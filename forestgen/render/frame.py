@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.core.spectrum import Band
 from forestgen.scene.spec import Camera
 
 
@@ -16,8 +17,6 @@ class Identity:
 
     plant_id: NDArray[np.uint32]  # (H, W, S); 0 where no plant is hit
     part: NDArray[np.uint8]  # (H, W, S) forestgen.core.parts.Part; NOTHING is sky
-    albedo: NDArray[np.float32]  # (H, W, 3) mean of the samples' reflectance + transmittance, for the denoiser; sky 1
-    mean_normal: NDArray[np.float32]  # (H, W, 3) mean of the samples' normals, for the denoiser
     exemplar: NDArray[np.uint32] | None = None  # (H, W, S) index into SceneSpec.exemplars + 1; 0 for ground and sky
     face: NDArray[np.uint32] | None = None  # (H, W, S) triangle of the exemplar, as in `Surface`
 
@@ -58,12 +57,19 @@ class Amodal:
 
 @dataclass(frozen=True)
 class Radiance:
-    """Linear Rec. 709 radiance."""
+    """What the sensor measured, by channel: linear Rec. 709 in cd/m², or bands in W/m²/sr/nm."""
 
-    mean: NDArray[np.float32]  # (H, W, 3)
-    variance: NDArray[np.float32]  # (H, W, 3) of the mean
-    denoised: NDArray[np.float32] | None  # (H, W, 3)
+    mean: NDArray[np.float32]  # (H, W, C)
+    variance: NDArray[np.float32]  # (H, W, C) of the mean
+    denoised: NDArray[np.float32] | None  # (H, W, C) biased
     samples: int
+    channels: tuple[str, ...] = ("R", "G", "B")
+    bands: tuple[Band, ...] = ()  # of the channels; none: linear Rec. 709
+    replicates: int = 0  # independent estimates behind each variance
+    open_irradiance: tuple[float, ...] = ()  # of level ground in the open, clouds left out, by channel: lux, or W/m²/nm
+    relative_error: float = float("nan")  # standard error over value, mean of the pixels: render/noise.py
+    relative_error_p95: float = float("nan")  # its 95th percentile
+    stopped_by: str = "samples"  # why no more: "target_error", "most_samples" or "time_budget_s" where one was set
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """Light from a cloudy sky.
 
 The canopy and the clouds want different estimators: one Monte Carlo path through both costs twenty times as much at
-equal error (DESIGN.md, "Clouds"). So the cloud field is traced by `volpath` on its own, over bare ground, twice:
+equal error (ADR 0003). So the cloud field is traced by `volpath` on its own, over bare ground, twice:
 into an environment map at the camera's foot, which then lights the plants, and into the pixels that see the sky. The
 sun reaches the plants through a transmittance map: a partly transparent sheet at the clouds' base, which leaves the
 sun's disc, and so the penumbrae under the canopy, as they are.
@@ -9,19 +9,29 @@ sun's disc, and so the penumbrae under the canopy, as they are.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.atmosphere.grid import CloudGrid
-from forestgen.render.build import sky_emitter, sun_direction
 from forestgen.render.denoise import denoise
+from forestgen.render.light import envmap, has_sun, sky_light, sun_beam
+from forestgen.render.settings import CLOUD_DEPTH, CLOUD_ROULETTE_DEPTH, SAMPLER
+from forestgen.render.sky_radiance import sky_map, sun_irradiance
 from forestgen.render.tracing import interruptible
 from forestgen.render.variant import BLOCK_PX, mitsuba
-from forestgen.scene.spec import SceneSpec
+from forestgen.scene.channels import RGB, Channels
+from forestgen.scene.spec import SceneSpec, Sky
 
-CLOUD_INTEGRATOR: dict[str, Any] = {"type": "volpath", "max_depth": 64, "rr_depth": 64, "block_size": BLOCK_PX}
+CLOUD_INTEGRATOR: dict[str, Any] = {
+    "type": "volpath",
+    "max_depth": CLOUD_DEPTH,
+    "rr_depth": CLOUD_ROULETTE_DEPTH,
+    "block_size": BLOCK_PX,
+}
+_BAKED_NM = (360.0, 430.0, 500.0, 570.0, 640.0, 720.0)
 _GROUND_HALF_M = 200_000.0
 
 
@@ -44,13 +54,13 @@ def cloud_volume(clouds: CloudGrid, origin_m: NDArray[np.float64]) -> dict[str, 
     }
 
 
-def clouds_over_ground(spec: SceneSpec, origin_m: NDArray[np.float64], emitter: dict[str, Any]) -> dict[str, Any]:
+def clouds_over_ground(spec: SceneSpec, origin_m: NDArray[np.float64], lights: dict[str, Any]) -> dict[str, Any]:
     """Clouds over a plain of the region's albedo, below every valley and the camera, without a plant."""
     mi = mitsuba()
     lowest_m = min(0.0, float(spec.terrain.mesh.vertices_m[:, 2].min() - origin_m[2]), -1.0)
     ground = mi.ScalarTransform4f().translate([0.0, 0.0, lowest_m]).scale([_GROUND_HALF_M, _GROUND_HALF_M, 1.0])
     scene: dict[str, Any] = {
-        "emitter": emitter,
+        **lights,
         "ground": {
             "type": "rectangle",
             "to_world": ground,
@@ -62,22 +72,78 @@ def clouds_over_ground(spec: SceneSpec, origin_m: NDArray[np.float64], emitter: 
     return scene
 
 
-def bake_sky(spec: SceneSpec, origin_m: NDArray[np.float64], *, seed: int, size: int = 32, samples: int = 16) -> Any:
+def bake_sky(
+    spec: SceneSpec, origin_m: NDArray[np.float64], channels: Channels, *, seed: int, size: int = 32, samples: int = 16
+) -> dict[str, Any]:
     """The sky without the sun's disc, seen from the origin, as an `envmap` dictionary.
 
     Five faces of a cube (all but the ground) are traced, denoised and looked up by direction. Below the horizon the
     map is black: the terrain reaches the horizon, and no light sample is wasted on it. The sun lights
     the clouds as a direction here, so that its disc is not in the map; the plants meet the disc itself.
     """
+    lights = {"sky": sky_light(spec.sky, channels)}
+    if has_sun(spec.sky):
+        lights["sun"] = sun_beam(spec.sky, channels)
+    return envmap(_bake(spec, origin_m, lights, seed, size, samples))
+
+
+@dataclass(frozen=True)
+class SpectralBake:
+    """What `bake_sky` gives, for any wavelengths at once.
+
+    Clouds and the plain below them are grey here. So the light of the sun comes through the same at all wavelengths,
+    and that of the sky differs only by how it spreads over the sky: of the light on a level plane, the share by
+    direction is baked at six wavelengths, and changes in a straight line between them.
+    """
+
+    sky: Sky
+    of_sky: NDArray[np.float32]  # (6, rows, columns), 1/sr
+    of_sun: NDArray[np.float32]  # (rows, columns), 1/sr, for the sun's light on a plane that faces it
+
+    def light(self, channels: Channels) -> dict[str, Any]:
+        """An `envmap` dictionary for three wavelengths."""
+        assert channels.wavelength_nm is not None
+        level = level_irradiance(sky_map(self.sky, channels))
+        facing = sun_irradiance(self.sky, channels)
+        result = np.empty((*self.of_sun.shape, 3), dtype=np.float32)
+        for k, wavelength in enumerate(channels.wavelength_nm):
+            share = np.array([np.interp(wavelength, _BAKED_NM, one) for one in np.eye(len(_BAKED_NM))])
+            result[..., k] = level[k] * np.tensordot(share, self.of_sky, 1) + facing[k] * self.of_sun
+        return envmap(result)
+
+
+def bake_spectral_sky(
+    spec: SceneSpec, origin_m: NDArray[np.float64], *, seed: int, size: int = 32, samples: int = 16
+) -> SpectralBake:
+    """As `bake_sky`, once for all passes."""
+    shares = []
+    for first in range(0, len(_BAKED_NM), 3):
+        short, middle, long = _BAKED_NM[first : first + 3]
+        channels = Channels((short, middle, long))
+        lights = {"sky": sky_light(spec.sky, channels)}
+        level = level_irradiance(sky_map(spec.sky, channels))
+        shares.append(_bake(spec, origin_m, lights, seed + 16 * first, size, samples) / np.maximum(level, 1e-30))
+    of_sky = np.moveaxis(np.concatenate(shares, axis=-1), -1, 0).astype(np.float32)
+    of_sun = np.zeros(of_sky.shape[1:], dtype=np.float32)
+    if has_sun(spec.sky):
+        beam = sun_beam(spec.sky, RGB) | {"irradiance": {"type": "rgb", "value": [1.0, 1.0, 1.0]}}
+        of_sun = _bake(spec, origin_m, {"sun": beam}, seed + 7, size, samples).mean(axis=-1)
+    return SpectralBake(spec.sky, of_sky, of_sun)
+
+
+def level_irradiance(radiance: NDArray[np.float32]) -> NDArray[np.float64]:
+    """(3,) light of a `sky_map` on a level plane."""
+    rows, columns = radiance.shape[:2]
+    theta = np.arange(rows) / (rows - 1) * np.pi
+    weight = np.maximum(np.cos(theta), 0.0) * np.sin(theta) * (np.pi / (rows - 1)) * (2 * np.pi / columns)
+    return np.asarray(np.einsum("rck,r->k", radiance.astype(np.float64), weight))
+
+
+def _bake(
+    spec: SceneSpec, origin_m: NDArray[np.float64], lights: dict[str, Any], seed: int, size: int, samples: int
+) -> NDArray[np.float32]:
     mi = mitsuba()
-    scene_dict = clouds_over_ground(spec, origin_m, sky_emitter(spec, sun=False, sky=True))
-    irradiance = sun_irradiance(spec)
-    scene_dict["sun"] = {
-        "type": "directional",
-        "direction": [-float(x) for x in sun_direction(spec)],
-        "irradiance": {"type": "rgb", "value": [float(x) for x in irradiance]},
-    }
-    scene = mi.load_dict({"type": "scene", **scene_dict})
+    scene = mi.load_dict({"type": "scene", **clouds_over_ground(spec, origin_m, lights)})
     integrator = mi.load_dict(CLOUD_INTEGRATOR)
     faces = {}
     for number, (name, (forward, up)) in enumerate(_FACES.items()):
@@ -89,12 +155,12 @@ def bake_sky(spec: SceneSpec, origin_m: NDArray[np.float64], *, seed: int, size:
                 "fov": 90.0,
                 "to_world": mi.ScalarTransform4f().look_at([0, 0, 0], forward, up),
                 "film": film,
-                "sampler": {"type": "multijitter", "sample_count": samples},
+                "sampler": {"type": SAMPLER, "sample_count": samples},
             }
         )
         noisy = interruptible(integrator, scene, sensor, seed + number, samples)
         faces[name] = denoise(np.ascontiguousarray(noisy[..., :3]))
-    return envmap(_equirectangular(faces, 4 * size, 2 * size))
+    return _equirectangular(faces, 4 * size, 2 * size)
 
 
 _FACES = {
@@ -134,44 +200,6 @@ def _equirectangular(faces: dict[str, NDArray[np.float32]], width: int, height: 
     return image
 
 
-def envmap(image: NDArray[np.float32]) -> dict[str, Any]:
-    """An `envmap` dictionary of an equirectangular image by azimuth from x over y and zenith angle from z."""
-    mi = mitsuba()
-    # Mitsuba's map is y-up: its direction for (u, v) is (sin(2 pi u) sin(pi v), cos(pi v), -cos(2 pi u) sin(pi v)).
-    # Rotating y to z by 90 degrees about x turns that into azimuth 90 degrees - 2 pi u, measured from x over y.
-    columns = image.shape[1]
-    turned = np.roll(image[:, ::-1], columns // 4, axis=1)
-    return {
-        "type": "envmap",
-        "bitmap": mi.Bitmap(np.ascontiguousarray(turned)),
-        "to_world": mi.ScalarTransform4f().rotate([1, 0, 0], 90),
-    }
-
-
-def sun_irradiance(spec: SceneSpec) -> NDArray[np.float64]:
-    """(3,) irradiance of the bare sun on a surface that faces it: its radiance integrated over the disc."""
-    mi = mitsuba()
-    scene = mi.load_dict({"type": "scene", "sky": sky_emitter(spec, sun=True, sky=False)})
-    axis = sun_direction(spec)
-    helper = np.array([1.0, 0, 0]) if abs(axis[0]) < 0.9 else np.array([0, 1.0, 0])
-    a = np.cross(axis, helper)
-    a /= np.linalg.norm(a)
-    b = np.cross(axis, a)
-    edge = np.radians(0.30)  # past the disc's rim
-    rings, spokes = 96, 24
-    radius = (np.arange(rings) + 0.5) / rings * edge
-    total = np.zeros(3)
-    emitter = scene.environment()
-    for r in radius:
-        for angle in (np.arange(spokes) + 0.5) / spokes * 2 * np.pi:
-            direction = axis * np.cos(r) + np.sin(r) * (np.cos(angle) * a + np.sin(angle) * b)
-            interaction = mi.SurfaceInteraction3f()
-            interaction.wi = mi.Vector3f(*[float(-x) for x in direction])
-            value = np.array(emitter.eval(interaction))
-            total += value * np.sin(r) * (edge / rings) * (2 * np.pi / spokes)
-    return total
-
-
 def sun_transmittance(clouds: CloudGrid, direction: NDArray[np.float64]) -> NDArray[np.float64]:
     """(Y, X) share of the sun's light that comes through to each cell of the clouds' base.
 
@@ -198,7 +226,7 @@ def sun_sheet(spec: SceneSpec, origin_m: NDArray[np.float64]) -> dict[str, Any]:
     """The partly transparent sheet at the clouds' base that the sun shines through."""
     mi = mitsuba()
     assert spec.clouds is not None
-    opacity = 1.0 - sun_transmittance(spec.clouds, sun_direction(spec))
+    opacity = 1.0 - sun_transmittance(spec.clouds, spec.sky.to_sun)
     low, high = np.asarray(spec.clouds.low_m) - origin_m, np.asarray(spec.clouds.high_m) - origin_m
     centre, half = (low + high) / 2, (high - low) / 2
     place = mi.ScalarTransform4f().translate([centre[0], centre[1], low[2]]).scale([half[0], half[1], 1.0])

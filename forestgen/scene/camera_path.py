@@ -1,47 +1,97 @@
-"""A recipe's cameras in the world: one for each image, all along their paths."""
+"""A recipe's cameras in the world: one for each image, all along their paths and rigs."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from forestgen.core.frames import look_at
+from forestgen.core.spectrum import Band
 from forestgen.recipe.cameras import Camera as CameraSection
-from forestgen.scene.spec import Camera
+from forestgen.recipe.cameras import SensorFile
+from forestgen.recipe.rigs import Orbit, Stereo, Walk
+from forestgen.scene.exposure import exposure_of
+from forestgen.scene.rigs import poses_of
+from forestgen.scene.spec import Camera, Lens
 from forestgen.scene.terrain import HeightField
+from forestgen.scene.trunks import Trunks
+
+Floats = NDArray[np.float64]
+NO_BANDS: Mapping[SensorFile, tuple[Band, ...]] = {}
 
 
-def place_cameras(sections: Sequence[CameraSection], height: HeightField) -> tuple[Camera, ...]:
-    """The cameras of all images, in the recipe's order, a path's frames in the order of time."""
-    return tuple(camera for section in sections for camera in expand(section, height))
+def place_cameras(
+    sections: Sequence[CameraSection],
+    height: HeightField,
+    trunks: Trunks | None = None,
+    bands: Mapping[SensorFile, tuple[Band, ...]] = NO_BANDS,
+) -> tuple[Camera, ...]:
+    """The cameras of all images, in the recipe's order, a path's frames in the order of time.
+
+    Parameters
+    ----------
+    trunks : that walks go around; without them they go straight.
+    bands : of the sensors that cameras name.
+    """
+    return tuple(camera for section in sections for camera in expand(section, height, trunks, bands))
 
 
-def expand(section: CameraSection, height: HeightField) -> list[Camera]:
-    """A recipe's camera in the world: one, or one a frame of its path.
+def expand(
+    section: CameraSection,
+    height: HeightField,
+    trunks: Trunks | None = None,
+    bands: Mapping[SensorFile, tuple[Band, ...]] = NO_BANDS,
+) -> list[Camera]:
+    """A recipe's camera in the world: one, or one a frame of its path or rig.
 
     Points of a path are counted as the camera's own: where z is a height above ground, each frame's position and
     look-at point are lifted by the ground under them, so that a camera walks over a hill and not through it.
     """
-    points = np.array([section.positions_m, section.looks_at_m], dtype=np.float64)  # (2, frames, 3)
-    if section.height_above_ground:
-        points[..., 2] += height(points[..., 0], points[..., 1])
-    path = section.path
+    poses = poses_of(section, height, trunks)
+    stereo = section.rig if isinstance(section.rig, Stereo) else None
+    sides = (0.0,) if stereo is None else (-stereo.baseline_m / 2, stereo.baseline_m / 2)
+    names = section.frame_names
+    lens = section.lens_mm
     cameras = []
-    for index, name in enumerate(section.frame_names):
-        x, y, z = (float(value) for value in points[0, index])
-        cameras.append(
-            Camera(
-                name=name,
-                position_m=(x, y, z),
-                world_from_camera=look_at(points[0, index], points[1, index]),
-                size_px=section.size_px,
-                hfov_deg=section.hfov_deg,
-                sequence=None if path is None else section.name,
-                time_s=0.0 if path is None else index / path.frames_per_s,
+    for index, (position, target, time_s) in enumerate(
+        zip(poses.position_m, poses.target_m, poses.time_s, strict=True)
+    ):
+        axes = _axes(section, position, target)
+        for side, shift_m in enumerate(sides):
+            x, y, z = (float(value) for value in (position + shift_m * axes[:, 0] if stereo else position))
+            cameras.append(
+                Camera(
+                    name=names[index * len(sides) + side],
+                    position_m=(x, y, z),
+                    world_from_camera=axes,
+                    size_px=section.size_px,
+                    hfov_deg=section.field_of_view_deg,
+                    sequence=_sequence(section, side),
+                    time_s=float(time_s),
+                    projection=section.kind,
+                    width_m=section.width_m or 0.0,
+                    lens=None if lens is None or section.focus_m is None else Lens(lens[0] / 1000, section.focus_m),
+                    bands=() if section.bands is None else bands.get(section.bands, ()),
+                    exposure=exposure_of(section.exposure),
+                )
             )
-        )
     return cameras
+
+
+def _axes(section: CameraSection, position_m: Floats, target_m: Floats) -> Floats:
+    """A panorama is level, whatever it looks at."""
+    target = np.array([target_m[0], target_m[1], position_m[2]]) if section.kind == "panorama" else target_m
+    return look_at(position_m.tolist(), target.tolist())
+
+
+def _sequence(section: CameraSection, side: int) -> str | None:
+    """Name of the images that follow each other in time; None for stills."""
+    if isinstance(section.rig, Stereo):
+        return None if section.path is None else f"{section.name}-{('left', 'right')[side]}"
+    timed = isinstance(section.rig, Walk) or (isinstance(section.rig, Orbit) and section.rig.frames_per_s is not None)
+    return section.name if timed or section.path is not None else None
 
 
 def next_frame(cameras: Sequence[Camera], camera: Camera) -> Camera | None:

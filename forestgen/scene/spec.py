@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.atmosphere.grid import CloudGrid
+from forestgen.core.spectrum import Band, Spectrum
 from forestgen.geometry.mesh import Mesh
 from forestgen.plants.bark.texture import SurfaceTexture
 from forestgen.plants.exemplar import Exemplar
+from forestgen.scene.exposure import Exposure
 
 
 @dataclass(frozen=True)
@@ -20,8 +23,11 @@ class Material:
 
     reflectance: tuple[float, float, float]
     transmittance: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    roughness: float = 0.5  # of the gloss, for mesh files; the renderer's surfaces have none
+    roughness: float = 0.5  # of the gloss
     texture: SurfaceTexture | None = None  # of an opaque surface with uv; its mean colour is the reflectance
+    gloss: float = 0.0  # share of light that a leaf's skin mirrors, part of the reflectance; see render/gloss.py
+    reflectance_spectrum: Spectrum | None = None  # of which the reflectance is the colour; None: the colour is all
+    transmittance_spectrum: Spectrum | None = None
 
 
 @dataclass(frozen=True)
@@ -54,33 +60,68 @@ class Terrain:
     texture: NDArray[np.float32]  # (H, W, 3) linear Rec. 709 reflectance; row 0 is v = 0
     far_share: NDArray[np.float32]  # (V,) by vertex: 0 on the site, 1 in the distance
     far_reflectance: tuple[float, float, float] = (0.034, 0.050, 0.021)  # woods and meadows seen from afar
+    spectrum: Spectrum | None = None  # of the texture's mean colour; None: the colour is all
+    far_spectrum: Spectrum | None = None
+
+    @property
+    def mean_colour(self) -> tuple[float, float, float]:
+        """Mean of the texture, linear Rec. 709."""
+        red, green, blue = (float(value) for value in self.texture.mean(axis=(0, 1), dtype=np.float64))
+        return red, green, blue
 
 
 @dataclass(frozen=True)
 class Sky:
-    """Sun and clear sky by direction and turbidity."""
+    """Sun and sky by direction, haze and kind; atmosphere/daylight.py has their spectra."""
 
     sun_elevation_deg: float
     sun_azimuth_deg: float  # clockwise from north (y), so east (x) is 90
     turbidity: float
     ground_albedo: float = 0.2
+    kind: Literal["clear", "overcast"] = "clear"  # an overcast sky has no sun
+    altitude_m: float = 0.0  # above sea level
+    sun_distance_au: float = 1.0  # from the earth
+    precipitable_water_mm: float = 14.16
+    ozone_du: float = 344.0  # Dobson units
+
+    @property
+    def to_sun(self) -> NDArray[np.float64]:
+        """(3,) unit vector from the site to the sun, world."""
+        elevation, azimuth = np.radians([self.sun_elevation_deg, self.sun_azimuth_deg])
+        return np.array([np.cos(elevation) * np.sin(azimuth), np.cos(elevation) * np.cos(azimuth), np.sin(elevation)])
+
+
+@dataclass(frozen=True)
+class Lens:
+    """A thin lens: what lies off the plane of focus is blurred. Labels are those of the same rays through it."""
+
+    aperture_radius_m: float
+    focus_m: float  # distance of the plane of focus along the camera's axis
+
+
+Projection = Literal["perspective", "orthographic", "fisheye", "panorama"]
 
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole camera. OpenCV axes: x right, y down, z forward; pixel centres at +0.5."""
+    """A camera. OpenCV axes: x right, y down, z forward; pixel centres at +0.5. scene/projection.py has its rays."""
 
     name: str
     position_m: tuple[float, float, float]
     world_from_camera: NDArray[np.float64]  # (3, 3) rotation; columns are the camera's axes in the world
     size_px: tuple[int, int]  # width, height
-    hfov_deg: float
+    hfov_deg: float  # perspective, fisheye: across the width; unused by the others
     sequence: str | None = None  # cameras of one name are the frames of a path, in their order
     time_s: float = 0.0  # in its sequence; plants stand as the wind holds them then
+    projection: Projection = "perspective"
+    width_m: float = 0.0  # orthographic: of the image, in the world
+    lens: Lens | None = None  # perspective: None is a pinhole
+    bands: tuple[Band, ...] = ()  # what its sensor answers to; none: colour, linear Rec. 709
+    exposure: Exposure | None = None  # for a raw-like image beside the linear one
 
     @property
     def focal_px(self) -> float:
-        """Focal length in pixels, the same along x and y: pixels are square."""
+        """Focal length in pixels, the same along x and y: pixels are square. Of a perspective camera."""
         return self.size_px[0] / 2.0 / float(np.tan(np.radians(self.hfov_deg) / 2.0))
 
     @property

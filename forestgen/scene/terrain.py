@@ -11,7 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.core.spectrum import Spectrum
 from forestgen.geometry.mesh import Mesh
+from forestgen.plants.bark.texture import with_mean
+from forestgen.recipe.spectra import load_spectra
+from forestgen.scene.colour import colours_of_surface
 from forestgen.scene.spec import Terrain
 
 HORIZON_M = 200_000.0  # from 300 m up, a flat earth ends 0.1 degrees below the horizon
@@ -21,6 +25,7 @@ _SITE_CELL_M = 0.75
 TEXTURE_TILE_M = 24.0
 _TEXTURE_PX = 1536
 _LEAVES_PER_M2 = 260
+SNOW_AFAR = 0.4  # share of woods and meadows that lies under snow
 _AT_ONCE = 8192  # points whose height is asked for: their numbers stay in the processor's cache
 
 
@@ -197,9 +202,52 @@ def litter_texture(rng: np.random.Generator) -> NDArray[np.float32]:
     return np.clip(litter + bare * (moss - litter), 0.012, 0.6).astype(np.float32)
 
 
-def build_terrain(height: HeightField, rng: np.random.Generator) -> Terrain:
-    """Ground of a site: litter on it and around it, woods and meadows beyond."""
+_UNEVENNESS = {  # of a ground's brightness: in patches of metres, in grains of centimetres
+    "soil_dry": (0.10, 0.16),
+    "soil_wet": (0.16, 0.20),
+    "grass": (0.14, 0.30),
+    "rock": (0.20, 0.12),
+    "sand": (0.04, 0.08),
+    "snow": (0.004, 0.002),
+}
+
+
+def uneven_texture(ground: str, rng: np.random.Generator) -> NDArray[np.float32]:
+    """(P, P, 3) brightness of a ground without a pattern of its own, periodic, about 1."""
+    patches, grains = _UNEVENNESS[ground]
+    tone = 1 + patches * _tile_noise(6.0, 0.25, 2.4, rng) + grains * _tile_noise(0.25, 0.032, 0.5, rng)
+    return np.repeat(np.clip(tone, 0.2, 2.0).astype(np.float32)[..., None], 3, axis=2)
+
+
+def build_terrain(height: HeightField, rng: np.random.Generator, ground: str = "litter") -> Terrain:
+    """Ground of a site: `ground` on it and around it, woods and meadows beyond; colours are those of the spectra.
+
+    Parameters
+    ----------
+    ground : a table of scenes/spectra/ground; leaf litter shows its leaves, the others are uneven.
+    """
     mesh = terrain_mesh(height)
     x, y = mesh.vertices_m[:, 0].astype(np.float64), mesh.vertices_m[:, 1].astype(np.float64)
     far = _smooth((height.distance_m(x, y) - 30.0) / 120.0)
-    return Terrain(mesh=mesh, texture=litter_texture(rng), far_share=far.astype(np.float32))
+    spectrum, far_spectrum = _reflectance(f"ground/{ground}"), _reflectance("ground/far")
+    if ground == "snow":
+        far_spectrum = _mixed(far_spectrum, spectrum, SNOW_AFAR)
+    colour, _ = colours_of_surface(spectrum, None)
+    return Terrain(
+        mesh=mesh,
+        texture=with_mean(litter_texture(rng) if ground == "litter" else uneven_texture(ground, rng), colour),
+        far_share=far.astype(np.float32),
+        far_reflectance=colours_of_surface(far_spectrum, None)[0],
+        spectrum=spectrum,
+        far_spectrum=far_spectrum,
+    )
+
+
+def _reflectance(name: str) -> Spectrum:
+    return load_spectra(name)["reflectance"]
+
+
+def _mixed(one: Spectrum, other: Spectrum, share: float) -> Spectrum:
+    """A spectrum with a share of another in it."""
+    grid = np.union1d(one.wavelength_nm, other.wavelength_nm)
+    return Spectrum(grid, (1 - share) * one.at(grid) + share * other.at(grid))

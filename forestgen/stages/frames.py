@@ -15,10 +15,14 @@ from forestgen.core.timing import Timings
 from forestgen.labels.motion import motion_px
 from forestgen.recipe.schema import Recipe
 from forestgen.render.amodal import trace_amodal
-from forestgen.render.denoise import denoise
+from forestgen.render.denoise import denoise, denoise_bands
 from forestgen.render.frame import Amodal, Frame, Identity, Radiance, Surface
-from forestgen.render.identity import SceneTracer, trace_identity
+from forestgen.render.identity import SceneTracer, trace_guides, trace_identity
+from forestgen.render.noise import Until
 from forestgen.render.radiance import render_radiance
+from forestgen.render.unfinished import unfinished
+from forestgen.render.views import Shot
+from forestgen.scene.projection import world_rays
 from forestgen.scene.spec import Camera, SceneSpec
 
 View = tuple[Camera, SceneSpec]
@@ -32,14 +36,16 @@ def render_frame(
     progress: Progress,
     timings: Timings,
     following: View | None = None,
+    key: str | None = None,
 ) -> Frame:
-    """Identity first, since it tells where the sky is and guides the denoiser; then radiance and the other labels.
+    """Identity first, since it tells where the sky is; then radiance and the other labels.
 
     Parameters
     ----------
     tracer : of the scene as it is at the camera's time.
     seed : of the image.
     following : the sequence's next camera and the scene as it is then, for motion.
+    key : hash of the drawn recipe, by which an interrupted image finds what was done; None: it begins anew.
     """
     with progress.stage(f"identity {camera.name}", camera.size_px[1]) as advance:
         identity, surface = trace_identity(
@@ -48,7 +54,7 @@ def render_frame(
     channels = recipe.labels.channels
     return Frame(
         camera=camera,
-        radiance=_radiance(tracer.spec, camera, recipe, seed, identity, progress, timings),
+        radiance=_radiance(tracer, camera, recipe, seed, identity, progress, timings, key),
         identity=identity,
         surface=surface,
         amodal=_amodal(tracer, camera, identity, progress, timings) if "amodal" in channels else None,
@@ -58,34 +64,54 @@ def render_frame(
 
 
 def _radiance(
-    spec: SceneSpec,
+    tracer: SceneTracer,
     camera: Camera,
     recipe: Recipe,
     seed: int,
     identity: Identity,
     progress: Progress,
     timings: Timings,
+    key: str | None,
 ) -> Radiance:
     """With its denoised copy where that is asked for."""
     from scipy.ndimage import binary_dilation
 
     # A sliver of sky may lie between samples: neighbours of pixels that see the sky may see it too.
     may_see_sky = binary_dilation((identity.part == Part.NOTHING).any(axis=2), iterations=2)
-    radiance = render_radiance(
-        spec,
-        camera,
-        samples=recipe.render.samples,
-        max_depth=recipe.render.max_depth,
+    settings = recipe.render
+    shot = Shot(
+        spec=tracer.spec,
+        camera=camera,
+        until=Until(
+            samples=settings.samples,
+            target_error=settings.target_error,
+            target_error_p95=settings.target_error_p95,
+            time_budget_s=settings.time_budget_s,
+            most_samples=settings.most_samples,
+        ),
         seed=child_seed(seed, "radiance", camera.name),
-        progress=progress,
+        mode=settings.mode,
+        max_depth=settings.max_depth,
         sky_share=may_see_sky,
-        timer=timings,
     )
-    if recipe.render.denoise:
+    kept = None if key is None else unfinished(key, seed, camera.name)
+    radiance = render_radiance(shot, progress=progress, timer=timings, kept=kept)
+    if settings.denoise:
+        guides = trace_guides(tracer, camera, timer=timings)
         with timings("denoise"):
-            clean = denoise(radiance.mean, identity.albedo, identity.mean_normal)
+            clean = (denoise_bands if radiance.bands else denoise)(radiance.mean, guides.colour, guides.normal)
         radiance = replace(radiance, denoised=clean)
     return radiance
+
+
+def noise_notes(radiance: Radiance, name: str) -> list[str]:
+    """What people should know of an image that did not reach its target, or whose bytes came from the clock."""
+    about = f"{radiance.samples} samples, relative error {radiance.relative_error:.3g}"
+    if radiance.stopped_by == "time_budget_s":
+        return [f"{name}: render.time_budget_s ended it at {about}; another run may end it elsewhere"]
+    if radiance.stopped_by == "most_samples":
+        return [f"{name}: render.most_samples ended it at {about}, above its target"]
+    return []
 
 
 def _amodal(tracer: SceneTracer, camera: Camera, identity: Identity, progress: Progress, timings: Timings) -> Amodal:
@@ -102,8 +128,9 @@ def _cloud_opacity(spec: SceneSpec, camera: Camera, surface: Surface, timings: T
     if spec.clouds is None:
         return np.zeros(surface.distance_m.shape, dtype=np.float32)
     with timings("cloud opacity"):
+        rays = world_rays(camera)
         return cloud_opacity(
-            spec.clouds, camera.position_m, camera.world_from_camera, camera.focal_px, surface.distance_m
+            spec.clouds, rays.origin_m, rays.direction, np.where(rays.valid, surface.distance_m, np.float32(0))
         )
 
 

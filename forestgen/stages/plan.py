@@ -27,6 +27,8 @@ from forestgen.recipe.load import DrawnRecipe, LoadedRecipe
 from forestgen.recipe.species import Species
 from forestgen.scene.exemplars import check_traits
 from forestgen.stages.ground import community_site
+from forestgen.stages.sky import check_sun
+from forestgen.stages.views import below_ground, check_above_ground, drawn_cameras
 
 _MOST_OPTICAL_DEPTH = 1000
 # Kept free for the operating system and for what no estimate sees.
@@ -92,7 +94,9 @@ def make_plan(drawn: DrawnRecipe) -> Plan:
         generator = GENERATORS.load(species.plant.generator, where=drawn.where(*keys, "generator"))
         plant = drawn.parse(generator.Parameters, species.plant.parameters, keys)
         generators[name] = with_bark_tiles(plant, species.materials)
+    check_above_ground(drawn)
     _check_clouds(drawn)
+    check_sun(drawn)
     parameters = drawn.parse(model.Parameters, community.parameters, ("community",))
     _check_named_species(drawn, parameters)
     _check_disturbances(drawn, parameters)
@@ -123,16 +127,8 @@ def why_barren(plan: Plan) -> str | None:
 
 
 def views_below_ground(plan: Plan) -> list[str]:
-    """Names of the cameras, or frames of a path, that stand below the ground, as far as the recipe alone tells."""
-    recipe = plan.drawn.recipe
-    flat = recipe.site.terrain.kind == "flat"
-    return [
-        name
-        for camera in recipe.cameras
-        if flat or camera.height_above_ground
-        for name, position_m in zip(camera.frame_names, camera.positions_m, strict=True)
-        if position_m[2] < 0
-    ]
+    """Names of the cameras, or frames of a path, that stand below the ground, of those that may."""
+    return [camera.name for _, camera, _ in below_ground(plan.drawn)]
 
 
 def _check_named_species(drawn: DrawnRecipe, parameters: CommunityParameters) -> None:
@@ -199,13 +195,14 @@ def _check_clouds(drawn: DrawnRecipe) -> None:
             expected=f"extinction_per_m x thickness_m of at most {_MOST_OPTICAL_DEPTH}; thunderclouds have hundreds",
             got=f"{clouds.extinction_per_m:g} x {clouds.thickness_m:g} = {depth:g}",
         )
-    for index, camera in enumerate(drawn.recipe.cameras):
-        highest_m = max(position_m[2] for position_m in camera.positions_m)
+    for index, (section, cameras) in enumerate(zip(drawn.recipe.cameras, drawn_cameras(drawn), strict=True)):
+        highest_m = max(camera.position_m[2] for camera in cameras)
         if highest_m >= clouds.base_m:
-            path = ("path",) if camera.position_m[2] < clouds.base_m else ()
+            later = section.path is not None and cameras[0].position_m[2] < clouds.base_m
+            key = ("rig",) if section.position_m is None else ("path", "position_m") if later else ("position_m",)
             raise RecipeError(
                 "the camera stands in or above the clouds",
-                where=drawn.where("cameras", index, *path, "position_m"),
+                where=drawn.where("cameras", index, *key),
                 expected=f"a height below sky.clouds.base_m = {clouds.base_m:g} m",
                 got=f"{highest_m:g} m",
                 hint="lower the camera, raise base_m, or set sky.clouds to none",

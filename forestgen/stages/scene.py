@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 
@@ -15,7 +15,6 @@ from forestgen.community.population import Population
 from forestgen.core.errors import RecipeError
 from forestgen.core.progress import Progress
 from forestgen.core.randomness import child_rng
-from forestgen.plants.bark.texture import bark_texture
 from forestgen.plants.build import size_m
 from forestgen.plants.cache import ExemplarRequest, exemplar_store
 from forestgen.plants.exemplar import Exemplar
@@ -23,9 +22,8 @@ from forestgen.plants.growing import grow_exemplars
 from forestgen.plants.levels import level_for, level_of_index
 from forestgen.plants.registry import GENERATORS
 from forestgen.plants.solids import as_solids
-from forestgen.recipe.species import Species
 from forestgen.scene.assemble import pixel_size_m, place_instances, stand_on
-from forestgen.scene.camera_path import next_frame, place_cameras
+from forestgen.scene.camera_path import next_frame
 from forestgen.scene.exemplars import (
     ExemplarPlan,
     SizeError,
@@ -34,11 +32,15 @@ from forestgen.scene.exemplars import (
     size_errors,
     with_levels,
 )
-from forestgen.scene.spec import Camera, Material, SceneSpec, Sky
+from forestgen.scene.spec import Camera, SceneSpec
 from forestgen.scene.terrain import build_terrain
+from forestgen.scene.trunks import Trunks
 from forestgen.scene.wind import Sway, spec_at, sway_in
 from forestgen.stages.ground import height_field
 from forestgen.stages.plan import Plan
+from forestgen.stages.sky import sky_of
+from forestgen.stages.surfaces import infrared_notes, materials_of
+from forestgen.stages.views import check_trunks, drawn_cameras
 
 MOST_CACHED_IMAGES = 16  # a data set of many images would only wash the cache out
 Timer = Callable[[str], AbstractContextManager[None]]
@@ -52,6 +54,7 @@ class BuiltScene:
     population: Population
     size_errors: list[SizeError]
     sway: Sway | None = None  # of the plants in the wind; None: still air
+    notes: tuple[str, ...] = ()  # on cameras in trunks, and on surfaces whose infrared is unknown
     _posed: dict[float, SceneSpec] = field(default_factory=dict, repr=False, compare=False)  # by time, the last two
 
     def at(self, time_s: float) -> SceneSpec:
@@ -76,27 +79,31 @@ def build_scene(plan: Plan, population: Population, progress: Progress, timer: T
     with timer("scene"):
         height = height_field(plan.drawn)
         population = stand_on(population, height)
-        cameras = place_cameras(recipe.cameras, height)
+        cameras = [camera for entry in drawn_cameras(plan.drawn) for camera in entry]  # walks do not go around yet
     with timer("plants"):
         exemplar_plan = choose_exemplars(plan, population, cameras)
         exemplars = grow_planned(plan, exemplar_plan, progress)
     with timer("scene"):
-        terrain = build_terrain(height, child_rng(seed, "terrain", "colour"))
+        terrain = build_terrain(height, child_rng(seed, "terrain", "colour"), recipe.site.ground)
         albedo = float(np.mean(terrain.far_reflectance))  # of the region, which the sky and the clouds see
-        sun = recipe.sky.sun
+        instances = place_instances(population, exemplar_plan.exemplar_of_plant, exemplars, seed)
+        trunks = Trunks(exemplars, instances)
+        views = drawn_cameras(plan.drawn, trunks)
+        materials = materials_of(plan.drawn.species, recipe.plants.season)
+        notes = [*check_trunks(plan.drawn, views, trunks), *infrared_notes(materials, cameras)]
         spec = SceneSpec(
             exemplars=exemplars,
-            materials=materials_of(plan.drawn.species),
-            instances=place_instances(population, exemplar_plan.exemplar_of_plant, exemplars, seed),
+            materials=materials,
+            instances=instances,
             terrain=terrain,
-            sky=Sky(sun.elevation_deg, sun.azimuth_deg, recipe.sky.turbidity, albedo),
+            sky=sky_of(recipe, albedo),
             clouds=_clouds(plan),
-            cameras=cameras,
+            cameras=tuple(camera for entry in views for camera in entry),
         )
     _check_below_clouds(plan, spec)
     with timer("scene"):
         sway = _sway(plan, spec)
-    return BuiltScene(spec, population, _errors(plan, population, exemplar_plan, exemplars), sway)
+    return BuiltScene(spec, population, _errors(plan, population, exemplar_plan, exemplars), sway, tuple(notes))
 
 
 def _sway(plan: Plan, spec: SceneSpec) -> Sway | None:
@@ -194,20 +201,6 @@ def exemplar_requests(plan: Plan, exemplar_plan: ExemplarPlan) -> list[ExemplarR
             )
         )
     return requests
-
-
-def materials_of(species: Mapping[str, Species]) -> dict[tuple[str, str], Material]:
-    """Materials of all species by (species, material)."""
-    return {
-        (name, key): Material(
-            m.reflectance,
-            m.transmittance,
-            m.roughness,
-            None if m.bark is None else bark_texture(m.bark, m.reflectance, f"{name}/{key}"),
-        )
-        for name, one in species.items()
-        for key, m in one.materials.items()
-    }
 
 
 def _clouds(plan: Plan) -> CloudGrid | None:

@@ -25,8 +25,8 @@ from forestgen.scene.spec import Camera, Material
 from forestgen.stages.light_wood import check_wood_triangles, with_light_wood
 from forestgen.stages.plan import Plan, make_plan
 from forestgen.stages.plant_files import FileSet, check_writable
-from forestgen.stages.scene import materials_of
 from forestgen.stages.studio import Shot, camera_of, photograph
+from forestgen.stages.surfaces import materials_of
 from forestgen.stages.sway import check_sways, sway
 
 PICTURE = ".png"
@@ -217,7 +217,8 @@ def _contents(
     order: Order, number: int, plan: Plan, seed: int, exemplar: Exemplar, camera: Camera, progress: Progress
 ) -> Iterator[tuple[Path, bytes]]:
     """One plant's files."""
-    species, materials = plan.drawn.species[exemplar.species], materials_of(plan.drawn.species)
+    species = plan.drawn.species[exemplar.species]
+    materials = materials_of(plan.drawn.species, plan.drawn.recipe.plants.season)
     model = None
     for path in order.paths(number):
         if path.suffix.lower() == PICTURE:

@@ -26,14 +26,14 @@ from forestgen.geometry.vectors import unit
 from forestgen.plants.exemplar import Exemplar
 from forestgen.recipe.schema import Recipe
 from forestgen.render.identity import SceneTracer
+from forestgen.scene.channels import RGB
 from forestgen.scene.spec import Camera, Instances, Material, SceneSpec, Sky, Terrain
 from forestgen.stages.frames import render_frame
 
 _SKY = Sky(sun_elevation_deg=45.0, sun_azimuth_deg=215.0, turbidity=3.0, ground_albedo=0.3)  # cameras look north
 _NEAR_REFLECTANCE = np.array([0.140, 0.132, 0.098])
-# What a level surface under _SKY must reflect to look like the sky above the northern horizon, linear Rec. 709.
-_HORIZON_REFLECTANCE = (0.412, 0.560, 0.620)
-_EXPOSURE = 4.0  # the same for all plants: a dark spruce stays darker than a birch
+_EXPOSURE = 5.4e-5  # of cd/m², the same for all plants: a dark spruce stays darker than a birch
+_HORIZON_DEG, _HORIZON_WIDTH_DEG = 0.8, 50.0  # the sky above the northern horizon that the ground pales into
 _GROUND_PX = 512
 _GROUND_TILE = 2.0  # side of the ground's texture, in plant sizes
 _PALES_FROM, _PALES_TO = 1.5, 40.0  # plant sizes
@@ -228,7 +228,29 @@ def ground(size_m: float) -> Terrain:
         uv=(vertices[:, :2] / (_GROUND_TILE * size_m)).astype(np.float32),
     )
     share = (pale * pale * (3 - 2 * pale)).astype(np.float32)
-    return Terrain(mesh, _ground_texture(), share, _HORIZON_REFLECTANCE)
+    return Terrain(mesh, _ground_texture(), share, _horizon_reflectance())
+
+
+@cache
+def _horizon_reflectance() -> tuple[float, float, float]:
+    """What a level surface must reflect to look like the sky above the northern horizon, linear Rec. 709."""
+    from forestgen.render.sky import level_irradiance
+    from forestgen.render.sky_radiance import map_directions, sky_map, sun_irradiance
+    from forestgen.render.variant import SCALAR, using
+
+    with using(SCALAR):
+        radiance = sky_map(_SKY, RGB)
+        sun = sun_irradiance(_SKY, RGB) * _SKY.to_sun[2]
+    irradiance = level_irradiance(radiance) + sun
+    directions = map_directions(*radiance.shape[:2])
+    level_row = directions[len(directions) // 2]
+    azimuth_deg = np.degrees(np.arctan2(level_row[:, 0], level_row[:, 1]))
+    north = np.abs(azimuth_deg) < _HORIZON_WIDTH_DEG / 2
+    height_deg = np.degrees(np.arcsin(np.clip(directions[:, 0, 2], -1.0, 1.0)))
+    profile = radiance[:, north].mean(axis=1, dtype=np.float64)
+    level = [float(np.interp(_HORIZON_DEG, height_deg[::-1], profile[::-1, k])) for k in range(3)]
+    red, green, blue = (float(min(np.pi * value / one, 1.0)) for value, one in zip(level, irradiance, strict=True))
+    return red, green, blue
 
 
 @cache

@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 
 from forestgen.core.parts import Part
 from forestgen.geometry.mesh import Mesh
-from forestgen.render.build import load, origin_of, sun_direction, to_mesh
+from forestgen.render.build import load, origin_of, to_mesh
 from forestgen.render.identity import camera_rays, sample_offsets
 from forestgen.render.variant import LLVM, drjit, mitsuba
+from forestgen.scene.projection import lens_points
 from forestgen.scene.spec import Camera, SceneSpec
 
 _RAYS_AT_ONCE = 64
@@ -124,7 +125,7 @@ class Twin:
 
     def __init__(self, spec: SceneSpec, camera: Camera) -> None:
         mi, dr = mitsuba(), drjit()
-        self._camera, self._meshes, self._sun = camera, baked_meshes(spec), sun_direction(spec)
+        self._camera, self._meshes, self._sun = camera, baked_meshes(spec), spec.sky.to_sun
         origin = origin_of(camera)
         shapes = {}
         for number, baked in enumerate(self._meshes):
@@ -144,11 +145,13 @@ class Twin:
         """(H, W, S) hits of the identity pass' rays at (S, 2) sub-pixel positions."""
         mi, dr = mitsuba(), drjit()
         width, height = self._camera.size_px
-        along, direction = camera_rays(self._camera, offset, 0, height)
-        hit = self._scene.ray_intersect_preliminary(mi.Ray3f(mi.Point3f(0.0), direction), coherent=True)
-        depth = dr.select(hit.is_valid(), hit.t * along.z, dr.inf)
-        shape = (height, width, len(offset))
-        valid = np.array(hit.is_valid()).reshape(shape)
+        rays = camera_rays(self._camera, offset, 0, height)
+        start = mi.Point3f(0.0) if rays.shift_m is None else mi.Point3f(rays.shift_m)
+        hit = self._scene.ray_intersect_preliminary(mi.Ray3f(start, rays.direction), coherent=True)
+        found = hit.is_valid() if rays.valid is None else hit.is_valid() & rays.valid
+        depth = dr.select(found, hit.t * rays.depth_share, dr.inf)
+        shape = (height, width, len(np.atleast_2d(offset)))
+        valid = np.array(found).reshape(shape)
         mesh = self._mesh_of_registry[np.array(dr.reinterpret_array(mi.UInt32, hit.shape)).astype(np.int64)]
         mesh, triangle = mesh.reshape(shape), np.array(hit.prim_index).reshape(shape)
 
@@ -162,10 +165,10 @@ class Twin:
             exemplar=of([m.exemplar for m in self._meshes], np.uint32),
             face=np.where(valid, face, 0).astype(np.uint32),
             depth_m=np.array(depth).reshape(shape),
-            sun_visible=valid & self._lit(hit, direction, mesh, triangle).reshape(shape),
+            sun_visible=valid & self._lit(hit, start + hit.t * rays.direction, mesh, triangle).reshape(shape),
         )
 
-    def _lit(self, hit: Any, direction: Any, mesh: NDArray[np.int64], triangle: NDArray[np.uint32]) -> NDArray[Any]:
+    def _lit(self, hit: Any, point: Any, mesh: NDArray[np.int64], triangle: NDArray[np.uint32]) -> NDArray[Any]:
         """Shadow rays from a tenth of a millimetre off the surface, at the sun's side."""
         mi, dr = mitsuba(), drjit()
         normal = np.zeros((mesh.size, 3))
@@ -175,7 +178,7 @@ class Twin:
             corner = self._meshes[number].vertices_m[faces[np.minimum(triangle.ravel()[mine], len(faces) - 1)]]
             normal[mine] = _unit(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]))
         normal *= np.where(normal @ self._sun < 0, -1e-4, 1e-4)[:, None]
-        start = hit.t * direction + mi.Vector3f(np.ascontiguousarray(normal.T))
+        start = point + mi.Vector3f(np.ascontiguousarray(normal.T))
         start = dr.select(hit.is_valid(), start, 0.0)
         to_sun = mi.Vector3f(*[float(x) for x in self._sun])
         return ~np.array(self._scene.ray_test(mi.Ray3f(mi.Point3f(start), to_sun)))
@@ -185,7 +188,7 @@ def trace_twin(spec: SceneSpec, camera: Camera, samples: int) -> TwinSamples:
     """Trace the expanded scene."""
     with mitsuba().variant_context(LLVM):
         twin = Twin(spec, camera)
-        hits, centre = twin.trace(sample_offsets(samples)), twin.trace(np.array([[0.5, 0.5]]))
+        hits, centre = twin.trace(sample_offsets(samples)), twin.trace(np.array([0.5, 0.5]))
     middle = TwinHits(**{name: values[..., 0] for name, values in vars(centre).items()})
     return TwinSamples(hits.plant_id, hits.part, hits.exemplar, hits.face, middle.depth_m, middle)
 
@@ -205,36 +208,64 @@ class Hits:
 
 
 class Oracle:
-    """Brute force: every ray against every triangle, in double precision (Möller and Trumbore 1997)."""
+    """Brute force: every ray against every triangle, in double precision (Möller and Trumbore 1997).
+
+    Points of the image may carry the number of their sample: then a lens' rays go through that sample's point of it,
+    and through its middle without.
+    """
 
     def __init__(self, spec: SceneSpec, camera: Camera) -> None:
-        self._baked, self._camera, self._sun = bake(spec), camera, sun_direction(spec)
+        self._baked, self._camera, self._sun = bake(spec), camera, spec.sky.to_sun
         corner = self._baked.corner_m - np.asarray(camera.position_m)
         self._a, self._e1, self._e2 = corner[:, 0], corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
 
-    def rays(self, x_px: NDArray[np.float64], y_px: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(R, 3) unit directions through points of the image; x right, y down, the first pixel's centre at (.5, .5)."""
+    def rays(
+        self, x_px: NDArray[np.float64], y_px: NDArray[np.float64], number: NDArray[np.integer] | None = None
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+        """Origins (R, 3) from the camera's place, unit directions (R, 3), world, and whether there is such a ray (R,).
+
+        Through points of the image: x right, y down, the first pixel's centre at (.5, .5).
+        """
         camera = self._camera
         width, height = camera.size_px
-        half = np.tan(np.radians(camera.hfov_deg) / 2)
         right, down, forward = camera.world_from_camera.T
-        ray = (
-            forward
-            + ((x_px / width * 2 - 1) * half)[:, None] * right
-            + ((y_px - height / 2) / (width / 2) * half)[:, None] * down
-        )
-        return np.asarray(ray / np.linalg.norm(ray, axis=1, keepdims=True))
+        across, below = ((x_px - width / 2)[:, None], (y_px - height / 2)[:, None])
+        start, valid = np.zeros((len(x_px), 3)), np.ones(len(x_px), dtype=bool)
+        if camera.projection == "orthographic":
+            start = (across * right + below * down) * (camera.width_m / width)
+            return start, np.tile(forward, (len(x_px), 1)), valid
+        if camera.projection == "panorama":
+            turn, tilt = across / width * 2 * np.pi, below / height * np.pi
+            level = np.cos(turn) * forward + np.sin(turn) * right
+            return start, np.cos(tilt) * level + np.sin(tilt) * down, valid
+        if camera.projection == "fisheye":
+            radius = np.sqrt(across**2 + below**2)
+            theta = radius / (width / 2) * np.radians(camera.hfov_deg / 2)
+            aside = (across * right + below * down) / np.maximum(radius, 1e-300)
+            return start, np.cos(theta) * forward + np.sin(theta) * aside, radius[:, 0] <= width / 2
+        half = np.tan(np.radians(camera.hfov_deg) / 2)
+        ray = forward + (across * half * right + below * half * down) / (width / 2)
+        if camera.lens is not None and number is not None:
+            pixel = np.floor([x_px, y_px]).astype(np.int64)
+            disc = lens_points(pixel[0], pixel[1], number) * camera.lens.aperture_radius_m
+            start = disc[:, :1] * right + disc[:, 1:] * down
+            ray = ray * camera.lens.focus_m - start
+        return start, np.asarray(ray / np.linalg.norm(ray, axis=1, keepdims=True)), valid
 
-    def trace(self, x_px: NDArray[np.float64], y_px: NDArray[np.float64]) -> Hits:
+    def trace(
+        self, x_px: NDArray[np.float64], y_px: NDArray[np.float64], number: NDArray[np.integer] | None = None
+    ) -> Hits:
         """O(rays x triangles)."""
-        direction = self.rays(np.ravel(x_px), np.ravel(y_px))
-        parts = [self._nearest(direction[k : k + _RAYS_AT_ONCE]) for k in range(0, len(direction), _RAYS_AT_ONCE)]
-        distance = np.concatenate([d for d, _ in parts])
+        start, direction, exists = self.rays(*_flat(x_px, y_px, number))
+        blocks = [slice(k, k + _RAYS_AT_ONCE) for k in range(0, len(direction), _RAYS_AT_ONCE)]
+        parts = [self._nearest(start[rows], direction[rows]) for rows in blocks]
+        distance = np.where(exists, np.concatenate([d for d, _ in parts]), np.inf)
         face = np.concatenate([f for _, f in parts])
         valid, baked = np.isfinite(distance), self._baked
         normal = _unit(np.cross(self._e1[face], self._e2[face]))
         normal *= -np.sign(np.sum(normal * direction, axis=1, keepdims=True))
-        shading = self._interpolated(direction, distance, face)
+        point = start + direction * np.where(valid, distance, 0.0)[:, None]
+        shading = self._interpolated(point, face)
         shading *= np.where(np.sum(shading * normal, axis=1, keepdims=True) < 0, -1.0, 1.0)
         return Hits(
             plant_id=np.where(valid, baked.plant_id[face], 0).astype(np.uint32),
@@ -247,14 +278,11 @@ class Oracle:
             triangle=face,
         )
 
-    def _interpolated(
-        self, direction: NDArray[np.float64], distance: NDArray[np.float64], face: NDArray[np.intp]
-    ) -> NDArray[np.float64]:
+    def _interpolated(self, point: NDArray[np.float64], face: NDArray[np.intp]) -> NDArray[np.float64]:
         """(R, 3) unit: the corners' normals weighed by the areas of the triangles opposite to them."""
-        point = direction * np.where(np.isfinite(distance), distance, 0.0)[:, None]
         corner = [self._a[face], self._a[face] + self._e1[face], self._a[face] + self._e2[face]]
         whole = np.cross(self._e1[face], self._e2[face])
-        total = np.zeros(direction.shape)
+        total = np.zeros(point.shape)
         for k in range(3):
             opposite = np.cross(corner[(k + 1) % 3] - point, corner[(k + 2) % 3] - point)
             total += np.sum(opposite * whole, axis=1, keepdims=True) * self._baked.normal[face, k]
@@ -264,10 +292,10 @@ class Oracle:
         self, x_px: NDArray[np.float64], y_px: NDArray[np.float64], hits: Hits, start_m: float = 0.0
     ) -> NDArray[np.bool_]:
         """(R,) no other triangle lies between the hits of `trace` and the sun; from `start_m` along the way on."""
-        direction = self.rays(np.ravel(x_px), np.ravel(y_px))
+        start, direction, _ = self.rays(*_flat(x_px, y_px, None))
         found = np.isfinite(hits.distance_m)
         for k in np.flatnonzero(found):
-            away = direction[k] * hits.distance_m[k] - self._a
+            away = start[k] + direction[k] * hits.distance_m[k] - self._a
             p, q = np.cross(self._sun, self._e2), np.cross(away, self._e1)
             det = np.sum(p * self._e1, axis=1)
             with np.errstate(divide="ignore", invalid="ignore"):
@@ -278,15 +306,28 @@ class Oracle:
             found[k] = not meets.any()
         return found
 
-    def _nearest(self, direction: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
-        # With the origin at 0: q = -a x e1 and e2 . q do not depend on the ray, and det = d . (e2 x e1) either sign.
-        q = np.cross(-self._a, self._e1)
-        det = direction @ np.cross(self._e1, self._e2).T * -1.0
+    def _nearest(
+        self, start: NDArray[np.float64], direction: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+        # As matrix products: d . (e2 x (s - a)) = d . (e2 x -a) + e2 . (s x d), and det = d . (e2 x e1), either sign.
+        whole = np.cross(self._e1, self._e2)
+        det = direction @ whole.T * -1.0
+        moment = np.cross(start, direction)
         with np.errstate(divide="ignore", invalid="ignore"):
-            u = direction @ np.cross(self._e2, -self._a).T / det
-            v = direction @ q.T / det
-            t = np.sum(self._e2 * q, axis=1) / det
+            u = (direction @ np.cross(self._e2, -self._a).T + moment @ self._e2.T) / det
+            v = (direction @ np.cross(-self._a, self._e1).T - moment @ self._e1.T) / det
+            t = (start @ whole.T + np.sum(self._e2 * np.cross(-self._a, self._e1), axis=1)) / det
             inside = (det != 0) & (u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0)
         t = np.where(inside, t, np.inf)
         face = np.argmin(t, axis=1)
         return t[np.arange(len(t)), face], face
+
+
+def _flat(
+    x_px: NDArray[np.float64], y_px: NDArray[np.float64], number: NDArray[np.integer] | None
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.integer] | None]:
+    """Points of the image and their numbers, one-dimensional."""
+    if number is None:
+        return np.ravel(x_px), np.ravel(y_px), None
+    x, y, numbers = np.broadcast_arrays(x_px, y_px, number)
+    return x.ravel(), y.ravel(), numbers.ravel()

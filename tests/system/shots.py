@@ -6,11 +6,16 @@ import numpy as np
 
 from forestgen.core.progress import Silent
 from forestgen.core.timing import Timings
-from forestgen.render.build import load, origin_of, sensor_of
+from forestgen.render.build import load, origin_of, scene_dict
 from forestgen.render.frame import Identity, Radiance, Surface
 from forestgen.render.identity import SceneTracer, trace_identity
-from forestgen.render.radiance import render_radiance, scene_dict
+from forestgen.render.noise import Until
+from forestgen.render.radiance import render_radiance
+from forestgen.render.sensors import sensor_of
+from forestgen.render.surfaces import Paints
 from forestgen.render.variant import SCALAR, mitsuba
+from forestgen.render.views import Shot
+from forestgen.render.wavelengths import Mode
 from forestgen.scene.spec import Camera, SceneSpec
 
 
@@ -27,26 +32,18 @@ def identity(spec: SceneSpec, samples: int) -> Identity:
     return seen(spec, samples)[0]
 
 
-def radiance(spec: SceneSpec, samples: int, seed: int, max_depth: int = 64) -> Radiance:
-    """With every pixel taken to see the sky."""
-    width, height = spec.cameras[0].size_px
-    return render_radiance(
-        spec,
-        spec.cameras[0],
-        samples=samples,
-        max_depth=max_depth,
-        seed=seed,
-        progress=Silent(),
-        sky_share=np.ones((height, width), dtype=bool),
-        timer=Timings(),
-    )
+def radiance(spec: SceneSpec, samples: int | Until, seed: int, max_depth: int = 64, mode: Mode = "rgb") -> Radiance:
+    """Of the first camera, with every pixel taken to see the sky."""
+    until = Until(samples) if isinstance(samples, int) else samples
+    shot = Shot(spec, spec.cameras[0], until, seed, mode, max_depth)
+    return render_radiance(shot, progress=Silent(), timer=Timings())
 
 
 def alpha(spec: SceneSpec, samples: int) -> np.ndarray:
     """(H, W) share of the radiance pass' rays that meet the scene."""
     mi = mitsuba()
     with mi.variant_context(SCALAR):
-        scene = load({**scene_dict(spec, origin_of(spec.cameras[0])), "light": {"type": "constant"}})
+        scene = load({**scene_dict(spec, origin_of(spec.cameras[0]), Paints()), "light": {"type": "constant"}})
         integrator = mi.load_dict({"type": "volpath", "max_depth": 2, "hide_emitters": True})
         image = integrator.render(scene, sensor=sensor_of(spec.cameras[0], samples), seed=1, spp=samples)
         return np.array(image)[..., 3].astype(np.float64)

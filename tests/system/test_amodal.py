@@ -120,7 +120,7 @@ def test_the_two_passes_hit_the_same_point_to_the_last_bit(seed):
                 pixel = np.unique(mine // samples)
                 frame = mi.Float(frames[entry - 1])
                 column, row = (pixel % width).astype(np.uint32), (pixel // width).astype(np.uint32)
-                rays = alone_rays(tracer, camera, offsets, frame, np.zeros_like(row), column, row)
+                rays, _ = alone_rays(tracer, camera, offsets, frame, np.zeros_like(row), column, row)
                 scene = scenes[spec.instances.exemplar[entry - 1]]
                 hit = scene.ray_intersect_preliminary(rays, coherent=True)
                 ours = np.stack([np.array(x) for x in (hit.t, hit.prim_uv.x, hit.prim_uv.y)])

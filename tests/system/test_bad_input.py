@@ -272,7 +272,9 @@ def test_an_empty_image_is_a_result_with_a_reason(tmp_path: Path) -> None:
 def test_strange_views_and_skies_are_rendered(tmp_path: Path) -> None:
     recipe = tiny(tmp_path)
     cases = {
-        "cameras.0={position_m: [3, -3, -5], look_at_m: [3, 30, -30], size_px: [48, 27]}": "stands below the ground",
+        "cameras.0={position_m: [3, -3, -5], look_at_m: [3, 30, -30], size_px: [48, 27], obstructed: note}": (
+            "stands below the ground"
+        ),
         "cameras.0.look_at_m=[3,-300,100]": "sees no plant",
         "cameras.0.look_at_m=[3,-3,0]": "",  # straight down
         "cameras.0={position_m: [3, 3, 0.1], look_at_m: [3, 3.01, 0.1], size_px: [48, 27]}": "",

@@ -19,7 +19,20 @@ from ruamel.yaml import YAML
 from forestgen.cli import app, doctor
 
 SPECIES = Path(__file__).parents[2] / "scenes" / "species"
-COMMANDS = ("render", "simulate", "plant", "validate", "schema", "models", "stats", "fit-kernel", "lsystem", "doctor")
+COMMANDS = (
+    "render",
+    "simulate",
+    "plant",
+    "validate",
+    "schema",
+    "models",
+    "stats",
+    "fit-kernel",
+    "lsystem",
+    "calibrate",
+    "light",
+    "doctor",
+)
 HEAVY = (
     "numpy",
     "scipy",

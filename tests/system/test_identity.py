@@ -82,7 +82,7 @@ def test_depth_normal_and_position_are_those_of_pixel_centres(small):
     spec, (_, ours), oracle = small
     column, row = np.meshgrid(np.arange(32) + 0.5, np.arange(18) + 0.5)
     hits = oracle.trace(column, row)
-    direction = oracle.rays(column.ravel(), row.ravel())
+    _, direction, _ = oracle.rays(column.ravel(), row.ravel())
     camera = spec.cameras[0]
     hit = np.isfinite(hits.distance_m).reshape(18, 32)
     assert 0.3 < hit.mean() < 0.98

@@ -57,7 +57,8 @@ def test_a_rendered_data_set_passes(data_set):
     assert report.offences == ()
     assert report.frames == report.checked == 2
     assert all(tally.good == tally.images for tally in report.tallies)
-    assert min(tally.images for tally in report.tallies) >= 1, "a check that looked at nothing"
+    idle = {tally.name for tally in report.tallies if not tally.images}
+    assert idle <= {"circle", "raw"}, "a check that looked at nothing"  # of fisheyes and of exposures
 
 
 CLASSES = {

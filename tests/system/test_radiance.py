@@ -11,9 +11,15 @@ from shots import identity, radiance, seen
 from forestgen.atmosphere.grid import CloudGrid
 from forestgen.core.parts import Part
 from forestgen.render import sky
-from forestgen.render.build import load, origin_of, sensor_of, sky_emitter, sun_direction
-from forestgen.render.radiance import SliceSum, horizon_row, scene_dict, slice_sizes
-from forestgen.render.variant import SCALAR, mitsuba
+from forestgen.render.build import load, origin_of, scene_dict
+from forestgen.render.light import envmap, lights, sky_light, sun_disc
+from forestgen.render.sensors import sensor_of
+from forestgen.render.sky_radiance import sun_irradiance
+from forestgen.render.slices import SliceSum, slice_sizes
+from forestgen.render.surfaces import Paints
+from forestgen.render.variant import SCALAR, mitsuba, using
+from forestgen.render.views import cloud_window, pixels_of, sky_alone
+from forestgen.scene.channels import RGB, Channels
 from forestgen.scene.spec import Instances, SceneSpec, Sky
 from forestgen.testing.scenes import camera_at, plain_ground, scattered_scene
 
@@ -48,11 +54,12 @@ def test_ground_under_the_sun_alone(elevation, azimuth):
     mi = mitsuba()
     with mi.variant_context(SCALAR):
         origin = origin_of(camera)
-        scene = load({**scene_dict(spec, origin), "light": sky_emitter(spec, sun=True, sky=False)})
+        scene = load({**scene_dict(spec, origin, Paints()), "light": sun_disc(spec.sky, RGB)})
         image = mi.load_dict({"type": "path", "max_depth": 2}).render(
             scene, sensor=sensor_of(camera, 64), spp=64, seed=1
         )
-        expected = sky.sun_irradiance(spec) * sun_direction(spec)[2] * 0.2 / np.pi
+        irradiance = sun_irradiance(spec.sky, RGB)
+        expected = irradiance * spec.sky.to_sun[2] * 0.2 / np.pi
         np.testing.assert_allclose(np.array(image)[..., :3].mean(axis=(0, 1)), expected, rtol=0.01)
 
 
@@ -62,7 +69,7 @@ def test_clear_sky_is_the_emitters_own():
     image = radiance(replace(spec, cameras=(camera,)), 64, seed=1)
     mi = mitsuba()
     with mi.variant_context(SCALAR):
-        light = environment(sky_emitter(spec, sun=False, sky=True))
+        light = environment(sky_light(spec.sky, RGB))
         for row, column in ((2, 4), (2, 28), (8, 16)):
             ray = np.array([(column + 0.5 - 16) / camera.focal_px, (row + 0.5 - 9) / camera.focal_px, 1.0])
             direction = camera.world_from_camera @ ray / np.linalg.norm(ray)
@@ -82,7 +89,7 @@ def test_the_equirectangular_map_keeps_directions():
             centre = (np.arange(size) + 0.5) / size
             rays = [[sensor.sample_ray(0, 0, [x, y], [0.5, 0.5])[0].d for x in centre] for y in centre]
             faces[name] = (0.5 + 0.5 * np.array(rays)).astype(np.float32)
-        light = environment(sky.envmap(sky._equirectangular(faces, 4 * size, 2 * size)))
+        light = environment(envmap(sky._equirectangular(faces, 4 * size, 2 * size)))
         rng = np.random.default_rng(0)
         upper = rng.normal(size=(200, 3)) * [1, 1, 0] + [0, 0, 1] * np.abs(rng.normal(size=(200, 1)) + 0.2)
         axes = np.array([[1, 0, 0.06], [-1, 0, 0.06], [0, 1, 0.06], [0, -1, 0.06], [0, 0, 1]])
@@ -97,8 +104,8 @@ def test_the_baked_clear_sky_is_the_sky():
     spec = stand()
     mi = mitsuba()
     with mi.variant_context(SCALAR):
-        baked = environment(sky.bake_sky(spec, origin_of(spec.cameras[0]), seed=3))
-        true = environment(sky_emitter(spec, sun=False, sky=True))
+        baked = environment(sky.bake_sky(spec, origin_of(spec.cameras[0]), RGB, seed=3))
+        true = environment(sky_light(spec.sky, RGB))
         rng = np.random.default_rng(0)
         directions = rng.normal(size=(200, 3))
         directions[:, 2] = np.abs(directions[:, 2]) + 0.1
@@ -106,7 +113,7 @@ def test_the_baked_clear_sky_is_the_sky():
         error = np.array([emitted(baked, d) / emitted(true, d) - 1 for d in directions])
         assert np.abs(error).mean() < 0.03
         assert np.abs(error.mean()) < 0.01
-        toward = sun_direction(spec)
+        toward = spec.sky.to_sun
         assert np.all(emitted(baked, toward) > 2 * emitted(baked, toward * [-1, -1, 1]))
 
 
@@ -144,6 +151,57 @@ def test_three_estimators_under_clouds_of_nothing_are_the_clear_sky():
     assert_regions_agree(spec, radiance(spec, 128, 1), radiance(replace(spec, clouds=empty_clouds()), 128, 2), 0.01)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("projection", ["fisheye", "panorama"])
+def test_cameras_all_around_see_the_same_through_clouds_of_nothing(projection):
+    """Horizon and plain of the cloud pass included: nothing of the plain leaks into the sky."""
+    from scipy.ndimage import binary_dilation
+
+    spec = stand(size_px=(32, 32) if projection == "fisheye" else (48, 24))
+    up = camera_at((15, 15, 1.5), (15, 15.001, 9), spec.cameras[0].size_px, hfov_deg=180.0)
+    level = camera_at((15, 15, 1.5), (15, 25, 1.5), spec.cameras[0].size_px)
+    camera = replace(up if projection == "fisheye" else level, projection=projection)
+    spec = replace(spec, cameras=(camera,))
+    clear, cloudy = radiance(spec, 16, 1), radiance(replace(spec, clouds=empty_clouds()), 16, 2)
+    seen, _, above = pixels_of(camera)
+    outside = ~binary_dilation(seen)  # a pixel at the circle's rim holds some of both
+    assert (clear.mean[outside] == 0).all()
+    assert (cloudy.mean[outside] == 0).all()
+    open_sky = (identity(spec, 16).part == Part.NOTHING).all(axis=2) & seen
+    low = np.zeros_like(seen)
+    low[:-1] |= above[:-1] & ~above[1:]
+    for where in (open_sky, ~open_sky & seen, open_sky & low):
+        if where.sum() < 20:
+            continue
+        mean = clear.mean[where].mean(axis=0)
+        error = np.sqrt((clear.variance + cloudy.variance)[where].sum(axis=0)) / where.sum()
+        assert (np.abs(cloudy.mean[where].mean(axis=0) - mean) < 4 * error + 0.01 * mean).all()
+
+
+def test_an_overcast_sky_has_no_sun():
+    spec = replace(stand(), sky=Sky(40.0, 140.0, 3.0, kind="overcast"))
+    assert set(lights(spec.sky, RGB)) == {"sky"}
+    assert_regions_agree(spec, radiance(spec, 64, 1), radiance(replace(spec, clouds=empty_clouds()), 64, 2), 0.01)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("wavelengths", [(420.0, 550.0, 680.0), (460.0, 860.0, 1610.0)])
+def test_the_sky_under_clouds_is_baked_for_all_wavelengths_at_once(wavelengths):
+    """Between the wavelengths that it is baked at, it is what a bake at these wavelengths alone gives."""
+    spec, channels = replace(stand(), clouds=patchy_clouds()), Channels(wavelengths)
+    with using(SCALAR):
+        origin = origin_of(spec.cameras[0])
+        once = environment(sky.bake_spectral_sky(spec, origin, seed=3, samples=64).light(channels))
+        alone = environment(sky.bake_sky(spec, origin, channels, seed=4, samples=64))
+        rng = np.random.default_rng(0)
+        directions = rng.normal(size=(150, 3))
+        directions[:, 2] = np.abs(directions[:, 2]) + 0.1
+        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        ratio = np.array([emitted(once, d) / emitted(alone, d) for d in directions])
+    assert np.abs(ratio.mean(axis=0) - 1).max() < 0.02
+    assert np.abs(np.median(ratio, axis=0) - 1).max() < 0.02
+
+
 def patchy_clouds() -> CloudGrid:
     rng = np.random.default_rng(4)
     extinction = np.zeros((6, 10, 10), np.float32)
@@ -161,8 +219,8 @@ def exact(spec: SceneSpec, samples: int, seed: int):
         origin = origin_of(camera)
         scene = load(
             {
-                **scene_dict(spec, origin),
-                "light": sky_emitter(spec, sun=True, sky=True),
+                **scene_dict(spec, origin, Paints()),
+                **lights(spec.sky, RGB),
                 "clouds": sky.cloud_volume(spec.clouds, origin),
             }
         )
@@ -170,7 +228,7 @@ def exact(spec: SceneSpec, samples: int, seed: int):
         total = SliceSum()
         for number, size in enumerate(slice_sizes(samples)):
             image = integrator.render(scene, sensor=sensor_of(camera, size), seed=seed + number, spp=size)
-            total.add(np.array(image)[..., :3].astype(np.float64), size)
+            total = total.added(np.array(image)[..., :3].astype(np.float64), size)
     estimate = total.estimate()
     return Radiance(estimate.mean, estimate.variance, None, samples)
 
@@ -213,7 +271,7 @@ def test_sun_transmittance_against_marching(elevation, azimuth):
     field[:, [0, 1, -2, -1]] = field[:, :, [0, 1, -2, -1]] = 0.0  # the map tapers off half a cell within the rim
     clouds = CloudGrid(field.astype(np.float32), (-100.0, 50.0, 300.0), (300.0, 530.0, 460.0))
     spec = replace(stand(), sky=Sky(elevation, azimuth, 3.0))
-    direction = sun_direction(spec)
+    direction = spec.sky.to_sun
     result = sky.sun_transmittance(clouds, direction)
     assert result.shape == (24, 20)
     errors = []
@@ -236,8 +294,8 @@ def test_a_clouds_shadow_falls_where_the_sun_says():
     mi = mitsuba()
     with mi.variant_context(SCALAR):
         origin = origin_of(camera)
-        light = sky_emitter(spec, sun=True, sky=False)
-        scene = load({**scene_dict(spec, origin), "light": light, "sheet": sky.sun_sheet(spec, origin)})
+        light = sun_disc(spec.sky, RGB)
+        scene = load({**scene_dict(spec, origin, Paints()), "light": light, "sheet": sky.sun_sheet(spec, origin)})
         integrator = mi.load_dict({"type": "volpath", "max_depth": 4})
         image = np.array(integrator.render(scene, sensor=sensor_of(camera, 16), spp=16, seed=1))[..., 1]
     ground = seen(replace(spec, cameras=(camera,)), 1)[1].position_m
@@ -250,14 +308,35 @@ def test_a_clouds_shadow_falls_where_the_sun_says():
     np.testing.assert_allclose(centre, [100 - shift, 60 + shift], atol=5.0)
 
 
-def test_horizon_row():
+def test_pixels_above_the_horizon():
+    def first_row_below(target, position=(0, 0, 2)):
+        above = pixels_of(camera_at(position, target, (40, 30))).above
+        assert (above == above[:, :1]).all()  # cameras are level
+        return int(above[:, 0].sum())
+
     level = camera_at((0, 0, 2), (0, 9, 2), (40, 30))
-    up, down = camera_at((0, 0, 2), (0, 9, 4), (40, 30)), camera_at((0, 0, 2), (0, 9, 1), (40, 30))
-    assert horizon_row(level) == 15
-    assert horizon_row(up) == int(15 + 2 / 9 * level.focal_px)
-    assert horizon_row(down) == int(15 - 1 / 9 * level.focal_px)
-    assert horizon_row(camera_at((0, 0, 2), (0, 0, 9), (40, 30))) == 30
-    assert horizon_row(camera_at((0, 0, 9), (0, 0, 2), (40, 30))) == 0
+    assert first_row_below((0, 9, 2)) == 15
+    assert first_row_below((0, 9, 4)) == int(15 + 2 / 9 * level.focal_px)
+    assert first_row_below((0, 9, 1)) == int(15 - 1 / 9 * level.focal_px)
+    assert first_row_below((0, 0, 9)) == 30
+    assert first_row_below((0, 0, 2), (0, 0, 9)) == 0
+
+
+def test_the_sky_alone_shows_nothing_of_what_lies_below():
+    """Any shape of horizon; a window holds all that its own pixels are replaced by."""
+    rng = np.random.default_rng(2)
+    camera = replace(camera_at((0, 0, 2), (0, 9, 4), (40, 30)), projection="panorama")
+    for above in (pixels_of(camera).above, rng.random((30, 40)) < 0.3):
+        image = np.where(above[..., None], rng.random((30, 40, 3)), -1.0)
+        alone = sky_alone(image, above, ~above)
+        assert (alone >= 0).all()
+        np.testing.assert_array_equal(alone[above], image[above])
+        share = np.zeros((30, 40), dtype=bool)
+        share[20:23, 5:9] = True
+        window = cloud_window(share, above)
+        inside = slice(window.y, window.y + window.height), slice(window.x, window.x + window.width)
+        assert share[inside].sum() == share.sum()
+        assert (sky_alone(image[inside], above[inside], ~above[inside])[share[inside]] >= 0).all()
 
 
 def test_variance_of_unequal_slices_is_unbiased():
@@ -268,7 +347,7 @@ def test_variance_of_unequal_slices_is_unbiased():
     for _ in range(4000):
         total = SliceSum()
         for size in sizes:
-            total.add(rng.normal(3.0, 2.0, (size, 1)).mean(axis=0), size)
+            total = total.added(rng.normal(3.0, 2.0, (size, 1)).mean(axis=0), size)
         estimate = total.estimate()
         means.append(estimate.mean[0])
         variances.append(estimate.variance[0])

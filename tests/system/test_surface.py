@@ -17,9 +17,10 @@ from forestgen.core.parts import Part
 from forestgen.geometry.mesh import Mesh
 from forestgen.plants.bark.texture import SurfaceTexture
 from forestgen.plants.exemplar import Exemplar, OrganMesh
-from forestgen.render.build import _bitmap, ground_bsdf, load, origin_of, sun_direction, to_mesh
+from forestgen.render.build import load, origin_of, to_mesh
 from forestgen.render.identity import camera_rays
 from forestgen.render.identity.surface import bilinear
+from forestgen.render.surfaces import _bitmap, ground_bsdf
 from forestgen.render.variant import LLVM, drjit, mitsuba
 from forestgen.scene.spec import Camera, Instances, Material, SceneSpec, Sky
 from forestgen.testing.scenes import blade_cloud, camera_at, plain_ground, scattered_scene
@@ -113,7 +114,7 @@ def test_every_field_equals_brute_force_in_double_precision(view):
     sky = ~np.isfinite(hits.distance_m)
     flat_image = {name: np.reshape(value, (-1, *value.shape[2:])) for name, value in vars(ours).items()}
     on = same & ~sky
-    direction = oracle.rays(column.ravel(), row.ravel())
+    _, direction, _ = oracle.rays(column.ravel(), row.ravel())
     np.testing.assert_allclose(flat_image["distance_m"][on], hits.distance_m[on], rtol=2e-5)
     depth = hits.distance_m[on] * (direction[on] @ camera.world_from_camera[:, 2])
     np.testing.assert_allclose(flat_image["depth_m"][on], depth, rtol=2e-5)
@@ -171,7 +172,7 @@ def test_a_leaf_is_in_the_sun_on_both_sides_and_a_trunk_on_one():
     spec = replace(spec, exemplars=(low,), instances=one, sky=Sky(10.0, 90.0, 3.0))  # from the east, below the blade
     _, surface = seen(spec, 1)
     assert surface.sun_visible[surface.part == Part.LEAF].all()
-    side = surface.normal @ sun_direction(spec)
+    side = surface.normal @ spec.sky.to_sun
     on_trunk = surface.part == Part.TRUNK
     assert on_trunk.sum() > 20
     np.testing.assert_array_equal(surface.sun_visible[on_trunk], side[on_trunk] > 0)
@@ -241,7 +242,7 @@ def shaded_albedo(spec: SceneSpec, camera: Camera, *, ground: bool) -> np.ndarra
     with mi.variant_context(LLVM):
         origin, shapes = origin_of(camera), {}
         if ground:
-            terrain = to_mesh(spec.terrain.mesh, mi.load_dict(ground_bsdf(spec)), origin, "terrain")
+            terrain = to_mesh(spec.terrain.mesh, mi.load_dict(ground_bsdf(spec.terrain)), origin, "terrain")
             terrain.add_attribute("vertex_far_share", 1, spec.terrain.far_share)
             shapes["terrain"] = terrain
         for number, row in enumerate(range(0 if ground else len(spec.instances))):
@@ -255,7 +256,7 @@ def shaded_albedo(spec: SceneSpec, camera: Camera, *, ground: bool) -> np.ndarra
                 mesh = replace(organ.mesh, vertices_m=vertices.astype(np.float32), normals=None)
                 shapes[f"{number}-{organ.material}"] = to_mesh(mesh, bsdf, None, f"{number}-{organ.material}")
         scene = load(shapes)
-        _, direction = camera_rays(camera, np.array([0.5, 0.5]), 0, camera.size_px[1])
+        direction = camera_rays(camera, np.array([0.5, 0.5]), 0, camera.size_px[1]).direction
         hit = scene.ray_intersect(mi.Ray3f(mi.Point3f(0.0), direction))
         value = hit.bsdf().eval_diffuse_reflectance(hit, hit.is_valid())
         return np.array(value).T.reshape(*camera.size_px[::-1], 3)

@@ -53,7 +53,7 @@ def plants(frame: FrameData) -> Iterator[Offence]:
 def _camera(frame: FrameData, share: dict[str, Any], scene: PurePosixPath) -> Iterator[Offence]:
     camera, entry = frame.camera, share["camera"]
     pairs = (
-        ("cam_K", camera.k.ravel()),
+        ("cam_K", np.asarray(camera.values["K"], dtype=np.float64).ravel()),
         ("cam_R_w2c", camera.rotation.ravel()),
         ("cam_t_w2c", camera.camera_from_world[:3, 3] * 1000.0),
     )

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from forestgen.dataset.check.camera_file import PANORAMA
 from forestgen.dataset.check.frame_data import FrameData
 from forestgen.dataset.check.merged import TRANSFORMS, Merged, folder_of
 from forestgen.dataset.check.offence import Offence, number, numbers
@@ -39,7 +40,7 @@ def structure(merged: Merged) -> Iterator[Offence]:
 
 
 def transforms(frame: FrameData) -> Iterator[Offence]:
-    """The pose is camera.json's inverse with y and z turned round; the focal lengths and the centre are K's."""
+    """The pose is camera.json's inverse with y and z turned round; the focal lengths and the centre are its model's."""
     share, camera = frame.task.shared[TRANSFORMS], frame.camera
     file = share["file"]
     expected = np.linalg.inv(camera.camera_from_world) @ np.diag([1.0, -1.0, -1.0, 1.0])
@@ -48,9 +49,11 @@ def transforms(frame: FrameData) -> Iterator[Offence]:
         problem = "transform_matrix is not camera.json's pose"
         yield Offence(file, problem, numbers(expected), numbers(got), frame.name)
     width, height = camera.size_px
+    # A panorama's are so that (x - cx) / fl_x runs from -1 to 1 and (y - cy) / fl_y from -1/2 to 1/2.
+    focal = (width / 2, height) if camera.model == PANORAMA else camera.focal_px
     for key, value in (
-        *(("w", width), ("h", height), ("fl_x", camera.k[0, 0]), ("fl_y", camera.k[1, 1])),
-        *(("cx", camera.k[0, 2]), ("cy", camera.k[1, 2])),
+        *(("w", width), ("h", height), ("fl_x", focal[0]), ("fl_y", focal[1])),
+        *(("cx", camera.centre_px[0]), ("cy", camera.centre_px[1])),
     ):
         if not abs(float(share[key]) - float(value)) <= _TOLERANCE * max(1.0, abs(float(value))):
             yield Offence(file, f"{key} is not camera.json's", number(value), number(share[key]), frame.name)

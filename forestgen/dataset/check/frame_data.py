@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.dataset.check.camera_file import CameraFile, camera_of
 from forestgen.dataset.check.files import read_exr, read_json, read_picture, read_table
 from forestgen.dataset.check.offence import Offence, UnreadableError
 from forestgen.dataset.check.recipe import categories, read_recipe
@@ -207,64 +208,6 @@ def extents_of(mask: NDArray[np.integer]) -> Extents:
     box = np.concatenate([low, high - low + 1]).T
     counts = np.bincount(index, minlength=len(ids))
     return Extents(ids.astype(np.uint32), counts.astype(np.int64), np.ascontiguousarray(box, dtype=np.int64))
-
-
-@dataclass(frozen=True)
-class CameraFile:
-    """camera.json, as far as checks use it."""
-
-    size_px: tuple[int, int]
-    k: NDArray[np.float64]  # (3, 3)
-    camera_from_world: NDArray[np.float64]  # (4, 4)
-    position_m: NDArray[np.float64]  # (3,) world
-    values: Mapping[str, Any]  # all of it
-
-    @property
-    def rotation(self) -> NDArray[np.float64]:
-        return self.camera_from_world[:3, :3]
-
-    def project(self, points_m: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """(..., 2) pixels and (...) depths of (..., 3) world points."""
-        seen = points_m @ self.rotation.T + self.camera_from_world[:3, 3]
-        depth = seen[..., 2]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            pixel = (seen @ self.k.T)[..., :2] / depth[..., None]
-        return pixel, depth
-
-    def pixel_rays(self, size_px: tuple[int, int]) -> NDArray[np.float64]:
-        """(H, W, 3) world directions through the pixels' centres, of depth 1 along the camera's axis."""
-        width, height = size_px
-        x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
-        rays = np.stack([x, y, np.ones_like(x)], axis=-1) @ np.linalg.inv(self.k).T
-        return np.asarray(rays @ self.rotation)  # rows times R = R^T times columns: camera -> world
-
-
-def camera_of(values: Any, file: str) -> CameraFile:
-    """Read camera.json's fields; what is missing or no matrix raises `UnreadableError`."""
-    try:
-        size = [int(side) for side in values["size_px"]]
-        k = _matrix(values["K"], (3, 3))
-        pose = _matrix(values["camera_from_world"], (4, 4))
-        position = _matrix(values["position_m"], (3,))
-        if abs(np.linalg.det(k)) < 1e-12 or len(size) != 2:
-            raise ValueError("K cannot be inverted, or size_px is not a pair")
-    except (KeyError, TypeError, ValueError) as error:
-        expected = "size_px, K (3 x 3), camera_from_world (4 x 4) and position_m, finite numbers"
-        raise UnreadableError(
-            Offence(file, "the camera cannot be understood", expected=expected, got=_reason(error))
-        ) from error
-    return CameraFile((size[0], size[1]), k, pose, position, values)
-
-
-def _matrix(values: Sequence[Any], shape: tuple[int, ...]) -> NDArray[np.float64]:
-    matrix = np.asarray(values, dtype=np.float64)
-    if matrix.shape != shape or not np.isfinite(matrix).all():
-        raise ValueError(f"expected {shape} finite numbers")
-    return matrix
-
-
-def _reason(error: Exception) -> str:
-    return f"no {error}" if isinstance(error, KeyError) else str(error)
 
 
 def _size(shape: tuple[int, ...]) -> str:

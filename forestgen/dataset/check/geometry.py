@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.parts import Part
+from forestgen.dataset.check.camera_file import FISHEYE, PINHOLE
 from forestgen.dataset.check.frame_data import CAMERA, EXR, FrameData
 from forestgen.dataset.check.offence import Offence, number
 from forestgen.dataset.check.pixels import wrong_pixels
@@ -18,13 +20,34 @@ _UNIT = 1e-3
 
 
 def depth(frame: FrameData) -> Iterator[Offence]:
-    """Depths are positive, infinite in the sky; the distance along the ray is no shorter."""
+    """Depths are positive, infinite in the sky; the distance along the ray is no shorter, or the same by its model."""
     z = frame.exr["depth"]["Z"].astype(np.float64)
     yield from wrong_pixels(frame, EXR, ~(z > 0), "the depth is not positive", "metres, inf for the sky", z)
     if frame.has_part("depth", "distance"):
         distance = frame.exr["depth"]["distance"].astype(np.float64)
         agree = (distance >= z * (1 - _FLOAT32)) & (np.isinf(distance) == np.isinf(z))
         yield from wrong_pixels(frame, EXR, ~agree, "the distance is shorter than the depth", z, distance)
+        if frame.has(CAMERA) and not frame.camera.along_axis:
+            problem = "the depth is not the distance, as it is in a fisheye's image and in a panorama"
+            yield from wrong_pixels(frame, EXR, z != distance, problem, distance, z)
+
+
+def circle(frame: FrameData) -> Iterator[Offence]:
+    """Outside of a fisheye's circle nothing is seen: no surface, and no plant in pixels that lie outside as a whole."""
+    if frame.camera.model != FISHEYE:
+        return
+    radius = frame.camera.radius(frame.size_px)
+    outside = ~frame.camera.sees(frame.size_px)
+    z = frame.exr["depth"]["Z"]
+    wrong = outside & ~np.isinf(z)
+    yield from wrong_pixels(frame, EXR, wrong, "a surface outside of the fisheye's circle", "depth inf", z)
+    wholly = radius > frame.camera.size_px[0] / 2 + 0.75  # a pixel reaches 0.71 from its centre
+    wrong = wholly & (frame.instance != 0)
+    yield from wrong_pixels(frame, EXR, wrong, "a plant outside of the fisheye's circle", "0", frame.instance)
+    if frame.has_part("radiance", *"RGB"):
+        light = np.stack([frame.exr["radiance"][name] for name in "RGB"], axis=-1)
+        wrong = wholly & (light != 0).any(axis=-1)
+        yield from wrong_pixels(frame, EXR, wrong, "light outside of the fisheye's circle", "0", light)
 
 
 def sky(frame: FrameData) -> Iterator[Offence]:
@@ -52,7 +75,7 @@ def position(frame: FrameData) -> Iterator[Offence]:
     camera, solid = frame.camera, _solid(frame)
     z = np.where(solid, frame.exr["depth"]["Z"], np.nan).astype(np.float64)
     rays = camera.pixel_rays(frame.size_px)
-    away = rays * z[..., None]
+    away = rays * z[..., None] + camera.starts(frame.size_px)
     stored = frame.vectors("position")
     expected = away + camera.position_m
     tolerance = _RELATIVE * _length(away) + _FLOAT32 * np.abs(expected).max(axis=-1)
@@ -60,9 +83,10 @@ def position(frame: FrameData) -> Iterator[Offence]:
     yield from wrong_pixels(frame, EXR, wrong, "depth and camera do not lead to the position", expected, stored)
     if frame.has_part("depth", "distance"):
         distance = frame.exr["depth"]["distance"].astype(np.float64)
-        straight = _length(stored - camera.position_m)
+        straight = _length(stored - camera.position_m - camera.starts(frame.size_px))
         wrong = solid & ~(np.abs(distance - straight) <= tolerance)
-        yield from wrong_pixels(frame, EXR, wrong, "the distance is not |position - camera|", straight, distance)
+        problem = "the distance is not |position - beginning of the ray|"
+        yield from wrong_pixels(frame, EXR, wrong, problem, straight, distance)
     if frame.has_part("position.camera", *"XYZ"):
         own = frame.vectors("position.camera")
         expected = away @ camera.rotation.T
@@ -112,7 +136,7 @@ def centre(frame: FrameData) -> Iterator[Offence]:
 
 
 def camera(frame: FrameData) -> Iterator[Offence]:
-    """camera.json is a pinhole camera of the image's size: a rotation, its own position, the header's matrices."""
+    """camera.json is a camera of the image's size: a rotation, its own position, the header's matrices and model."""
     model = frame.camera
     if model.size_px != frame.size_px:
         yield frame.offence(CAMERA, "size_px is not the image's", expected=str(frame.size_px), got=str(model.size_px))
@@ -127,12 +151,28 @@ def camera(frame: FrameData) -> Iterator[Offence]:
             expected=" ".join(map(number, at)),
             got=" ".join(map(number, model.position_m)),
         )
+    yield from _angle(frame)
     header = frame.exr_camera
-    for key in ("K", "camera_from_world", "position_m", "size_px"):
-        if header is not None and key in header and not np.array_equal(model.values[key], header[key]):
-            yield frame.offence(
-                CAMERA, f"{key} differs from frame.exr's header", expected=str(header[key]), got=str(model.values[key])
-            )
+    for key in ("model", "K", "hfov_deg", "width_m", "lens", "camera_from_world", "position_m", "size_px"):
+        if header is not None and key in header and not _equal(model.values.get(key), header[key]):
+            got = str(model.values.get(key))
+            yield frame.offence(CAMERA, f"{key} differs from frame.exr's header", expected=str(header[key]), got=got)
+
+
+def _angle(frame: FrameData) -> Iterator[Offence]:
+    """hfov_deg is that of K."""
+    model = frame.camera
+    if "hfov_deg" not in model.values or model.model not in (PINHOLE, FISHEYE):
+        return
+    half = np.radians(float(model.values["hfov_deg"])) / 2
+    expected = model.size_px[0] / 2 / (np.tan(half) if model.model == PINHOLE else half)
+    if not abs(expected - model.focal_px[0]) <= 1e-6 * expected:
+        problem = "the focal length of K is not that of hfov_deg"
+        yield frame.offence(CAMERA, problem, expected=number(expected), got=number(model.focal_px[0]))
+
+
+def _equal(one: Any, other: Any) -> bool:
+    return bool(one == other) if isinstance(other, str | dict) else bool(np.array_equal(one, other))
 
 
 def has_position(frame: FrameData) -> bool:
@@ -145,6 +185,10 @@ def has_normals(frame: FrameData) -> bool:
 
 def has_centre(frame: FrameData) -> bool:
     return frame.has_part("identity", "centre.plant_id", "centre.part")
+
+
+def has_circle(frame: FrameData) -> bool:
+    return frame.has(CAMERA) and frame.has_part("depth", "Z")
 
 
 def has_depth(frame: FrameData) -> bool:

@@ -7,9 +7,12 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.dataset.check.frame_data import PLANTS, FrameData
-from forestgen.dataset.check.offence import Offence, number
+from forestgen.dataset.check.camera_file import FISHEYE, PANORAMA
+from forestgen.dataset.check.frame_data import CAMERA, PLANTS, FrameData
+from forestgen.dataset.check.offence import Offence, number, numbers
 
+_TOLERANCE_PX, _RELATIVE = 0.01, 1e-3  # places are stored as they are placed, to within float32 at the least
+_GRAZING = 1e-3  # depth by distance, below which a point may or may not count as behind the camera
 NAMES = ("stem_base", "tip", "crown_centre")
 
 
@@ -33,6 +36,37 @@ def keypoints(frame: FrameData) -> Iterator[Offence]:
                 plant_id=int(plants["plant_id"][row]),
                 pixel=(int(x[row]), int(y[row])) if expected[row] else None,
             )
+
+
+def has_places(frame: FrameData) -> bool:
+    return frame.has(CAMERA) and all(map(frame.known, ("x_m", "y_m", "z_m", "stem_base_x_px", "stem_base_y_px")))
+
+
+def places(frame: FrameData) -> Iterator[Offence]:
+    """The stem base is where the camera projects the plant's place; none where it cannot see it."""
+    plants, camera = frame.plants, frame.camera
+    place = np.stack([plants[f"{axis}_m"].astype(np.float64) for axis in "xyz"], axis=1)
+    own = (place - camera.position_m) @ camera.rotation.T
+    expected, depth = camera.project_own(own)
+    got = np.stack([plants[f"stem_base_{axis}_px"].astype(np.float64) for axis in "xy"], axis=1)
+    off = np.abs(got - expected)
+    if camera.model == PANORAMA:
+        off[:, 0] = np.minimum(off[:, 0], np.abs(off[:, 0] - camera.size_px[0]))  # at the seam: either end
+    there = ~np.isnan(got).any(axis=1)
+    sure = np.abs(depth) > _GRAZING * np.sqrt((own**2).sum(axis=1))
+    if camera.model == FISHEYE:
+        radius = np.sqrt(((expected - camera.centre_px) ** 2).sum(axis=1))
+        sure = np.abs(radius - camera.size_px[0] / 2) > _TOLERANCE_PX
+    wrong = sure & (there != (depth > 0))
+    wrong |= there & sure & ~(off <= _TOLERANCE_PX + _RELATIVE * np.abs(expected)).all(axis=1)
+    for row in np.flatnonzero(wrong):
+        yield frame.offence(
+            PLANTS,
+            "stem_base_x_px, stem_base_y_px are not the plant's place as the camera sees it",
+            expected=numbers(expected[row]) if depth[row] > 0 else "null: not in view",
+            got=numbers(got[row]),
+            plant_id=int(plants["plant_id"][row]),
+        )
 
 
 def states(

@@ -6,24 +6,38 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from forestgen.core.spectrum import LUMINANCE
 from forestgen.dataset.check.frame_data import EXR, FrameData
 from forestgen.dataset.check.offence import Offence
 from forestgen.dataset.check.pixels import wrong_pixels
 
 _RADIANCE = ("radiance", "radiance.denoised", "radiance.variance")
+_ROUNDED = 1e-3  # of the channels: luminance has four digits
 _MARKS = ("sun", "boundary")  # 0 or 1
 
 
 def radiance(frame: FrameData) -> Iterator[Offence]:
-    """Radiance and its variance are finite and not negative; one sample has no variance."""
+    """Radiance and its variance are finite and not negative.
+
+    Two exceptions: of one replicate alone no variance is known, nor a relative error told; and a colour made of
+    wavelengths may lie outside of Rec. 709, when its luminance is not negative.
+    """
+    spectral = frame.recipe["render"].get("mode") == "spectral" and "forestgen/bands" not in frame.exr_header
     for part in _RADIANCE:
-        if part == "radiance.variance" and frame.exr_header.get("forestgen/samples") == "1":
+        values = frame.exr.get(part, {})
+        unknown = part == "radiance.variance" and "forestgen/relative_error" not in frame.exr_header
+        if unknown and all(np.isnan(one).all() for one in values.values()):
             continue
-        for name, values in frame.exr.get(part, {}).items():
-            wrong = ~np.isfinite(values)
-            if part != "radiance.denoised":
-                wrong |= ~(values >= 0)
-            yield from wrong_pixels(frame, EXR, wrong, f"{part}.{name} is no light", "0 or more, finite", values)
+        for name, one in values.items():
+            wrong = ~np.isfinite(one)
+            if part == "radiance.variance" or (part == "radiance" and not spectral):
+                wrong |= ~(one >= 0)
+            yield from wrong_pixels(frame, EXR, wrong, f"{part}.{name} is no light", "0 or more, finite", one)
+        if part == "radiance" and spectral and set(values) == set("RGB"):
+            light = np.stack([values[name].astype(np.float64) for name in "RGB"], axis=-1)
+            luminance = light @ LUMINANCE
+            wrong = luminance < -_ROUNDED * np.abs(light).sum(axis=-1)
+            yield from wrong_pixels(frame, EXR, wrong, "radiance has no luminance", "0 or more cd/m2", luminance)
 
 
 def surfaces(frame: FrameData) -> Iterator[Offence]:

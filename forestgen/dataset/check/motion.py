@@ -14,6 +14,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.dataset.check.camera_file import FISHEYE, ORTHOGRAPHIC, PANORAMA
 from forestgen.dataset.check.frame_data import CAMERA, EXR, FrameData
 from forestgen.dataset.check.offence import Offence, UnreadableError
 from forestgen.dataset.check.pixels import wrong_pixels
@@ -50,16 +51,20 @@ def motion(frame: FrameData) -> Iterator[Offence]:
     way, depth, slant = _by_cameras(frame, camera.position_m, following)
     behind = depth <= 0
     moves = _in_wind(frame)
-    sure = (np.abs(depth) > _GRAZING * slant) & ~moves
+    sure = (np.abs(depth) > _GRAZING * slant) & ~moves & ~_at_circle(frame, following, way)
     yield from wrong_pixels(
         frame, EXR, sure & (behind != unknown), "NaN is for points behind the next camera", "NaN there alone", vector
     )
     still = ~unknown & ~behind & sure
     off = np.sqrt(((vector - way) ** 2).sum(axis=-1))
+    if following.camera.model == PANORAMA:
+        turn = np.abs(np.abs(vector[..., 0] - way[..., 0]) - following.camera.size_px[0])
+        off = np.minimum(off, np.hypot(turn, vector[..., 1] - way[..., 1]))  # half around: either way
     wrong = still & ~(off <= _TOLERANCE_PX + _RELATIVE * np.sqrt((way**2).sum(axis=-1)))
     yield from wrong_pixels(frame, EXR, wrong, "the motion is not that of the camera", way, vector)
     if known and following.has_part("depth", "Z"):
-        smaller = depth * frame.camera.k[0, 0] > _SMALLER * frame.exr["depth"]["Z"] * following.camera.k[0, 0]
+        here, there = frame.exr["depth"]["Z"].astype(np.float64), np.where(depth > 0, depth, np.inf)
+        smaller = frame.camera.pixels_a_metre(here) > _SMALLER * following.camera.pixels_a_metre(there)
         yield from _landings(frame, following, vector, moves & ~unknown & ~smaller, depth)
 
 
@@ -79,15 +84,31 @@ def _by_cameras(
     z = frame.exr["depth"]["Z"].astype(np.float64)
     rays = frame.camera.pixel_rays(frame.size_px)
     solid = np.isfinite(z)
-    shift = frame.camera.position_m - next_position_m
+    shift = frame.camera.position_m - next_position_m + frame.camera.starts(frame.size_px)
     away = np.where(solid[..., None], rays * np.where(solid, z, 0.0)[..., None] + shift, rays)
     seen = away @ following.camera.rotation.T
-    depth = seen[..., 2]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        pixel = (seen @ following.camera.k.T)[..., :2] / depth[..., None]
+    pixel, depth = following.camera.project_own(seen)
+    if following.camera.model == ORTHOGRAPHIC:
+        depth = np.where(solid, depth, -np.inf)  # parallel rays meet no direction
+    depth = np.where(frame.camera.sees(frame.size_px), depth, -np.inf)
     width, height = frame.size_px
     x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
-    return pixel - np.stack([x, y], axis=-1), depth, np.sqrt((seen**2).sum(axis=-1))
+    way = pixel - np.stack([x, y], axis=-1)
+    if following.camera.model == PANORAMA:
+        around = following.camera.size_px[0]
+        way[..., 0] = (way[..., 0] + around / 2) % around - around / 2
+    return way, depth, np.sqrt((seen**2).sum(axis=-1))
+
+
+def _at_circle(frame: FrameData, following: FrameData, way: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """(H, W) whether a point lands so near to a fisheye's circle that rounding decides on which side."""
+    camera = following.camera
+    if camera.model != FISHEYE:
+        return np.zeros(frame.instance.shape, dtype=bool)
+    width, height = frame.size_px
+    centres = np.stack(np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5), axis=-1)
+    radius = np.sqrt(((centres + way - camera.centre_px) ** 2).sum(axis=-1))
+    return np.asarray(np.abs(radius - camera.size_px[0] / 2) < _TOLERANCE_PX)
 
 
 def _landings(

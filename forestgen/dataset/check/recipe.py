@@ -1,4 +1,6 @@
-"""What a drawn recipe says of labels: species in order, classes, formats, wind. Not more of it is read, for speed.
+"""What a drawn recipe says of labels: species in order, classes, formats, wind; and of the light its mode.
+
+Not more of it is read, for speed.
 
 A recipe's YAML is long for its species, whose numbers do not matter here; reading all of it takes longer than all other
 checks of an image. Drawn recipes are written in block style, so sections start at a line's beginning.
@@ -16,12 +18,12 @@ from forestgen.dataset.check.files import read_text, unreadable
 from forestgen.dataset.check.offence import Offence, UnreadableError
 
 _SECTION = re.compile(r"(?m)^(?=[A-Za-z_]\w*:)")
-_WANTED = ("labels", "dataset", "wind")
+_WANTED = ("labels", "dataset", "wind", "render")
 _OTHERS = "others"  # in a class: all species that no class names
 
 
 def read_recipe(root: Path, name: str) -> dict[str, Any]:
-    """Sections labels, dataset and wind of a drawn recipe, and its species as a list of names in order."""
+    """Sections labels, dataset, wind and render of a drawn recipe, and its species as a list of names in order."""
     from ruamel.yaml.error import YAMLError
 
     try:

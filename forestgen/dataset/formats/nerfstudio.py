@@ -2,17 +2,20 @@
 
 A recipe's image is a scene of its own, and a transforms.json describes one scene. So a data set of one image has
 ``transforms.json``; one of many has ``transforms-000000.json``, ``transforms-000001.json`` and so on, an image each.
-nerfstudio takes either by its path (`--data DIR/transforms.json`). Frames are in the order of their folders' names. The
-shard is the frame's camera.json.
+nerfstudio takes either by its path (`--data DIR/transforms.json`). A transforms.json has one camera model: where the
+cameras of an image are of several, those after the first have files of their own, ``transforms-fisheye.json`` or
+``transforms-000000-fisheye.json``, named by camera.json's model. Frames are in the order of their folders' names. The
+shard is the frame's camera.json. An orthographic camera has no such file: the recipe is refused.
 
 | field | what it is |
 |---|---|
-| `camera_model` | `OPENCV`: a pinhole with distortion, which is 0 here |
+| `camera_model` | `OPENCV`: a pinhole; `OPENCV_FISHEYE`: equidistant; `EQUIRECTANGULAR`: a panorama |
 | `w`, `h`, `fl_x`, `fl_y`, `cx`, `cy` | of each frame, pixels; pixel centres at +0.5, as nerfstudio has them |
-| `k1`, `k2`, `p1`, `p2` | 0 |
+| | of a panorama fl_x = w / 2 and fl_y = h |
+| `k1`, `k2`, `p1`, `p2` (`k3`, `k4` of a fisheye) | distortion: 0 |
 | `file_path` | the frame's preview.png, from the data set's folder |
 | `transform_matrix` | 4 x 4, camera to world, in metres; the camera's x right, y up, z backward (OpenGL's axes) |
-| `depth_file_path` | the frame's depth.png, where the recipe asks for `depth_png`: depth along the axis, not the ray |
+| `depth_file_path` | the frame's depth.png, where the recipe asks for `depth_png`: a pinhole's depth along the axis |
 | `depth_unit_scale_factor` | metres of a step of depth.png; nerfstudio wants it as an option of the same name as well |
 | `time` | seconds since the beginning of the camera path, for a frame of one |
 
@@ -33,6 +36,7 @@ from typing import Any
 
 import numpy as np
 
+from forestgen.core.errors import OutputError
 from forestgen.dataset.files import write_json
 from forestgen.dataset.formats.shards import in_order, read_shard
 from forestgen.dataset.settings import DatasetSettings
@@ -41,7 +45,10 @@ from forestgen.labels.labelled import LabelledFrame
 CAMERA_NAME = "camera.json"
 DEPTH_NAME = "depth.png"
 
-_SHARD: dict[str, type] = {"K": list[list[Any]], "size_px": list[int], "world_from_camera": list[list[Any]]}
+MODELS = {"pinhole": "OPENCV", "fisheye": "OPENCV_FISHEYE", "equirectangular": "EQUIRECTANGULAR"}
+_DISTORTION = {"pinhole": ("k1", "k2", "p1", "p2"), "fisheye": ("k1", "k2", "k3", "k4"), "equirectangular": ()}
+
+_SHARD: dict[str, type] = {"model": str, "size_px": list[int], "world_from_camera": list[list[Any]]}
 
 
 def write_frame(folder: Path, labelled: LabelledFrame, settings: DatasetSettings) -> None:
@@ -60,13 +67,31 @@ def merge(root: Path, folders: Iterable[Path | str], settings: DatasetSettings) 
     for folder in in_order(folders):
         images.setdefault(folder.partition("-")[0], []).append(folder)
     for image, own in images.items():
-        name = "transforms.json" if len(images) == 1 else f"transforms-{image}.json"
-        write_json(root / name, _transforms(root, own, settings))
+        models: dict[str, list[str]] = {}
+        for folder in own:
+            models.setdefault(_camera(root, folder)["model"], []).append(folder)
+        first = "transforms" if len(images) == 1 else f"transforms-{image}"
+        for number, (model, folders_of_model) in enumerate(models.items()):
+            name = f"{first}.json" if number == 0 else f"{first}-{model}.json"
+            write_json(root / name, _transforms(root, model, folders_of_model, settings))
 
 
-def _transforms(root: Path, folders: Sequence[str], settings: DatasetSettings) -> dict[str, Any]:
+def _camera(root: Path, folder: str) -> dict[str, Any]:
+    """A frame's camera.json."""
+    path = root / folder / CAMERA_NAME
+    camera = read_shard(path, _SHARD)
+    if camera["model"] not in MODELS:
+        raise OutputError(
+            f"nerfstudio has no {camera['model']} cameras",
+            where=str(path),
+            hint="leave nerfstudio out of dataset.formats",
+        )
+    return camera
+
+
+def _transforms(root: Path, model: str, folders: Sequence[str], settings: DatasetSettings) -> dict[str, Any]:
     content: dict[str, Any] = {
-        "camera_model": "OPENCV",
+        "camera_model": MODELS[model],
         "frames": [_frame(root, folder, settings) for folder in folders],
     }
     if "depth_png" in settings.formats:
@@ -75,20 +100,23 @@ def _transforms(root: Path, folders: Sequence[str], settings: DatasetSettings) -
 
 
 def _frame(root: Path, folder: str, settings: DatasetSettings) -> dict[str, Any]:
-    camera = read_shard(root / folder / CAMERA_NAME, _SHARD)
-    k = camera["K"]
+    camera = _camera(root, folder)
     width, height = camera["size_px"]
     opencv_from_opengl = np.diag([1.0, -1.0, -1.0, 1.0])
+    focal = (width / 2.0, float(height))
+    if camera["model"] != "equirectangular":
+        k = read_shard(root / folder / CAMERA_NAME, {"K": list[list[Any]]})["K"]
+        focal = (k[0][0], k[1][1])
     frame = {
         "file_path": f"{folder}/preview.png",
         "transform_matrix": (np.asarray(camera["world_from_camera"]) @ opencv_from_opengl).tolist(),
-        "fl_x": k[0][0],
-        "fl_y": k[1][1],
-        "cx": k[0][2],
-        "cy": k[1][2],
+        "fl_x": focal[0],
+        "fl_y": focal[1],
+        "cx": width / 2.0,
+        "cy": height / 2.0,
         "w": width,
         "h": height,
-        **dict.fromkeys(("k1", "k2", "p1", "p2"), 0.0),
+        **dict.fromkeys(_DISTORTION[camera["model"]], 0.0),
     }
     if "depth_png" in settings.formats:
         frame["depth_file_path"] = f"{folder}/{DEPTH_NAME}"

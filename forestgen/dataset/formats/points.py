@@ -45,9 +45,10 @@ from numpy.typing import NDArray
 from forestgen.core.parts import Part
 from forestgen.dataset.files import write_bytes
 from forestgen.dataset.settings import DatasetSettings
-from forestgen.dataset.tonemap import tone_map
+from forestgen.dataset.tonemap import preview_of
 from forestgen.labels.labelled import LabelledFrame
 from forestgen.labels.masks import rows_of
+from forestgen.recipe.schema import View
 
 PLY_NAME, LAZ_NAME = "points.ply", "points.laz"
 FINEST_STEP_M = 1e-4
@@ -80,7 +81,7 @@ class Points:
 
 def write_frame(folder: Path, labelled: LabelledFrame, settings: DatasetSettings) -> None:
     """Write a frame's points; a failure raises `OutputError`."""
-    points = frame_points(labelled, settings.point_stride)
+    points = frame_points(labelled, settings.point_stride, settings.view)
     write_bytes(folder / PLY_NAME, ply_bytes(points))
     write_bytes(folder / LAZ_NAME, laz_bytes(points))
 
@@ -89,10 +90,9 @@ def merge(root: Path, folders: Iterable[Path | str], settings: DatasetSettings) 
     """Nothing: each frame has its own points."""
 
 
-def frame_points(labelled: LabelledFrame, stride: int) -> Points:
-    """The points that a frame's pixels see, each `stride`-th of each `stride`-th row."""
+def frame_points(labelled: LabelledFrame, stride: int, view: View = "filmic") -> Points:
+    """The points that a frame's pixels see, each `stride`-th of each `stride`-th row; colours are the preview's."""
     frame, surface = labelled.frame, labelled.frame.surface
-    light = frame.radiance.mean if frame.radiance.denoised is None else frame.radiance.denoised
     seen = np.zeros(surface.part.shape, dtype=bool)
     seen[::stride, ::stride] = surface.part[::stride, ::stride] != Part.NOTHING
     kept = np.flatnonzero(seen)
@@ -100,7 +100,7 @@ def frame_points(labelled: LabelledFrame, stride: int) -> Points:
     for names, values in (
         (("x", "y", "z"), surface.position_m),
         (("nx", "ny", "nz"), surface.normal),
-        (("red", "green", "blue"), tone_map(light)),
+        (("red", "green", "blue"), preview_of(frame.radiance, view).picture),
     ):
         for name, column in zip(names, values.reshape(-1, 3)[kept].T, strict=True):
             vertices[name] = column

@@ -59,8 +59,6 @@ def _empty(height: int, width: int, samples: int, faces: bool) -> Identity:
     return Identity(
         plant_id=np.zeros(shape, dtype=np.uint32),
         part=np.zeros(shape, dtype=np.uint8),
-        albedo=np.zeros((height, width, 3), dtype=np.float32),
-        mean_normal=np.zeros((height, width, 3), dtype=np.float32),
         exemplar=np.zeros(shape, dtype=np.uint32) if faces else None,
         face=np.zeros(shape, dtype=np.uint32) if faces else None,
     )
@@ -78,11 +76,6 @@ def _trace_samples(tracer: SceneTracer, camera: Camera, samples: int, rows: slic
     if identity.face is not None:
         found["exemplar"] = dr.gather(mi.UInt32, tracer.exemplar, hits.instance, hits.valid)
         found["face"] = tracer.face_in_exemplar(hits)
-    albedo = dr.select(hits.valid, dr.gather(mi.Color3f, tracer.mean_albedo, hits.organ, hits.valid), 1.0)
-    guides = {"albedo": albedo, "mean_normal": tracer.geometric_normal(hits)}
-    dr.eval(found, guides)
-    for name, value in guides.items():
-        found[name] = dr.ravel(type(value)(*[dr.block_sum(channel, samples) / samples for channel in value]))
     dr.eval(found)
     for name, values in found.items():
         field = getattr(identity, name)

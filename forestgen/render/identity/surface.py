@@ -12,6 +12,7 @@ from forestgen.render.frame import Surface
 from forestgen.render.identity.tables import NONE
 from forestgen.render.identity.tracer import Hits, SceneTracer
 from forestgen.render.variant import drjit, mitsuba
+from forestgen.scene.projection import world_rays
 from forestgen.scene.spec import Camera
 
 # Of the largest coordinate, a metre at least: shadow rays start this far above their surface. Single precision places
@@ -47,7 +48,7 @@ def trace_rows(tracer: SceneTracer, camera: Camera, rows: slice, surface: Surfac
         "part": dr.gather(mi.UInt32, tracer.part, hits.organ, hits.valid),
         "exemplar": dr.gather(mi.UInt32, tracer.exemplar, hits.instance, hits.valid),
         "face": tracer.face_in_exemplar(hits),
-        "depth_m": dr.select(hits.valid, hits.distance_m * hits.along_z, dr.inf),
+        "depth_m": dr.select(hits.valid, hits.distance_m * hits.rays.depth_share, dr.inf),
         "distance_m": dr.select(hits.valid, hits.distance_m, dr.inf),
         "normal": dr.ravel(normal),
         "shading_normal": dr.ravel(shading_normal(tracer, hits, normal)),
@@ -63,11 +64,16 @@ def trace_rows(tracer: SceneTracer, camera: Camera, rows: slice, surface: Surfac
 
 def positions(camera: Camera, rows: slice, distance_m: NDArray[np.float32]) -> NDArray[np.float32]:
     """(rows, W, 3) world, in double precision from the distances along pixel centres' rays; NaN for the sky."""
+    if camera.projection != "perspective":
+        rays = world_rays(camera, rows)
+        far = np.where(np.isfinite(distance_m), distance_m, np.nan)[..., None]
+        return (rays.origin_m + rays.direction * far).astype(np.float32)
     u, v = camera.pixel_slopes
     v = v[rows]
     length = np.sqrt(1.0 + u**2 + v[:, None] ** 2)
     depth = np.where(np.isfinite(distance_m), distance_m, np.nan) / length
     position = np.empty((*depth.shape, 3), dtype=np.float32)
+    # By axis: half the memory, which counts in the images that are most.
     for axis, (right, down, forward) in enumerate(np.asarray(camera.world_from_camera, dtype=np.float64)):
         position[..., axis] = depth * (u * right + v[:, None] * down + forward) + origin_of(camera)[axis]
     return position
@@ -145,11 +151,15 @@ def _wrapped(index: Any, size: Any) -> Any:
 
 
 def sun_visible(tracer: SceneTracer, camera: Camera, hits: Hits, normal: Any) -> Any:
-    """Whether nothing of the scene lies between the hits and the sun's centre; clouds do not count."""
+    """Whether nothing of the scene lies between the hits and the sun's centre; clouds do not count.
+
+    False everywhere under an overcast sky, which has no sun.
+    """
     mi, dr = mitsuba(), drjit()
-    point = tracer.start_of(camera) + hits.direction * hits.distance_m
+    point = tracer.start_of(camera, hits.rays) + hits.rays.direction * hits.distance_m
     sunny = dr.select(dr.dot(normal, tracer.to_sun) < 0, -normal, normal)  # leaves are lit through from below, too
     lift = _LIFT * dr.maximum(dr.max(dr.abs(point)), 1.0)
     ray = mi.Ray3f(point + sunny * lift, tracer.to_sun)
     # Single rays: from leaf to leaf neighbours lose each other, and packets take 1.7 times as long.
-    return hits.valid & ~tracer.scene.ray_test(ray, coherent=False, active=hits.valid)
+    lit = hits.valid & (tracer.spec.sky.kind != "overcast")
+    return lit & ~tracer.scene.ray_test(ray, coherent=False, active=lit)

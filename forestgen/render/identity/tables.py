@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from forestgen.core.parts import Part
 from forestgen.geometry.mesh import Mesh
-from forestgen.render.build import LEAFLIKE
+from forestgen.render.surfaces import LEAFLIKE
 from forestgen.scene.spec import Material, SceneSpec
 
 NONE = 2**32 - 1  # instead of a first row: the mesh has none
@@ -58,7 +58,7 @@ def face_normals(mesh: Mesh) -> NDArray[np.float32]:
 
 
 def albedo_of(part: Part, material: Material) -> NDArray[np.float64]:
-    """(3,) reflectance, and of a thin leaf the transmittance too: what `render.build.surface_bsdf` makes of it."""
+    """(3,) reflectance, and of a thin leaf the transmittance too: what `render.surfaces.surface_bsdf` makes of it."""
     reflectance = np.asarray(material.reflectance, dtype=np.float64)
     return reflectance + material.transmittance if part in LEAFLIKE else reflectance
 

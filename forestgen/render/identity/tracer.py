@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.render.build import load, origin_of, plants_dict, sun_direction, to_mesh
+from forestgen.render.build import load, origin_of, plants_dict, to_mesh
 from forestgen.render.identity.tables import HitTables, hit_tables
 from forestgen.render.variant import LLVM, drjit, mitsuba, require, tracing_variant, using
+from forestgen.scene.projection import HASH_ROUNDS, LENS_STEPS, fisheye_focal_px
 from forestgen.scene.spec import Camera, SceneSpec
 
 
@@ -24,14 +25,24 @@ def sample_offsets(samples: int) -> NDArray[np.float64]:
     return np.stack([np.tile(steps, side), np.repeat(steps, side)], axis=1)
 
 
-def camera_rays(camera: Camera, offset: NDArray[np.float64], first_row: int, rows: int) -> tuple[Any, Any]:
-    """Unit directions through sub-pixel positions of `rows` rows: in the camera's axes, and in the world's.
+@dataclass(frozen=True)
+class DeviceRays:
+    """R rays of a camera, as device arrays; single precision."""
+
+    direction: Any  # Vector3f, world, unit
+    depth_share: Any  # Float, depth by distance: the direction's share along z, or 1 where depth runs along the ray
+    shift_m: Any | None  # Vector3f, world: from the camera's place to where the ray begins; None: all begin there
+    valid: Any | None  # Bool, False outside of a fisheye's circle; None: all are
+
+
+def camera_rays(camera: Camera, offset: NDArray[np.float64], first_row: int, rows: int) -> DeviceRays:
+    """Rays through sub-pixel positions of `rows` rows.
 
     Parameters
     ----------
-    offset : (2,) or (S, 2), of `sample_offsets`. Rays run row by row, pixel by pixel, and then over the S positions:
-        neighbours on the device stay neighbours in the scene, which makes tracing 2.5 times as fast as position by
-        position.
+    offset : (2,) for the pixels' centres, or (S, 2), of `sample_offsets`. Rays run row by row, pixel by pixel, and then
+        over the S positions: neighbours on the device stay neighbours in the scene, which makes tracing 2.5 times as
+        fast as position by position. A lens' rays of (2,) go through its middle, those of (S, 2) through all of it.
     """
     mi, dr = mitsuba(), drjit()
     offsets, width = np.atleast_2d(offset), camera.size_px[0]
@@ -40,31 +51,76 @@ def camera_rays(camera: Camera, offset: NDArray[np.float64], first_row: int, row
     number = index - pixel * len(offsets)
     row = pixel // width
     dx, dy = (dr.gather(mi.Float, mi.Float(offsets[:, axis]), number) for axis in range(2))
-    return pixel_rays(camera, pixel - row * width, row + dr.opaque(mi.UInt32, first_row), dx, dy)
+    through = number if np.ndim(offset) == 2 else None
+    return pixel_rays(camera, pixel - row * width, row + dr.opaque(mi.UInt32, first_row), dx, dy, through)
 
 
-def pixel_rays(camera: Camera, column: Any, row: Any, dx: Any, dy: Any) -> tuple[Any, Any]:
-    """Unit directions through positions (dx, dy) in [0, 1] of pixels: in the camera's axes, and in the world's.
+def pixel_rays(camera: Camera, column: Any, row: Any, dx: Any, dy: Any, number: Any | None) -> DeviceRays:
+    """Rays through positions (dx, dy) in [0, 1] of pixels; scene/projection.py has their definition.
 
     All passes take their rays from here, so that theirs are equal to the last bit. What changes from camera to camera
-    goes in as opaque values: one compiled kernel serves them all.
+    goes in as opaque values: one compiled kernel serves all cameras of a kind.
+
+    Parameters
+    ----------
+    number : of the sample in its pixel, which chooses the point of the lens; None: through the lens' middle.
     """
     mi, dr = mitsuba(), drjit()
     width, height = camera.size_px
-    scale = dr.opaque(mi.Float, float(np.float32(1) / np.float32(camera.focal_px)))  # in single precision throughout
     axes = mi.Matrix3f([[dr.opaque(mi.Float, float(value)) for value in line] for line in camera.world_from_camera])
-    u = (mi.Float(column) + dx - width / 2) * scale
-    v = (mi.Float(row) + dy - height / 2) * scale
-    along = dr.normalize(mi.Vector3f(u, v, 1.0))
-    return along, axes @ along
+    x, y = mi.Float(column) + dx - width / 2, mi.Float(row) + dy - height / 2
+    if camera.projection == "orthographic":
+        scale = dr.opaque(mi.Float, camera.width_m / width)
+        return DeviceRays(
+            axes @ mi.Vector3f(0.0, 0.0, 1.0), mi.Float(1.0), axes @ mi.Vector3f(x * scale, y * scale, 0.0), None
+        )
+    if camera.projection == "fisheye":
+        return DeviceRays(axes @ _fisheye(camera, x, y), mi.Float(1.0), None, _in_circle(camera, x, y))
+    if camera.projection == "panorama":
+        sine, cosine = dr.sincos(x * dr.opaque(mi.Float, 2 * np.pi / width))
+        up, level = dr.sincos(y * dr.opaque(mi.Float, np.pi / height))
+        return DeviceRays(axes @ mi.Vector3f(sine * level, up, cosine * level), mi.Float(1.0), None, None)
+    scale = dr.opaque(mi.Float, float(np.float32(1) / np.float32(camera.focal_px)))  # in single precision throughout
+    slope = mi.Vector3f(x * scale, y * scale, 1.0)
+    if camera.lens is None or number is None:
+        along = dr.normalize(slope)
+        return DeviceRays(axes @ along, along.z, None, None)
+    across = _lens_points(column, row, number) * dr.opaque(mi.Float, camera.lens.aperture_radius_m)
+    start = mi.Vector3f(across.x, across.y, 0.0)
+    along = dr.normalize(slope * dr.opaque(mi.Float, camera.lens.focus_m) - start)
+    return DeviceRays(axes @ along, along.z, axes @ start, None)
+
+
+def _fisheye(camera: Camera, x: Any, y: Any) -> Any:
+    """Unit directions in the camera's axes of points, pixels from the image's middle."""
+    mi, dr = mitsuba(), drjit()
+    radius = dr.sqrt(x * x + y * y)
+    sine, cosine = dr.sincos(radius * dr.opaque(mi.Float, 1 / fisheye_focal_px(camera)))
+    sine = dr.select(radius > 0, sine / radius, 0.0)
+    return mi.Vector3f(x * sine, y * sine, cosine)
+
+
+def _in_circle(camera: Camera, x: Any, y: Any) -> Any:
+    """As `scene.projection.in_circle`: in double precision, in which squares of pixels are exact."""
+    mi, dr = mitsuba(), drjit()
+    double = dr.float64_array_t(mi.Float)
+    return double(x) * double(x) + double(y) * double(y) <= dr.opaque(double, (camera.size_px[0] / 2) ** 2)
+
+
+def _lens_points(column: Any, row: Any, number: Any) -> Any:
+    """As `scene.projection.lens_points`."""
+    mi, dr = mitsuba(), drjit()
+    keys = mi.sample_tea_32(mi.UInt32(column), mi.UInt32(row), HASH_ROUNDS)
+    a, b = (mi.Float((shift + number * step) >> 8) * 2.0**-24 for shift, step in zip(keys, LENS_STEPS, strict=True))
+    sine, cosine = dr.sincos(2 * np.pi * b)
+    return dr.sqrt(a) * mi.Vector2f(cosine, sine)
 
 
 @dataclass(frozen=True)
 class Hits:
     """Nearest hits of R rays, as device arrays; where `valid` is false the rest is 0 or meaningless."""
 
-    direction: Any  # Vector3f, world, unit
-    along_z: Any  # Float, the direction's share along the camera's z
+    rays: DeviceRays
     valid: Any  # Bool
     distance_m: Any  # Float
     instance: Any  # UInt32, row of the instances + 1; 0 for the terrain
@@ -111,7 +167,7 @@ class SceneTracer:
     def _load(self, spec: SceneSpec) -> None:
         # Of the cameras' own surroundings: a single camera stands in the origin, where coordinates are exact.
         self.spec, self.origin_m = spec, np.mean([origin_of(camera) for camera in spec.cameras], axis=0)
-        scene = plants_dict(spec, self.origin_m, shaded=False)
+        scene = plants_dict(spec, self.origin_m, None)
         scene["terrain"] = to_mesh(spec.terrain.mesh, None, self.origin_m, "terrain")
         self.scene = load(_slim(scene) if self.variant == LLVM else scene)
         self._row_of_registry = self._registry_rows(len(spec.instances))
@@ -131,7 +187,7 @@ class SceneTracer:
         self.texture, self.texel = mi.UInt32(tables.texture.ravel()), mi.Float(tables.texel.ravel())
         self.far_share = mi.Float(tables.far_share)
         self.far_albedo = mi.Color3f(*[dr.opaque(mi.Float, float(value)) for value in tables.far_albedo])
-        self.to_sun = mi.Vector3f(*[dr.opaque(mi.Float, float(value)) for value in sun_direction(self.spec)])
+        self.to_sun = mi.Vector3f(*[dr.opaque(mi.Float, float(value)) for value in self.spec.sky.to_sun])
         dr.eval()
 
     def _registry_rows(self, instances: int) -> Any:
@@ -149,17 +205,18 @@ class SceneTracer:
     def trace(self, camera: Camera, offset: NDArray[np.float64], first_row: int, rows: int) -> Hits:
         """Hits of the rays through sub-pixel positions of `rows` rows from `first_row`; order as in `camera_rays`."""
         mi, dr = mitsuba(), drjit()
-        along, direction = camera_rays(camera, offset, first_row, rows)
-        hit = self.scene.ray_intersect_preliminary(mi.Ray3f(self.start_of(camera), direction), coherent=True)
-        valid = hit.is_valid()
+        rays = camera_rays(camera, offset, first_row, rows)
+        ray = mi.Ray3f(self.start_of(camera, rays), rays.direction)
+        active = mi.Bool(True) if rays.valid is None else rays.valid
+        hit = self.scene.ray_intersect_preliminary(ray, coherent=True, active=active)
+        valid = hit.is_valid() & active
         registry = dr.reinterpret_array(mi.UInt32, hit.instance)
         known = valid & (registry < dr.width(self._row_of_registry))
         instance = dr.gather(mi.UInt32, self._row_of_registry, registry, known)
         inside = dr.select(valid & (instance > 0), hit.shape_index, 0)
         organ = dr.gather(mi.UInt32, self.first_organ, instance, valid) + inside
         return Hits(
-            direction=direction,
-            along_z=along.z,
+            rays=rays,
             valid=valid,
             distance_m=hit.t,
             instance=instance,
@@ -169,10 +226,11 @@ class SceneTracer:
             uv=hit.prim_uv,
         )
 
-    def start_of(self, camera: Camera) -> Any:
-        """The camera's place in the frame of the scene's shapes."""
+    def start_of(self, camera: Camera, rays: DeviceRays) -> Any:
+        """Where rays of the camera begin, in the frame of the scene's shapes."""
         mi, dr = mitsuba(), drjit()
-        return mi.Point3f(*[dr.opaque(mi.Float, float(x)) for x in origin_of(camera) - self.origin_m])
+        place = mi.Point3f(*[dr.opaque(mi.Float, float(x)) for x in origin_of(camera) - self.origin_m])
+        return place if rays.shift_m is None else place + rays.shift_m
 
     def face_in_exemplar(self, hits: Hits) -> Any:
         """Triangle of the exemplar with its organs one after another, or of the ground; 0 for the sky."""
@@ -194,4 +252,4 @@ class SceneTracer:
         """Unit normals, world, towards the camera; 0 for the sky."""
         mi, dr = mitsuba(), drjit()
         normal = self.to_world(dr.gather(mi.Vector3f, self.face_normal, hits.face, hits.valid), hits)
-        return dr.select(hits.valid, dr.select(dr.dot(normal, hits.direction) > 0, -normal, normal), 0.0)
+        return dr.select(hits.valid, dr.select(dr.dot(normal, hits.rays.direction) > 0, -normal, normal), 0.0)

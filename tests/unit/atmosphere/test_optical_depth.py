@@ -172,12 +172,36 @@ def test_rays_along_faces_and_centres_end() -> None:
         assert any(on == pytest.approx(other, rel=1e-6) for other in (left, right))
 
 
+PLACE = np.array([10.0, -20.0, 2.0])
+
+
+def directions(world_from_camera: np.ndarray, focal_px: float, shape: tuple[int, ...]) -> np.ndarray:
+    """(H, W, 3) unit, world, of a pinhole camera's rays through the pixels' centres."""
+    height, width = shape
+    x, y = np.meshgrid(np.arange(width) + 0.5 - width / 2, np.arange(height) + 0.5 - height / 2)
+    along = np.stack([x, y, np.full(shape, focal_px)], axis=-1)
+    return np.asarray(along / np.linalg.norm(along, axis=-1, keepdims=True) @ world_from_camera.T)
+
+
+def test_rays_may_begin_at_places_of_their_own_and_where_there_is_no_ray_there_is_no_cloud() -> None:
+    grid = random_grid(3)
+    along = np.broadcast_to(unit(0.2, 0.1, 1.0), (3, 4, 3))
+    start = np.random.default_rng(1).uniform(-20, 20, (3, 4, 3))
+    distance = np.full((3, 4), np.inf, dtype=np.float32)
+    distance[1, 2] = 0.0
+    opacity = cloud_opacity(grid, start, along, distance)
+    assert opacity[1, 2] == 0.0
+    for row, column in ((0, 0), (2, 3), (1, 1)):
+        depth = brute_force(grid, start[row, column], along[row, column], np.inf, 100_000)
+        assert opacity[row, column] == pytest.approx(1 - np.exp(-depth), abs=1e-5)
+
+
 def test_opacity_is_that_of_the_pixels_own_rays() -> None:
     grid = random_grid(3)
     world_from_camera = look_at((10, -20, 2), (10, 60, 110))
     distance = np.full((9, 16), np.inf, dtype=np.float32)
     distance[4:6, 3:9] = 12.0
-    opacity = cloud_opacity(grid, (10.0, -20.0, 2.0), world_from_camera, 14.0, distance)
+    opacity = cloud_opacity(grid, PLACE, directions(world_from_camera, 14.0, distance.shape), distance)
     assert opacity.dtype == np.float32
     assert opacity.shape == (9, 16)
     assert not opacity[4:6, 3:9].any()
@@ -187,7 +211,7 @@ def test_opacity_is_that_of_the_pixels_own_rays() -> None:
         assert opacity[row, column] == pytest.approx(1 - np.exp(-depth), abs=1e-5)
     assert opacity.max() > 0.5
     thick = replace(grid, extinction_per_m=grid.extinction_per_m * np.float32(1000))
-    assert cloud_opacity(thick, (10.0, -20.0, 2.0), world_from_camera, 14.0, distance).max() == 1.0
+    assert cloud_opacity(thick, PLACE, directions(world_from_camera, 14.0, distance.shape), distance).max() == 1.0
 
 
 def test_the_same_with_any_number_of_threads(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -195,7 +219,7 @@ def test_the_same_with_any_number_of_threads(monkeypatch: pytest.MonkeyPatch) ->
 
     grid = random_grid(7)
     distance = np.full((160, 200), np.inf, dtype=np.float32)
-    camera = ((10.0, -20.0, 2.0), look_at((10, -20, 2), (10, 60, 110)), 150.0)
+    camera = (PLACE, directions(look_at((10, -20, 2), (10, 60, 110)), 150.0, (160, 200)))
     several = cloud_opacity(grid, *camera, distance)
     monkeypatch.setattr(threads, "cores", lambda: 1)
     assert np.array_equal(several, cloud_opacity(grid, *camera, distance))
@@ -220,7 +244,8 @@ def test_the_renderer_lets_as_much_light_through() -> None:
         integrator = mi.load_dict(CLOUD_INTEGRATOR)
         seen = np.array(integrator.render(scene, sensor=sensor_of(camera, samples), seed=1, spp=samples))[..., 0]
     distance = np.full((9 * finer, 16 * finer), np.inf, dtype=np.float32)
-    opacity = cloud_opacity(grid, position, camera.world_from_camera, camera.focal_px * finer, distance)
+    along = directions(camera.world_from_camera, camera.focal_px * finer, distance.shape)
+    opacity = cloud_opacity(grid, np.array(position), along, distance)
     through = 1.0 - opacity.astype(np.float64).reshape(9, finer, 16, finer).mean(axis=(1, 3))
     assert through.min() < 0.1 < 0.9 < through.max()
     spread = np.sqrt(np.maximum(through * (1 - through), 1e-4) / samples)  # at most: a photon arrives, or does not

@@ -12,7 +12,8 @@ from PIL import Image
 
 from forestgen.core.bounded_cache import BoundedCache
 from forestgen.core.errors import AssetError, ResourceError
-from forestgen.core.grey_picture import LUMINANCE, kind_of, read_grey
+from forestgen.core.grey_picture import kind_of, read_grey
+from forestgen.core.spectrum import LUMINANCE
 
 RNG = np.random.default_rng(5)
 GREY8 = RNG.integers(0, 256, (7, 5), dtype=np.uint8)

@@ -60,8 +60,6 @@ def make_shot(plant_id, seed=0, denoised=True):
     identity = Identity(
         plant_id=ids,
         part=part,
-        albedo=noise(HEIGHT, WIDTH, 3),
-        mean_normal=noise(HEIGHT, WIDTH, 3),
     )
     depth = np.where(sky, np.inf, 5 + noise(HEIGHT, WIDTH)).astype(np.float32)
     surface = Surface(

@@ -9,9 +9,12 @@ import pytest
 from dataset_shots import HEIGHT, SETTINGS, WIDTH, make_camera
 
 from forestgen.core.errors import OutputError
-from forestgen.dataset.camera import write_camera
+from forestgen.dataset.camera import exr_attributes, intrinsics, world_to_ndc, write_camera
+from forestgen.dataset.check.camera_file import camera_of as camera_of_file
 from forestgen.dataset.exr import camera_position_m
 from forestgen.dataset.formats import nerfstudio
+from forestgen.scene.projection import project, world_rays
+from forestgen.testing.cameras import KINDS, camera_of
 
 
 def pixel_surface(camera, rng):
@@ -115,3 +118,73 @@ def test_a_missing_or_damaged_camera_is_an_output_error(tmp_path):
 def test_a_missing_folder_is_an_output_error(tmp_path):
     with pytest.raises(OutputError, match=r"missing"):
         write_camera(tmp_path / "missing" / "camera.json", make_camera())
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_checker_reads_every_model_as_it_is_written(kind, tmp_path):
+    """Its formulas are its own: rays, starts, projections, circle."""
+    camera = camera_of(kind, (40, 30), (3.0, 4.0, 5.0), (8.0, 20.0, 3.0))
+    write_camera(tmp_path / "camera.json", camera)
+    read = camera_of_file(json.loads((tmp_path / "camera.json").read_text()), "camera.json")
+    seen = world_rays(camera)
+    start = np.broadcast_to(seen.origin_m, seen.direction.shape) - np.asarray(camera.position_m)
+    np.testing.assert_allclose(read.starts((40, 30)), start, atol=1e-9)
+    rays = read.pixel_rays((40, 30))
+    np.testing.assert_allclose(rays / np.linalg.norm(rays, axis=-1, keepdims=True), seen.direction, atol=1e-12)
+    np.testing.assert_array_equal(read.sees((40, 30)), seen.valid)
+    rng = np.random.default_rng(1)
+    point = rng.normal(size=(5000, 3)) * 10
+    at, (pixel, depth) = project(camera, point), read.project_own(point)
+    np.testing.assert_array_equal(depth > 0, at.in_front)
+    kept = at.in_front
+    np.testing.assert_allclose(pixel[kept], np.stack([at.x_px, at.y_px], axis=-1)[kept], rtol=1e-10, atol=1e-9)
+    np.testing.assert_allclose(depth[kept], at.depth_m[kept], rtol=1e-12)
+    surface = rng.uniform(1, 60, (30, 40)).astype(np.float32)
+    own = (rays * surface[..., None] + read.starts((40, 30))) @ camera.world_from_camera
+    np.testing.assert_allclose(camera_position_m(surface, camera), own, rtol=1e-5, atol=1e-5)
+
+
+def test_an_orthographic_cameras_matrix_maps_the_world_to_the_image():
+    camera = camera_of("orthographic", (40, 30), (3.0, 4.0, 5.0), (8.0, 20.0, 3.0))
+    point = np.asarray(camera.position_m) + np.random.default_rng(1).normal(size=(50, 3)) * 10
+    found = np.column_stack([point, np.ones(50)]) @ world_to_ndc(camera).astype(float)
+    at = project(camera, (point - camera.position_m) @ camera.world_from_camera)
+    np.testing.assert_allclose(found[:, :2] * [40, 30], np.stack([at.x_px, at.y_px], axis=1), atol=1e-3)
+    np.testing.assert_allclose(found[:, 3], 1.0, atol=1e-6)
+    assert exr_attributes(camera)["screenWindowWidth"] == 20.0
+    assert "worldToNDC" not in exr_attributes(camera_of("fisheye", (40, 30), (0.0, 0.0, 0.0)))
+    with pytest.raises(ValueError, match="no matrix K"):
+        intrinsics(camera)
+
+
+def opengl_ray(transforms, frame, x_px, y_px):
+    """World direction of a pixel as nerfstudio makes it: x right, y up, z backward."""
+    u, v = (x_px - frame["cx"]) / frame["fl_x"], -(y_px - frame["cy"]) / frame["fl_y"]
+    if transforms["camera_model"] == "EQUIRECTANGULAR":
+        theta, phi = -np.pi * u, np.pi * (0.5 - v)
+        own = np.array([-np.sin(theta) * np.sin(phi), np.cos(phi), -np.cos(theta) * np.sin(phi)])
+    elif transforms["camera_model"] == "OPENCV_FISHEYE":
+        theta = np.hypot(u, v)
+        own = np.array([u * np.sin(theta) / theta, v * np.sin(theta) / theta, -np.cos(theta)])
+    else:
+        own = np.array([u, v, -1.0]) / np.sqrt(u * u + v * v + 1)
+    return np.array(frame["transform_matrix"])[:3, :3] @ own
+
+
+def test_nerfstudio_has_a_file_for_each_model_and_its_rays_are_ours(tmp_path):
+    kinds = ("perspective", "fisheye", "panorama")
+    place = (3.0, 4.0, 5.0)
+    cameras = [replace(camera_of(kind, (40, 30), place, (8.0, 20.0, 3.0)), name=kind) for kind in kinds]
+    folders = frames_on_disk(tmp_path, cameras)
+    nerfstudio.merge(tmp_path, folders, SETTINGS)
+    names = {"perspective": "-pinhole", "fisheye": "", "panorama": "-equirectangular"}
+    for camera in cameras:  # by their folders' names, the fisheye is the first
+        content = json.loads((tmp_path / f"transforms{names[camera.name]}.json").read_text())
+        (frame,) = content["frames"]
+        rays = world_rays(camera)
+        for row, column in ((3, 12), (20, 30), (14, 19)):
+            got = opengl_ray(content, frame, column + 0.5, row + 0.5)
+            np.testing.assert_allclose(got, rays.direction[row, column], atol=1e-9)
+    parallel = frames_on_disk(tmp_path / "o", [camera_of("orthographic", (40, 30), place)])
+    with pytest.raises(OutputError, match="no orthographic cameras"):
+        nerfstudio.merge(tmp_path / "o", parallel, SETTINGS)

@@ -11,8 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from forestgen.dataset.check.camera_file import CameraFile, camera_of
 from forestgen.dataset.check.cryptomatte import murmur3, standard_id
-from forestgen.dataset.check.frame_data import CameraFile, camera_of, extents_of
+from forestgen.dataset.check.frame_data import extents_of
 from forestgen.dataset.check.keypoints import states
 from forestgen.dataset.check.offence import UnreadableError
 from forestgen.dataset.check.recipe import read_recipe

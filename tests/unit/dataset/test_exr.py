@@ -10,10 +10,15 @@ import pytest
 from dataset_shots import HEIGHT, WIDTH, make_camera, make_shot
 
 from forestgen.core.errors import OutputError
+from forestgen.core.spectrum import Band, Spectrum
 from forestgen.dataset import exr
+from forestgen.dataset.bands import centre_nm, width_nm
 from forestgen.dataset.camera import camera_from_world, intrinsics, screen_window_width, world_to_camera, world_to_ndc
+from forestgen.dataset.check import light_files
+from forestgen.dataset.check.frame_data import FrameData, FrameTask
 from forestgen.dataset.exr import read_exr, read_exr_attributes, write_exr
 from forestgen.recipe.schema import CHANNELS
+from forestgen.render.frame import Radiance
 
 POINTS = (
     np.random.default_rng(0).uniform(-5, 5, (50, 3)) + np.array([3.0, -4.0, 12.0]) + 40 * np.array([0.6, 0.7, -0.2])
@@ -198,3 +203,120 @@ def test_the_camera_axis_meets_the_image_centre():
     np.testing.assert_allclose(row[:2] / row[3], [0.5, 0.5], atol=1e-5)
     row = np.array([*(ahead + np.array([0.0, 0.0, 1.0])), 1.0]) @ world_to_ndc(camera).astype(float)
     assert row[1] / row[3] < 0.5  # up in the world is up in the picture: a smaller y
+
+
+def bands_shot(names=("B02", "B8A", "B03", "B11")):
+    """A shot in bands whose centres are 490, 865, 560, 1610 nm, triangles of 40 nm half width."""
+    shot = make_shot([1, 2, 3])
+    made = []
+    for name, centre in zip(names, (490.0, 865.0, 560.0, 1610.0), strict=True):
+        made.append(Band(f"sensor/{name}", Spectrum(centre + np.array([-40.0, 0, 40]), np.array([0.0, 0.7, 0]))))
+    rng = np.random.default_rng(4)
+    light = rng.random((HEIGHT, WIDTH, len(names))).astype(np.float32)
+    radiance = Radiance(light, light * np.float32(0.1), light * np.float32(1.1), 8, tuple(names), tuple(made))
+    frame = replace(shot.frame, radiance=radiance)
+    return replace(shot, frame=frame, labelled=replace(shot.labelled, frame=frame))
+
+
+def test_bands_are_channels_of_their_names(tmp_path):
+    shot = bands_shot()
+    path = written(tmp_path / "a.exr", shot)
+    parts, header = read_exr(path), read_exr_attributes(path)
+    for part, values in (
+        ("radiance", shot.frame.radiance.mean),
+        ("radiance.variance", shot.frame.radiance.variance),
+        ("radiance.denoised", shot.frame.radiance.denoised),
+    ):
+        assert set(parts[part]) == {"B02", "B8A", "B03", "B11"}
+        for k, name in enumerate(shot.frame.radiance.channels):
+            np.testing.assert_array_equal(parts[part][name], values[..., k])
+    assert header["forestgen/units.radiance"] == "W m-2 sr-1 nm-1"
+    assert header["forestgen/units.radiance.variance"] == "(W m-2 sr-1 nm-1)^2"
+    assert "whiteLuminance" not in header
+    assert "forestgen/colour_space" not in header
+    figures = {row["channel"]: row for row in json.loads(header["forestgen/bands"])}
+    assert figures["B8A"] == {
+        "channel": "B8A", "response": "sensor/B8A",
+        "centre_nm": 865.0, "width_nm": 40.0, "from_nm": 825.0, "to_nm": 905.0,
+    }  # fmt: skip
+
+
+def test_centre_and_width_of_a_lopsided_band():
+    """A triangle from 400 over 430 to 500: centroid (400 + 430 + 500) / 3, area by peak 50."""
+    fine = np.arange(400.0, 501.0)
+    lopsided = Band("x", Spectrum(fine, 3 * np.interp(fine, [400, 430, 500], [0, 1, 0])))
+    assert centre_nm(lopsided) == pytest.approx(1330 / 3, abs=0.05)
+    assert width_nm(lopsided) == pytest.approx(50.0)
+
+
+def test_what_the_header_says_of_light(tmp_path, shot):
+    import OpenEXR
+
+    radiance = replace(
+        shot.frame.radiance, relative_error=0.0123456, relative_error_p95=0.05, stopped_by="target_error"
+    )
+    frame = replace(shot.frame, radiance=radiance)
+    write_exr(tmp_path / "a.exr", replace(shot.labelled, frame=frame), {})
+    parts = {part.name(): part.header for part in OpenEXR.File(str(tmp_path / "a.exr"), header_only=True).parts}
+    for name, header in parts.items():
+        coloured = name in ("radiance", "radiance.denoised")
+        assert header.get("whiteLuminance") == (1.0 if coloured else None)
+        assert header["forestgen/colour_space"] == "linear Rec. 709 (D65)"
+        assert header["forestgen/samples"] == "64"
+        assert header["forestgen/relative_error"] == "0.0123456"
+        assert header["forestgen/relative_error_p95"] == "0.05"
+        assert header["forestgen/stopped_by"] == "target_error"
+        assert header["forestgen/biased"].startswith("denoised" if name == "radiance.denoised" else "radiance.denoised")
+    units = {name: parts["depth"].get(f"forestgen/units.{name}") for name in parts}
+    assert units["radiance"] == units["radiance.denoised"] == "cd/m2, linear Rec. 709 (D65)"
+    assert units["radiance.variance"] == "(cd/m2)^2"
+    without = {name for name, unit in units.items() if unit is None}
+    assert without == {"sun", "boundary", "identity", "coverage"}  # counts, marks and names have none
+    write_exr(tmp_path / "b.exr", make_shot([1, 2], denoised=False).labelled, {})
+    assert "forestgen/biased" not in read_exr_attributes(tmp_path / "b.exr")
+    assert "forestgen/relative_error" not in read_exr_attributes(tmp_path / "b.exr")  # nothing is known of it
+
+
+def rewritten(path, change):
+    """The same file with a part's header or channels changed."""
+    import OpenEXR
+
+    parts = OpenEXR.File(str(path), separate_channels=True).parts
+    for part in parts:
+        change(part.name(), part.header, part.channels)
+    OpenEXR.File(list(parts)).write(str(path.with_name("frame.exr")))
+
+
+def drop(key):
+    return lambda name, header, channels: header.pop(key, None)
+
+
+def put(key, value):
+    return lambda name, header, channels: header.__setitem__(key, value)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (drop("whiteLuminance"), "whiteLuminance"),
+        (put("whiteLuminance", 100.0), "whiteLuminance"),
+        (put("chromaticities", (0.7, 0.3, 0.2, 0.7, 0.1, 0.05, 0.31, 0.33)), "chromaticities"),
+        (drop("forestgen/units.radiance"), "units.radiance is not"),
+        (put("forestgen/units.radiance.variance", "cd/m2"), "units.radiance.variance is not"),
+        (drop("forestgen/biased"), "biased"),
+        (put("forestgen/bands", '[{"channel": "B02"}]'), "not of radiance's channels"),
+    ],
+)
+def test_the_check_wants_the_header(tmp_path, shot, change, words):
+    path = written(tmp_path / "a.exr", shot)
+    frame = FrameData(FrameTask(tmp_path, ".", {}, {}))
+    rewritten(path, lambda *_: None)
+    assert list(light_files.header(frame)) == []
+    rewritten(path, change)
+    found = [one.problem for one in light_files.header(FrameData(FrameTask(tmp_path, ".", {}, {})))]
+    assert any(words in problem for problem in found), found
+
+
+def test_the_check_reads_bands(tmp_path):
+    written(tmp_path / "frame.exr", bands_shot())
+    assert list(light_files.header(FrameData(FrameTask(tmp_path, ".", {}, {})))) == []

@@ -21,7 +21,7 @@ TINY = (
     "species={fireweed: }",
     "community.steps=8",
     "sky.clouds=none",
-    "cameras=[{name: a, size_px: [32, 18]}, {name: b, position_m: [4, 4, -3], size_px: [16, 16]}]",
+    "cameras=[{name: a, size_px: [32, 18]}, {name: b, position_m: [4, 4, -3], size_px: [16, 16], obstructed: note}]",
     "render={samples: 1, denoise: false}",
     "labels.samples=1",
 )

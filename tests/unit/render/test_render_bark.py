@@ -12,9 +12,12 @@ from forestgen.geometry.mesh import Mesh
 from forestgen.plants.bark.texture import SurfaceTexture, bark_texture
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.recipe.species import Bark
-from forestgen.render.build import load, origin_of, plants_dict, sensor_of, surface_bsdf
+from forestgen.render.build import load, origin_of, plants_dict
 from forestgen.render.identity import SceneTracer, trace_identity
-from forestgen.render.variant import SCALAR, mitsuba
+from forestgen.render.sensors import capture
+from forestgen.render.surfaces import Paints, surface_bsdf
+from forestgen.render.variant import SCALAR, using
+from forestgen.scene.channels import RGB, Channels
 from forestgen.scene.spec import Camera, Instances, Material, SceneSpec
 from forestgen.testing.scenes import plain_ground, scattered_scene
 
@@ -63,14 +66,11 @@ def scene(material: Material, uv: bool = True, turn_deg: float = 0.0) -> SceneSp
     )
 
 
-def render(spec: SceneSpec, light: dict, samples: int = 64) -> np.ndarray:
-    mi, camera = mitsuba(), spec.cameras[0]
-    with mi.variant_context(SCALAR):
-        loaded = load({**plants_dict(spec, origin_of(camera), shaded=True), "light": light})
-        image = mi.load_dict({"type": "path", "max_depth": 2}).render(
-            loaded, sensor=sensor_of(camera, samples), seed=3, spp=samples
-        )
-        return np.array(image)[..., :3].astype(np.float64)
+def render(spec: SceneSpec, light: dict, samples: int = 64, paints: Paints | None = None) -> np.ndarray:
+    camera = spec.cameras[0]
+    with using(SCALAR) as mi:
+        loaded = load({**plants_dict(spec, origin_of(camera), paints or Paints()), "light": light})
+        return capture(mi.load_dict({"type": "path", "max_depth": 2}), loaded, camera, samples=samples, seed=3)[..., :3]
 
 
 def leaning_texture(lean: tuple[float, float] = (0.0, 0.0)) -> SurfaceTexture:
@@ -124,10 +124,28 @@ def test_wood_without_uv_has_one_colour():
 
 
 def test_only_opaque_parts_take_a_texture():
-    material = Material(REFLECTANCE, texture=leaning_texture())
+    material = Material(REFLECTANCE, (0.1, 0.1, 0.1), texture=leaning_texture())
     assert surface_bsdf(Part.LEAF, material, has_uv=True)["type"] == "blendbsdf"
     assert surface_bsdf(Part.TRUNK, material, has_uv=True)["bsdf"]["type"] == "normalmap"
     assert surface_bsdf(Part.TRUNK, material)["bsdf"]["type"] == "diffuse"
+
+
+def test_repainted_bark_is_bark_built_anew():
+    """The same scene object, repainted for other wavelengths, gives the same bytes as one made for them."""
+    texture = bark_texture(Bark(pattern="furrowed", tile_m=TILE_M, depth_m=0.004), REFLECTANCE, "post/bark")
+    spec, passes = scene(Material(REFLECTANCE, texture=texture)), Channels((450.0, 700.0, 1600.0))
+    camera = spec.cameras[0]
+    fresh = render(spec, UNIFORM, 4, Paints(passes))
+    with using(SCALAR) as mi:
+        paints = Paints()
+        loaded = load({**plants_dict(spec, origin_of(camera), paints), "light": UNIFORM})
+        path = mi.load_dict({"type": "path", "max_depth": 2})
+        images = []
+        for channels in (passes, RGB):
+            paints.repaint(channels)
+            images.append(capture(path, loaded, camera, samples=4, seed=3)[..., :3])
+    assert np.array_equal(images[0], fresh)
+    assert np.array_equal(images[1], render(spec, UNIFORM, 4))
 
 
 def test_of_all_labels_only_the_albedo_sees_the_texture():

@@ -149,5 +149,8 @@ def test_the_end_of_a_range_that_stills_everything_is_found_before_the_start() -
 
 
 def test_frames_below_the_ground_are_named() -> None:
-    plan = check_plan(load_recipe(QUICKSTART, [PATH + "{frames: 4, position_m: [[60, -10, -4]]}"]))
+    down = PATH + "{frames: 4, position_m: [[60, -10, -4]]}"
+    with pytest.raises(RecipeError, match=r"path\.position_m: the camera camera0-0002 stands below the ground"):
+        check_plan(load_recipe(QUICKSTART, [down]))
+    plan = check_plan(load_recipe(QUICKSTART, [down, "cameras.0.obstructed=note"]))
     assert views_below_ground(plan) == ["camera0-0002", "camera0-0003"]

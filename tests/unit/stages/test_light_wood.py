@@ -13,8 +13,8 @@ from forestgen.core.parts import Part
 from forestgen.core.progress import Silent
 from forestgen.stages import light_wood
 from forestgen.stages.light_wood import with_light_wood
-from forestgen.stages.scene import materials_of
 from forestgen.stages.single_plant import Order, grow, grow_plants, model_of, plan_of, radius_of_m
+from forestgen.stages.surfaces import materials_of
 
 
 def test_wood_has_few_triangles_and_one_texture(monkeypatch: pytest.MonkeyPatch) -> None:

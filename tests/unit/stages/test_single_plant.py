@@ -13,7 +13,6 @@ from forestgen.core.parts import Part
 from forestgen.plants.bark.texture import texture_images
 from forestgen.scene.spec import Material
 from forestgen.stages.plant_files import FileSet
-from forestgen.stages.scene import materials_of
 from forestgen.stages.single_plant import (
     Order,
     default_outputs,
@@ -25,6 +24,7 @@ from forestgen.stages.single_plant import (
     plan_of,
     radius_of_m,
 )
+from forestgen.stages.surfaces import materials_of
 
 
 @pytest.fixture(scope="module")

@@ -51,7 +51,7 @@ def ground() -> Terrain:
 @pytest.fixture(autouse=True)
 def _same_ground(ground: Terrain, monkeypatch: pytest.MonkeyPatch) -> None:
     """Litter takes seconds a scene, and is not what is looked at here."""
-    monkeypatch.setattr(scene, "build_terrain", lambda height, rng: ground)
+    monkeypatch.setattr(scene, "build_terrain", lambda *_: ground)
 
 
 @pytest.mark.parametrize(

@@ -53,9 +53,12 @@ def test_a_barren_recipe_has_no_plants_and_another_may() -> None:
 @pytest.mark.parametrize(
     ("override", "below"),
     [
-        ("cameras=[{position_m: [0, 0, -1], look_at_m: [5, 5, 5]}]", ["camera0"]),
+        ("cameras=[{position_m: [0, 0, -1], look_at_m: [5, 5, 5], obstructed: note}]", ["camera0"]),
         ("cameras=[{position_m: [0, 0, 1], look_at_m: [5, 5, -5]}]", []),
-        ("cameras=[{position_m: [0, 0, -1], look_at_m: [5, 5, 5], height_above_ground: false}]", []),  # in a valley
+        (
+            "cameras=[{position_m: [0, 0, -30], look_at_m: [5, 5, 5], height_above_ground: false, obstructed: note}]",
+            ["camera0"],
+        ),
     ],
 )
 def test_cameras_below_the_ground_are_named(override: str, below: list[str]) -> None:

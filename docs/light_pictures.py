@@ -1,0 +1,75 @@
+"""Pictures of light and cameras, for docs/light.md; `docs/pictures.py` runs them.
+
+light.jpg    light    one stand under other skies, in other seasons, through other cameras, a panel each
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+from label_pictures import GAP_PX, PICTURES, ROOT, titled
+from PIL import Image
+
+from forestgen.dataset.exr import read_exr
+from forestgen.dataset.tonemap import tone_map
+
+HEIGHT_PX, COLUMNS = 300, 3
+INFRARED = "near infrared, red, green as red, green, blue"
+VIEW = "position_m: [60, -10, 3.2], look_at_m: [62, 60, 8], size_px: [450, 300], hfov_deg: 60"
+PANELS = {
+    "clear, noon": (f"{{{VIEW}}}", ("sky.sun={elevation_deg: 60, azimuth_deg: 180}",)),
+    "overcast": (f"{{{VIEW}}}", ("sky.kind=overcast",)),
+    "autumn, a low sun": (f"{{{VIEW}}}", ("plants.season=autumn", "sky.sun={elevation_deg: 12, azimuth_deg: 250}")),
+    INFRARED: (f"{{{VIEW}, bands: drone_multispectral}}", ()),
+    "portrait: 85 mm, f/1.8": (
+        "{position_m: [60, -4, 1.7], look_at_m: [60, 20, 2], size_px: [450, 300], focal_length_mm: 85, "
+        "f_number: 1.8, focus_m: 7}",
+        (),
+    ),
+    "fisheye, looking up": ("{kind: fisheye, position_m: [60, 60, 1.3], size_px: [300, 300]}", ()),
+    "panorama": ("{kind: panorama, position_m: [60, 40, 1.7], size_px: [600, 300]}", ()),
+    "map, a metre in 2.5 pixels": (
+        "{kind: orthographic, width_m: 120, position_m: [60, 60, 60], size_px: [300, 300]}",
+        (),
+    ),
+}
+
+
+def light(scratch: Path) -> None:
+    """One stand, many ways to look at it."""
+    rows: list[list[Image.Image]] = [[]]
+    for k, (title, (camera, settings)) in enumerate(PANELS.items()):
+        if len(rows[-1]) == COLUMNS:
+            rows.append([])
+        frame = _rendered(scratch / f"light-{k}", camera, settings)
+        rows[-1].append(titled(_infrared(frame) if title == INFRARED else _preview(frame), title))
+    width = max(sum(picture.width + GAP_PX for picture in row) for row in rows) - GAP_PX
+    sheet = Image.new("RGB", (width, len(rows) * (HEIGHT_PX + GAP_PX) - GAP_PX), "white")
+    for j, row in enumerate(rows):
+        left = 0
+        for picture in row:
+            sheet.paste(picture, (left, j * (HEIGHT_PX + GAP_PX)))
+            left += picture.width + GAP_PX
+    sheet.save(PICTURES / "light.jpg", quality=86)
+    sys.stdout.write(f"{PICTURES / 'light.jpg'}\n")
+
+
+def _preview(frame: Path) -> np.ndarray:
+    return np.asarray(Image.open(frame / "preview.png").convert("RGB"))
+
+
+def _infrared(frame: Path) -> np.ndarray:
+    light = read_exr(frame / "frame.exr")["radiance.denoised"]
+    return tone_map(np.stack([light[name] for name in ("nir", "red", "green")], axis=-1))
+
+
+def _rendered(folder: Path, camera: str, settings: tuple[str, ...]) -> Path:
+    """The frame's folder."""
+    every = (f"cameras=[{camera}]", "sky.clouds=none", "render.samples=48", *settings)
+    words = [word for one in every for word in ("--set", one)]
+    recipe = ROOT / "recipes" / "quickstart.yaml"
+    subprocess.run([sys.executable, "-m", "forestgen", "render", str(recipe), "-o", str(folder), *words], check=True)
+    return min(path for path in folder.iterdir() if path.is_dir())

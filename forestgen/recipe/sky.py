@@ -1,0 +1,197 @@
+"""The recipe's sky: sun, clear or overcast sky, clouds."""
+
+from __future__ import annotations
+
+import datetime
+import re
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import Field, SerializerFunctionWrapHandler, field_validator, model_serializer, model_validator
+
+from forestgen.recipe.fields import Fraction, Number, Positive, Section, Text, mistake, spelled_out
+
+YEARS = (1700, 2200)
+_ANGLES, _DATE = ("elevation_deg", "azimuth_deg"), ("date", "time", "utc_offset_h")
+_ELEVATION_DEG, _AZIMUTH_DEG = 40.0, 140.0
+_CLOCK = re.compile(r"^(\d{1,2}):(\d{2})(?::(\d{2}))?$", re.ASCII)
+
+
+class Sun(Section):
+    """Where the sun stands: by its angles, or by date, time and the site's place on earth."""
+
+    elevation_deg: Annotated[
+        Number | None,
+        Field(gt=0, le=90, description="Height above the horizon as it is seen, degrees. Default 40, without a date."),
+    ] = None
+    azimuth_deg: Annotated[
+        Number | None,
+        Field(
+            ge=-360,
+            le=360,
+            description="Direction clockwise from north, degrees: 90 is east. Default 140, without a date.",
+        ),
+    ] = None
+    date: Annotated[
+        Text | None,
+        Field(
+            max_length=40,
+            description="Day, YYYY-MM-DD, with time and utc_offset_h; or both with their offset as "
+            "2026-06-21T14:30+02:00. Needs site.latitude_deg and site.longitude_deg.",
+        ),
+    ] = None
+    time: Annotated[
+        Annotated[Number, Field(ge=0, lt=24)] | Text | None,
+        Field(description="Of the clock, 'HH:MM' or 'HH:MM:SS', or hours since midnight, such as 14.5."),
+    ] = None
+    utc_offset_h: Annotated[
+        Number | None,
+        Field(ge=-12, le=14, description="What the clock is ahead of UTC, hours: 2 in central Europe's summer."),
+    ] = None
+
+    @property
+    def moment(self) -> datetime.datetime | None:
+        """Date and time, with its offset from UTC; None where the sun is given by angles."""
+        if self.date is None:
+            return None
+        if self.time is None or self.utc_offset_h is None:
+            return datetime.datetime.fromisoformat(self.date)
+        zone = datetime.timezone(datetime.timedelta(hours=self.utc_offset_h))
+        midnight = datetime.datetime.combine(datetime.date.fromisoformat(self.date), datetime.time(), zone)
+        return midnight + datetime.timedelta(hours=_hours(self.time))
+
+    @model_validator(mode="before")
+    @classmethod
+    def _angles_by_default(cls, data: Any) -> Any:
+        if not isinstance(data, Mapping) or any(data.get(key) is not None for key in _DATE):
+            return data
+        given = {key: value for key, value in data.items() if value is not None or key not in _ANGLES}
+        return {"elevation_deg": _ELEVATION_DEG, "azimuth_deg": _AZIMUTH_DEG, **given}
+
+    @field_validator("date")
+    @classmethod
+    def _is_date(cls, value: str | None) -> str | None:
+        expected = "a day as 2026-06-21, or with time and offset from UTC as 2026-06-21T14:30+02:00"
+        if value is None:
+            return None
+        try:
+            moment = datetime.datetime.fromisoformat(value)
+        except ValueError as cause:
+            raise mistake(expected, problem="not a date") from cause
+        if len(value) > 10 and moment.tzinfo is None:
+            hint = "add the offset: Z is UTC, +02:00 central Europe's summer"
+            raise mistake(expected, problem="a time without its offset from UTC", hint=hint)
+        if not YEARS[0] <= moment.year <= YEARS[1]:
+            raise mistake(f"a year from {YEARS[0]} to {YEARS[1]}", problem="too far away")
+        return value
+
+    @field_validator("time", mode="before")
+    @classmethod
+    def _is_time(cls, value: Any) -> Any:
+        number = isinstance(value, int | float) and not isinstance(value, bool)
+        good = (number and 0 <= value < 24) or (isinstance(value, str) and _hours(value) < 24)
+        if value is not None and not good:
+            raise mistake("'HH:MM' or 'HH:MM:SS', or hours since midnight from 0 to 24", problem="not a time of day")
+        return value
+
+    @model_validator(mode="after")
+    def _angles_or_date(self) -> Self:
+        given = [key for key in _DATE if getattr(self, key) is not None]
+        if not given:
+            return self
+        angles = [key for key in _ANGLES if getattr(self, key) is not None]
+        if angles:
+            raise mistake(
+                "elevation_deg and azimuth_deg; or date, time and utc_offset_h",
+                problem="the sun is given twice, by angle and by date",
+                got=", ".join(angles + given),
+                hint=f"leave out {' and '.join(angles)} or the date",
+                at=(angles[0],),
+            )
+        needed = ("date",) if self.date is not None and len(self.date) > 10 else _DATE
+        if given != list(needed):
+            missing = [key for key in needed if key not in given]
+            raise mistake(
+                " and ".join(needed),
+                problem="half a date" if missing else "the time is given twice, in the date and beside it",
+                got=", ".join(given),
+                hint="add " + " and ".join(f"{key}: {_EXAMPLES[key]}" for key in missing)
+                if missing
+                else "leave out time and utc_offset_h",
+                at=(given[0] if missing else given[1],),
+            )
+        return self
+
+    @model_serializer(mode="wrap")
+    def _as_given(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        return {key: value for key, value in handler(self).items() if value is not None}
+
+
+_EXAMPLES = {"date": "2026-06-21", "time": "'14:30'", "utc_offset_h": "2"}
+
+
+def _hours(time: float | str) -> float:
+    """Since midnight; infinite for what is no time."""
+    if not isinstance(time, str):
+        return time
+    match = _CLOCK.match(time)
+    if match is None:
+        return float("inf")
+    hours, minutes, seconds = (int(part or 0) for part in match.groups())
+    return hours + minutes / 60 + seconds / 3600 if minutes < 60 and seconds < 60 else float("inf")
+
+
+class Clouds(Section):
+    """The cloud field above the site."""
+
+    type: Annotated[Literal["cumulus", "none"], Field(description="Kind of cloud.")] = "none"
+    cover: Annotated[Fraction, Field(description="Fraction of the sky's area under cloud, 0 to 1.")] = 0.35
+    base_m: Annotated[Positive, Field(le=20000, description="Height of the clouds' base above ground, metres.")] = 900.0
+    thickness_m: Annotated[Positive, Field(le=20000, description="Height of the cloud layer, metres.")] = 350.0
+    extinction_per_m: Annotated[Positive, Field(le=1, description="Extinction inside a cloud, per metre.")] = 0.05
+    extent_m: Annotated[Positive, Field(le=20000, description="Side of the square of clouds, metres.")] = 8000.0
+
+
+class SkySection(Section):
+    """Sun, clear or overcast sky, and clouds."""
+
+    kind: Annotated[
+        Literal["clear", "overcast"],
+        Field(
+            description="clear: sun and blue sky, with clouds if there are any. overcast: the CIE standard overcast "
+            "sky, without a sun; its light goes by the height at which the sun stands behind it."
+        ),
+    ] = "clear"
+    sun: Annotated[Sun, Field(description="Where the sun stands, by angles or by date.")] = Sun()
+    turbidity: Annotated[Number, Field(ge=1, le=10, description="Haze: 1 is pure air, 3 clear, 10 hazy; no unit.")] = (
+        3.0
+    )
+    precipitable_water_mm: Annotated[
+        Number,
+        Field(
+            ge=0,
+            le=100,
+            description="Water vapour of the whole air column, mm: 5 in winter, 14 standard, 50 in the tropics.",
+        ),
+    ] = 14.16
+    ozone_du: Annotated[
+        Number, Field(ge=0, le=1000, description="Ozone of the whole air column, Dobson units; 344 is standard.")
+    ] = 344.0
+    clouds: Annotated[Clouds, Field(description="The cloud field, or just its type.")] = Clouds()
+
+    @field_validator("clouds", mode="before")
+    @classmethod
+    def _type_alone(cls, value: Any) -> Any:
+        return spelled_out(value, "type")
+
+    @model_validator(mode="after")
+    def _one_kind_of_cloud(self) -> Self:
+        if self.kind == "overcast" and self.clouds.type != "none":
+            raise mistake(
+                "clouds: none",
+                problem="an overcast sky has no single clouds",
+                got=self.clouds.type,
+                hint="leave out clouds, or make the sky's kind clear",
+                at=("clouds", "type"),
+            )
+        return self

@@ -1,0 +1,340 @@
+"""Spectra by name: reflectances and transmittances of leaves, bark and ground, and the responses of sensors.
+
+A spectrum's file is a table of comma-separated values. Lines that begin with ``#`` tell where it comes from; then
+come a header, whose first column is ``wavelength_nm``, and one row a wavelength, rising::
+
+    # source: measured at the nursery's gate, beech, upper side
+    # licence: CC0
+    wavelength_nm,reflectance,transmittance
+    400,0.0412,0.0005
+    ...
+
+Surfaces have columns ``reflectance`` and, if light passes, ``transmittance``; with ``_spring``, ``_summer``,
+``_autumn`` or ``_dry`` behind them they hold for that season alone. Sensors have one column a band, of any name and
+scale. Names are those of files under ``scenes/spectra`` (``leaves/birch``) or paths from the recipe's folder.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import re
+from functools import lru_cache
+from pathlib import Path
+from typing import Literal, NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.core.errors import AssetError
+from forestgen.core.spectrum import Band, Spectrum
+from forestgen.core.text_file import read_text
+from forestgen.recipe.assets import find_asset, list_assets
+
+Season = Literal["spring", "summer", "autumn", "dry"]
+SEASONS: tuple[Season, ...] = ("spring", "summer", "autumn", "dry")
+KIND = "spectra"
+WAVELENGTH = "wavelength_nm"
+VISIBLE_NM = (400.0, 700.0)  # what a surface's table must cover
+RENDERED_NM = (300.0, 2500.0)  # what a band may answer to
+MOST_BYTES = 4_000_000
+MOST_ROWS = 20_000
+MOST_COLUMNS = 64
+_SENSORS = "responses/"
+_BAND_NAME = re.compile(r"^[\w+()-][\w +()-]{0,39}$")  # of files and of channels: no slashes, no dots
+_RESPONSES = (1e-12, 1e12)  # greatest of a band, in any scale: their squares are computed
+_TOLERANCE = 1e-6  # of reflectance + transmittance: tables are rounded
+
+Columns = dict[str, Spectrum]
+
+
+def load_spectra(name: str, *, folder: Path | None = None, where: str | None = None) -> Columns:
+    """The columns of a surface's table: reflectance, transmittance, perhaps by season; fractions of 1.
+
+    Parameters
+    ----------
+    name : of a shipped table, such as ``leaves/birch``; or a path from `folder`.
+    folder : the recipe's; the working directory if None.
+    where : place in the recipe that names the table, for messages.
+
+    Raises
+    ------
+    AssetError : no such table, or one that no surface can have; file, line, what was expected and found.
+    """
+    path = find_asset(KIND, name, folder=folder, where=where)
+    return surface_columns(table_text(path), str(path), where)
+
+
+def load_bands(name: str, *, folder: Path | None = None, where: str | None = None) -> tuple[Band, ...]:
+    """The bands of a sensor, in the order of its file; parameters as those of `load_spectra`.
+
+    A sensor's name does without its folder: ``sentinel2a`` is ``responses/sentinel2a``.
+
+    Raises
+    ------
+    AssetError : no such table, or one that no sensor can have.
+    """
+    path = sensor_file(name, folder, where)
+    return _bands(table_text(path), str(path), where)
+
+
+def bands_of(text: str, file: str, where: str | None = None) -> tuple[Band, ...]:
+    """The bands of a sensor's table from its text; `file` names it in messages."""
+    return _bands(text, file, where)
+
+
+def sensor_file(name: str, folder: Path | None, where: str | None) -> Path:
+    """The file of a sensor's table; a sensor's name does without its folder."""
+    sensors = sensor_names()
+    if name in sensors:
+        name = f"{_SENSORS}{name}"
+    elif "/" not in name and not name.endswith(".csv"):
+        near = difflib.get_close_matches(name, sensors, n=1)
+        expected = f"one of {', '.join(sensors)}, or a path such as ./{name or 'name'}.csv"
+        hint = f"did you mean {near[0]!r}?" if near else None
+        raise AssetError("no sensor has this name", where=where, expected=expected, got=repr(name), hint=hint)
+    return find_asset(KIND, name, folder=folder, where=where)
+
+
+def sensor_names() -> list[str]:
+    """Names of the shipped sensors."""
+    return [name.removeprefix(_SENSORS) for name in list_assets(KIND) if name.startswith(_SENSORS)]
+
+
+def load_table(name: str) -> Columns:
+    """The columns of a shipped table, whatever they are: ``standards/d65`` and the like."""
+    path = find_asset(KIND, name)
+    return _Table(table_text(path), str(path), None).spectra()
+
+
+def surface_columns(text: str, file: str, where: str | None = None) -> Columns:
+    """The columns of a surface's table from its text; `file` names it in messages."""
+    return _surface(text, file, where)
+
+
+def of_season(columns: Columns, season: Season) -> tuple[Spectrum, Spectrum | None] | None:
+    """(reflectance, transmittance or None) of a season, by its own columns or those of all seasons; None: neither."""
+    for suffix in (f"_{season}", ""):
+        if f"reflectance{suffix}" in columns:
+            return columns[f"reflectance{suffix}"], columns.get(f"transmittance{suffix}")
+    return None
+
+
+def seasons_of(columns: Columns) -> list[Season]:
+    """Seasons that a table serves."""
+    return [season for season in SEASONS if of_season(columns, season) is not None]
+
+
+def table_text(path: Path) -> str:
+    """A table's text, if it can be one."""
+    return read_text(path, "a table of spectra", most_bytes=MOST_BYTES, error=AssetError)
+
+
+@lru_cache(maxsize=256)
+def _surface(text: str, file: str, where: str | None) -> Columns:
+    table = _Table(text, file, where)
+    names = {f"{what}{suffix}" for what in ("reflectance", "transmittance") for suffix in _SUFFIXES}
+    for name in table.names:
+        if name not in names:
+            table.fail(
+                f"a surface has no column {name!r}",
+                line=table.header_line,
+                expected="reflectance and transmittance, or with _spring, _summer, _autumn, _dry behind them",
+            )
+    if not any(name.startswith("reflectance") for name in table.names):
+        table.fail("no reflectance", line=table.header_line, expected="a column reflectance")
+    for name in table.names:
+        partner = name.replace("transmittance", "reflectance")
+        if partner not in table.names:
+            table.fail(f"{name} without {partner}", line=table.header_line, expected=f"a column {partner}")
+    table.check_covers_the_visible()
+    table.check_fractions()
+    for suffix in _SUFFIXES:
+        table.check_energy(f"reflectance{suffix}", f"transmittance{suffix}")
+    return table.spectra()
+
+
+_SUFFIXES = ("", *(f"_{season}" for season in SEASONS))
+
+
+def _check_bands(table: _Table) -> None:
+    """Columns are a sensor's, with names that files and channels can have."""
+    line = table.header_line
+    if any(name.startswith(("reflectance", "transmittance")) for name in table.names):
+        expected = "one column a band"
+        table.fail("a surface's table, no sensor's", line=line, expected=expected, got=", ".join(table.names[:4]))
+    for index, name in enumerate(table.names):
+        if not _BAND_NAME.match(name):
+            expected = "1 to 40 letters, digits, spaces or any of _-+()"
+            table.fail("bad name of a band", line=line, expected=expected, got=f"{name!r:.80}")
+        if name.casefold() in (other.casefold() for other in table.names[:index]):
+            table.fail("two bands of one name, but for case", line=line, expected="different names", got=name)
+    low, high = _RESPONSES
+    for column, name in enumerate(table.names):
+        most = float(table.values[:, column].max())
+        if 0 < most < low or most > high:
+            row = int(table.values[:, column].argmax())
+            expected = f"a greatest response from {low:g} to {high:g}"
+            table.fail_at(row, "the responses' scale is out of range", expected=expected, got=f"{most:g} in {name}")
+
+
+@lru_cache(maxsize=64)
+def _bands(text: str, file: str, where: str | None) -> tuple[Band, ...]:
+    table = _Table(text, file, where)
+    _check_bands(table)
+    bands = []
+    for column, name in enumerate(table.names):
+        response = table.values[:, column]
+        if response.min() < 0:
+            row = int(response.argmin())
+            table.fail_at(row, "a response below 0", expected="0 or more", got=f"{response[row]:g} in {name}")
+        seen = np.flatnonzero(response)
+        if not len(seen):
+            table.fail(f"band {name} answers to nothing", line=table.header_line, expected="a response above 0")
+        rows = slice(max(seen[0] - 1, 0), seen[-1] + 2)  # with the zeros beside it
+        wavelength = table.wavelength_nm[rows]
+        inside = table.wavelength_nm[seen]
+        if inside[0] < RENDERED_NM[0] or inside[-1] > RENDERED_NM[1]:
+            row = int(seen[0] if inside[0] < RENDERED_NM[0] else seen[-1])
+            table.fail_at(
+                row,
+                f"band {name} reaches out of what is rendered",
+                expected=f"responses from {RENDERED_NM[0]:g} to {RENDERED_NM[1]:g} nm",
+                got=f"{table.wavelength_nm[row]:g} nm",
+            )
+        if len(wavelength) < 2:
+            table.fail_at(int(seen[0]), f"band {name} has one wavelength", expected="at least two")
+        bands.append(Band(name, Spectrum(wavelength, response[rows])))
+    return tuple(bands)
+
+
+class _Table:
+    """Numbers of a table, checked as far as all tables are alike; `fail` raises the error with its place."""
+
+    def __init__(self, text: str, file: str, where: str | None) -> None:
+        self.file, self.where = file, where
+        lines = [
+            (number, line.strip())
+            for number, line in enumerate(text.splitlines(), 1)
+            if line.strip() and not line.lstrip().startswith("#")
+        ]
+        if not lines:
+            self.fail("the table is empty", line=1, expected=f"a header: {WAVELENGTH},reflectance,...")
+        self.header_line, header = lines[0]
+        if len(lines) - 1 > MOST_ROWS:
+            self.fail("too many rows", line=lines[-1][0], expected=f"at most {MOST_ROWS:,}", got=f"{len(lines) - 1:,}")
+        self.names = self._header(header)
+        self._lines = [number for number, _ in lines[1:]]
+        if len(self._lines) < 2:
+            self.fail("too few rows", line=lines[-1][0], expected="at least two wavelengths", got=str(len(self._lines)))
+        rows = np.array([self._row(number, line) for number, line in lines[1:]], dtype=np.float64)
+        self.wavelength_nm: NDArray[np.float64] = rows[:, 0].copy()
+        self.values: NDArray[np.float64] = rows[:, 1:].copy()
+        self._check_wavelengths()
+
+    def fail(
+        self,
+        problem: str,
+        *,
+        line: int,
+        expected: str | None = None,
+        got: str | None = None,
+        hint: str | None = None,
+    ) -> NoReturn:
+        """Raise `AssetError` for a line of the file."""
+        place = f"{self.file}:{line}" + (f" (named by {self.where})" if self.where else "")
+        raise AssetError(problem, where=place, expected=expected, got=got, hint=hint)
+
+    def fail_at(
+        self, row: int, problem: str, *, expected: str | None = None, got: str | None = None, hint: str | None = None
+    ) -> NoReturn:
+        """Raise `AssetError` for a row of the table."""
+        self.fail(problem, line=self._lines[row], expected=expected, got=got, hint=hint)
+
+    def spectra(self) -> Columns:
+        """One spectrum a column."""
+        return {name: Spectrum(self.wavelength_nm, self.values[:, k].copy()) for k, name in enumerate(self.names)}
+
+    def _header(self, text: str) -> tuple[str, ...]:
+        names = [name.strip().strip('"') for name in text.split(",")]
+        expected = f"{WAVELENGTH} and at least one more column, with commas between them"
+        if names[0] != WAVELENGTH or len(names) < 2 or not all(names):
+            self.fail("not a table of spectra", line=self.header_line, expected=expected, got=f"{text:.80}")
+        if len(set(names)) < len(names) or len(names) > MOST_COLUMNS:
+            expected = f"at most {MOST_COLUMNS} columns of different names"
+            self.fail("bad header", line=self.header_line, expected=expected, got=f"{text:.80}")
+        return tuple(names[1:])
+
+    def _row(self, line: int, text: str) -> list[float]:
+        cells = text.split(",")
+        if len(cells) != len(self.names) + 1:
+            expected = f"{len(self.names) + 1} numbers with commas between them"
+            self.fail("a row of another length than the header", line=line, expected=expected, got=f"{text:.80}")
+        numbers = []
+        for cell in cells:
+            try:
+                number = float(cell)
+            except ValueError:
+                number = math.nan
+            if not math.isfinite(number):
+                self.fail("not a number", line=line, expected="a finite number", got=f"{cell.strip():.40}" or "nothing")
+            numbers.append(number)
+        return numbers
+
+    def _check_wavelengths(self) -> None:
+        wavelength = self.wavelength_nm
+        falls = np.flatnonzero(np.diff(wavelength) <= 0)
+        if len(falls):
+            row = int(falls[0]) + 1
+            got = f"{wavelength[row]:g} after {wavelength[row - 1]:g}"
+            hint = "sort the rows by wavelength" if wavelength[row] != wavelength[row - 1] else "keep one of the two"
+            self.fail_at(row, "wavelengths do not rise", expected="each above the one before", got=got, hint=hint)
+        low, high = float(wavelength[0]), float(wavelength[-1])
+        for unit, least, most, hint in _UNITS:
+            if least <= low and high < most:
+                got = f"{low:g} to {high:g}, which looks like {unit}"
+                self.fail_at(0, "wavelengths are not in nm", expected="nm: 400 to 700 is visible", got=got, hint=hint)
+
+    def check_covers_the_visible(self) -> None:
+        """A surface's table must reach over the visible."""
+        low, high = float(self.wavelength_nm[0]), float(self.wavelength_nm[-1])
+        if low > VISIBLE_NM[0] or high < VISIBLE_NM[1]:
+            expected = f"from {VISIBLE_NM[0]:g} nm or less to {VISIBLE_NM[1]:g} nm or more"
+            row = 0 if low > VISIBLE_NM[0] else -1
+            self.fail_at(row, "the table leaves out visible light", expected=expected, got=f"{low:g} to {high:g} nm")
+
+    def check_fractions(self) -> None:
+        """Every value lies in [0, 1]."""
+        bad = (self.values < 0) | (self.values > 1)
+        if not bad.any():
+            return
+        row, column = (int(index) for index in np.argwhere(bad)[0])
+        value, name = self.values[row, column], self.names[column]
+        percent = value > 1 and self.values.max() <= 100 and float(np.median(self.values[:, column])) > 1
+        self.fail_at(
+            row,
+            f"{name} outside of 0 to 1",
+            expected="a fraction, 0 to 1",
+            got=f"{value:g} at {self.wavelength_nm[row]:g} nm",
+            hint="divide by 100: these look like percent" if percent else None,
+        )
+
+    def check_energy(self, reflectance: str, transmittance: str) -> None:
+        """What leaves a surface is no more than what arrives, at every wavelength."""
+        if reflectance not in self.names or transmittance not in self.names:
+            return
+        r = self.values[:, self.names.index(reflectance)]
+        t = self.values[:, self.names.index(transmittance)]
+        over = np.flatnonzero(r + t > 1 + _TOLERANCE)
+        if len(over):
+            row = int(over[0])
+            got = f"{r[row]:g} + {t[row]:g} at {self.wavelength_nm[row]:g} nm"
+            expected = f"{reflectance} + {transmittance} of at most 1"
+            self.fail_at(row, "more light leaves than arrives", expected=expected, got=got)
+
+
+_UNITS = (  # name, least and most (exclusive) wavelength of a table that looks like it, how to mend it
+    ("metres", 0.0, 1e-3, "multiply by 1e9"),
+    ("micrometres", 0.05, 50.0, "multiply by 1000"),
+    ("ångström", 2900.0, 30000.0, "divide by 10"),
+)

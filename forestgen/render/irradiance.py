@@ -1,0 +1,258 @@
+"""Light at points of a scene: what a flat sensor with a cosine response would measure there.
+
+A white Lambertian patch of 2 mm lies at the point and a camera 2 mm above looks at it: its radiance is E / pi. The
+renderer's own path tracer so measures irradiance with the light samples that it takes on plants, the sun's disc
+included.
+
+Sun and sky shine in scenes of their own. At a wavelength each gives its transfer factor
+
+    T(lambda) = E(lambda) / S(lambda),    S the light's spectrum in the open
+
+which varies slowly with the wavelength, as reflectances do, where E and S have the lines and bands of the atmosphere.
+So T is measured at 33 wavelengths from 300 to 2500 nm, straight lines between them, and E = T_sun S_sun + T_sky S_sky
+has the full resolution of the spectra. All wavelengths of a replicate follow the same random numbers: noise moves a
+spectrum up and down and hardly bends it. Standard errors come from the scatter of independent replicates.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.atmosphere.daylight import daylight_of
+from forestgen.core.progress import Progress
+from forestgen.core.randomness import child_seed
+from forestgen.core.spectrum import LUMINANCE, Spectrum
+from forestgen.render import sky as cloudy_sky
+from forestgen.render.build import load, scene_dict
+from forestgen.render.light import has_sun, sky_light, sun_disc
+from forestgen.render.settings import ROULETTE_DEPTH, SAMPLER
+from forestgen.render.surfaces import Paints, repaint
+from forestgen.render.tracing import interruptible
+from forestgen.render.variant import SCALAR, mitsuba, using
+from forestgen.scene.channels import RGB, Channels
+from forestgen.scene.colour_checker import axes_of
+from forestgen.scene.spec import SceneSpec
+
+REPLICATES = 8
+NODES_NM = np.concatenate(
+    [[300.0, 340.0], np.arange(380.0, 781.0, 20.0), [860, 950, 1050, 1250, 1450, 1650, 1800, 2000, 2250, 2500]]
+)
+_PATCH_M = 1e-3  # half its side
+_PIXELS, _BLOCK_PX = 8, 2  # along the side of the picture of the patch; blocks are shared out to threads
+Floats = NDArray[np.float64]
+Emitter = Callable[[Channels], dict[str, Any]]
+
+
+@dataclass(frozen=True)
+class Source:
+    """One of the lights of a scene."""
+
+    name: Literal["sun", "sky"]
+    spectrum: Spectrum  # W/m²/nm, of the light in the open
+    emitter: Emitter  # a dictionary of Mitsuba's
+    beside: Mapping[str, Any] = field(default_factory=dict)  # what only this light meets: the sheet under clouds
+    roulette_from: int = ROULETTE_DEPTH  # scattering from which on weak paths may be dropped
+
+
+def sources_of(spec: SceneSpec, origin_m: Floats, seed: int) -> list[Source]:
+    """Sun and sky of a scene, as they are at a point. Call it in the scalar variant."""
+    light = daylight_of(spec.sky)
+    sky: Emitter = lambda channels: sky_light(spec.sky, channels)  # noqa: E731
+    beside: dict[str, Any] = {}
+    spectrum = light.sky
+    if spec.clouds is not None:
+        sky = _baked(spec, origin_m, seed >> 1)
+        beside = {"sheet": cloudy_sky.sun_sheet(spec, origin_m)}
+        spectrum = light.on_level  # clouds pass on the sun's light
+    sources = [Source("sky", spectrum, sky)]
+    if has_sun(spec.sky):
+        sources.append(Source("sun", light.sun, lambda channels: sun_disc(spec.sky, channels), beside))
+    return sources
+
+
+def _baked(spec: SceneSpec, origin_m: Floats, seed: int) -> Emitter:
+    """The sky through the clouds; in colour it is traced in colour, as images in colour have it."""
+    colour = cloudy_sky.bake_sky(spec, origin_m, RGB, seed=seed)
+    spectral = cloudy_sky.bake_spectral_sky(spec, origin_m, seed=seed)
+    return lambda channels: colour if channels == RGB else spectral.light(channels)
+
+
+def uniform(irradiance: Spectrum) -> Source:
+    """A sky that is equally bright in all directions, by its light on a level plane in W/m²/nm."""
+
+    def emitter(channels: Channels) -> dict[str, Any]:
+        radiance = [float(value) for value in channels.of_light(irradiance) / np.pi]
+        return {"type": "constant", "radiance": {"type": "rgb", "value": radiance}, "sampling_weight": 0.0}
+
+    # All light samples go to a lamp without light: paths find the sky by themselves. All directions of a flat surface
+    # then see the same, and its image has no noise. (A scene of weight 0 in all is refused.)
+    lamp = {"type": "point", "position": [0.0, 0.0, 0.0], "intensity": {"type": "rgb", "value": 0.0}}
+    return Source("sky", irradiance, emitter, {"lamp": lamp}, roulette_from=64)
+
+
+class Lit:
+    """A scene under each of several lights alone, in the scalar variant; its channels change in place."""
+
+    def __init__(
+        self, spec: SceneSpec, origin_m: Floats, sources: Sequence[Source], more: Mapping[str, Any] | None = None
+    ) -> None:
+        mi = mitsuba()
+        self.sources = tuple(sources)
+        self._paints = Paints()
+        self._emitters = [mi.load_dict(source.emitter(RGB)) for source in sources]
+        plants = scene_dict(spec, origin_m, self._paints)  # meshes are shared, instances belong to one scene each
+        self.scenes = [
+            load({**plants, "light": emitter, **source.beside, **(more or {})})
+            for source, emitter in zip(sources, self._emitters, strict=True)
+        ]
+
+    def show(self, channels: Channels) -> None:
+        """Give lights and surfaces other channels."""
+        self._paints.repaint(channels)
+        for source, emitter in zip(self.sources, self._emitters, strict=True):
+            repaint(emitter, mitsuba().load_dict(source.emitter(channels)))
+
+    def integrator(self, row: int, *, max_depth: int, block_px: int) -> Any:
+        """For the scene under `sources[row]`."""
+        # `path` takes a partly transparent sheet for opaque when it looks for the sun; `volpath` sees through it.
+        source = self.sources[row]
+        kind = "volpath" if "sheet" in source.beside else "path"
+        return mitsuba().load_dict(
+            {"type": kind, "max_depth": max_depth, "rr_depth": source.roulette_from, "block_size": block_px}
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class PointLight:
+    """Light on a small flat surface, by replicate (K)."""
+
+    wavelength_nm: Floats  # (W,) 300 to 2500
+    spectral: Floats  # (K, W) irradiance, W/m²/nm
+    colour: Floats  # (K, 3) of the colour mode, linear Rec. 709 in lux
+    sun_lux: Floats  # (K,) straight from the sun
+    sky_lux: Floats  # (K,) straight from the sky and its clouds
+
+
+def measure(
+    spec: SceneSpec,
+    point_m: Floats,
+    normal: Floats,
+    *,
+    samples: int,
+    max_depth: int,
+    seed: int,
+    progress: Progress,
+    sources: Callable[[Floats], Sequence[Source]] | None = None,
+) -> PointLight:
+    """Light at one point.
+
+    Parameters
+    ----------
+    point_m : (3,) world.
+    normal : (3,) of the surface that the light falls on.
+    samples : light paths of each light at each wavelength, all replicates together.
+    sources : lights in place of the scene's own, by the origin of the renderer's frame.
+    """
+    mi, origin = mitsuba(), np.asarray(point_m, dtype=np.float64)
+    spp = max(1, round(samples / REPLICATES / _PIXELS**2))
+    with using(SCALAR):
+        sensor = _sensor(normal, spp)
+        lights = sources(origin) if sources is not None else sources_of(spec, origin, child_seed(seed, "bake"))
+        lit = Lit(spec, origin, lights, {"meter": _patch(mi, normal)})
+
+        def shoot(row: int, depth: int) -> Floats:
+            """(K, 3) irradiance."""
+            name = lights[row].name
+            seeds = [child_seed(seed, name, k) for k in range(REPLICATES)]
+            integrator = lit.integrator(row, max_depth=depth, block_px=_BLOCK_PX)
+            images = [interruptible(integrator, lit.scenes[row], sensor, one, spp)[..., :3] for one in seeds]
+            return np.asarray(np.pi * np.mean(images, axis=(1, 2), dtype=np.float64))
+
+        passes = passes_at(NODES_NM)
+        factor = np.empty((len(lights), REPLICATES, len(NODES_NM)))
+        with progress.stage("light", (len(passes) + 2) * len(lights)) as advance:
+            rows = range(len(lights))
+            colour = sum((shoot(row, max_depth) for row in rows), np.zeros((REPLICATES, 3)))
+            direct = {lights[row].name: shoot(row, 2) @ LUMINANCE for row in rows}
+            advance(2 * len(lights))
+            for nodes, channels in passes:
+                lit.show(channels)
+                for row in rows:
+                    with np.errstate(divide="ignore", invalid="ignore"):
+                        open_light = lights[row].spectrum.at(NODES_NM[nodes])
+                        factor[row][:, nodes] = shoot(row, max_depth) / open_light
+                    advance(1)
+    grid = _grid(lights)
+    parts = [_between(factor[row], grid) * lights[row].spectrum.at(grid) for row in rows]
+    none = np.zeros(REPLICATES)
+    return PointLight(grid, np.sum(parts, axis=0), colour, direct.get("sun", none), direct.get("sky", none))
+
+
+def passes_at(wavelength_nm: Floats) -> list[tuple[NDArray[np.intp], Channels]]:
+    """Rows of (3 N,) wavelengths, three by three, and the channels of these: short, middle and long ones in each."""
+    third = len(wavelength_nm) // 3
+    result = []
+    for k in range(third):
+        rows = np.array([k, k + third, k + 2 * third])
+        one, two, three = (float(value) for value in wavelength_nm[rows])
+        result.append((rows, Channels((one, two, three))))
+    return result
+
+
+def _grid(lights: Sequence[Source]) -> Floats:
+    """Wavelengths of all spectra and of the nodes, 300 to 2500 nm, no two further apart than 5 nm where eyes see."""
+    every = np.concatenate(
+        [NODES_NM, np.arange(380.0, 781.0, 5.0), *(source.spectrum.wavelength_nm for source in lights)]
+    )
+    return np.unique(every[(every >= NODES_NM[0]) & (every <= NODES_NM[-1])])
+
+
+def _between(factor: Floats, wavelength_nm: Floats) -> Floats:
+    """(K, W) straight lines between the nodes; those where the light in the open is dark tell nothing."""
+    known = np.isfinite(factor).all(axis=0)
+    if not known.any():
+        return np.zeros((len(factor), len(wavelength_nm)))
+    return np.stack([np.interp(wavelength_nm, NODES_NM[known], row[known]) for row in factor])
+
+
+def _patch(mi: Any, normal: Floats) -> dict[str, Any]:
+    """White above and black below."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = axes_of(normal) * _PATCH_M
+    return {
+        "type": "rectangle",
+        "to_world": mi.ScalarTransform4f(matrix),
+        "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": 1.0}},
+    }
+
+
+def _sensor(normal: Floats, spp: int) -> Any:
+    """A camera that sees the patch and nothing else."""
+    mi = mitsuba()
+    right, up, towards = axes_of(normal).T
+    matrix = np.eye(4)
+    matrix[:3, 0], matrix[:3, 1], matrix[:3, 2], matrix[:3, 3] = -right, up, -towards, 2 * _PATCH_M * towards
+    film = {
+        "type": "hdrfilm",
+        "width": _PIXELS,
+        "height": _PIXELS,
+        "rfilter": {"type": "box"},
+        "pixel_format": "rgb",
+        "component_format": "float32",
+    }
+    return mi.load_dict(
+        {
+            "type": "perspective",
+            "fov": float(np.degrees(2 * np.arctan(0.45))),
+            "near_clip": 1e-4,
+            "far_clip": 1.0,
+            "to_world": mi.ScalarTransform4f(matrix),
+            "film": film,
+            "sampler": {"type": SAMPLER, "sample_count": spp},
+        }
+    )

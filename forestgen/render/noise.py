@@ -1,0 +1,149 @@
+"""How noisy an image is, and how many samples it still needs.
+
+The relative error of a pixel is its standard error over its value, both over all channels:
+
+    e² = sum over c of (variance_c / s_c²) / sum over c of (max(mean_c, 0.1 s_c) / s_c)²,
+
+where s_c is the channel's mean over the image, so that bands of different strength count alike, and a pixel darker
+than a tenth of it is measured against that tenth. Variance and mean are first averaged over 3 x 3 pixels: the variance
+of one pixel comes from a few replicates and is itself noisy, which would raise the percentile. `relative_error` is the
+mean of e over the pixels, which a few bright specks do not move, `relative_error_p95` its 95th percentile. Pixels that
+see nothing, outside of a fisheye's circle, do not count.
+
+e falls as 1 / sqrt(n). So an image with error e after n samples needs n (e / target)²; slices are at most a sixteenth
+of that, and the need is judged anew after each, by all slices so far. The last slice is what is left: an image is not
+carried far beyond its target.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.render.settings import MOST_SLICE_SAMPLES
+from forestgen.render.slices import Estimate, SliceSum, slice_sizes
+
+_FLOOR = 0.1
+_WINDOW = 3
+_SHARE_OF_NEED = 16
+_FINEST = 64  # a slice is at least this share of the samples so far
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Relative error of an image; NaN if a single slice tells nothing of it."""
+
+    relative_error: float
+    relative_error_p95: float
+
+
+@dataclass(frozen=True)
+class Until:
+    """When an image is done. Samples are light paths a pixel, over all passes."""
+
+    samples: int  # exactly; with a target or a time budget the first ones, from which the noise is judged
+    target_error: float | None = None  # relative error
+    target_error_p95: float | None = None  # its 95th percentile
+    time_budget_s: float | None = None
+    most_samples: int = 65536  # with a target or a time budget
+
+    @property
+    def open_ended(self) -> bool:
+        return not (self.target_error is None and self.target_error_p95 is None and self.time_budget_s is None)
+
+
+def noise_of(estimate: Estimate, seen: NDArray[np.bool_]) -> Noise:
+    """Of (H, W, C) mean and variance; `seen` are the (H, W) pixels that count."""
+    from scipy.ndimage import uniform_filter
+
+    if not np.isfinite(estimate.variance).all() or not seen.any():
+        return Noise(math.nan, math.nan)
+    scale = estimate.mean[seen].mean(axis=0)
+    used = scale > 0
+    if not used.any():
+        return Noise(0.0, 0.0)  # no light
+    size = (_WINDOW, _WINDOW, 1)
+    share = np.maximum(uniform_filter(seen.astype(np.float64), _WINDOW, mode="constant"), 1e-9)[..., None]
+    mean, variance = (
+        uniform_filter(image[..., used] * seen[..., None], size, mode="constant") / share / scale[used] ** power
+        for image, power in ((estimate.mean, 1), (estimate.variance, 2))
+    )
+    signal = (np.maximum(mean, _FLOOR) ** 2).sum(axis=2)
+    error = np.sqrt(np.maximum(variance.sum(axis=2), 0.0) / signal)[seen]
+    return Noise(float(error.mean()), float(np.quantile(error, 0.95)))
+
+
+class Schedule:
+    """Which slice comes next. A function of what has been done alone: interrupted work goes on the same."""
+
+    def __init__(self, until: Until, passes: int, least: int = 1) -> None:
+        """`least` is the number of samples below which a camera takes no pass."""
+        self._until, self._least = until, least
+        self._first = [max(size, least) for size in slice_sizes(-(-until.samples // passes))]
+        self._most = max(-(-until.most_samples // passes), sum(self._first))
+        self.stopped_by = ""
+
+    @property
+    def first(self) -> list[int]:
+        """Sizes of the slices that are always rendered (but for a time budget)."""
+        return self._first
+
+    def next_size(self, total: SliceSum, noise: Noise, elapsed_s: float) -> int:
+        """Samples of the next slice in each pass, 0 when the image is done: `stopped_by` then tells the key why."""
+        size = self._wanted(total, noise)
+        budget_s = self._until.time_budget_s
+        if size and budget_s is not None and total.slices >= min(2, len(self._first)):
+            fits = int((budget_s - elapsed_s) / (elapsed_s / total.samples)) if elapsed_s > 0 else size
+            if fits < 1:
+                self.stopped_by = "time_budget_s"
+            size = max(min(size, fits), 0)
+        return size
+
+    def asks_for_noise(self, total: SliceSum) -> bool:
+        """Whether the next slice depends on the noise so far."""
+        targets = (self._until.target_error, self._until.target_error_p95)
+        return targets != (None, None) and total.slices >= len(self._first)
+
+    def progress(self, total: SliceSum, noise: Noise, elapsed_s: float) -> float:
+        """Share of the work that is done, at a guess."""
+        if not total.samples:
+            return 0.0
+        need = min(self._need(total, noise), float(self._most)) if self._until.open_ended else float(sum(self._first))
+        if self._until.time_budget_s is not None and elapsed_s > 0:
+            need = min(need, total.samples * self._until.time_budget_s / elapsed_s)
+        return min(total.samples / max(need, sum(self._first), 1.0), 1.0)
+
+    def _wanted(self, total: SliceSum, noise: Noise) -> int:
+        if total.slices < len(self._first):
+            return self._first[total.slices]
+        if not self._until.open_ended:
+            self.stopped_by = "samples"
+            return 0
+        need = self._need(total, noise)
+        if need <= total.samples:
+            self.stopped_by = "target_error"
+            return 0
+        if total.samples >= self._most:
+            self.stopped_by = "most_samples"
+            return 0
+        need = min(need, float(self._most))
+        size = max(self._first[0], min(int(need / _SHARE_OF_NEED), MOST_SLICE_SAMPLES))
+        size = max(min(size, math.ceil(need - total.samples)), total.samples // _FINEST)
+        return max(min(size, self._most - total.samples), self._least)
+
+    def _need(self, total: SliceSum, noise: Noise) -> float:
+        """Samples in each pass that the targets ask for."""
+        ratios = [
+            error / target
+            for error, target in (
+                (noise.relative_error, self._until.target_error),
+                (noise.relative_error_p95, self._until.target_error_p95),
+            )
+            if target is not None
+        ]
+        if not ratios or math.isnan(max(ratios)):
+            return math.inf
+        return total.samples * max(ratios) ** 2

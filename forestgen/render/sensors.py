@@ -1,0 +1,126 @@
+"""Cameras of the renderer, and images taken with them.
+
+Perspective, thin lens and orthographic cameras are the renderer's own. It has no fisheye and no panorama:
+render/assembled.py puts them together from views that it has.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.render.settings import SAMPLER
+from forestgen.render.tracing import interruptible
+from forestgen.render.variant import mitsuba
+from forestgen.scene.spec import Camera
+
+_NEAR_M, _FAR_M = 1e-3, 1e6  # the identity pass starts at the camera itself
+
+
+@dataclass(frozen=True)
+class FilmWindow:
+    """Rows and columns of the image that a pass renders."""
+
+    x: int
+    y: int
+    width: int
+    height: int
+
+
+def is_assembled(camera: Camera) -> bool:
+    """Whether images of this camera are put together from others; they need `LEAST_SAMPLES` in each capture."""
+    return camera.projection in ("fisheye", "panorama")
+
+
+def sensor_of(camera: Camera, samples: int, window: FilmWindow | None = None) -> Any:
+    """A Mitsuba sensor at the origin, of a camera that is not assembled."""
+    mi = mitsuba()
+    matrix = _axes(camera.world_from_camera)
+    if camera.projection == "orthographic":
+        matrix[:3, :2] *= camera.width_m / 2
+        kind: dict[str, Any] = {"type": "orthographic"}
+    elif camera.lens is not None:
+        lens = {"aperture_radius": camera.lens.aperture_radius_m, "focus_distance": camera.lens.focus_m}
+        kind = {"type": "thinlens", "fov": camera.hfov_deg, "fov_axis": "x", **lens}
+    else:
+        kind = {"type": "perspective", "fov": camera.hfov_deg, "fov_axis": "x"}
+    return mi.load_dict(
+        {
+            **kind,
+            "near_clip": _NEAR_M,
+            "far_clip": _FAR_M,
+            "to_world": mi.ScalarTransform4f(matrix),
+            "film": _film(camera.size_px, window),
+            "sampler": {"type": SAMPLER, "sample_count": samples},
+        }
+    )
+
+
+def square_view(world_from_view: NDArray[np.float64], size_px: int, window: FilmWindow) -> Any:
+    """A pinhole of 90 degrees across a square, with one random ray through each pixel of the window."""
+    mi = mitsuba()
+    return mi.load_dict(
+        {
+            "type": "perspective",
+            "fov": 90.0,
+            "fov_axis": "x",
+            "near_clip": _NEAR_M,
+            "far_clip": _FAR_M,
+            "to_world": mi.ScalarTransform4f(_axes(world_from_view)),
+            "film": _film((size_px, size_px), window),
+            "sampler": {"type": "independent", "sample_count": 1},
+        }
+    )
+
+
+def _axes(world_from_camera: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(4, 4) of the renderer's axes: its x points left and its y up; this function alone knows."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = world_from_camera * [-1.0, -1.0, 1.0]
+    return matrix
+
+
+def _film(size_px: tuple[int, int], window: FilmWindow | None) -> dict[str, Any]:
+    film: dict[str, Any] = {
+        "type": "hdrfilm",
+        "width": size_px[0],
+        "height": size_px[1],
+        "rfilter": {"type": "box"},
+        "pixel_format": "rgba",
+        "component_format": "float32",
+    }
+    if window is not None:
+        film |= {
+            "crop_offset_x": window.x,
+            "crop_offset_y": window.y,
+            "crop_width": window.width,
+            "crop_height": window.height,
+        }
+    return film
+
+
+def least_samples(camera: Camera) -> int:
+    """Samples a pixel of one capture, to which fewer are raised."""
+    if not is_assembled(camera):
+        return 1
+    from forestgen.render.assembled import LEAST_SAMPLES
+
+    return LEAST_SAMPLES
+
+
+def capture(
+    integrator: Any, scene: Any, camera: Camera, *, samples: int, seed: int, window: FilmWindow | None = None
+) -> NDArray[np.float64]:
+    """(H, W, 4) three channels and alpha of any camera; of a window only that part.
+
+    Samples are a pixel; Ctrl-C stops it. Outside of a fisheye's circle everything is 0.
+    """
+    if is_assembled(camera):
+        from forestgen.render.assembled import assemble
+
+        return assemble(integrator, scene, camera, samples=samples, seed=seed, window=window)
+    image = interruptible(integrator, scene, sensor_of(camera, samples, window), seed, samples)
+    return image.astype(np.float64)

@@ -1,0 +1,92 @@
+"""Spectra to colours: linear Rec. 709 by the CIE 1931 observer of 2 degrees.
+
+The colour of a reflectance is that of the surface under D65, a perfect white being (1, 1, 1). The colour of light is
+absolute: 0.2126 R + 0.7152 G + 0.0722 B is its luminance in cd/m².
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.core.spectrum import LUMENS_PER_WATT, Spectrum
+from forestgen.recipe.spectra import load_table
+
+Floats = NDArray[np.float64]
+
+
+# XYZ to Rec. 709: the inverse of its primaries (0.64, 0.33), (0.30, 0.60), (0.15, 0.06) and white (0.3127, 0.3290).
+_PRIMARIES_XY = ((0.64, 0.33), (0.30, 0.60), (0.15, 0.06))
+_WHITE_XY = (0.3127, 0.3290)
+
+
+def _xyz(xy: tuple[float, float]) -> Floats:
+    return np.array([xy[0] / xy[1], 1.0, (1.0 - xy[0] - xy[1]) / xy[1]])
+
+
+@cache
+def rec709_from_xyz() -> Floats:
+    """(3, 3) linear Rec. 709 from CIE XYZ (ITU-R BT.709-6): a white of luminance 1 is (1, 1, 1)."""
+    primaries_xyz = np.stack([_xyz(xy) for xy in _PRIMARIES_XY], axis=1)
+    return np.asarray(np.linalg.inv(primaries_xyz * np.linalg.solve(primaries_xyz, _xyz(_WHITE_XY))))
+
+
+@cache
+def observer() -> tuple[Floats, Floats]:
+    """(W,) nm; (3, W) responses of linear Rec. 709: their integral over radiance per nm is colour in cd/m².
+
+    From shipped tables, since importing colour-science takes seconds; tests/unit/scene/test_colour.py compares them.
+    """
+    matching = load_table("responses/cie_1931")
+    wavelength = matching["x"].wavelength_nm
+    xyz = np.stack([matching[name].value for name in "xyz"])
+    return wavelength, LUMENS_PER_WATT * rec709_from_xyz() @ xyz
+
+
+@cache
+def _d65() -> Floats:
+    """(W,) D65 on the observer's wavelengths, scaled so that a white under it has the luminance 1."""
+    wavelength, _ = observer()
+    power = load_table("standards/d65")["power"].at(wavelength)
+    luminance = LUMENS_PER_WATT * load_table("responses/cie_1931")["y"].value @ power
+    return np.asarray(power / luminance)
+
+
+def colour_of_reflectance(spectrum: Spectrum) -> Floats:
+    """(3,) linear Rec. 709 of a surface under D65. Saturated ones may lie outside of [0, 1]."""
+    wavelength, response = observer()
+    return np.asarray(response @ (_d65() * spectrum.at(wavelength)))
+
+
+def colours_of_surface(
+    reflectance: Spectrum, transmittance: Spectrum | None
+) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    """Colours of a surface's reflectance and transmittance, each in [0, 1] and their sum at most 1.
+
+    Colours outside of Rec. 709 are clipped. A saturated orange may send back more red than a white does, though the
+    surface sends back no more than arrives at any wavelength: its channel is scaled to a sum of 1.
+    """
+    r = np.clip(colour_of_reflectance(reflectance), 0.0, 1.0)
+    t = np.zeros(3) if transmittance is None else np.clip(colour_of_reflectance(transmittance), 0.0, 1.0)
+    scale = 1.0 / np.maximum(r + t, 1.0)
+    (r0, r1, r2), (t0, t1, t2) = (r * scale).tolist(), (t * scale).tolist()
+    return (r0, r1, r2), (t0, t1, t2)
+
+
+def colour_of_radiance(spectrum: Spectrum) -> Floats:
+    """(3,) linear Rec. 709 of light in W/m²/sr/nm; its luminance is in cd/m². Of irradiance: in lux."""
+    wavelength, response = observer()
+    return np.asarray(response @ spectrum.at(wavelength))
+
+
+@cache
+def primaries() -> tuple[Spectrum, Spectrum, Spectrum]:
+    """Reflectances whose sum by a colour's red, green and blue has that colour under D65 (Mallett and Yuksel 2019).
+
+    They add up to 1 at every wavelength, so a colour in [0, 1] has a spectrum in [0, 1]. They are made for 380 to
+    780 nm and stay as they are beyond: of a surface's infrared a colour knows nothing.
+    """
+    basis = load_table("standards/mallett_2019")
+    return basis["red"], basis["green"], basis["blue"]

@@ -1,0 +1,35 @@
+"""Guides of the denoiser."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from forestgen.core.timing import Timings
+from forestgen.render.identity import SceneTracer, trace_guides
+from forestgen.testing.scenes import camera_at, plain_ground, scattered_scene
+
+
+def lit_ground(elevation_deg, kind="clear"):
+    """Bare ground as a camera straight above sees it, and its colour."""
+    spec = scattered_scene(3, exemplars=1, leaves=4, terrain=plain_ground(-200, 200))
+    aside = replace(spec.instances, transform=spec.instances.transform + np.array([0, 0, 0, 1000.0]))
+    camera = camera_at((0.0, 0.0, 30.0), (0.0, 0.1, 0.0), (16, 16))
+    sky = replace(spec.sky, sun_elevation_deg=elevation_deg, kind=kind)
+    spec = replace(spec, instances=aside, cameras=(camera,), sky=sky)
+    return trace_guides(SceneTracer(spec, Timings()), camera, timer=Timings()), spec.terrain.mean_colour
+
+
+@pytest.mark.parametrize("elevation_deg", [15.0, 60.0])
+def test_open_ground_has_its_colour_in_the_suns_light(elevation_deg):
+    guides, colour = lit_ground(elevation_deg)
+    light = 0.15 + 0.85 * np.sin(np.radians(elevation_deg))
+    np.testing.assert_allclose(guides.colour.mean(axis=(0, 1)), np.array(colour) * light, rtol=0.02)
+    np.testing.assert_allclose(guides.normal[8, 8], [0.0, 0.0, 1.0], atol=1e-5)
+
+
+def test_under_an_overcast_sky_there_is_no_shade():
+    guides, colour = lit_ground(15.0, "overcast")
+    np.testing.assert_allclose(guides.colour.mean(axis=(0, 1)), colour, rtol=0.02)

@@ -1,0 +1,170 @@
+"""Rays and projections of all kinds of cameras undo each other, and do what their definitions say."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from forestgen.scene.projection import (
+    centre_rays,
+    depth_is_distance,
+    image_circle,
+    in_circle,
+    lens_points,
+    pixel_hash,
+    project,
+    rays,
+    world_rays,
+)
+from forestgen.scene.spec import Camera
+from forestgen.testing.cameras import KINDS, camera_of
+
+POSITION_M = (120.0, -35.0, 4.0)
+
+
+def random_points(camera: Camera, count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Image points that have a ray."""
+    x, y = rng.random((2, 4 * count)) * np.array(camera.size_px)[:, None]
+    kept = np.flatnonzero(rays(camera, x, y).valid)[:count]
+    assert len(kept) == count
+    return x[kept], y[kept]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_points_along_rays_project_to_where_the_rays_come_from(kind):
+    camera, rng = camera_of(kind, (640, 480), POSITION_M), np.random.default_rng(1)
+    x, y = random_points(camera, 20_000, rng)
+    found = rays(camera, x, y)
+    distance = 10 ** rng.uniform(-3, 4, len(x))
+    at = project(camera, found.origin_m + found.direction * distance[:, None])
+    np.testing.assert_allclose(np.linalg.norm(found.direction, axis=1), 1.0, rtol=1e-14)
+    assert at.in_front.all()
+    np.testing.assert_allclose(at.x_px, x, atol=1e-9)
+    np.testing.assert_allclose(at.y_px, y, atol=1e-9)
+    expected = distance if depth_is_distance(camera) else distance * found.direction[:, 2]
+    np.testing.assert_allclose(at.depth_m, expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_rays_to_projected_points_go_through_them(kind):
+    camera, rng = camera_of(kind, (640, 480), POSITION_M), np.random.default_rng(2)
+    point = rng.normal(size=(20_000, 3)) * 10
+    at = project(camera, point)
+    assert at.in_front.sum() > 0
+    there, seen = point[at.in_front], rays(camera, at.x_px[at.in_front], at.y_px[at.in_front])
+    away = there - seen.origin_m
+    reach = np.einsum("nk,nk->n", away, seen.direction)
+    assert (reach > 0).all()
+    off = np.linalg.norm(away - reach[:, None] * seen.direction, axis=1)
+    assert (off < 1e-12 * np.linalg.norm(there, axis=1)).all()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_axis_is_the_images_middle_and_x_runs_right_and_y_down(kind):
+    camera = camera_of(kind, (64, 48), POSITION_M)
+    at = project(camera, np.array([[0.0, 0.0, 5.0], [0.01, 0.0, 5.0], [0.0, 0.01, 5.0]]))
+    np.testing.assert_allclose([at.x_px[0], at.y_px[0]], [32, 24], atol=1e-12)
+    assert at.x_px[1] > 32
+    assert at.y_px[1] == pytest.approx(24)
+    assert at.y_px[2] > 24
+    assert at.x_px[2] == pytest.approx(32)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_cameras_own_place_is_seen_nowhere(kind):
+    at = project(camera_of(kind, (64, 48), POSITION_M), np.zeros((1, 3)))
+    assert not at.in_front[0]
+    assert np.isfinite([at.x_px[0], at.y_px[0], at.depth_m[0]]).all()
+
+
+@pytest.mark.parametrize("kind", ["perspective", "orthographic", "thin lens"])
+def test_what_is_behind_flat_cameras_is_not_seen(kind):
+    at = project(camera_of(kind, (64, 48), POSITION_M), np.array([[0.0, 0.0, -1.0], [3.0, 1.0, 0.0], [3.0, 1.0, 1e-6]]))
+    assert at.in_front.tolist() == [False, False, True]
+
+
+def test_a_fisheye_is_equidistant_and_ends_at_its_circle():
+    camera = camera_of("fisheye", (200, 100), POSITION_M, hfov_deg=180.0)
+    theta = np.radians([0, 30, 60, 89.999, 90.001, 180])
+    at = project(camera, np.stack([np.sin(theta), np.zeros(6), np.cos(theta)], axis=1))
+    np.testing.assert_allclose(at.x_px - 100, [0, 100 / 3, 200 / 3, 89.999 / 0.9, 90.001 / 0.9, 200], rtol=1e-12)
+    assert at.in_front.tolist() == [True] * 4 + [False] * 2
+    assert rays(camera, np.array([0.0, 200.0, -1e-9]), np.full(3, 50.0)).valid.tolist() == [True, True, False]
+
+
+def test_straight_behind_a_whole_fisheye_lies_on_its_circle():
+    camera = camera_of("fisheye", (200, 200), POSITION_M, hfov_deg=360.0)
+    at = project(camera, np.array([0.0, 0.0, -3.0]))
+    assert (at.x_px, at.y_px, at.depth_m, at.in_front) == (200.0, 100.0, 3.0, True)
+    near = np.array([[1e-9, 2e-9, -1.0], [-2e-9, 0.0, -1.0]])
+    at = project(camera, near)
+    np.testing.assert_allclose(np.hypot(at.x_px - 100, at.y_px - 100), 100.0, rtol=1e-8)
+    np.testing.assert_allclose(np.arctan2(at.y_px - 100, at.x_px - 100), [np.arctan2(2, 1), np.pi], atol=1e-12)
+
+
+def test_a_panorama_holds_the_sphere_and_tears_at_seam_and_poles():
+    camera = camera_of("panorama", (360, 180), POSITION_M)
+    points = np.array([[1, 0, 0], [-1, 0, 0], [1e-12, 0, -1], [-1e-12, 0, -1], [0, -1, 0], [0, 1, 0], [0, 1, 1.0]])
+    at = project(camera, points)
+    np.testing.assert_allclose(at.x_px, [270, 90, 360, 0, 180, 180, 180], atol=1e-9)
+    np.testing.assert_allclose(at.y_px, [90, 90, 90, 90, 0, 180, 135], atol=1e-9)
+    assert at.in_front.all()
+    seen = centre_rays(camera).direction
+    _, y = np.meshgrid(np.arange(360), np.arange(180) + 0.5)
+    solid_angle = np.cos((y - 90) / 180 * np.pi) * (np.pi / 180) ** 2
+    np.testing.assert_allclose(solid_angle.sum(), 4 * np.pi, rtol=1e-4)
+    np.testing.assert_allclose((seen * solid_angle[..., None]).sum(axis=(0, 1)), 0, atol=1e-12)
+
+
+def test_orthographic_pixels_are_squares_of_equal_size():
+    camera = camera_of("orthographic", (64, 48), POSITION_M, width_m=16.0)
+    at = project(camera, np.array([[8.0, 6.0, 2.0], [8.0, 6.0, 900.0], [-8.0, -6.0, 1.0]]))
+    assert at.x_px.tolist() == [64.0, 64.0, 0.0]
+    assert at.y_px.tolist() == [48.0, 48.0, 0.0]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_world_rays_are_the_cameras_turned(kind):
+    camera = camera_of(kind, (16, 12), POSITION_M)
+    own, world = centre_rays(camera), world_rays(camera)
+    np.testing.assert_allclose(world.direction @ camera.world_from_camera, own.direction, atol=1e-14)
+    start = np.broadcast_to(world.origin_m, world.direction.shape) - np.asarray(POSITION_M)
+    np.testing.assert_allclose(start @ camera.world_from_camera, own.origin_m, atol=1e-12)
+    np.testing.assert_array_equal(world_rays(camera, slice(3, 5)).direction, world.direction[3:5])
+
+
+@pytest.mark.parametrize("size_px", [(64, 48), (63, 80), (10, 10)])
+def test_the_image_circle_is_that_of_its_pixels_centres(size_px):
+    camera = camera_of("fisheye", size_px, POSITION_M)
+    width, height = size_px
+    expected = [
+        [(2 * x + 1 - width) ** 2 + (2 * y + 1 - height) ** 2 <= width**2 for x in range(width)] for y in range(height)
+    ]
+    np.testing.assert_array_equal(image_circle(camera), expected)
+    assert image_circle(camera_of("panorama", size_px, POSITION_M)).all()
+    assert in_circle(camera, np.array(width / 2), np.array(0.0))
+
+
+def test_lens_points_fill_the_disc_evenly_for_each_sample_and_within_each_pixel():
+    column, row = np.meshgrid(np.arange(200), np.arange(150))
+    for number in (0, 7):
+        point = lens_points(column, row, np.array(number)).reshape(-1, 2)
+        radius, angle = np.hypot(*point.T), np.arctan2(point[:, 1], point[:, 0])
+        cells, _, _ = np.histogram2d(radius**2, angle, bins=(10, 10), range=[[0, 1], [-np.pi, np.pi]])
+        chi2 = ((cells - 300) ** 2 / 300).sum()
+        assert chi2 < 150, "99 degrees of freedom: 150 has a chance of 0.0007"
+    own = lens_points(np.array(31), np.array(17), np.arange(1024))
+    cells, _, _ = np.histogram2d(
+        np.hypot(*own.T) ** 2, np.arctan2(own[:, 1], own[:, 0]), bins=(8, 8), range=[[0, 1], [-np.pi, np.pi]]
+    )
+    assert np.abs(cells - 16).max() <= 6, "a sequence of low discrepancy; random points miss by up to 12"
+
+
+def test_neighbouring_pixels_go_through_other_points_of_the_lens():
+    column, row = np.meshgrid(np.arange(64), np.arange(64))
+    point = lens_points(column, row, np.array(3))
+    for axis in (0, 1):
+        step = np.diff(point, axis=axis)
+        assert np.abs((point[1:] * point[:-1]).mean()) < 0.02
+        assert np.sqrt((step**2).sum(axis=-1)).mean() > 0.8
+    assert len(np.unique(pixel_hash(column, row)[0])) == 64 * 64
