@@ -138,7 +138,7 @@ def gaps_by_radiance(spec: SceneSpec) -> tuple[np.ndarray, np.ndarray]:
     ("seen", "angles"),
     [
         (gaps_by_identity, "spherical"),
-        (gaps_by_radiance, "spherical"),
+        slow(gaps_by_radiance, "spherical"),
         slow(gaps_by_identity, "planophile"),
         slow(gaps_by_radiance, "planophile"),
     ],

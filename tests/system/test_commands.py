@@ -324,6 +324,7 @@ def test_doctor_survives_what_is_broken(broken: str, said: str, monkeypatch: pyt
 def test_a_render_without_llvm_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from forestgen.render import variant
 
+    variant.mitsuba()  # with the library that there is: it stays that of this process, and other tests use it
     monkeypatch.setattr(variant, "find_llvm", lambda: None)
     answer = run("render", tiny(tmp_path), "-o", tmp_path / "out")
     answer.refused(3, "no LLVM library", "libLLVM 19 or newer", "karellen-llvm-core", "forestgen doctor")
