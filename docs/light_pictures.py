@@ -1,6 +1,6 @@
 """Pictures of light and cameras, for docs/light.md; `docs/pictures.py` runs them.
 
-light.jpg    light    one stand under other skies, in other seasons, through other cameras, a panel each
+light.jpg    light    one stand under other skies, in another season, in other bands, a panel each
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from PIL import Image
 from forestgen.dataset.exr import read_exr
 from forestgen.dataset.tonemap import tone_map
 
-HEIGHT_PX, COLUMNS = 300, 3
+HEIGHT_PX, COLUMNS = 300, 2
 INFRARED = "near infrared, red, green as red, green, blue"
 VIEW = "position_m: [60, -10, 3.2], look_at_m: [62, 60, 8], size_px: [450, 300], hfov_deg: 60"
 PANELS = {
@@ -24,17 +24,6 @@ PANELS = {
     "overcast": (f"{{{VIEW}}}", ("sky.kind=overcast",)),
     "autumn, a low sun": (f"{{{VIEW}}}", ("plants.season=autumn", "sky.sun={elevation_deg: 12, azimuth_deg: 250}")),
     INFRARED: (f"{{{VIEW}, bands: drone_multispectral}}", ()),
-    "portrait: 85 mm, f/1.8": (
-        "{position_m: [60, -4, 1.7], look_at_m: [60, 20, 2], size_px: [450, 300], focal_length_mm: 85, "
-        "f_number: 1.8, focus_m: 7}",
-        (),
-    ),
-    "fisheye, looking up": ("{kind: fisheye, position_m: [60, 60, 1.3], size_px: [300, 300]}", ()),
-    "panorama": ("{kind: panorama, position_m: [60, 40, 1.7], size_px: [600, 300]}", ()),
-    "map, a metre in 2.5 pixels": (
-        "{kind: orthographic, width_m: 120, position_m: [60, 60, 60], size_px: [300, 300]}",
-        (),
-    ),
 }
 
 
@@ -68,7 +57,7 @@ def _infrared(frame: Path) -> np.ndarray:
 
 def _rendered(folder: Path, camera: str, settings: tuple[str, ...]) -> Path:
     """The frame's folder."""
-    every = (f"cameras=[{camera}]", "sky.clouds=none", "render.samples=48", *settings)
+    every = (f"cameras=[{camera}]", "sky.clouds=none", "render.samples=32", *settings)
     words = [word for one in every for word in ("--set", one)]
     recipe = ROOT / "recipes" / "quickstart.yaml"
     subprocess.run([sys.executable, "-m", "forestgen", "render", str(recipe), "-o", str(folder), *words], check=True)
