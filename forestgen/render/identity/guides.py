@@ -1,7 +1,7 @@
 """What the denoiser is guided by: nearly noise-free pictures of the scene's colours in sun and shade, and its normals.
 
-Tracing is so much cheaper than light paths that 64 samples a pixel cost a few percent of an image. The sun's share is
-in the colours since its shadows are edges too: a denoiser that knows albedo alone takes them for noise and smears them.
+Tracing a ray is much cheaper than a light path, so the guides can have many samples. The sun's share is in the colours
+since its shadows are edges too: a denoiser that knows albedo alone takes them for noise and smears them.
 Clouds and what lies between are left to the denoiser.
 """
 
