@@ -57,6 +57,14 @@ class Render(Section):
         _Samples, Field(description="Light paths a pixel at most, with a target or a time budget.")
     ] = 4096
     denoise: Annotated[Flag, Field(description="Whether to remove the noise that remains.")] = True
+    clouds: Annotated[
+        Literal["auto", "farfield", "exact"],
+        Field(
+            description="How light goes through clouds. farfield: they are rendered once, and their light and shadow "
+            "fall on the scene from afar. exact: their volume is traced with the scene. auto: farfield where clouds "
+            "are far above the plants and cameras, otherwise exact."
+        ),
+    ] = "auto"
     max_depth: Annotated[Whole, Field(ge=1, le=4096, description="Most scatterings of a path.")] = 64
 
     @model_validator(mode="after")

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.atmosphere.grid import CloudGrid
+from forestgen.atmosphere.grid import CloudGrid, Phase
 from forestgen.render.denoise import denoise
 from forestgen.render.light import envmap, has_sun, sky_light, sun_beam
 from forestgen.render.settings import CLOUD_DEPTH, CLOUD_ROULETTE_DEPTH, SAMPLER
@@ -49,8 +49,21 @@ def cloud_volume(clouds: CloudGrid, origin_m: NDArray[np.float64]) -> dict[str, 
             "type": "heterogeneous",
             "albedo": clouds.albedo,
             "sigma_t": {"type": "gridvolume", "grid": grid, "filter_type": "trilinear", "to_world": box},
-            "phase": {"type": "hg", "g": clouds.asymmetry},
+            "phase": phase_function(clouds.phase),
         },
+    }
+
+
+def phase_function(phase: Phase) -> dict[str, Any]:
+    """Of a medium."""
+    forward = {"type": "hg", "g": phase.forward}
+    if phase.forward_share >= 1.0:
+        return forward
+    return {
+        "type": "blendphase",
+        "weight": 1.0 - phase.forward_share,  # of the second
+        "first": forward,
+        "second": {"type": "hg", "g": phase.backward},
     }
 
 

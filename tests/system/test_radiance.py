@@ -12,13 +12,14 @@ from forestgen.atmosphere.grid import CloudGrid
 from forestgen.core.parts import Part
 from forestgen.render import sky
 from forestgen.render.build import load, origin_of, scene_dict
+from forestgen.render.farfield import cloud_window, sky_alone
 from forestgen.render.light import envmap, lights, sky_light, sun_disc
 from forestgen.render.sensors import sensor_of
 from forestgen.render.sky_radiance import sun_irradiance
 from forestgen.render.slices import SliceSum, slice_sizes
 from forestgen.render.surfaces import Paints
 from forestgen.render.variant import SCALAR, mitsuba, using
-from forestgen.render.views import cloud_window, pixels_of, sky_alone
+from forestgen.render.views import pixels_of
 from forestgen.scene.channels import RGB, Channels
 from forestgen.scene.spec import Instances, SceneSpec, Sky
 from forestgen.testing.scenes import camera_at, plain_ground, scattered_scene
