@@ -76,8 +76,8 @@ class Sizes:
     noise_px: tuple[int, int] = (96, 54)
     targets: tuple[float, ...] = (0.2, 0.14, 0.1)
     seeds: int = 4
-    denoise_px: tuple[int, int] = (192, 108)
-    reference: int = 512
+    denoise_px: tuple[int, int] = (640, 360)
+    reference: int = 256
 
 
 QUICK = Sizes(90.0, (96, 54), 16, 2, (96, 54), (48, 27), (0.25, 0.2), 3, (96, 54), 256)

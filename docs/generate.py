@@ -36,6 +36,11 @@ _SECTIONS = {
     "SkySection": "sky",
     "Sun": "sky.sun",
     "Clouds": "sky.clouds",
+    "SoundingSection": "sky.clouds: sounding",
+    "EmissionSection": "sky.clouds: emission",
+    "DomainSection": "sky.clouds: domain",
+    "NamedFile": "sky.clouds: file, emission.map",
+    "Chapter": "sky.clouds: story (each)",
     "Camera": "cameras (each)",
     "CameraPath": "cameras: path",
     "Stereo": "cameras: rig of kind stereo",
@@ -87,7 +92,8 @@ def recipe_page() -> str:
         "# Every key of a recipe\n",
         "Any number may be a distribution, drawn anew for each image: `{uniform: [a, b]}`, `{normal: [mean, sd]}`",
         "(or with bounds: `{normal: {mean: 20, sd: 4, low: 5, high: 40}}`), `{lognormal: [median, sigma]}`,",
-        "`{integers: [a, b]}`, `{choice: [a, b, c]}`.\n",
+        "`{integers: [a, b]}`, `{choice: [a, b, c]}`; or `{sequence: [a, b, c]}`, one after another by the image's",
+        "number.\n",
     ]
     for name, title in _SECTIONS.items():
         definition = definitions[name]

@@ -19,7 +19,7 @@ placement_models.png            placement_models all placement models
 densities.png                   densities        what `forestgen simulate` shows
 
 and, by docs/label_pictures.py, labels.jpg: a view and its labels; by docs/light_pictures.py, light.jpg: other skies,
-a season and bands.
+a season and bands; by docs/weather_pictures.py, weather_profiles.png: the air in which four clouds form.
 
 With names behind it, `uv run python docs/pictures.py self_thinning succession_maps`, it makes these alone.
 The plants' pictures, library.jpg and species/, are made by docs/species_sheet.py.
@@ -37,6 +37,7 @@ import label_pictures
 import light_pictures
 import numpy as np
 import placement_pictures
+import weather_pictures
 from PIL import Image
 
 ROOT = Path(__file__).parents[1]
@@ -150,6 +151,7 @@ PICTURES_OF = {
         one.__name__: one for one in (quickstart, succession, succession_maps, propagation_maps, self_thinning, figures)
     },
     **placement_pictures.PICTURES_OF,
+    **weather_pictures.PICTURES_OF,
     "labels": label_pictures.labels,
     "light": light_pictures.light,
 }

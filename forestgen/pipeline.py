@@ -28,7 +28,7 @@ from forestgen.scene.exemplars import SizeError
 from forestgen.scene.plant_measures import PlantMeter
 from forestgen.stages.community import final_population, snapshots
 from forestgen.stages.data_set import check_one_data_set, class_map, data_set_of
-from forestgen.stages.frames import noise_notes, render_frame
+from forestgen.stages.frames import haze_notes, noise_notes, render_frame
 from forestgen.stages.plan import Plan, check_memory, check_plan, make_plan, views_below_ground, why_barren
 from forestgen.stages.scene import BuiltScene, build_scene
 
@@ -240,6 +240,7 @@ def _account(
         below = labelled.frame.camera.name in views_below_ground(plan)
         summary.notes.append(f"{name}: the camera {'stands below the ground' if below else 'sees no plant'}")
     summary.notes += noise_notes(labelled.frame.radiance, name)
+    summary.notes += haze_notes(built.spec, labelled.frame.surface, name)
 
 
 def _manifest(folder: Path, loaded: LoadedRecipe, seeds: list[int], summary: RunSummary) -> dict[str, Any]:

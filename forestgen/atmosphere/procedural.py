@@ -15,7 +15,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.atmosphere.extinction import ALBEDO, droplet_phase
 from forestgen.atmosphere.grid import CloudGrid
+
+_DROPLET_UM = 10.0  # effective radius
 
 
 def _spectral_noise(
@@ -82,4 +85,6 @@ def cumulus_field(
         extinction_per_m=extinction,
         low_m=(centre_m[0] - half, centre_m[1] - half, base_m),
         high_m=(centre_m[0] + half, centre_m[1] + half, base_m + thickness_m),
+        albedo=ALBEDO,
+        phase=droplet_phase(_DROPLET_UM),
     )

@@ -14,6 +14,7 @@ from forestgen.cli.fit_kernel import fit_kernel
 from forestgen.cli.labels import app as labels
 from forestgen.cli.light import PointsCommand, light
 from forestgen.cli.variadic import RadiiCommand
+from forestgen.cli.weather import weather
 
 
 class _Commands(typer.core.TyperGroup):
@@ -362,6 +363,8 @@ app.add_typer(labels)
 app.command("calibrate", cls=PointsCommand, epilog="Example: forestgen calibrate recipes/quickstart.yaml")(calibrate)
 
 app.command("light", cls=PointsCommand, epilog="Example: forestgen light recipes/quickstart.yaml --at 60 40 1.5")(light)
+
+app.command("weather", epilog="Example: forestgen weather recipes/weather_cumulus.yaml --picture sky.png")(weather)
 
 
 @app.command("doctor", epilog="Example: forestgen doctor")

@@ -13,6 +13,13 @@ from forestgen.dataset.files import output_error, write_bytes
 from forestgen.recipe.map_files import map_files
 
 MAPS_NAME = "maps"
+_WEATHER = ("csv", "nc", "vol")
+
+
+def _ending(path: Path) -> str:
+    """A file's kind, which weather is known by and a picture must show."""
+    own = path.suffix.lower().removeprefix(".")
+    return own if own in _WEATHER else kind_of(path)
 
 
 def write_maps(root: Path, data: dict[str, Any], folder: Path) -> dict[str, Any]:
@@ -36,7 +43,7 @@ def write_maps(root: Path, data: dict[str, Any], folder: Path) -> dict[str, Any]
     stored = copy.deepcopy(data)
     for one in map_files(stored):
         source, sha256 = folder / one["file"], one["sha256"]
-        name = f"{sha256[:16]}.{kind_of(source)}"
+        name = f"{sha256[:16]}.{_ending(source)}"
         target = root / MAPS_NAME / name
         if not target.exists():
             content = source.read_bytes()

@@ -10,6 +10,8 @@ lognormal      ``{lognormal: [median, sigma]}``,                           exp o
                ``{lognormal: {median:, sigma:, low:, high:}}``             standard deviation sigma
 integers       ``{integers: [a, b]}``                                      any whole number from a to b, both included
 choice         ``{choice: [x, y, ...]}``                                   one of the numbers or texts, equally likely
+sequence       ``{sequence: [x, y, ...]}``                                 of image 0 the first, of image 1 the second,
+                                                                           and so on; after the last, the first again
 =============  ==========================================================  ===========================================
 """
 
@@ -23,7 +25,7 @@ from typing import Any, Protocol, TypeGuard
 
 import numpy as np
 
-KINDS = ("uniform", "normal", "lognormal", "integers", "choice")
+KINDS = ("uniform", "normal", "lognormal", "integers", "choice", "sequence")
 _STANDARD = NormalDist()
 Scalar = float | int | str | bool | None
 
@@ -83,6 +85,23 @@ class Choice:
 
     def draw(self, rng: np.random.Generator) -> Scalar:
         return self.values[int(rng.integers(len(self.values)))]
+
+    def extremes(self) -> tuple[Scalar, ...]:
+        return self.values
+
+
+@dataclass(frozen=True)
+class Sequence:
+    """Not random: each image has its own value, such as a time of a story."""
+
+    values: tuple[Scalar, ...]
+
+    def of_image(self, image: int) -> Scalar:
+        return self.values[image % len(self.values)]
+
+    def draw(self, rng: np.random.Generator) -> Scalar:
+        """For whoever knows no image: the first."""
+        return self.values[0]
 
     def extremes(self) -> tuple[Scalar, ...]:
         return self.values
@@ -164,13 +183,21 @@ def _integers(value: Any) -> Integers:
 
 
 def _choice(value: Any) -> Choice:
+    return Choice(_values(value, "choice"))
+
+
+def _sequence(value: Any) -> Sequence:
+    return Sequence(_values(value, "sequence"))
+
+
+def _values(value: Any, kind: str) -> tuple[Scalar, ...]:
     if not isinstance(value, list | tuple) or not 1 <= len(value) <= 10_000:
-        raise BadDistributionError("{choice: [x, y, ...]} with 1 to 10000 values")
+        raise BadDistributionError(f"{{{kind}: [x, y, ...]}} with 1 to 10000 values")
     if not all(v is None or isinstance(v, str | bool) or _is_number(v) for v in value):
         raise BadDistributionError(
-            "{choice: [x, y, ...]} of finite numbers, texts, true or false, not lists or mappings"
+            f"{{{kind}: [x, y, ...]}} of finite numbers, texts, true or false, not lists or mappings"
         )
-    return Choice(tuple(value))
+    return tuple(value)
 
 
 def _gaussian(value: Any, kind: str, centre: str, spread: str) -> tuple[float, float, float, float]:
@@ -216,4 +243,5 @@ _PARSERS: dict[str, Callable[[Any], Distribution]] = {
     "lognormal": _lognormal,
     "integers": _integers,
     "choice": _choice,
+    "sequence": _sequence,
 }

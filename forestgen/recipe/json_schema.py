@@ -215,6 +215,7 @@ def _distribution() -> Json:
         },
         "integers": {**pair({"type": "integer"}), "description": "[low, high]: any whole number, both included."},
         "choice": {"type": "array", "items": scalar, "minItems": 1, "description": "One of these, equally likely."},
+        "sequence": {"type": "array", "items": scalar, "minItems": 1, "description": "One after another, by image."},
     }
     assert tuple(properties) == KINDS
     return {

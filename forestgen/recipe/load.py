@@ -31,6 +31,7 @@ from forestgen.recipe.distributions import (
     is_distribution,
     parse_distribution,
 )
+from forestgen.recipe.distributions import Sequence as InOrder
 from forestgen.recipe.hashing import recipe_hash
 from forestgen.recipe.map_files import embed_maps
 from forestgen.recipe.messages import UNDRAWN, Explainer, show
@@ -49,7 +50,7 @@ class DrawnRecipe:
     recipe: Recipe
     data: dict[str, Any]  # plain, complete; stored as YAML and loaded again it gives this image again
     image_index: int  # of the image itself: the recipe's first_image plus the index drawn
-    image_seed: int  # in [0, 2^63); the root of this image's own randomness
+    image_seed: int  # in [0, 2^63); the root of this image's own randomness; with same_stand, image 0's
     folder: Path  # of the recipe: paths in it are relative to this
     sources: SourceMap = field(repr=False)
     written: Mapping[Keys, Any] = field(repr=False)  # the drawn values' distributions as written
@@ -163,7 +164,9 @@ class LoadedRecipe:
 
     def _values(self, image: int) -> dict[Keys, Scalar]:
         return {
-            keys: distribution.draw(child_rng(self.seed, "recipe", image, dotted(keys)))
+            keys: distribution.of_image(image)
+            if isinstance(distribution, InOrder)
+            else distribution.draw(child_rng(self.seed, "recipe", image, dotted(keys)))
             for keys, distribution in self.distributions.items()
         }
 
@@ -184,7 +187,7 @@ class LoadedRecipe:
         recipe = self._validated(values)
         settled = {name: species.settled() for name, species in recipe.species.items()}
         recipe = recipe.model_copy(update={"species": settled, "images": 1, "first_image": image})
-        seed = child_root(self.seed, "image", image)
+        seed = child_root(self.seed, "image", 0 if recipe.same_stand else image)
         return DrawnRecipe(recipe, _plain(recipe), image, seed, self.path.parent, self.sources, self.written)
 
 

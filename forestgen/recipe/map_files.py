@@ -1,4 +1,4 @@
-"""Pictures that a recipe names: found beside it, part of its hash by their content, not by their name.
+"""Pictures, soundings and weather that a recipe names: found beside it, part of its hash by content, not by name.
 
 ``map: meadow.png`` becomes ``map: {file: meadow.png, sha256: ...}`` when a recipe is loaded. With a sha256 in the
 recipe, as in one that is stored with an image, no other file is taken.
@@ -41,11 +41,11 @@ def file_sha256(path: Path, named: str) -> str:
                 return hashlib.file_digest(stream, "sha256").hexdigest()
         if path.exists():
             problem = "this is a folder" if path.is_dir() else "this is no plain file"
-            raise AssetError(problem, expected="a picture or an array", got=str(path))
-        raise AssetError("no such file", expected="a picture or an array", got=str(path), hint=_near(path, named))
+            raise AssetError(problem, expected="an existing file", got=str(path))
+        raise AssetError("no such file", expected="an existing file", got=str(path), hint=_near(path, named))
     except (OSError, ValueError) as cause:  # a name that no file system takes has ValueError
         reason = cause.strerror if isinstance(cause, OSError) else str(cause)
-        raise AssetError("the file cannot be read", expected="a picture or an array", got=reason) from cause
+        raise AssetError("the file cannot be read", expected="an existing file", got=reason) from cause
 
 
 def _near(path: Path, named: str) -> str:
@@ -58,14 +58,14 @@ def _near(path: Path, named: str) -> str:
     files = sorted(one for one in path.parent.iterdir() if one.suffix.lower() in _SUFFIXES and one.is_file())
     near = difflib.get_close_matches(path.stem, [one.stem for one in files], n=3)
     names = [one.name for one in files if one.stem in near] or [one.name for one in files[:5]]
-    return f"{relative}; pictures there: {', '.join(names) if names else 'none'}"
+    return f"{relative}; files there: {', '.join(names) if names else 'none'}"
 
 
-_SUFFIXES = (".png", ".tif", ".tiff", ".exr", ".npy")
+_SUFFIXES = (".png", ".tif", ".tiff", ".exr", ".npy", ".csv", ".nc", ".vol")
 
 
 def embed_maps(data: dict[str, Any], sources: SourceMap, folder: Path, known: dict[Path, str]) -> None:
-    """Give every map of a recipe's community in place the SHA-256 of its file.
+    """Give every map of a recipe's community, and every file of its weather, in place the SHA-256 of its file.
 
     Where a file's name is chosen anew for each image, every choice becomes such a mapping: for the recipe's hash.
 
@@ -77,7 +77,7 @@ def embed_maps(data: dict[str, Any], sources: SourceMap, folder: Path, known: di
     ------
     AssetError : no such file, or its content is not of the SHA-256 that the recipe gives.
     """
-    for keys, parent, key in list(_slots(data.get(SECTION), (SECTION,))):
+    for keys, parent, key in list(_all_slots(data)):
         value = parent[key]
         if isinstance(value, str):
             parent[key] = _identified({"file": value}, sources, keys, folder, known)
@@ -92,7 +92,7 @@ def embed_maps(data: dict[str, Any], sources: SourceMap, folder: Path, known: di
 
 def map_files(data: dict[str, Any]) -> Iterator[dict[str, Any]]:
     """Every mapping of a file and its SHA-256 in a recipe's plain data, to be read or changed."""
-    for _, parent, key in _slots(data.get(SECTION), (SECTION,)):
+    for _, parent, key in _all_slots(data):
         if is_map_file(parent[key]):
             yield parent[key]
 
@@ -100,6 +100,33 @@ def map_files(data: dict[str, Any]) -> Iterator[dict[str, Any]]:
 def is_map_file(value: object) -> bool:
     """Whether `value` is a mapping that names a file and the SHA-256 of its content."""
     return isinstance(value, dict) and isinstance(value.get("file"), str) and isinstance(value.get("sha256"), str)
+
+
+def _all_slots(data: dict[str, Any]) -> Iterator[tuple[Keys, Any, str | int]]:
+    """Key path, parent and key of every value that may be a file."""
+    yield from _slots(data.get(SECTION), (SECTION,))
+    sky = data.get("sky")
+    clouds = sky.get("clouds") if isinstance(sky, dict) else None
+    if not isinstance(clouds, dict):
+        return
+    keys: Keys = ("sky", "clouds")
+    if "file" in clouds:
+        yield (*keys, "file"), clouds, "file"
+    yield from _weather_slots(clouds, keys)
+    story = clouds.get("story")
+    for index, chapter in enumerate(story if isinstance(story, list) else ()):
+        yield from _weather_slots(chapter, (*keys, "story", index))
+
+
+def _weather_slots(value: Any, keys: Keys) -> Iterator[tuple[Keys, Any, str | int]]:
+    """The files of one kind of weather: its sounding, and the map of its emission."""
+    if not isinstance(value, dict):
+        return
+    if "sounding" in value:
+        yield (*keys, "sounding"), value, "sounding"
+    emission = value.get("emission")
+    if isinstance(emission, dict) and "map" in emission:
+        yield (*keys, "emission", "map"), emission, "map"
 
 
 def _slots(value: Any, keys: Keys) -> Iterator[tuple[Keys, Any, str | int]]:

@@ -123,7 +123,6 @@ class Plants(Section):
             "for looking at a stand before its plants (Lane 2002, Figure 6.2)."
         ),
     ] = "plants"
-
     exemplars_per_species: Annotated[
         Whole,
         Field(
@@ -224,8 +223,6 @@ class Labels(Section):
 
 
 Format = Literal["coco", "panoptic", "yolo", "bop", "depth_png", "cryptomatte", "points", "nerfstudio"]
-
-
 View = Literal["filmic", "srgb", "acescct"]
 
 
@@ -291,6 +288,9 @@ class Recipe(Section):
         Whole,
         Field(ge=0, le=10**12, description="Index of the first image; a stored drawn recipe keeps its own here."),
     ] = 0
+    same_stand: Annotated[
+        Flag, Field(description="Whether all images show image 0's stand; distributions are still drawn by image.")
+    ] = False
     site: Annotated[Site, Field(description="The piece of land.")] = Site()
     species: Annotated[dict[Name, Species], Field(min_length=1, max_length=1000, description="Species by name.")]
     community: Annotated[Community, Field(description="Who grows where: a model and its own keys.")]

@@ -9,7 +9,8 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, SerializerFunctionWrapHandler, field_validator, model_serializer, model_validator
 
-from forestgen.recipe.fields import Fraction, Number, Positive, Section, Text, mistake, spelled_out
+from forestgen.recipe.clouds import Clouds
+from forestgen.recipe.fields import Number, Section, Text, mistake, spelled_out
 
 YEARS = (1700, 2200)
 _ANGLES, _DATE = ("elevation_deg", "azimuth_deg"), ("date", "time", "utc_offset_h")
@@ -141,17 +142,6 @@ def _hours(time: float | str) -> float:
     return hours + minutes / 60 + seconds / 3600 if minutes < 60 and seconds < 60 else float("inf")
 
 
-class Clouds(Section):
-    """The cloud field above the site."""
-
-    type: Annotated[Literal["cumulus", "none"], Field(description="Kind of cloud.")] = "none"
-    cover: Annotated[Fraction, Field(description="Fraction of the sky's area under cloud, 0 to 1.")] = 0.35
-    base_m: Annotated[Positive, Field(le=20000, description="Height of the clouds' base above ground, metres.")] = 900.0
-    thickness_m: Annotated[Positive, Field(le=20000, description="Height of the cloud layer, metres.")] = 350.0
-    extinction_per_m: Annotated[Positive, Field(le=1, description="Extinction inside a cloud, per metre.")] = 0.05
-    extent_m: Annotated[Positive, Field(le=20000, description="Side of the square of clouds, metres.")] = 8000.0
-
-
 class SkySection(Section):
     """Sun, clear or overcast sky, and clouds."""
 
@@ -177,6 +167,15 @@ class SkySection(Section):
     ozone_du: Annotated[
         Number, Field(ge=0, le=1000, description="Ozone of the whole air column, Dobson units; 344 is standard.")
     ] = 344.0
+    visibility_m: Annotated[
+        Number | None,
+        Field(
+            ge=1000,
+            le=300000,
+            description="Haze between camera and scene: how far one sees, metres; 3000 is murky, 20000 usual, 100000 "
+            "very clear. None: no haze. Below 1000 it is fog: see clouds.",
+        ),
+    ] = None
     clouds: Annotated[Clouds, Field(description="The cloud field, or just its type.")] = Clouds()
 
     @field_validator("clouds", mode="before")

@@ -22,6 +22,19 @@ def origin_of(camera: Camera) -> NDArray[np.float64]:
     return np.asarray(camera.position_m, dtype=np.float64)
 
 
+def ray_corners_m(camera: Camera) -> NDArray[np.float64]:
+    """(N, 3) metres, world: where `camera`'s rays start lies between these places.
+
+    Four corners of a plane if it is an orthographic one, otherwise the one place of the camera.
+    """
+    place = origin_of(camera)
+    if camera.projection != "orthographic":
+        return place[None]
+    half = camera.width_m / 2 * np.array([1.0, camera.size_px[1] / camera.size_px[0]])
+    corners = np.array([[x, y] for x in (-1, 1) for y in (-1, 1)]) * half
+    return np.asarray(place + corners @ camera.world_from_camera[:, :2].T)
+
+
 def to_mesh(
     mesh: Mesh, bsdf: Any | None = None, offset_m: NDArray[np.float64] | None = None, name: str = "mesh"
 ) -> Any:

@@ -57,7 +57,7 @@ def render_chart(
     """
     origin = origin_of(camera)
     with using(SCALAR):
-        lights = sources(origin) if sources is not None else sources_of(spec, origin, child_seed(seed, "bake"))
+        lights = sources(origin) if sources is not None else sources_of(spec, origin)
         lit = Lit(spec, origin, lights)
         integrators = [lit.integrator(row, max_depth=max_depth, block_px=BLOCK_PX) for row in range(len(lights))]
         threes, passes = passes_at(WAVELENGTHS_NM), ColourBySpectrum().passes

@@ -1,10 +1,294 @@
-"""A scene and the volume of its clouds, traced together: no approximation but the depth of a path."""
+"""A scene and the volume of its clouds, traced together: no approximation.
+
+Two ways, of the same mean.
+
+Whole: all in one scene, clouds as bricks (render/cloud_bricks.py), by the renderer's volume path tracer. For fog, for
+cameras in or above the clouds, and for those that are assembled from others. A path ends where it leaves the world or
+by chance, never by a number of scatterings: through clouds of an optical depth of 100 it takes hundreds of them.
+
+Parted: where all plants, the ground and the camera lie below the lowest cloud. A path is cut where it passes from the
+scene to the clouds or back, and each part is left to whoever is good at it:
+
+1. Light that comes from the sun straight to a surface, however thinned by clouds, and on from surface to surface to the
+   camera. The volume path tracer, with clouds that only take away.
+2. All other light enters a path, seen from the camera, where it leaves the scene. Paths among surfaces are the
+   renderer's (render/escapes.py tells where they leave); walks through the clouds from there on are our own
+   (render/cloud_walks.py), and find the sun, scattered, and the sky.
+3. A walk that leaves the clouds downwards meets the scene again. One in `_DOWN_EVERY` is followed there, at that many
+   times its weight, in the whole way.
+
+Light that goes to and fro between forest and clouds, any number of times, is counted once, so the mean is that of the
+whole way.
+"""
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
 from forestgen.core.errors import RenderError
-from forestgen.render.views import Shot, Timer, View
+from forestgen.core.randomness import child_rng, child_seed
+from forestgen.render import cloud_bricks
+from forestgen.render.build import load, origin_of, ray_corners_m, scene_dict
+from forestgen.render.cloud_walks import SunDisc, WalkField
+from forestgen.render.escapes import Escapes, EscapeScene
+from forestgen.render.light import emitters_of, has_sun, sun_disc
+from forestgen.render.painted import Painted, path_tracer
+from forestgen.render.sensors import FilmWindow, capture, is_assembled
+from forestgen.render.settings import CLOUD_ROULETTE_DEPTH
+from forestgen.render.sky_radiance import along, sky_map, sun_radiance
+from forestgen.render.variant import mitsuba
+from forestgen.render.views import Shot, Timer
+from forestgen.scene.channels import Channels
+from forestgen.scene.spec import SceneSpec
+
+_TRIES = 8  # of a path, or a pixel, that ends in no number
+_FEW_BROKEN, _BROKEN_SHARE = 8, 1e-5  # more than both together are refused
+_DOWN_EVERY = 16
+# Rays that see the sky cost nearly nothing and make the outline of every leaf: more of them, and walks for each; fewer
+# paths among plants, which cost most, with many walks each.
+_SEEN_TIMES, _SEEN_WALKS = 4, 2
+_SCATTERED_WALKS = 6
+_MOST_PATHS = 2_000_000  # followed at a time, for the sake of memory
+_CLEARANCE_M = 0.5  # between the scene and the clouds, at least, for the parted way
+Floats = NDArray[np.float64]
 
 
-def ExactView(shot: Shot, timer: Timer) -> View:  # noqa: N802
-    raise RenderError("not there yet")
+class ExactView:
+    """A scene with its clouds, ready to be captured."""
+
+    def __init__(self, shot: Shot, timer: Timer) -> None:
+        self._shot, self._timer = shot, timer
+        spec, camera = shot.spec, shot.camera
+        assert spec.clouds is not None
+        self._origin = origin = origin_of(camera)
+        self._painted = painted = Painted(timer)
+        with timer("radiance: build"):
+            surfaces = scene_dict(spec, origin, painted.paints)
+            bricks = cloud_bricks.divide(spec.clouds, origin)
+            shapes, media = cloud_bricks.brick_shapes(spec.clouds, bricks, origin)
+            shell = cloud_bricks.camera_shell(spec.clouds, bricks, media, camera)
+            emitters = {name: painted.light(emitter) for name, emitter in emitters_of(spec.sky).items()}
+            self._whole = load({**surfaces, **shapes, **shell, **emitters})
+            self._tracer = endless_tracer()
+            gap = None if is_assembled(camera) else clear_air_m(spec, float(ray_corners_m(camera)[:, 2].max()))
+            self._parts = None if gap is None else _Parts(shot, painted, surfaces, bricks, gap, timer)
+
+    @property
+    def is_parted(self) -> bool:
+        """Whether clouds and scene are traced apart."""
+        return self._parts is not None
+
+    def take(self, channels: Channels, samples: int, number: tuple[int, int]) -> Floats:
+        self._painted.show(channels)
+        if self._parts is None:
+            with self._timer("mitsuba"):
+                return _captured(self._tracer, self._whole, self._shot, samples, ("whole", *number))
+        # Measured: the sun's own light has less than a tenth of the noise of light from clouds and sky.
+        image = self._parts.by_sun((samples + 1) // 2, number)
+        return image + self._parts.by_clouds(channels, samples, number, self._followed)
+
+    def _followed(self, place_m: Floats, direction: Floats, seed: int) -> Floats:
+        """(N, 3) radiance that comes from the scene with its clouds to (N, 3) places, one path each."""
+        mi = mitsuba()
+        sampler = mi.load_dict({"type": "independent"})
+        sampler.seed(seed)
+        result = np.empty((len(place_m), 3))
+        rows, broken = list(range(len(place_m))), 0
+        for _ in range(_TRIES):
+            for row in rows:
+                ray = mi.RayDifferential3f(mi.Ray3f(place_m[row].tolist(), direction[row].tolist()))
+                result[row] = self._tracer.sample(self._whole, sampler, ray)[0]
+            rows = np.flatnonzero(~np.isfinite(result).all(axis=1)).tolist()
+            broken += len(rows)
+            _check_broken(broken, len(place_m))
+            if not rows:
+                return result
+        raise _no_number()
+
+
+def endless_tracer() -> Any:
+    """The volume path tracer of the whole way."""
+    return path_tracer("volpath", -1, rr_depth=CLOUD_ROULETTE_DEPTH)
+
+
+def clear_air_m(spec: SceneSpec, camera_m: float) -> tuple[float, float] | None:
+    """World heights of the top of all surfaces and the camera, and of the lowest cloud; None if they meet.
+
+    Parameters
+    ----------
+    camera_m : height at which the camera's highest ray starts.
+    """
+    assert spec.clouds is not None
+    clouds = spec.clouds
+    cloudy = np.flatnonzero(clouds.extinction_per_m.any(axis=(1, 2)))
+    if not len(cloudy):
+        return None
+    # Between the centres of an empty layer and the next the field rises from 0.
+    lowest = clouds.low_m[2] + max(0.0, float(cloudy[0]) - 0.5) * clouds.cell_m[2]
+    top = max(camera_m, float(spec.terrain.mesh.vertices_m[:, 2].max()), _highest_plant_m(spec))
+    return (top, lowest) if lowest - top > 2 * _CLEARANCE_M else None
+
+
+def _highest_plant_m(spec: SceneSpec) -> float:
+    highest = -np.inf
+    for index in np.unique(spec.instances.exemplar):
+        box = spec.exemplars[index].bounds_m()
+        corners = np.array([[box[i, 0], box[j, 1], box[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
+        up = spec.instances.transform[spec.instances.exemplar == index, 2]
+        highest = max(highest, float((up[:, :3] @ corners.T + up[:, 3:]).max()))
+    return highest
+
+
+class _Parts:
+    """The parted way."""
+
+    def __init__(
+        self,
+        shot: Shot,
+        painted: Painted,
+        surfaces: dict[str, Any],
+        bricks: cloud_bricks.Bricks,
+        gap_m: tuple[float, float],
+        timer: Timer,
+    ) -> None:
+        self._shot, self._timer = shot, timer
+        spec, origin = shot.spec, origin_of(shot.camera)
+        assert spec.clouds is not None
+        self._field = WalkField.of(spec.clouds, origin)
+        self._disc, self._by_sun = None, None
+        if has_sun(spec.sky):
+            self._disc = _disc_of(spec)
+            shapes, _ = cloud_bricks.brick_shapes(spec.clouds, bricks, origin, albedo=0.0)
+            sun = painted.light(lambda channels: sun_disc(spec.sky, channels))
+            self._by_sun = load({**surfaces, **shapes, "sun": sun})
+            self._thinned = path_tracer("volpath", shot.max_depth)
+        top, lowest = gap_m
+        ground = spec.terrain.mesh.vertices_m - origin
+        self._escapes = EscapeScene(
+            surfaces,
+            path_tracer("path", shot.max_depth),
+            top_m=min((top + lowest) / 2, top + 20.0) - origin[2],
+            half_m=max(1000.0, 1.02 * float(np.abs(ground[:, :2]).max())),
+            bottom_m=float(ground[:, 2].min()) - 100.0,
+        )
+
+    def by_sun(self, samples: int, number: tuple[int, int]) -> Floats:
+        """(H, W, 3) light that no cloud has scattered since it left the sun, on its way to its first surface."""
+        camera = self._shot.camera
+        if self._by_sun is None:
+            return np.zeros((camera.size_px[1], camera.size_px[0], 3))
+        with self._timer("mitsuba"):
+            return _captured(self._thinned, self._by_sun, self._shot, samples, ("sun", *number))
+
+    def by_clouds(self, channels: Channels, samples: int, number: tuple[int, int], followed: Any) -> Floats:
+        """(H, W, 3) all other light."""
+        camera = self._shot.camera
+        width, height = camera.size_px
+        sky, sun = sky_map(self._shot.spec.sky, channels), sun_radiance(self._shot.spec.sky, channels)
+        kinds = (
+            ("seen", self._escapes.seen, _SEEN_TIMES * samples, _SEEN_WALKS),
+            ("scattered", self._escapes.scattered, samples, _SCATTERED_WALKS),
+        )
+        total = np.zeros((height * width, 3))
+        for kind, trace, count, each in kinds:
+            for index, (fine, window) in enumerate(_films(width, height, count)):
+                name = (kind, *number, index)
+                finer = replace(camera, size_px=(width * fine, height * fine))
+                with self._timer("mitsuba"):
+                    paths = trace(finer, child_seed(self._shot.seed, *name), window)
+                light = np.zeros((len(paths.pixel), 3))
+                for walk in range(each):
+                    light += self._walked(paths, sky, sun, (*name, walk), followed) / each
+                row, column = window.y + paths.pixel // window.width, window.x + paths.pixel % window.width
+                pixel = row // fine * width + column // fine
+                for channel in range(3):
+                    weight = paths.throughput[:, channel] * light[:, channel] / count
+                    total[:, channel] += np.bincount(pixel, weight, len(total))
+        return total.reshape(height, width, 3)
+
+    def _walked(self, paths: Escapes, sky: Any, sun: Floats, name: tuple[str | int, ...], followed: Any) -> Floats:
+        """(N, 3) radiance that one walk each finds for paths that left the scene."""
+        with self._timer("clouds"):
+            seed = child_seed(self._shot.seed, "walks", *name)
+            walks = self._field.walk(paths.place_m, paths.direction, self._disc, seed)
+            light = walks.sun[:, None] * sun
+            down = (walks.direction[:, 2] <= 0) & (walks.leaves_m[:, 2] > paths.place_m[:, 2])
+            light += np.where(down, 0.0, walks.weight)[:, None] * along(sky, walks.direction)
+        chosen = np.flatnonzero(down & (walks.weight > 0))
+        rng = child_rng(self._shot.seed, "down", *name)
+        chosen = chosen[rng.random(len(chosen)) < 1.0 / _DOWN_EVERY]
+        with self._timer("mitsuba"):
+            seed = child_seed(self._shot.seed, "followed", *name)
+            met = followed(walks.leaves_m[chosen], walks.direction[chosen], seed)
+        light[chosen] += _DOWN_EVERY * walks.weight[chosen, None] * met
+        return light
+
+
+def _captured(tracer: Any, scene: Any, shot: Shot, samples: int, name: tuple[str | int, ...]) -> Floats:
+    """(H, W, 3) image of the volume path tracer.
+
+    About one path in a million, which slips through between two faces of bricks, ends in no number. Its pixel is taken
+    once more.
+
+    Raises
+    ------
+    RenderError : there are many such paths, so that something else is wrong.
+    """
+    image = capture(tracer, scene, shot.camera, samples=samples, seed=child_seed(shot.seed, *name))[..., :3]
+    count = 0
+    for attempt in range(_TRIES):
+        broken = np.argwhere(~np.isfinite(image).all(axis=2)).tolist()
+        count += len(broken)
+        _check_broken(count, samples * image[..., 0].size)
+        if not broken:
+            return image
+        for row, column in broken:
+            seed = child_seed(shot.seed, *name, "again", attempt, row, column)
+            window = FilmWindow(column, row, 1, 1)
+            again = capture(tracer, scene, shot.camera, samples=samples, seed=seed, window=window)
+            image[row, column] = again[0, 0, :3]
+    raise _no_number()
+
+
+def _check_broken(broken: int, paths: int) -> None:
+    """Few paths end in no number: those are drawn once more."""
+    if broken > _FEW_BROKEN + _BROKEN_SHARE * paths:
+        raise _no_number(f"{broken} of {paths}")
+
+
+def _no_number(count: str = "some") -> RenderError:
+    return RenderError(
+        f"{count} paths of light through the clouds end in no number",
+        hint="the image would be wrong; move the camera by a few metres, or choose coarser clouds",
+    )
+
+
+def _disc_of(spec: SceneSpec) -> SunDisc:
+    """The sun as the renderer has it."""
+    from forestgen.scene.channels import RGB
+
+    matrix = np.array(sun_disc(spec.sky, RGB)["to_world"].matrix, dtype=np.float64)
+    return SunDisc(matrix[:3, 3], float(np.linalg.norm(matrix[:3, 0])))
+
+
+def _films(width: int, height: int, samples: int) -> list[tuple[int, FilmWindow]]:
+    """Films of one path a pixel that together give an image its samples: times as fine, and which part of it.
+
+    A pixel of the image is so cut into squares with a path through each, as evenly as a stratified sampler would.
+    """
+    films = []
+    while samples > 0:
+        fine = int(np.sqrt(samples))
+        while fine > 1 and fine * fine * width > _MOST_PATHS:
+            fine -= 1
+        samples -= fine * fine
+        rows = max(1, _MOST_PATHS // (fine * fine * width)) * fine
+        films += [
+            (fine, FilmWindow(0, first, width * fine, min(rows, height * fine - first)))
+            for first in range(0, height * fine, rows)
+        ]
+    return films

@@ -29,6 +29,7 @@ from forestgen.core.randomness import child_seed
 from forestgen.core.spectrum import LUMINANCE, Spectrum
 from forestgen.render import sky as cloudy_sky
 from forestgen.render.build import load, scene_dict
+from forestgen.render.cloud_shadow import sun_sheet
 from forestgen.render.light import has_sun, sky_light, sun_disc
 from forestgen.render.settings import ROULETTE_DEPTH, SAMPLER
 from forestgen.render.surfaces import Paints, repaint
@@ -59,27 +60,21 @@ class Source:
     roulette_from: int = ROULETTE_DEPTH  # scattering from which on weak paths may be dropped
 
 
-def sources_of(spec: SceneSpec, origin_m: Floats, seed: int) -> list[Source]:
+def sources_of(spec: SceneSpec, origin_m: Floats) -> list[Source]:
     """Sun and sky of a scene, as they are at a point. Call it in the scalar variant."""
     light = daylight_of(spec.sky)
     sky: Emitter = lambda channels: sky_light(spec.sky, channels)  # noqa: E731
     beside: dict[str, Any] = {}
     spectrum = light.sky
     if spec.clouds is not None:
-        sky = _baked(spec, origin_m, seed >> 1)
-        beside = {"sheet": cloudy_sky.sun_sheet(spec, origin_m)}
+        sky = cloudy_sky.baked_sky(cloudy_sky.traced_clouds_of(spec), origin_m).light
+        sheet = sun_sheet(spec, origin_m)
+        beside = {} if sheet is None else {"sheet": sheet}
         spectrum = light.on_level  # clouds pass on the sun's light
     sources = [Source("sky", spectrum, sky)]
     if has_sun(spec.sky):
         sources.append(Source("sun", light.sun, lambda channels: sun_disc(spec.sky, channels), beside))
     return sources
-
-
-def _baked(spec: SceneSpec, origin_m: Floats, seed: int) -> Emitter:
-    """The sky through the clouds; in colour it is traced in colour, as images in colour have it."""
-    colour = cloudy_sky.bake_sky(spec, origin_m, RGB, seed=seed)
-    spectral = cloudy_sky.bake_spectral_sky(spec, origin_m, seed=seed)
-    return lambda channels: colour if channels == RGB else spectral.light(channels)
 
 
 def uniform(irradiance: Spectrum) -> Source:
@@ -162,7 +157,7 @@ def measure(
     spp = max(1, round(samples / REPLICATES / _PIXELS**2))
     with using(SCALAR):
         sensor = _sensor(normal, spp)
-        lights = sources(origin) if sources is not None else sources_of(spec, origin, child_seed(seed, "bake"))
+        lights = sources(origin) if sources is not None else sources_of(spec, origin)
         lit = Lit(spec, origin, lights, {"meter": _patch(mi, normal)})
 
         def shoot(row: int, depth: int) -> Floats:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.render.settings import SKY_BESIDE_SUN_WEIGHT
-from forestgen.render.sky_radiance import SUN_RADIUS_DEG, sky_map, sun_irradiance, sun_radiance
+from forestgen.render.sky_radiance import SUN_RADIUS_DEG, sky_map, sun_radiance
 from forestgen.render.variant import mitsuba
 from forestgen.scene.channels import RGB, Channels
 from forestgen.scene.spec import Sky
@@ -61,16 +61,6 @@ def sun_disc(sky: Sky, channels: Channels) -> dict[str, Any]:
         "to_world": mi.ScalarTransform4f().look_at(centre, [0, 0, 0], up).scale([radius, radius, 1.0]),
         "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.0, 0.0, 0.0]}},
         "emitter": {"type": "area", "radiance": {"type": "rgb", "value": radiance}},
-    }
-
-
-def sun_beam(sky: Sky, channels: Channels) -> dict[str, Any]:
-    """The sun as one direction, for clouds."""
-    irradiance = sun_irradiance(sky, channels)
-    return {
-        "type": "directional",
-        "direction": [-float(x) for x in sky.to_sun],
-        "irradiance": {"type": "rgb", "value": [float(x) for x in irradiance]},
     }
 
 

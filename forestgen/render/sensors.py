@@ -17,7 +17,7 @@ from forestgen.render.tracing import interruptible
 from forestgen.render.variant import mitsuba
 from forestgen.scene.spec import Camera
 
-_NEAR_M, _FAR_M = 1e-3, 1e6  # the identity pass starts at the camera itself
+_NEAR_M, _FAR_M = 1e-3, 1e7  # the identity pass starts at the camera itself; the sun's disc stands at 1e6 m
 
 
 @dataclass(frozen=True)

@@ -50,6 +50,23 @@ def map_directions(rows: int = MAP_ROWS, columns: int = MAP_COLUMNS) -> Floats:
     return np.stack([np.sin(t) * np.cos(p), np.sin(t) * np.sin(p), np.cos(t)], axis=-1)
 
 
+def along(values: NDArray[np.floating], direction: Floats) -> Floats:
+    """(..., C) values of a map (R, Q, C) along (..., 3) unit directions, bilinear as the renderer has its sky.
+
+    The map's directions are those of `map_directions`; one of a single row is the same at all heights.
+    """
+    rows, columns = values.shape[:2]
+    x, y, z = np.moveaxis(direction, -1, 0)
+    row = np.arctan2(np.hypot(x, y), z) / np.pi * (rows - 1)
+    column = np.arctan2(y, x) / (2.0 * np.pi) * columns - 0.5
+    top, left = np.clip(np.floor(row).astype(np.int64), 0, max(rows - 2, 0)), np.floor(column).astype(np.int64)
+    down, right = (row - top)[..., None], (column - left)[..., None]
+    below, first, second = np.minimum(top + 1, rows - 1), left % columns, (left + 1) % columns
+    upper = values[top, first] * (1.0 - right) + values[top, second] * right
+    lower = values[below, first] * (1.0 - right) + values[below, second] * right
+    return np.asarray(upper * (1.0 - down) + lower * down)
+
+
 def sky_map(sky: Sky, channels: Channels) -> NDArray[np.float32]:
     """(MAP_ROWS, MAP_COLUMNS, 3) radiance of the sky without its sun, black below the horizon; see `map_directions`.
 

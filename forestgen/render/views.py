@@ -36,7 +36,7 @@ class Shot:
     mode: Mode = "rgb"  # a camera with bands is rendered at wavelengths whatever it says
     max_depth: int = 64  # longest path through the canopy; clouds have their own
     cloud_transport: CloudTransport = "farfield"
-    sky_share: NDArray[np.bool_] | None = None  # (H, W) pixels that may see the sky, the others skip clouds; None: all
+    position_m: NDArray[np.float32] | None = None  # (H, W, 3) world, of what pixels show, NaN sky; None: near the site
 
 
 class View(Protocol):

@@ -83,6 +83,7 @@ class Sky:
     sun_distance_au: float = 1.0  # from the earth
     precipitable_water_mm: float = 14.16
     ozone_du: float = 344.0  # Dobson units
+    visibility_m: float | None = None  # meteorological range of the haze before the camera; None: there is none
 
     @property
     def to_sun(self) -> NDArray[np.float64]:

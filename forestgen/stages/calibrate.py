@@ -17,8 +17,10 @@ from forestgen.core.spectrum import Spectrum
 from forestgen.core.timing import Timings
 from forestgen.recipe.load import LoadedRecipe
 from forestgen.render.chart_pass import WAVELENGTHS_NM, ChartImages, render_chart
+from forestgen.render.cloud_shadow import base_of
 from forestgen.render.identity import SceneTracer, trace_identity
 from forestgen.render.irradiance import Source, measure
+from forestgen.render.transport import check_far_clouds
 from forestgen.scene import colour_checker as checker
 from forestgen.scene.spec import Camera, Instances, SceneSpec
 from forestgen.stages.light import LightMeter, Point, place, prepare, read
@@ -112,6 +114,7 @@ def calibrate(
     if at is None:
         at, above_ground = _over_the_plants(plan, spec), False
     point, above_m = place(plan, at, above_ground=above_ground)
+    check_far_clouds(spec, point)
     with timings("calibrate"):
         return measure_chart(
             spec,
@@ -311,7 +314,7 @@ def _over_the_plants(plan: Plan, spec: SceneSpec) -> Point:
         corners = np.array(np.meshgrid(*np.stack([low, high], axis=1))).reshape(3, -1)
         rows = spec.instances.transform[spec.instances.exemplar == index][:, 2]
         top = max(top, float((rows[:, :3] @ corners + rows[:, 3:]).max()))
-    clouds = plan.drawn.recipe.sky.clouds
-    if clouds.type != "none":
-        top = min(top, clouds.base_m - 2 * _ABOVE_PLANTS_M)
+    base_m = None if spec.clouds is None else base_of(spec.clouds)
+    if base_m is not None:
+        top = min(top, max(base_m - 2 * _ABOVE_PLANTS_M, 0.0))
     return width / 2, depth / 2, top + _ABOVE_PLANTS_M

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.atmosphere.haze import KOSCHMIEDER
 from forestgen.atmosphere.optical_depth import cloud_opacity
-from forestgen.core.parts import Part
 from forestgen.core.progress import Progress
 from forestgen.core.randomness import child_seed
 from forestgen.core.timing import Timings
@@ -17,15 +17,18 @@ from forestgen.recipe.schema import Recipe
 from forestgen.render.amodal import trace_amodal
 from forestgen.render.denoise import denoise, denoise_bands
 from forestgen.render.frame import Amodal, Frame, Identity, Radiance, Surface
+from forestgen.render.haze import through_haze
 from forestgen.render.identity import SceneTracer, trace_guides, trace_identity
 from forestgen.render.noise import Until
 from forestgen.render.radiance import render_radiance
+from forestgen.render.transport import cloud_transport_of
 from forestgen.render.unfinished import unfinished
 from forestgen.render.views import Shot
 from forestgen.scene.projection import world_rays
 from forestgen.scene.spec import Camera, SceneSpec
 
 View = tuple[Camera, SceneSpec]
+_THICK_HAZE = 1.0  # optical depth to the far plants
 
 
 def render_frame(
@@ -54,7 +57,7 @@ def render_frame(
     channels = recipe.labels.channels
     return Frame(
         camera=camera,
-        radiance=_radiance(tracer, camera, recipe, seed, identity, progress, timings, key),
+        radiance=_radiance(tracer, camera, recipe, seed, surface, progress, timings, key),
         identity=identity,
         surface=surface,
         amodal=_amodal(tracer, camera, identity, progress, timings) if "amodal" in channels else None,
@@ -68,16 +71,12 @@ def _radiance(
     camera: Camera,
     recipe: Recipe,
     seed: int,
-    identity: Identity,
+    surface: Surface,
     progress: Progress,
     timings: Timings,
     key: str | None,
 ) -> Radiance:
     """With its denoised copy where that is asked for."""
-    from scipy.ndimage import binary_dilation
-
-    # A sliver of sky may lie between samples: neighbours of pixels that see the sky may see it too.
-    may_see_sky = binary_dilation((identity.part == Part.NOTHING).any(axis=2), iterations=2)
     settings = recipe.render
     shot = Shot(
         spec=tracer.spec,
@@ -92,10 +91,12 @@ def _radiance(
         seed=child_seed(seed, "radiance", camera.name),
         mode=settings.mode,
         max_depth=settings.max_depth,
-        sky_share=may_see_sky,
+        cloud_transport=cloud_transport_of(settings.clouds, tracer.spec, (camera,)),
+        position_m=surface.position_m,
     )
     kept = None if key is None else unfinished(key, seed, camera.name)
     radiance = render_radiance(shot, progress=progress, timer=timings, kept=kept)
+    radiance = through_haze(radiance, tracer, camera, mode=settings.mode, timer=timings)
     if settings.denoise:
         guides = trace_guides(tracer, camera, timer=timings)
         with timings("denoise"):
@@ -112,6 +113,20 @@ def noise_notes(radiance: Radiance, name: str) -> list[str]:
     if radiance.stopped_by == "most_samples":
         return [f"{name}: render.most_samples ended it at {about}, above its target"]
     return []
+
+
+def haze_notes(spec: SceneSpec, surface: Surface, name: str) -> list[str]:
+    """What people should know of haze that is too thick for what a camera sees; see render/haze.py."""
+    if spec.sky.visibility_m is None or not (surface.plant_id > 0).any():
+        return []
+    far_m = float(np.percentile(surface.distance_m[surface.plant_id > 0], 95))
+    depth = KOSCHMIEDER / spec.sky.visibility_m * far_m
+    if depth <= _THICK_HAZE:
+        return []
+    return [
+        f"{name}: its far plants stand behind {100 * (1 - np.exp(-depth)):.0f}% of haze, which is meant to be thin; "
+        "sky.clouds: fog scatters light as often as that takes"
+    ]
 
 
 def _amodal(tracer: SceneTracer, camera: Camera, identity: Identity, progress: Progress, timings: Timings) -> Amodal:

@@ -22,7 +22,9 @@ from forestgen.core.spectrum import LUMINANCE, Spectrum
 from forestgen.core.timing import Timings
 from forestgen.recipe.load import LoadedRecipe
 from forestgen.render.irradiance import REPLICATES, PointLight, measure
+from forestgen.render.transport import check_far_clouds
 from forestgen.scene.colour_checker import temperature_of
+from forestgen.stages.clouds import known_base_m
 from forestgen.stages.community import final_population
 from forestgen.stages.ground import height_field
 from forestgen.stages.plan import Plan, check_memory, check_plan
@@ -93,13 +95,16 @@ def light_at(
 
     Raises
     ------
-    RecipeError : too many points; one far away, below the ground or in the clouds; the recipe is wrong.
+    RecipeError : too many points; one far away, below the ground, in the clouds or close below them; the recipe is
+        wrong.
     """
     if not 0 < len(points) <= MOST_POINTS:
         raise RecipeError("so many points", where="--at", expected=f"1 to {MOST_POINTS}", got=str(len(points)))
     plan = check_plan(loaded)
     places = [place(plan, point, above_ground=above_ground) for point in points]  # before anything is simulated
     plan, built = prepare(loaded, progress, timings)
+    for world_m, _ in places:
+        check_far_clouds(built.spec, world_m)
     meters = []
     with progress.stage("points", len(places) * len(normals)) as advance:
         for number, (world_m, above_m) in enumerate(places):
@@ -143,10 +148,10 @@ def place(plan: Plan, point: Point, *, above_ground: bool) -> tuple[Point, float
             got=said,
             hint="z counts from the ground below; with --absolute-z from z = 0",
         )
-    clouds = recipe.sky.clouds
-    if clouds.type != "none" and z >= clouds.base_m:
+    base_m = known_base_m(recipe.sky.clouds)
+    if base_m is not None and z >= base_m:
         raise RecipeError(
-            "this point lies in or above the clouds", where="--at", expected=f"z below {clouds.base_m:g} m", got=said
+            "this point lies in or above the clouds", where="--at", expected=f"z below {base_m:g} m", got=said
         )
     return (point[0], point[1], z), z - ground_m
 

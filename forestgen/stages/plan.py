@@ -26,11 +26,11 @@ from forestgen.plants.registry import GENERATORS
 from forestgen.recipe.load import DrawnRecipe, LoadedRecipe
 from forestgen.recipe.species import Species
 from forestgen.scene.exemplars import check_traits
+from forestgen.stages.clouds import check_clouds, cloud_bytes, known_base_m
 from forestgen.stages.ground import community_site
 from forestgen.stages.sky import check_sun
 from forestgen.stages.views import below_ground, check_above_ground, drawn_cameras
 
-_MOST_OPTICAL_DEPTH = 1000
 # Kept free for the operating system and for what no estimate sees.
 _SHARE_OF_MEMORY = 0.8
 # Measured by tests/system/test_memory.py as the peak resident memory of whole runs.
@@ -39,14 +39,14 @@ _LOADED_RENDERER_BYTES = 900_000_000  # libraries, kernels, the ground's texture
 _BYTES_PER_SAMPLE = 5 + 16  # an identity sample, and the sorting of it
 _BYTES_PER_PIXEL = 800  # radiance sums in double precision, buffers, channels on their way to files
 _BYTES_PER_TRIANGLE = 200  # mesh, two scenes with their trees, normals' table
-_BYTES_PER_TRIANGLE_UNDER_CLOUDS = 60  # a third scene
+# More of the same under clouds, by render.clouds. Measured: afar takes 0.3 of its figure, exact 0.45.
+_BYTES_PER_TRIANGLE_UNDER_CLOUDS = {"farfield": 60, "exact": 120, "auto": 120}
 # Of a mature plant, over its height times its width squared: poplar 280, spruce 310, oak 200; and of a herb in all.
 _TRIANGLES_PER_M3, _TRIANGLES_OF_A_HERB = 320, 20_000
 _DETAIL_OF_ALL_LEVELS = 2.0  # a size at every level of detail, against one with all detail
 _BYTES_PER_PLANT = 18_000  # an instance in two scenes; the renderer's objects are large
-_BYTES_PER_PLANT_UNDER_CLOUDS = 9_000  # a third scene
+_BYTES_PER_PLANT_UNDER_CLOUDS = {"farfield": 9_000, "exact": 18_000, "auto": 18_000}
 _GROUND_CELL_M, _MOST_GROUND_CELLS, _GROUND_BEYOND = 0.75, 1200, 160  # see scene/terrain.py
-_BYTES_PER_CLOUD_CELL = 60
 _FILM_BYTES = 60_000_000  # numbers and pictures that stages/history.py keeps
 
 
@@ -180,32 +180,25 @@ def _check_disturbances(drawn: DrawnRecipe, parameters: CommunityParameters) -> 
 
 
 def _check_clouds(drawn: DrawnRecipe) -> None:
-    """Clouds that light can cross, and cameras below them.
+    """Clouds that can be made; and cameras below them, where their light comes from afar.
 
-    Clouds are traced apart from the plants, which a camera inside or above them would see through.
+    Such clouds are traced apart from the plants, which a camera inside or above them would see through.
     """
-    clouds = drawn.recipe.sky.clouds
-    if clouds.type == "none":
+    check_clouds(drawn)
+    base_m = known_base_m(drawn.recipe.sky.clouds)
+    if base_m is None or drawn.recipe.render.clouds != "farfield":
         return
-    depth = clouds.extinction_per_m * clouds.thickness_m
-    if depth > _MOST_OPTICAL_DEPTH:
-        raise RecipeError(
-            "the clouds are too thick to be traced in reasonable time",
-            where=drawn.where("sky", "clouds"),
-            expected=f"extinction_per_m x thickness_m of at most {_MOST_OPTICAL_DEPTH}; thunderclouds have hundreds",
-            got=f"{clouds.extinction_per_m:g} x {clouds.thickness_m:g} = {depth:g}",
-        )
     for index, (section, cameras) in enumerate(zip(drawn.recipe.cameras, drawn_cameras(drawn), strict=True)):
         highest_m = max(camera.position_m[2] for camera in cameras)
-        if highest_m >= clouds.base_m:
-            later = section.path is not None and cameras[0].position_m[2] < clouds.base_m
+        if highest_m >= base_m:
+            later = section.path is not None and cameras[0].position_m[2] < base_m
             key = ("rig",) if section.position_m is None else ("path", "position_m") if later else ("position_m",)
             raise RecipeError(
                 "the camera stands in or above the clouds",
                 where=drawn.where("cameras", index, *key),
-                expected=f"a height below sky.clouds.base_m = {clouds.base_m:g} m",
+                expected=f"a height below sky.clouds.base_m = {base_m:g} m",
                 got=f"{highest_m:g} m",
-                hint="lower the camera, raise base_m, or set sky.clouds to none",
+                hint="set render.clouds to exact; or lower the camera, raise base_m, or set sky.clouds to none",
             )
 
 
@@ -224,11 +217,9 @@ def estimate_bytes(plan: Plan, *, simulate_only: bool = False, plants: int = 0) 
     if simulate_only:
         return {"community": community + _FILM_BYTES, "libraries": _LOADED_SIMULATOR_BYTES}
     pixels = max(camera.size_px[0] * camera.size_px[1] for camera in recipe.cameras)
-    clouds = recipe.sky.clouds
-    cloudy = clouds.type != "none"
-    cells = (clouds.extent_m / 40) ** 2 * max(8, clouds.thickness_m / 20) if cloudy else 0.0
-    per_plant = _BYTES_PER_PLANT + cloudy * _BYTES_PER_PLANT_UNDER_CLOUDS
-    per_triangle = _BYTES_PER_TRIANGLE + cloudy * _BYTES_PER_TRIANGLE_UNDER_CLOUDS
+    cloudy = recipe.sky.clouds.type != "none"
+    per_plant = _BYTES_PER_PLANT + cloudy * _BYTES_PER_PLANT_UNDER_CLOUDS[recipe.render.clouds]
+    per_triangle = _BYTES_PER_TRIANGLE + cloudy * _BYTES_PER_TRIANGLE_UNDER_CLOUDS[recipe.render.clouds]
     across, along = (
         min(math.ceil((side + 40) / _GROUND_CELL_M), _MOST_GROUND_CELLS) + _GROUND_BEYOND for side in recipe.site.size_m
     )
@@ -239,7 +230,7 @@ def estimate_bytes(plan: Plan, *, simulate_only: bool = False, plants: int = 0) 
         "images": pixels * (_BYTES_PER_PIXEL + recipe.labels.samples * _BYTES_PER_SAMPLE),
         "exemplars": _exemplar_triangles(plan) * per_triangle,
         "plants": plants * per_plant,
-        "clouds": int(cells * _BYTES_PER_CLOUD_CELL),
+        "clouds": cloud_bytes(plan.drawn),
     }
 
 
@@ -290,7 +281,7 @@ def check_memory(plan: Plan, *, simulate_only: bool = False, plants: int = 0) ->
         "images": (("cameras",), "make the images smaller, or lower labels.samples"),
         "exemplars": (("plants", "exemplars_per_species"), "lower plants.exemplars_per_species or variants_per_size"),
         "plants": (("site", "size_m"), f"{plants:,} plants grew: make the site smaller, or stop after fewer steps"),
-        "clouds": (("sky", "clouds"), "make sky.clouds.extent_m smaller"),
+        "clouds": (("sky", "clouds"), "make the clouds' extent_m smaller, or their cells larger"),
         "libraries": ((), "close other programs"),
     }[largest]
     raise ResourceError(

@@ -9,10 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.atmosphere.grid import CloudGrid
-from forestgen.atmosphere.procedural import cumulus_field
 from forestgen.community.population import Population
-from forestgen.core.errors import RecipeError
 from forestgen.core.progress import Progress
 from forestgen.core.randomness import child_rng
 from forestgen.plants.build import size_m
@@ -22,6 +19,7 @@ from forestgen.plants.growing import grow_exemplars
 from forestgen.plants.levels import level_for, level_of_index
 from forestgen.plants.registry import GENERATORS
 from forestgen.plants.solids import as_solids
+from forestgen.render.transport import cloud_transport_of
 from forestgen.scene.assemble import pixel_size_m, place_instances, stand_on
 from forestgen.scene.camera_path import next_frame
 from forestgen.scene.exemplars import (
@@ -33,9 +31,10 @@ from forestgen.scene.exemplars import (
     with_levels,
 )
 from forestgen.scene.spec import Camera, SceneSpec
-from forestgen.scene.terrain import build_terrain
+from forestgen.scene.terrain import HeightField, build_terrain
 from forestgen.scene.trunks import Trunks
 from forestgen.scene.wind import Sway, spec_at, sway_in
+from forestgen.stages.clouds import clouds_of
 from forestgen.stages.ground import height_field
 from forestgen.stages.plan import Plan
 from forestgen.stages.sky import sky_of
@@ -83,6 +82,8 @@ def build_scene(plan: Plan, population: Population, progress: Progress, timer: T
     with timer("plants"):
         exemplar_plan = choose_exemplars(plan, population, cameras)
         exemplars = grow_planned(plan, exemplar_plan, progress)
+    with timer("clouds"):
+        clouds = clouds_of(plan.drawn, _lowest_m(plan, height), progress)
     with timer("scene"):
         terrain = build_terrain(height, child_rng(seed, "terrain", "colour"), recipe.site.ground)
         albedo = float(np.mean(terrain.far_reflectance))  # of the region, which the sky and the clouds see
@@ -97,10 +98,10 @@ def build_scene(plan: Plan, population: Population, progress: Progress, timer: T
             instances=instances,
             terrain=terrain,
             sky=sky_of(recipe, albedo),
-            clouds=_clouds(plan),
+            clouds=clouds,
             cameras=tuple(camera for entry in views for camera in entry),
         )
-    _check_below_clouds(plan, spec)
+    cloud_transport_of(recipe.render.clouds, spec, spec.cameras, where=plan.drawn.where("render", "clouds"))
     with timer("scene"):
         sway = _sway(plan, spec)
     return BuiltScene(spec, population, _errors(plan, population, exemplar_plan, exemplars), sway, tuple(notes))
@@ -120,20 +121,10 @@ def _sway(plan: Plan, spec: SceneSpec) -> Sway | None:
     )
 
 
-def _check_below_clouds(plan: Plan, spec: SceneSpec) -> None:
-    """Plants, ground and cameras must stay below the clouds, which are traced apart from them."""
-    if spec.clouds is None:
-        return
-    base_m = spec.clouds.low_m[2]
-    highest = max(float(spec.terrain.mesh.vertices_m[:, 2].max()), *(camera.position_m[2] for camera in spec.cameras))
-    if highest >= base_m:
-        raise RecipeError(
-            "ground or camera reaches into the clouds",
-            where=plan.drawn.where("sky", "clouds", "base_m"),
-            expected=f"a base above {highest:.0f} m",
-            got=f"{base_m:g} m",
-            hint="raise base_m, lower the camera, or flatten the terrain",
-        )
+def _lowest_m(plan: Plan, height: HeightField) -> float:
+    """Height of the site's lowest ground, where weather begins."""
+    x, y = np.meshgrid(*(np.linspace(0.0, side, 65) for side in plan.drawn.recipe.site.size_m))
+    return float(np.min(height(x, y)))
 
 
 def choose_exemplars(plan: Plan, population: Population, cameras: Sequence[Camera]) -> ExemplarPlan:
@@ -201,22 +192,6 @@ def exemplar_requests(plan: Plan, exemplar_plan: ExemplarPlan) -> list[ExemplarR
             )
         )
     return requests
-
-
-def _clouds(plan: Plan) -> CloudGrid | None:
-    recipe = plan.drawn.recipe
-    clouds = recipe.sky.clouds
-    if clouds.type == "none" or clouds.cover == 0:
-        return None
-    return cumulus_field(
-        centre_m=(recipe.site.size_m[0] / 2, recipe.site.size_m[1] / 2),
-        extent_m=clouds.extent_m,
-        base_m=clouds.base_m,
-        thickness_m=clouds.thickness_m,
-        cover=clouds.cover,
-        extinction_per_m=clouds.extinction_per_m,
-        rng=child_rng(plan.drawn.image_seed, "clouds"),
-    )
 
 
 def _errors(

@@ -33,6 +33,7 @@ def sky_of(recipe: Recipe, ground_albedo: float) -> Sky:
         sun_distance_au=sun.distance_au,
         precipitable_water_mm=recipe.sky.precipitable_water_mm,
         ozone_du=recipe.sky.ozone_du,
+        visibility_m=recipe.sky.visibility_m,
     )
 
 

@@ -42,13 +42,13 @@ MISTAKES = {
         ["tiny.yaml:5: community.model", "multiset_lsystem", "'multiset'"],
     ),
     "camera in the clouds": (
-        "seed: 3",
-        "sky: {clouds: {type: cumulus, base_m: 1}}",
+        "render: {",
+        "sky: {clouds: {type: noise, base_m: 1}}\nrender: {clouds: farfield, ",
         ["tiny.yaml:7: cameras.0.position_m", "below sky.clouds.base_m = 1 m", "1.5 m"],
     ),
     "clouds too thick": (
         "seed: 3",
-        "sky: {clouds: {type: cumulus, extinction_per_m: 1, thickness_m: 20000}}",
+        "sky: {clouds: {type: noise, extinction_per_m: 1, thickness_m: 20000}}",
         ["tiny.yaml:2: sky.clouds", "at most 1000", "1 x 20000 = 20000"],
     ),
     "sun below the horizon": (
@@ -118,7 +118,7 @@ TOO_LARGE = {
     "exemplars": (["plants.exemplars_per_species=1000", "species.poplar=poplar", "species.spruce=spruce"], "exemplars"),
     "pixels": (["cameras.0.size_px=[16384,16384]"], "images"),
     "label samples": (["labels.samples=1024", "cameras.0.size_px=[8192,4096]"], "images"),
-    "clouds": (["sky.clouds={type: cumulus, extent_m: 20000, thickness_m: 20000, base_m: 2000}"], "clouds"),
+    "clouds": (["sky.clouds={type: noise, extent_m: 20000, thickness_m: 20000, base_m: 2000}"], "clouds"),
 }
 
 
@@ -143,6 +143,16 @@ def test_what_cannot_fit_into_memory_is_refused_before_any_work(name: str, tmp_p
     assert not (tmp_path / "out").exists()
     if largest == "community":
         run("simulate", recipe, "-o", tmp_path / "out", *options).refused(3, "more memory", "for the community")
+
+
+def test_clouds_too_near_for_light_from_afar_are_refused_before_anything_is_rendered(tmp_path: Path) -> None:
+    """Above the camera, so that the plan knows nothing of it: the scene's plants decide."""
+    low = ("--set", "sky.clouds={type: noise, base_m: 60}")
+    recipe = tiny(tmp_path)
+    recipe.write_text(recipe.read_text().replace("render: {", "render: {clouds: farfield, "), encoding="utf-8")
+    answer = run("render", recipe, "-o", tmp_path / "out", *low)
+    answer.refused(2, "tiny.yaml:8: render.clouds", "too near for light from afar", "auto or exact")
+    assert "identity" not in answer.err
 
 
 def test_plants_beyond_memory_are_refused_when_they_are_counted(

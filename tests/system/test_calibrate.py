@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from command_line import TINY, run
 
+from forestgen.atmosphere.grid import CloudGrid
+from forestgen.atmosphere.netcdf_file import write_netcdf
 from forestgen.cli.light import join_points, told
 from forestgen.core.errors import RecipeError
 from forestgen.core.parts import Part
@@ -184,8 +186,18 @@ def test_what_is_no_point_is_refused(tmp_path, arguments, said) -> None:
 
 def test_points_above_clouds_are_refused(tmp_path) -> None:
     recipe = recipe_in(tmp_path)
-    run("calibrate", recipe, "--set", "sky.clouds=cumulus", "--at", 1, 1, 2000).refused(2, "above the clouds")
+    run("calibrate", recipe, "--set", "sky.clouds=noise", "--at", 1, 1, 2000).refused(2, "above the clouds")
     run("calibrate", recipe, "--at", 1, 1, 1, "--at", 2, 2, 2).refused(2, "one chart at a time")
+
+
+@pytest.mark.parametrize("command", ["light", "calibrate"])
+def test_light_in_fog_is_refused(tmp_path, command) -> None:
+    """Of simulated and saved clouds the base is known only once they are there."""
+    fog = CloudGrid(np.full((4, 6, 6), 0.01, np.float32), (0.0, 0.0, 0.0), (60.0, 60.0, 60.0))
+    write_netcdf(tmp_path / "fog.nc", fog)
+    path = tmp_path / "foggy.yaml"
+    path.write_text(TINY + "sky: {clouds: {type: file, file: fog.nc}}\n", encoding="utf-8")
+    run(command, str(path), "--at", 3, 2, 20).refused(2, "cannot be measured in clouds or fog", "sky.clouds")
 
 
 def test_three_numbers_make_a_point() -> None:

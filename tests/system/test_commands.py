@@ -31,6 +31,7 @@ COMMANDS = (
     "lsystem",
     "calibrate",
     "light",
+    "weather",
     "doctor",
 )
 HEAVY = (

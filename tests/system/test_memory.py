@@ -30,7 +30,7 @@ RUNS = {
         ],
         0,
     ),
-    "clouds": ([*SMALL, "sky.clouds={type: cumulus, extent_m: 12000, thickness_m: 3000}"], 0),
+    "clouds": ([*SMALL, "sky.clouds={type: noise, extent_m: 12000, thickness_m: 3000}"], 0),
 }
 MOST_OVER = 3.0  # the estimate may be this many times what is taken
 

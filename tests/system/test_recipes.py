@@ -25,6 +25,12 @@ SMALL = (
 )
 
 
+COARSE = {  # of simulated weather
+    "weather_cumulus": ("sky.clouds.time_s=600", "sky.clouds.domain={cell_m: 450, cell_height_m: 200}"),
+    "weather_story": ("images=1", "sky.clouds.time_s=300", "sky.clouds.story.0.domain={cell_m: 75, cell_height_m: 10}"),
+}
+
+
 def _render(recipe: Path, target: Path, *settings: str) -> Path:
     pipeline.render(load_recipe(recipe, settings), target, progress=Silent(), timings=Timings())
     return target
@@ -51,7 +57,7 @@ def test_reproduction_simulates(name: str) -> None:
 @pytest.mark.parametrize("name", [name for name in list_assets("recipes") if name not in REPRODUCTIONS])
 def test_shipped_recipe_renders(name: str, tmp_path: Path) -> None:
     one_each = [one.replace("per_species=2", "per_species=1") for one in SMALL]
-    made = _frames(_render(recipes_dir() / f"{name}.yaml", tmp_path / "out", *one_each))
+    made = _frames(_render(recipes_dir() / f"{name}.yaml", tmp_path / "out", *one_each, *COARSE.get(name, ())))
     kinds = {Path(path).name for path in made}
     assert kinds == {
         "frame.exr", "preview.png", "overlay.png", "instance.png", "semantic.png", "plants.parquet", "camera.json",

@@ -26,7 +26,7 @@ site: {size_m: [14, 14], terrain: rolling}
 species: {fireweed: , poplar: , spruce: }
 community: {model: multiset_lsystem, program: succession, steps: 36}
 plants: {exemplars_per_species: 1}
-sky: {clouds: {type: cumulus, extent_m: 1500}}
+sky: {clouds: {type: noise, extent_m: 1500}}
 cameras: [{position_m: [7, -5, 2], look_at_m: [7, 7, 3], size_px: [48, 27]}]
 render: {samples: 9}
 labels: {samples: 4}

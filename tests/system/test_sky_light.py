@@ -10,13 +10,16 @@ import pytest
 from numpy.typing import NDArray
 
 from forestgen.atmosphere.daylight import daylight_of, illuminance, overcast_illuminance
+from forestgen.core.frames import look_at
 from forestgen.core.spectrum import Spectrum
 from forestgen.recipe.load import load_recipe
 from forestgen.render.light import lights
-from forestgen.render.sky_radiance import map_directions
+from forestgen.render.painted import path_tracer
+from forestgen.render.sensors import capture
+from forestgen.render.sky_radiance import map_directions, sun_irradiance
 from forestgen.render.variant import SCALAR, drjit, mitsuba, using
 from forestgen.scene.channels import RGB, Channels
-from forestgen.scene.spec import Sky
+from forestgen.scene.spec import Camera, Sky
 from forestgen.stages.sky import sky_of
 
 QUICKSTART = Path(__file__).parents[2] / "recipes" / "quickstart.yaml"
@@ -140,3 +143,14 @@ def test_the_scale_of_mitsubas_own_sky_is_near() -> None:
     assert illuminance(theirs) / illuminance(ours) == pytest.approx(0.72, abs=0.05)
     for nm, ratio in ((450.0, 0.89), (560.0, 0.68), (660.0, 0.60)):
         assert theirs.at(nm) / ours.at(nm) == pytest.approx(ratio, abs=0.05)
+
+
+def test_a_camera_sees_the_whole_disc_of_the_sun() -> None:
+    sky = Sky(42.0, 215.0, 3.0)
+    camera = Camera("sun", (0.0, 0.0, 0.0), look_at((0.0, 0.0, 0.0), sky.to_sun.tolist()), (32, 32), 2.0)
+    with using(SCALAR) as mi:
+        scene = mi.load_dict({"type": "scene", **lights(sky, RGB)})
+        image = capture(path_tracer("path", 2), scene, camera, samples=64, seed=3)[..., :3]
+    pixel_sr = (2 * np.tan(np.radians(1.0)) / 32) ** 2  # within 0.02% over so small a view
+    around = image[0].mean(axis=0)  # the sky beside the disc
+    np.testing.assert_allclose(((image - around) * pixel_sr).sum(axis=(0, 1)), sun_irradiance(sky, RGB), rtol=0.01)

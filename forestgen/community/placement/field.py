@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from forestgen.community.placement.field_trees import Trees
 
 LANES = 8  # cells of a strip: a line of the processor's memory
+LARGE_PAGE = 2**18  # numbers: what the processor finds the place of at once, where the system gives it
 
 
 class DensityField:
@@ -256,9 +257,10 @@ def _together(fields: Sequence[DensityField]) -> _Fields:
 
 
 def _aligned(count: int) -> NDArray[np.float64]:
-    """Zeros that begin with a line of memory."""
-    memory = np.empty(count + LANES)
-    start = -(memory.ctypes.data // memory.itemsize) % LANES
+    """Zeros that begin with a line of memory; many of them with a large page."""
+    unit = LARGE_PAGE if count > LARGE_PAGE else LANES
+    memory = np.empty(count + unit)
+    start = -(memory.ctypes.data // memory.itemsize) % unit
     zeros: NDArray[np.float64] = memory[start : start + count]
     zeros[...] = 0.0
     return zeros

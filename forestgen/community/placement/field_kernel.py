@@ -34,7 +34,8 @@ from forestgen.community.placement.field_trees import (
     pick,
     pointed,
     put,
-    renew,
+    renew_row,
+    renew_rows,
     row_of,
     strip_of,
     total_of_pointed,
@@ -80,6 +81,7 @@ def _patch(t, f, r_m, table, last, factor, window, x, y):  # type: ignore[no-unt
     r2, near, scale = r_m * r_m, 0.0, last / r_m
     nodes = f * t.node_stride
     for b in range(b0, b1 + 1):
+        last_of_panel = b == b1 or b % LANES == LANES - 1
         squares = distances(b, x, t.width_m, j0, j1)
         line, node = f * t.cell_stride + b * t.rows * LANES, nodes + (b // LANES) * t.rows * LANES
         for i in range(i0, i1 + 1):
@@ -94,8 +96,10 @@ def _patch(t, f, r_m, table, last, factor, window, x, y):  # type: ignore[no-unt
                 near += sum_of(only_near(eight, squares, dy2, r2))
                 continue
             store_line(t.cells, at, eight)
-            put(t.nodes, node + i * LANES, b % LANES, sum_of(eight))
-    return near if factor < 0.0 else renew(t, f, i0, i1, b0, b1)
+            total = put(t.nodes, node + i * LANES, b % LANES, sum_of(eight))
+            if last_of_panel:
+                renew_row(t, f, i, b // LANES, total)
+    return near if factor < 0.0 else renew_rows(t, f, i0, i1)
 
 
 @inlined

@@ -121,6 +121,26 @@ def sum_of(typing_context, eight):  # type: ignore[no-untyped-def]
 
 
 @intrinsic
+def passed(typing_context, eight, u):  # type: ignore[no-untyped-def]
+    """How many of the first seven partial sums are at most u, and what the numbers before leave of u."""
+
+    def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        sums, u = arguments
+        zero = ir.Constant(_VECTOR, [0.0] * LANES)
+        for lanes in ([8, 0, 8, 2, 8, 4, 8, 6], [8, 8, 1, 1, 8, 8, 5, 5], [8, 8, 8, 8, 3, 3, 3, 3]):
+            chosen = ir.Constant(ir.VectorType(_INDEX, LANES), lanes)
+            sums = builder.fadd(sums, builder.shuffle_vector(sums, zero, chosen))
+        below = builder.fcmp_ordered("<=", sums, _all(builder, u))
+        bits = builder.and_(builder.bitcast(below, ir.IntType(8)), ir.IntType(8)(127))
+        k = builder.zext(builder.ctpop(bits), ir.IntType(64))
+        chosen = ir.Constant(ir.VectorType(_INDEX, LANES), [8, 0, 1, 2, 3, 4, 5, 6])
+        left = builder.fsub(_all(builder, u), builder.shuffle_vector(sums, zero, chosen))
+        return context.make_tuple(builder, signature.return_type, [k, builder.extract_element(left, k)])
+
+    return types.Tuple((types.int64, types.float64))(EIGHT, types.float64), code  # type: ignore[attr-defined]
+
+
+@intrinsic
 def with_number(typing_context, eight, k, value):  # type: ignore[no-untyped-def]
     """Eight numbers, of which number k has become `value`."""
 

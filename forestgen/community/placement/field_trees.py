@@ -20,6 +20,7 @@ from forestgen.community.placement.field_lanes import (
     SMALLEST,
     load,
     load_line,
+    passed,
     pointer,
     store,
     store_line,
@@ -79,21 +80,7 @@ def pointed(t):  # type: ignore[no-untyped-def]
 @inlined
 def pick(line, i, u):  # type: ignore[no-untyped-def]
     """Of eight numbers the k in which the partial sums pass u, and what of u is left there; never one that is 0."""
-    c0, c1, c2, c3 = load(line, i), load(line, i + 1), load(line, i + 2), load(line, i + 3)
-    c4, c5, c6 = load(line, i + 4), load(line, i + 5), load(line, i + 6)
-    s1, s23, s45 = c0 + c1, c2 + c3, c4 + c5
-    s2, s3 = s1 + c2, s1 + s23
-    s4, s5 = s3 + c4, s3 + s45
-    s6 = s5 + c6
-    k = ((c0 <= u) + (s1 <= u)) + ((s2 <= u) + (s3 <= u)) + ((s4 <= u) + (s5 <= u)) + (s6 <= u)
-    below = c0 if c0 <= u else 0.0
-    below = s1 if s1 <= u else below
-    below = s2 if s2 <= u else below
-    below = s3 if s3 <= u else below
-    below = s4 if s4 <= u else below
-    below = s5 if s5 <= u else below
-    below = s6 if s6 <= u else below
-    u -= below
+    k, u = passed(load_line(line, i), u)
     value = load(line, i + k)
     if u < value:
         return k, u
@@ -153,32 +140,26 @@ def _sum(memory, line):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def renew(t, f, i0, i1, b0, b1):  # type: ignore[no-untyped-def]
-    """All sums above the strips b0 .. b1 in rows i0 .. i1, whose own sums are right; the field's total."""
-    base = f * t.node_stride
+def renew_row(t, f, i, panel, total):  # type: ignore[no-untyped-def]
+    """The sums of row i above a panel, whose own sum is `total`, up to that of the row."""
+    base = f * t.node_stride + i * LANES
     for level in range(1, t.node_levels):
-        below, above = base + load(t.node_level, level - 1), base + load(t.node_level, level)
-        b0, b1 = b0 // LANES, b1 // LANES
-        for b in range(b0, b1 + 1):
-            child, parent = below + b * t.rows * LANES, above + (b // LANES) * t.rows * LANES
-            for i in range(i0, i1 + 1):
-                put(t.nodes, parent + i * LANES, b % LANES, _sum(t.nodes, child + i * LANES))
-    return _renew_rows(t, f, base + load(t.node_level, t.node_levels - 1), i0, i1)
+        line = base + load(t.node_level, level) + panel // LANES * t.rows * LANES
+        total = put(t.nodes, line, panel % LANES, total)
+        panel //= LANES
+    put(t.sums, f * t.sum_stride + i // LANES * LANES, i % LANES, total)
 
 
 @inlined
-def _renew_rows(t, f, top, i0, i1):  # type: ignore[no-untyped-def]
-    """The sums of rows i0 .. i1, and all above; the field's total."""
-    memory, at = t.nodes, top
-    for level in range(t.sum_levels):
+def renew_rows(t, f, i0, i1):  # type: ignore[no-untyped-def]
+    """All sums above those of rows i0 .. i1, which are right; the field's total."""
+    at = f * t.sum_stride
+    for level in range(1, t.sum_levels):
         sums = f * t.sum_stride + load(t.sum_level, level)
-        for line in range(i0 // LANES, i1 // LANES + 1):
-            eight = load_line(t.sums, sums + line * LANES)
-            for i in range(max(i0, line * LANES), min(i1, line * LANES + LANES - 1) + 1):
-                eight = with_number(eight, i % LANES, _sum(memory, at + i * LANES))
-            store_line(t.sums, sums + line * LANES, eight)
-        memory, at = t.sums, sums
         i0, i1 = i0 // LANES, i1 // LANES
+        for i in range(i0, i1 + 1):
+            put(t.sums, sums + i // LANES * LANES, i % LANES, _sum(t.sums, at + i * LANES))
+        at = sums
     return total_of_pointed(t, f)
 
 
@@ -203,7 +184,9 @@ def _build(t, f):  # type: ignore[no-untyped-def]
                     eight = with_number(eight, b - first, _sum(memory, start + (b * t.rows + i) * LANES))
                 store_line(t.nodes, line, eight)
         memory, start, strips = t.nodes, nodes, -(-strips // LANES)
-    return _renew_rows(t, f, start, 0, t.rows - 1)
+    for i in range(t.rows):
+        put(t.sums, f * t.sum_stride + i // LANES * LANES, i % LANES, _sum(t.nodes, start + i * LANES))
+    return renew_rows(t, f, 0, t.rows - 1)
 
 
 @contracted

@@ -228,10 +228,10 @@ def test_the_same_with_any_number_of_threads(monkeypatch: pytest.MonkeyPatch) ->
 @pytest.mark.slow
 def test_the_renderer_lets_as_much_light_through() -> None:
     """Light behind the renderer's own medium, made black: what arrives is the transmittance, pixel by pixel."""
-    from forestgen.render.build import sensor_of
-    from forestgen.render.sky import CLOUD_INTEGRATOR, cloud_volume
+    from forestgen.render.sensors import sensor_of
     from forestgen.render.variant import SCALAR, mitsuba
     from forestgen.scene.spec import Camera
+    from forestgen.testing.cloud_box import cloud_volume
 
     grid = replace(random_grid(9), albedo=0.0)
     position = (12.0, -45.0, 30.0)
@@ -241,7 +241,7 @@ def test_the_renderer_lets_as_much_light_through() -> None:
     with mi.variant_context(SCALAR):
         volume = cloud_volume(grid, np.array(position))
         scene = mi.load_dict({"type": "scene", "light": {"type": "constant"}, "clouds": volume})
-        integrator = mi.load_dict(CLOUD_INTEGRATOR)
+        integrator = mi.load_dict({"type": "volpath", "max_depth": 64, "rr_depth": 64})
         seen = np.array(integrator.render(scene, sensor=sensor_of(camera, samples), seed=1, spp=samples))[..., 0]
     distance = np.full((9 * finer, 16 * finer), np.inf, dtype=np.float32)
     along = directions(camera.world_from_camera, camera.focal_px * finer, distance.shape)

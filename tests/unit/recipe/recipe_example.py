@@ -38,7 +38,7 @@ community: {model: lattice, program: succession, steps: {integers: [100, 300]}}
 sky:
   turbidity: {normal: {mean: 3, sd: 1, low: 2, high: 6}}
   sun: {elevation_deg: {uniform: [20, 60]}, azimuth_deg: 140}
-  clouds: cumulus
+  clouds: noise
 cameras:
   - {name: main, position_m: [60, 2, 1.7], look_at_m: [60, 70, 8], hfov_deg: {choice: [40, 60]}}
   - size_px: [320, 180]

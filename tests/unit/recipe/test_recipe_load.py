@@ -36,7 +36,7 @@ def test_shorthands_overrides_and_merging(write: Write) -> None:
     recipe = drawn.draw(0).recipe
     assert recipe.site.terrain.kind == "rolling"
     assert recipe.site.terrain.amplitude_m == 2
-    assert recipe.sky.clouds.type == "cumulus"
+    assert recipe.sky.clouds.type == "noise"
     assert recipe.cameras[0].size_px == (64, 32)
     assert recipe.cameras[1].name == "camera1"
     assert recipe.species["elm"].ecology.growth_m_per_yr == 0.1
@@ -145,7 +145,7 @@ species:
   elm: {from: ./oak.yaml, ecology: {growth_m_per_yr: 0.10}, height_m: {uniform: [18.0, 30]}}
 site: {terrain: {kind: rolling, amplitude_m: 0.80}, size_m: [120, 80]}
 community: {program: succession, model: lattice, steps: {integers: [100, 300]}}
-sky: {turbidity: {normal: {mean: 3, sd: 1, low: 2, high: 6}}, clouds: {type: cumulus},
+sky: {turbidity: {normal: {mean: 3, sd: 1, low: 2, high: 6}}, clouds: {type: noise},
       sun: {azimuth_deg: 140, elevation_deg: {uniform: [20, 60]}}}
 forestgen: 1
 """
@@ -187,3 +187,22 @@ def test_anchors_and_merge_keys_are_welcome(write: Write) -> None:
     text = MINIMAL + "sky: &sky {turbidity: 4}\ncameras: [&a {name: x, hfov_deg: 30}, {<<: *a, name: y}]\n"
     recipe = load_recipe(write(text)).draw(0).recipe
     assert [(c.name, c.hfov_deg) for c in recipe.cameras] == [("x", 30), ("y", 30)]
+
+
+def test_all_images_have_one_stand_where_the_recipe_says_so(write: Write) -> None:
+    own = [load_recipe(write()).draw(index).image_seed for index in range(3)]
+    assert len(set(own)) == 3
+    override = "site.altitude_m={sequence: [0, 10, 20]}"
+    loaded = load_recipe(write(), ["same_stand=true", override])
+    drawn = [loaded.draw(index) for index in range(3)]
+    assert [one.image_seed for one in drawn] == [own[0]] * 3
+    assert [one.recipe.site.altitude_m for one in drawn] == [0.0, 10.0, 20.0]
+    later = load_recipe(write(), ["same_stand=true", override, "first_image=2"]).draw(0)
+    assert (later.image_seed, later.image_index, later.recipe.site.altitude_m) == (own[0], 2, 20.0)
+
+
+def test_the_shipped_story_has_one_stand_and_eight_skies() -> None:
+    loaded = load_recipe(Path(__file__).parents[3] / "recipes" / "weather_story.yaml")
+    drawn = [loaded.draw(index) for index in range(loaded.images)]
+    assert len({one.image_seed for one in drawn}) == 1
+    assert len({one.recipe.sky.clouds.time_s for one in drawn}) == 8

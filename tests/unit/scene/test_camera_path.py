@@ -108,7 +108,11 @@ PATH = "cameras.0.path="
         ([PATH + "{frames: 3, position_m: [[9, 9]]}"], "cameras.0.path.position_m.0", "bad value"),
         ([PATH + "{frames: 3, frames_per_s: 0, position_m: [[9, 9, 9]]}"], "frames_per_s", "bad value"),
         ([PATH + "{frames: 3, positions_m: [[9, 9, 9]]}"], "cameras.0.path.positions_m", "unknown key"),
-        ([PATH + "{frames: 3, position_m: [[9, 9, 950]]}"], "cameras.0.path.position_m", "clouds"),
+        (
+            [PATH + "{frames: 3, position_m: [[9, 9, 950]]}", "render.clouds=farfield"],
+            "cameras.0.path.position_m",
+            "clouds",
+        ),
         (
             [PATH + "{frames: 1000, position_m: [[9, 9, 9]]}", "cameras.1={}"],
             "cameras.1",

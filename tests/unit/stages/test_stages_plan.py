@@ -76,13 +76,13 @@ MORE = {
 
 @pytest.mark.parametrize("part", MORE)
 def test_more_needs_more_memory(part: str) -> None:
-    less, more = (estimate_bytes(planned("sky.clouds=cumulus", override)) for override in MORE[part])
+    less, more = (estimate_bytes(planned("sky.clouds=noise", override)) for override in MORE[part])
     assert more[part] > less[part] > 0
     assert {name for name in more if more[name] != less[name]} <= {part, "ground", "community"}
 
 
 def test_plants_and_clouds_above_them_need_memory() -> None:
-    clear, cloudy = (planned(f"sky.clouds={kind}") for kind in ("none", "cumulus"))
+    clear, cloudy = (planned(f"sky.clouds={kind}") for kind in ("none", "noise"))
     assert estimate_bytes(clear, plants=0)["plants"] == 0
     assert estimate_bytes(cloudy, plants=1000)["plants"] > estimate_bytes(clear, plants=1000)["plants"] > 1_000_000
     assert set(estimate_bytes(clear, simulate_only=True)) == {"community", "libraries"}
@@ -102,7 +102,7 @@ def test_the_limit_is_exact_and_the_message_names_the_largest_part(monkeypatch: 
 
 
 def test_every_part_has_a_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
-    one = planned("sky.clouds=cumulus")
+    one = planned("sky.clouds=noise")
     parts = estimate_bytes(one)
     for name in parts:
         monkeypatch.setattr(plan, "estimate_bytes", lambda *_, name=name, **__: {**parts, name: 10**15})
@@ -113,9 +113,11 @@ def test_every_part_has_a_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_clouds_beyond_reach_and_cameras_in_them_are_refused() -> None:
-    thick = "sky.clouds={type: cumulus, extinction_per_m: 0.2, thickness_m: 6000}"
+    thick = "sky.clouds={type: noise, extinction_per_m: 0.2, thickness_m: 6000}"
     with pytest.raises(RecipeError, match=r"too thick[\s\S]*0\.2 x 6000 = 1200"):
         planned(thick)
-    with pytest.raises(RecipeError, match="clouds"):
-        planned("sky.clouds={type: cumulus, base_m: 30}", "cameras.0.position_m=[60,-14,31]")
+    low = ("sky.clouds={type: noise, base_m: 30}", "cameras.0.position_m=[60,-14,31]")
+    with pytest.raises(RecipeError, match=r"above the clouds[\s\S]*render.clouds to exact"):
+        planned(*low, "render.clouds=farfield")
+    planned(*low, "render.clouds=exact")
     planned("sky.clouds={type: none, base_m: 30}", "cameras.0.position_m=[60,-14,31]")

@@ -1,0 +1,253 @@
+"""From simulated water to what the renderer gets: extinction, albedo and phase function on a grid.
+
+Droplets
+    sigma_t = 3 w / (2 rho_w r_eff), w the mass of liquid water in a cubic metre of air, rho_w = 1000 kg/m³. It is the
+    geometric limit, extinction efficiency 2; Mie's is 2.07 to 2.1 for these droplets (5% more, left out: r_eff is not
+    known so well). The simulation has one moment, mass; so r_eff is one number by type of cloud:
+
+    ============== ======= ==========================================================================
+    type           r_eff   measured
+    ============== ======= ==========================================================================
+    fog             8 µm   4 to 11, more over the sea (Hess, Koepke and Schult 1998: 10.7)
+    stratus         8 µm   continental 7.3, maritime 11.3 (Hess et al. 1998); 5.4 and 9.6 (Miles et al. 2000)
+    stratocumulus  10 µm   8 to 12 (Martin, Johnson and Spice 1994, maritime)
+    cumulus        10 µm   5.8 continental, 12.7 maritime (Hess et al. 1998)
+    cumulonimbus   15 µm   10 at the base to 20 and more aloft (Rosenfeld and Lensky 1998)
+    ============== ======= ==========================================================================
+
+    Ice is not simulated: an anvil is of droplets here, and has no halo.
+Rain
+    Marshall and Palmer's drops, N(D) = N_0 exp(-L D), N_0 = 8e6 /m⁴. Mass fixes L = (pi rho_w N_0 / w)^(1/4), and
+    sigma_t = pi N_0 / L³, which is the formula above with r_eff = 3 / (2 L): 0.38 mm at 0.1 g/m³, 0.67 mm at 1 g/m³.
+    So a gram of rain dims some 60 times less than a gram of cloud, and it takes long shafts to be seen.
+Albedo
+    Mie's 1 - albedo at 550 nm is 2e-7 to 8e-7 for droplets and about 2e-5 for rain: nothing, even for the hundreds of
+    times that a path scatters in a thick cloud. `ALBEDO` holds for both; 0.999 would lose 5% and more there. Clouds
+    are grey: in the infrared beyond 1300 nm, where water absorbs (1 - albedo about 5e-3 at 1600 nm), real clouds are
+    darker than these.
+Phase function
+    Two Henyey-Greenstein lobes fitted to Mie's for a gamma distribution of droplets (effective variance 0.1, 550 nm).
+    Asymmetry parameter and backward share are exact; docs/spectra/make_droplets.py prints these numbers and the error
+    by angle. Lost are the diffraction peak (47% of the light within 5 degrees; the lobes have 18%), rainbow and glory.
+    Rain is given the same lobes.
+Thin air
+    Extinction below `THINNEST_PER_M` becomes zero, so that the transport can skip the air: along a whole kilometre of
+    it, 1% of the light is lost. Where that would take more than 0.1% of the field's extinction, less is cut.
+
+References
+----------
+Hansen and Travis 1974 (Space Science Reviews 16, 527-610): effective radius and variance. Hess, Koepke and Schult 1998
+(Bulletin of the AMS 79, 831-844). Miles, Verlinde and Clothiaux 2000 (Journal of the Atmospheric Sciences 57, 295-311).
+Martin, Johnson and Spice 1994 (ibid. 51, 1823-1842). Rosenfeld and Lensky 1998 (Bulletin of the AMS 79, 2457-2476).
+Marshall and Palmer 1948 (Journal of Meteorology 5, 165-166).
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.atmosphere.field_checks import ROUNDING
+from forestgen.atmosphere.grid import CloudGrid, Phase
+from forestgen.atmosphere.weather import AirGrid, Weather
+from forestgen.core.errors import RecipeError
+
+DROPLET_RADIUS_UM: Final = {  # effective radius
+    "fog": 8.0,
+    "stratus": 8.0,
+    "stratocumulus": 10.0,
+    "cumulus": 10.0,
+    "cumulonimbus": 15.0,
+}
+ALBEDO: Final = 0.999999
+THINNEST_PER_M: Final = 1e-5
+MOST_CUT: Final = 1e-3  # share of the field's extinction that may be cut with thin air
+_WATER_KG_PER_M3 = 1000.0
+_MARSHALL_PALMER_PER_M4 = 8e6
+_RADII_UM = (1.0, 1000.0)  # that anybody may ask for
+_MOST_CELLS = 400_000_000  # of a tiled grid: 1.6 GB
+# By effective radius, µm: g of the lobes and share of the first; printed by docs/spectra/make_droplets.py.
+_LOBES = np.array([
+    [5.0, 0.8705, -0.7222, 0.9868],
+    [8.0, 0.8778, -0.7192, 0.9887],
+    [10.0, 0.8800, -0.7188, 0.9901],
+    [15.0, 0.8836, -0.7152, 0.9914],
+    [20.0, 0.8856, -0.7136, 0.9921],
+])  # fmt: skip
+
+
+def droplet_extinction(water_kg_per_m3: NDArray[np.floating], radius_um: float) -> NDArray[np.float32]:
+    """Extinction per metre of cloud droplets, of the shape given."""
+    return np.asarray(water_kg_per_m3 * (1.5 / (_WATER_KG_PER_M3 * radius_um * 1e-6)), dtype=np.float32)
+
+
+def rain_extinction(water_kg_per_m3: NDArray[np.floating]) -> NDArray[np.float32]:
+    """Extinction per metre of Marshall and Palmer's raindrops, of the shape given."""
+    scale = (np.pi * _MARSHALL_PALMER_PER_M4) ** 0.25 / _WATER_KG_PER_M3**0.75
+    return np.asarray(scale * np.maximum(water_kg_per_m3, 0.0) ** 0.75, dtype=np.float32)
+
+
+def droplet_phase(radius_um: float) -> Phase:
+    """The fitted lobes of droplets of an effective radius; between those that were fitted, and no further."""
+    radii = _LOBES[:, 0]
+    forward, backward, share = (float(np.interp(radius_um, radii, column)) for column in _LOBES[:, 1:].T)
+    return Phase(forward, backward, share)
+
+
+def cloud_grid_of(
+    weather: Weather,
+    *,
+    kind: str,
+    centre_m: tuple[float, float] | None,
+    droplet_radius_um: float | None = None,
+    tiles: int = 1,
+) -> CloudGrid | None:
+    """The clouds and rain of a snapshot as the renderer gets them; None where there are none.
+
+    Parameters
+    ----------
+    kind : type of cloud, a key of `DROPLET_RADIUS_UM`; decides the radius where none is given.
+    centre_m : world x and y of the middle of the field; None: where the weather's own grid lies. Weather over terrain
+        belongs where it is.
+    droplet_radius_um : effective radius; None: by the type.
+    tiles : copies of a periodic field side by side, along x and along y.
+
+    Raises
+    ------
+    RecipeError : water that is not finite or below zero, and what cannot be moved or tiled.
+    """
+    radius_um = _radius_um(kind, droplet_radius_um)
+    _check_place(weather, centre_m, tiles)
+    cloud, rain = _water(weather, "cloud"), _water(weather, "rain")
+    extinction = droplet_extinction(cloud, radius_um) + rain_extinction(rain)
+    if weather.solid is not None:
+        extinction = down_to_the_ground(extinction, weather.solid)
+    extinction, _ = without_thin_air(extinction)
+    layers = np.flatnonzero(extinction.any(axis=(1, 2)))
+    if not len(layers):
+        return None
+    # An empty layer stays on either side: the renderer interpolates towards it, and holds a border's values outwards.
+    first, last = max(int(layers[0]) - 1, 0), min(int(layers[-1]) + 2, len(extinction))
+    extinction = np.tile(extinction[first:last], (1, tiles, tiles))
+    low, high = _corners(weather.grid, centre_m, tiles, first, last)
+    return CloudGrid(np.ascontiguousarray(extinction), low, high, ALBEDO, droplet_phase(radius_um))
+
+
+def without_thin_air(extinction: NDArray[np.float32]) -> tuple[NDArray[np.float32], float]:
+    """The same with thin air cut to zero, and the share of all extinction that went with it; see the module."""
+    total = float(extinction.sum(dtype=np.float64))
+    thin = extinction < THINNEST_PER_M
+    if total == 0.0:
+        return extinction, 0.0
+    lost = float(extinction[thin].sum(dtype=np.float64)) / total
+    if lost > MOST_CUT:
+        values = np.sort(extinction[thin & (extinction > 0)])
+        allowed = int(np.searchsorted(np.cumsum(values, dtype=np.float64), MOST_CUT * total, "right"))
+        thin = extinction < values[allowed]
+        lost = float(extinction[thin].sum(dtype=np.float64)) / total
+    return np.where(thin, np.float32(0), extinction), lost
+
+
+def down_to_the_ground(extinction: NDArray[np.float32], solid: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Extinction (Z, Y, X) with that of the lowest air repeated in the two cells below it, inside the terrain.
+
+    The ground is finer than the cells: without this, fog would end half a cell above it.
+    """
+    out = extinction.copy()
+    for _ in range(2):
+        out[:-1] = np.where(solid[:-1] & (out[:-1] == 0), out[1:], out[:-1])
+    return out
+
+
+def _radius_um(kind: str, given: float | None) -> float:
+    if given is None and kind not in DROPLET_RADIUS_UM:
+        raise RecipeError(
+            "no droplet radius is known for this type of cloud",
+            where="sky.clouds",
+            expected=", ".join(DROPLET_RADIUS_UM),
+            got=kind,
+            hint="give droplet_radius_um",
+        )
+    radius_um = DROPLET_RADIUS_UM[kind] if given is None else given
+    if not _RADII_UM[0] <= radius_um <= _RADII_UM[1]:
+        raise RecipeError(
+            "no radius of droplets",
+            where="sky.clouds",
+            expected=f"micrometres from {_RADII_UM[0]:g} to {_RADII_UM[1]:g}",
+            got=f"{radius_um:g}",
+        )
+    return radius_um
+
+
+def _water(weather: Weather, name: str) -> NDArray[np.float32]:
+    """(Z, Y, X) kg/m³; what a monotone scheme leaves below zero by rounding counts as nothing."""
+    ratio = getattr(weather, name)
+    bad = ~np.isfinite(ratio)
+    if bad.any():
+        layer, row, column = (int(index[0]) for index in np.nonzero(bad))
+        raise RecipeError(
+            f"the weather's {name} water is not finite",
+            where=f"weather at {weather.time_s:g} s",
+            expected="kilograms per kilogram of air, 0 or more",
+            got=f"{int(bad.sum())} bad cells of {bad.size}, the first in layer {layer}, row {row}, column {column}",
+            hint="the simulation went wrong, or the file is damaged: simulate again, with a shorter time step",
+        )
+    least = float(ratio.min(initial=0.0))
+    if least < -ROUNDING:
+        raise RecipeError(
+            f"the weather's {name} water is below zero",
+            where=f"weather at {weather.time_s:g} s",
+            expected="kilograms per kilogram of air, 0 or more",
+            got=f"{least:.3g}",
+            hint="the file holds something else under this name, or is damaged",
+        )
+    water: NDArray[np.float32] = getattr(weather, f"{name}_water_kg_per_m3")
+    if weather.solid is not None:
+        water = np.where(weather.solid, np.float32(0), water)
+    return np.maximum(water, np.float32(0))
+
+
+def _check_place(weather: Weather, centre_m: tuple[float, float] | None, tiles: int) -> None:
+    grid = weather.grid
+    if tiles < 1:
+        raise RecipeError("no number of copies", where="sky.clouds", expected="1 or more", got=str(tiles))
+    fixed = None if weather.solid is None else "the weather was simulated over terrain"
+    if fixed is None and not grid.periodic:
+        fixed = "the weather's sides are open"
+    if tiles > 1 and fixed is not None:
+        raise RecipeError(
+            f"a field cannot be repeated side by side: {fixed}",
+            where="sky.clouds",
+            expected="one copy",
+            got=f"{tiles} x {tiles}",
+            hint="simulate a larger domain",
+        )
+    if weather.solid is not None and centre_m is not None:
+        own = [low + size / 2 for low, size in zip(grid.low_m, grid.size_m, strict=True)][:2]
+        if not np.allclose(own, centre_m, atol=0.5 * min(grid.cell_m[:2])):
+            raise RecipeError(
+                "weather over terrain cannot be moved",
+                where="sky.clouds",
+                expected=f"its own middle, {own[0]:g}, {own[1]:g}",
+                got=f"{centre_m[0]:g}, {centre_m[1]:g}",
+            )
+    cells = grid.cells[0] * grid.cells[1] * grid.cells[2] * tiles**2
+    if cells > _MOST_CELLS:
+        raise RecipeError(
+            "too many cells of cloud", where="sky.clouds", expected=f"at most {_MOST_CELLS:,}", got=f"{cells:,}"
+        )
+
+
+def _corners(
+    grid: AirGrid, centre_m: tuple[float, float] | None, tiles: int, first: int, last: int
+) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    """Corners of the tiled field, layers `first` to before `last`."""
+    x, y = (low + size / 2 for low, size in zip(grid.low_m[:2], grid.size_m[:2], strict=True))
+    if centre_m is not None:
+        x, y = centre_m
+    half_x, half_y = (tiles * size / 2 for size in grid.size_m[:2])
+    bottom, layer = grid.low_m[2], grid.cell_m[2]
+    low = (x - half_x, y - half_y, bottom + first * layer)
+    return low, (x + half_x, y + half_y, bottom + last * layer)

@@ -1,0 +1,1 @@
+"""Moving air: winds, heat and water on a grid (see `air`)."""

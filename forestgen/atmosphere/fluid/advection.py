@@ -1,0 +1,273 @@
+"""Advection of heat and water: one step, in flux form, monotone, of third order along each axis and second in all.
+
+The flux through a face is that of Leonard (1991, "ULTIMATE QUICKEST"): exact for quadratic profiles, and limited so
+that the value that leaves lies between its neighbours, and what stays in the cell does too. The axes are swept one
+after another, x/2 y/2 z y/2 x/2 (Strang 1968). A single sweep squeezes air: each cell's share of air (1 before the
+first sweep and after the last) is carried along, and ratios are masses over it (Easter 1993). So an even ratio stays
+even, no value passes those of the neighbourhood, none becomes negative, and mass is conserved to rounding, as long as
+less air leaves a cell in a step than is in it.
+
+All fields have two ghost cells on each side (see `boundaries`).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.atmosphere.fluid.loops import loop, over_slabs
+from forestgen.core.compiled import borrowed
+
+Field = NDArray[np.float32]
+_ZERO, _ONE, _TWO = np.float32(0), np.float32(1), np.float32(2)
+_HALF, _SIXTH = np.float32(0.5), np.float32(1 / 6)
+
+
+class Transport:
+    """Carries ratios by a given velocity for a given step.
+
+    Parameters
+    ----------
+    shape : (Z, Y, X) of the cells.
+    periodic : at the sides.
+    openness : per axis x, y, z a field (Z + 4, Y + 4, X + 4): 1 at open faces, 0 at those that terrain blocks; None:
+        no terrain.
+    """
+
+    def __init__(
+        self, shape: tuple[int, int, int], periodic: bool, openness: tuple[Field, Field, Field] | None
+    ) -> None:
+        self.shape, self.periodic, self.openness = shape, periodic, openness
+        padded = tuple(n + 4 for n in shape)
+        self.between = np.zeros(padded, np.float32)
+        self._squeeze = np.zeros((2, *padded), np.float32)  # air that half a sweep along x, and along y too, takes away
+        self._velocity: tuple[Field, Field, Field]
+        self._per_m: tuple[np.float32, ...]
+
+    def prepare(self, velocity: tuple[Field, Field, Field], step_s: float, cell_m: tuple[float, float, float]) -> None:
+        """Sets velocity (m/s, at the faces, ghosts filled) and step."""
+        self._velocity = velocity
+        self._per_m = tuple(np.float32(step_s / side) for side in cell_m)
+        x, y = self._per_m[:2]
+        z, rows, columns = self.shape
+        over_slabs(z, rows * columns, lambda a, b: _squeeze(self._squeeze, *velocity[:2], x, y, a + 2, b + 2))
+        for part in self._squeeze:
+            fill_sides(part, self.periodic, np.zeros(z, np.float32))
+
+    def carry(self, ratio: Field, outside: NDArray[np.float32], *, least: float = 0.0) -> None:
+        """Replaces the ratio's inner values by those after the step.
+
+        Parameters
+        ----------
+        ratio : (Z + 4, Y + 4, X + 4).
+        outside : (Z,) what flows in at open sides.
+        least : the values are this or more, but for rounding: it is taken care of here.
+        """
+        low = np.float32(least)
+        fill_sides(ratio, self.periodic, outside)
+        z, y, x = self.shape
+        u, v, w = self._velocity
+        cx, cy, cz = self._per_m
+        between, squeeze, opened = self.between, self._squeeze, self.openness
+        over_slabs(z, y * x, lambda a, b: _x_then_y(ratio, between, u, v, squeeze, cx, cy, opened, low, a + 2, b + 2))
+        over_slabs(y, z * x, lambda a, b: _along_z(between, w, squeeze, cz, opened, low, a + 2, b + 2))
+        fill_sides(between, self.periodic, outside)
+        over_slabs(z, y * x, lambda a, b: _y_then_x(between, ratio, u, v, squeeze, cx, cy, opened, low, a + 2, b + 2))
+
+
+def fill_sides(field: Field, periodic: bool, outside: NDArray[np.float32]) -> None:
+    """Ghost cells at the four sides of a field of cells: of the far side, or what is outside (Z,)."""
+    inner = field[2:-2]
+    if periodic:
+        inner[:, :, :2], inner[:, :, -2:] = inner[:, :, -4:-2], inner[:, :, 2:4]
+        inner[:, :2], inner[:, -2:] = inner[:, -4:-2], inner[:, 2:4]
+    else:
+        for side in (inner[:, :, :2], inner[:, :, -2:], inner[:, :2], inner[:, -2:]):
+            side[...] = outside[:, None, None]
+
+
+@loop
+def _squeeze(out, u, v, cx, cy, first, end):  # type: ignore[no-untyped-def]
+    rows, columns = u.shape[1], u.shape[2]
+    for k in range(first, end):
+        for j in range(2, rows - 2):
+            for i in range(2, columns - 2):
+                x = _HALF * cx * (u[k, j, i + 1] - u[k, j, i])
+                out[0, k, j, i] = x
+                out[1, k, j, i] = x + _HALF * cy * (v[k, j + 1, i] - v[k, j, i])
+
+
+@loop
+def _x_then_y(ratio, out, u, v, squeeze, cx, cy, opened, least, first, end):  # type: ignore[no-untyped-def]
+    ratio, out, u, v, squeeze = borrowed(ratio), borrowed(out), borrowed(u), borrowed(v), borrowed(squeeze)
+    rows = ratio.shape[1]
+    plane, work = np.empty(ratio.shape[1:], np.float32), np.empty((6, ratio.shape[2]), np.float32)
+    x, y = _HALF * cx, _HALF * cy
+    for k in range(first, end):
+        plane[:] = ratio[k]
+        _sweep_x(plane, u[k], squeeze[:, k], _ZERO, -_ONE, x, _opened(opened, 0, k), least, 0, rows, work)
+        _sweep_y(plane, v[k], squeeze[0, k], squeeze[1, k], -_ONE, y, _opened(opened, 1, k), least, work)
+        out[k, 2:-2, 2:-2] = plane[2:-2, 2:-2]
+
+
+@loop
+def _y_then_x(ratio, out, u, v, squeeze, cx, cy, opened, least, first, end):  # type: ignore[no-untyped-def]
+    ratio, out, u, v, squeeze = borrowed(ratio), borrowed(out), borrowed(u), borrowed(v), borrowed(squeeze)
+    rows = ratio.shape[1]
+    plane, work = np.empty(ratio.shape[1:], np.float32), np.empty((6, ratio.shape[2]), np.float32)
+    x, y = _HALF * cx, _HALF * cy
+    for k in range(first, end):
+        plane[:] = ratio[k]
+        _sweep_y(plane, v[k], squeeze[1, k], squeeze[0, k], _ONE, y, _opened(opened, 1, k), least, work)
+        _sweep_x(plane, u[k], squeeze[:, k], _ONE, _ZERO, x, _opened(opened, 0, k), least, 2, rows - 2, work)
+        out[k, 2:-2, 2:-2] = plane[2:-2, 2:-2]
+
+
+@loop
+def _opened(opened, axis, k):  # type: ignore[no-untyped-def]
+    if opened is None:
+        return None
+    return opened[axis][k]
+
+
+@loop
+def _sweep_x(plane, u, squeeze, before, after, per_m, opened, least, first, end, work):  # type: ignore[no-untyped-def]
+    """Rows of a plane, each along itself. A cell's air is 1 + before x squeeze, and then 1 + after x squeeze."""
+    plane, u, squeeze = borrowed(plane), borrowed(u), borrowed(squeeze)
+    m = plane.shape[1]
+    courant, rest, flux, air = work[0], work[1], work[2], work[3]
+    for j in range(first, end):
+        row, lost = plane[j], squeeze[0, j]
+        _scaled(courant, u[j], per_m)
+        _air(air, lost, before)
+        _remains(rest[: m - 1], air, courant, courant[1:])
+        to, one, two, three = flux[2 : m - 1], courant[2 : m - 1], rest[1 : m - 2], rest[2 : m - 1]
+        a, b, c, d = row[: m - 3], row[1 : m - 2], row[2 : m - 1], row[3:]
+        if opened is None:
+            _fluxes(to, one, a, b, c, d, two, three)
+        else:
+            _fluxes_by_terrain(to, one, a, b, c, d, two, three, opened[j, 1 : m - 2], opened[j, 3:])
+        _settle(row[2 : m - 2], air[2 : m - 2], flux[2 : m - 2], flux[3 : m - 1], lost[2 : m - 2], after, least)
+
+
+@loop
+def _sweep_y(plane, v, squeeze, squeeze_after, sign, per_m, opened, least, work):  # type: ignore[no-untyped-def]
+    """Columns of a plane, all at once, row by row. A cell's air is 1 + sign x squeeze, before and after."""
+    plane, v, squeeze, squeeze_after = borrowed(plane), borrowed(v), borrowed(squeeze), borrowed(squeeze_after)
+    rows = plane.shape[0]
+    before, air = np.empty_like(plane), np.empty_like(plane)
+    south, north = work[0], work[1]
+    rest_south, rest_north = work[2], work[3]
+    low, high = work[4], work[5]
+    before[:] = plane
+    for j in range(1, rows - 1):
+        _air(air[j], squeeze[j], sign)
+        _scaled(low, v[j], per_m)
+        _scaled(high, v[j + 1], per_m)
+        _remains(rest_north, air[j], low, high)
+        if j >= 2:
+            a, b, c, d = before[j - 2], before[j - 1], before[j], before[j + 1]
+            if opened is None:
+                _fluxes(north, low, a, b, c, d, rest_south, rest_north)
+            else:
+                _fluxes_by_terrain(north, low, a, b, c, d, rest_south, rest_north, opened[j - 1], opened[j + 1])
+        if j >= 3:
+            _settle(plane[j - 1], air[j - 1], south, north, squeeze_after[j - 1], sign, least)
+        south, north = north, south
+        rest_south, rest_north = rest_north, rest_south
+
+
+@loop
+def _along_z(field, w, squeeze, per_m, opened, least, first, end):  # type: ignore[no-untyped-def]
+    """Columns upwards, for rows [first, end). Nothing passes the ground or the ceiling."""
+    field, w, squeeze = borrowed(field), borrowed(w), borrowed(squeeze)
+    layers, m = field.shape[0], field.shape[2]
+    before, air = np.empty((layers, m), np.float32), np.empty((layers, m), np.float32)
+    work = np.zeros((6, m), np.float32)
+    below, above = work[0], work[1]
+    rest_below, rest_above = work[2], work[3]
+    low, high = work[4], work[5]
+    top = layers - 3
+    for j in range(first, end):
+        for k in range(2, layers - 2):
+            before[k] = field[k, j]
+        below[:] = _ZERO
+        for k in range(2, layers - 2):
+            _air(air[k], squeeze[1, k, j], -_ONE)
+            _scaled(low, w[k, j], per_m)
+            _scaled(high, w[k + 1, j], per_m)
+            _remains(rest_above, air[k], low, high)
+            if k > 2:
+                a, b, c, d = before[max(k - 2, 2)], before[k - 1], before[k], before[min(k + 1, top)]
+                if opened is None:
+                    _fluxes(above, low, a, b, c, d, rest_below, rest_above)
+                else:
+                    o, p = opened[2][k - 1, j], opened[2][k + 1, j]
+                    _fluxes_by_terrain(above, low, a, b, c, d, rest_below, rest_above, o, p)
+                _settle(field[k - 1, j], air[k - 1], below, above, squeeze[1, k - 1, j], _ONE, least)
+                below, above = above, below
+            rest_below, rest_above = rest_above, rest_below
+        above[:] = _ZERO
+        _settle(field[top, j], air[top], below, above, squeeze[1, top, j], _ONE, least)
+
+
+@loop
+def _scaled(out, velocity, per_m):  # type: ignore[no-untyped-def]
+    for i in range(out.size):
+        out[i] = velocity[i] * per_m
+
+
+@loop
+def _air(out, squeeze, sign):  # type: ignore[no-untyped-def]
+    for i in range(out.size):
+        out[i] = _ONE + sign * squeeze[i]
+
+
+@loop
+def _remains(out, air, low, high):  # type: ignore[no-untyped-def]
+    """Air that does not leave a cell through its two faces."""
+    for i in range(out.size):
+        backward = low[i] if low[i] < _ZERO else _ZERO
+        forward = high[i] if high[i] > _ZERO else _ZERO
+        left = air[i] + backward - forward
+        out[i] = left if left > _ZERO else _ZERO
+
+
+@loop
+def _fluxes(out, courant, a, b, c, d, rest_b, rest_c):  # type: ignore[no-untyped-def]
+    """What passes from b to c; a and d lie behind them; `rest` is the air that stays in each."""
+    for i in range(out.size):
+        out[i] = _flux(courant[i], b[i] - a[i], b[i], c[i], d[i] - c[i], rest_b[i], rest_c[i])
+
+
+@loop
+def _fluxes_by_terrain(out, courant, a, b, c, d, rest_b, rest_c, open_b, open_c):  # type: ignore[no-untyped-def]
+    """The same; where terrain lies between a and b or c and d, there is no slope to be seen there."""
+    for i in range(out.size):
+        behind, ahead = (b[i] - a[i]) * open_b[i], (d[i] - c[i]) * open_c[i]
+        out[i] = _flux(courant[i], behind, b[i], c[i], ahead, rest_b[i], rest_c[i])
+
+
+@loop
+def _flux(courant, slope_b, b, c, slope_c, rest_b, rest_c):  # type: ignore[no-untyped-def]
+    forward = courant > _ZERO
+    share = courant if forward else -courant
+    up = b if forward else c
+    ahead = c - b if forward else b - c
+    behind = slope_b if forward else -slope_c
+    rest = rest_b if forward else rest_c
+    want = share * (_ONE - share) * ((_TWO - share) * ahead + (_ONE + share) * behind) * _SIXTH
+    size, most, stays = abs(want), share * abs(ahead), rest * abs(behind)
+    size = most if most < size else size
+    size = stays if stays < size else size
+    size = size if ahead * behind > _ZERO else _ZERO
+    beyond = size if ahead > _ZERO else -size
+    return share * up + beyond if forward else -(share * up + beyond)
+
+
+@loop
+def _settle(ratio, air, flux_in, flux_out, squeeze, sign, least):  # type: ignore[no-untyped-def]
+    """The new ratio: what was there and came and went, over the air that is there now."""
+    for i in range(ratio.size):
+        value = (air[i] * ratio[i] - (flux_out[i] - flux_in[i])) / (_ONE + sign * squeeze[i])
+        ratio[i] = value if value > least else least

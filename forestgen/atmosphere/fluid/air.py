@@ -1,0 +1,319 @@
+"""Moving air: the Boussinesq equations with heat and water, on a staggered grid (Makowski, chapter 3, Eqs. 32 to 37).
+
+    div u = 0                                                    (32)
+    du/dt = -u grad u - grad p / rho + nu lap u + b + f          (33)
+    d(theta)/dt = -u grad theta + L / (c_p Pi) (condensation)    (34; L is 2.5e6 J/kg, and condensation warms)
+    d(q_v, q_c, q_r)/dt = -u grad q + Kessler's sources          (35 to 37)
+
+One step from t to t + h:
+
+1. the wind half a step on, by its own advection, viscosity and buoyancy; pressure takes its divergence out;
+2. heat and water a whole step on with that wind: so both ends of the step see the wind of its middle;
+3. heat and vapour from the ground, drops that fall, changes of phase;
+4. the wind a whole step on by the middle's advection and the mean of both ends' buoyancy; pressure again.
+
+For gravity waves this is the leapfrog of Stoermer and Verlet: stable up to 2 over their frequency, and it feeds or
+damps none. Parts: `momentum`, `advection`, `pressure`, `buoyancy`, `microphysics`, `turbulence`, `boundaries`,
+`emission`, `stability`; constants in `parameters`. Second order in space and time, but for sources of phase.
+
+The wind's fields hold single precision. Heat is stepped as its difference from the air at rest. The result does not
+depend on the number of threads, and a step depends on nothing but the weather that it is given: so a run
+that was saved and taken up again is the same to the last bit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.atmosphere.fluid.advection import Transport, fill_sides
+from forestgen.atmosphere.fluid.background import background
+from forestgen.atmosphere.fluid.boundaries import Boundaries, Velocity, solid_cells
+from forestgen.atmosphere.fluid.buoyancy import carry_rest, lift
+from forestgen.atmosphere.fluid.diagnostics import divergence_per_s, total_energy_j, total_water_kg
+from forestgen.atmosphere.fluid.emission import Ground
+from forestgen.atmosphere.fluid.microphysics import change_phases, fall
+from forestgen.atmosphere.fluid.momentum import advance_velocity
+from forestgen.atmosphere.fluid.parameters import STABLE_COURANT, Physics, Surface, UnstableError
+from forestgen.atmosphere.fluid.pressure import Pressure
+from forestgen.atmosphere.fluid.stability import (
+    WAVE_LIMIT,
+    check_fields,
+    crossing_per_s,
+    fixed_limit_s,
+    moving_limit_s,
+    wave_per_s,
+)
+from forestgen.atmosphere.fluid.start import at_rest, check_grid
+from forestgen.atmosphere.fluid.turbulence import Confinement, diffuse
+from forestgen.atmosphere.sounding import Sounding
+from forestgen.atmosphere.weather import AirGrid, Weather
+
+__all__ = [
+    "Air",
+    "Physics",
+    "Surface",
+    "UnstableError",
+    "at_rest",
+    "divergence_per_s",
+    "total_energy_j",
+    "total_water_kg",
+]
+
+_HALVINGS = 6  # of a step of the solver's own choice, when the air speeds up within it
+Field = NDArray[np.float32]
+
+
+class Air:
+    """Steps the weather of one grid: work space, and the constants of sounding, ground and physics.
+
+    Parameters
+    ----------
+    surface : what the ground gives off, and terrain; None: nothing, and flat.
+
+    Raises
+    ------
+    ValueError
+        for a grid with fewer than 4 cells along an axis, or maps of other shapes than the grid's.
+    """
+
+    def __init__(self, grid: AirGrid, sounding: Sounding, surface: Surface | None, physics: Physics) -> None:
+        check_grid(grid, surface)
+        self.grid, self.sounding, self.surface, self.physics = grid, sounding, surface, physics
+        self.background = background(grid, sounding)
+        self.solid = solid_cells(grid, surface.height_m if surface else None)
+        self._sides = Boundaries(grid, self.background.wind_m_per_s, self.solid)
+        self._pressure = Pressure(grid, self._sides.openness)
+        self._transport = Transport(grid.shape, grid.periodic, self._sides.openness)
+        self._ground = Ground(grid, surface, self.solid, self.background)
+        self._confinement = Confinement(grid, physics.confinement, self.solid)
+        padded = tuple(n + 4 for n in grid.shape)
+        self._wind, self._middle = ((_zeros(padded), _zeros(padded), _zeros(padded)) for _ in range(2))
+        self._ratios = (
+            _zeros(padded),
+            _zeros(padded),
+            _zeros(padded),
+            _zeros(padded),
+        )  # heat (K from rest), vapour, cloud, rain
+        self._lift = _zeros((grid.cells[2] + 1, *grid.shape[1:]))
+        self._fixed_limit_s = fixed_limit_s(grid, self.background, physics)
+        self._calm = _calm_per_s(grid, physics)
+
+    def step_limit_s(self, weather: Weather) -> float:
+        """The step that `step` would choose: the largest that is stable with some margin."""
+        self._load(weather)
+        return self._limit_s()
+
+    def step(self, weather: Weather, step_s: float | None = None) -> Weather:
+        """The weather one step later.
+
+        Parameters
+        ----------
+        step_s : None: the largest that is stable.
+
+        Raises
+        ------
+        UnstableError
+            if the step is too long, or the weather is or becomes not finite, or faster than any air.
+        """
+        self._load(weather)
+        if step_s is not None:
+            self._check_step(step_s)
+            return self._stepped(weather, step_s)
+        return self._careful(weather, self._limit_s())
+
+    def run(
+        self, weather: Weather, until_s: float, *, advance: Callable[[float], None] = lambda seconds: None
+    ) -> Weather:
+        """The weather at a time. `advance` is told of the seconds of each step."""
+        while weather.time_s < until_s:
+            self._load(weather)
+            left = until_s - weather.time_s
+            after = self._careful(weather, min(left, self._limit_s()))
+            if until_s - after.time_s < 1e-9 * max(1.0, until_s):
+                after = replace(after, time_s=float(until_s))
+            advance(after.time_s - weather.time_s)
+            weather = after
+        return weather
+
+    def _careful(self, weather: Weather, step_s: float) -> Weather:
+        """A step of the loaded weather of this length, or a shorter one if the air speeds up too much within it."""
+        for _ in range(_HALVINGS):
+            try:
+                return self._stepped(weather, step_s)
+            except _TooLongError:
+                self._load(weather)
+                step_s /= 2
+        return self._stepped(weather, step_s)
+
+    def _load(self, weather: Weather) -> None:
+        """The weather into the work space."""
+        if weather.grid != self.grid:
+            raise ValueError(f"the weather has the grid {weather.grid}; this solver's is {self.grid}")
+        fields = _fields(weather)
+        check_fields(fields)
+        u, v, w = self._wind
+        u[2:-2, 2:-2, 2:-1], v[2:-2, 2:-1, 2:-2] = fields["east wind"], fields["north wind"]
+        w[2:-1, 2:-2, 2:-2] = fields["upward wind"]
+        self._sides.apply(self._wind)
+        rest = self.background.potential_temperature_k.astype(np.float32)[:, None, None]
+        heat, *waters = self._ratios
+        np.subtract(fields["potential temperature"], rest, out=heat[_INNER])
+        for to, name in zip(waters, ("vapour", "cloud", "rain"), strict=True):
+            to[_INNER] = fields[name]
+        lift(self._lift, *self._ratios, self.background, 1.0)
+
+    def _limit_s(self) -> float:
+        strongest = float(max(self._lift.max(), -self._lift.min()))
+        crossing = crossing_per_s(self._wind, self.grid.cell_m)
+        moving = moving_limit_s(crossing, strongest, self.grid.cell_m[2], self.physics.courant)
+        return min(self._fixed_limit_s, moving)
+
+    def _check_step(self, step_s: float) -> None:
+        if not (math.isfinite(step_s) and step_s > 0):
+            raise UnstableError(f"the step is {step_s} s; expected a finite time above 0")
+        crossing = crossing_per_s(self._wind, self.grid.cell_m)
+        wave = wave_per_s(self.background, self.grid.cell_m[2])
+        eddies = max(self.physics.viscosity_m2_per_s, self.physics.diffusivity_m2_per_s)
+        spread = 2 * eddies * sum(1 / side**2 for side in self.grid.cell_m)
+        limits = {
+            f"the air crosses {crossing * step_s:.2f} cells in it": STABLE_COURANT / crossing if crossing else math.inf,
+            "gravity waves turn over in it": WAVE_LIMIT / wave if wave else math.inf,
+            "viscosity reaches past a cell in it": 1 / spread if spread else math.inf,
+        }
+        reason, limit = min(limits.items(), key=lambda item: item[1])
+        if step_s > limit:
+            raise UnstableError(f"a step of {step_s:.3g} s is too long: {reason}; expected at most {limit:.3g} s")
+
+    def _stepped(self, weather: Weather, step_s: float) -> Weather:
+        """One step of the loaded weather."""
+        fallen = weather.fallen_kg_per_m2.copy()
+        self._forward(self._wind, self._wind, self._middle, step_s / 2)
+        crossing = crossing_per_s(self._middle, self.grid.cell_m)
+        if not crossing * step_s < 1:
+            cells = crossing * step_s
+            raise _TooLongError(
+                f"a step of {step_s:.3g} s is too long: the air speeds up and crosses {cells:.2f} cells in it"
+            )
+        self._carry_ratios(step_s)
+        self._exchange(fallen, step_s)
+        lift(self._lift, *self._ratios, self.background, 0.5)
+        self._confine_and_steer(step_s)
+        self._forward(self._wind, self._middle, self._wind, step_s)
+        return self._snapshot(weather, fallen, step_s)
+
+    def _forward(self, base: Velocity, carrier: Velocity, out: Velocity, step_s: float) -> None:
+        """out = base, moved on by the carrier's advection and the buoyancy, without divergence."""
+        advance_velocity(base, carrier, out, step_s, self.grid.cell_m, self.physics.viscosity_m2_per_s)
+        w = out[2][3:-2, 2:-2, 2:-2]
+        w += np.float32(step_s) * self._lift[1:-1]
+        if self._calm.any():
+            w *= (1 / (1 + step_s * self._calm[1:-1])).astype(np.float32)[:, None, None]
+        self._sides.apply(out)
+        self._pressure.project(out)
+        self._sides.apply(out)
+
+    def _carry_ratios(self, step_s: float) -> None:
+        heat, vapour, cloud, rain = self._ratios
+        up, thickness = self._middle[2], self.grid.cell_m[2]
+        nothing = np.zeros(self.grid.cells[2], np.float32)
+        self._transport.prepare(self._middle, step_s, self.grid.cell_m)
+        carry_rest(heat, up, self.background, step_s / 2, thickness)
+        self._transport.carry(heat, nothing, least=-np.inf)
+        carry_rest(heat, up, self.background, step_s / 2, thickness)
+        damp = self.background.vapour.astype(np.float32)
+        self._transport.carry(vapour, damp)
+        for ratio in (cloud, rain):
+            if ratio.any():
+                self._transport.carry(ratio, nothing)
+        if self.physics.diffusivity_m2_per_s > 0:
+            work, openness = self._transport.between, self._sides.openness
+            for ratio, outside in ((heat, nothing), (vapour, damp), (cloud, nothing), (rain, nothing)):
+                fill_sides(ratio, self.grid.periodic, outside)
+                diffuse(ratio, work, self.physics.diffusivity_m2_per_s, self.grid.cell_m, step_s, openness)
+
+    def _exchange(self, fallen: NDArray[np.float64], step_s: float) -> None:
+        """Ground, falling drops, phases."""
+        heat, vapour, cloud, rain = self._ratios
+        physics, air, thickness = self.physics, self.background, self.grid.cell_m[2]
+        self._ground.give(heat, vapour, step_s)
+        if physics.rain_fall_m_per_s > 0 and rain[_INNER].any():
+            distance = physics.rain_fall_m_per_s * step_s
+            fall(rain, fallen, self._ground.lowest, distance, thickness, air.flow_density_kg_per_m3)
+        change_phases(heat, vapour, cloud, rain, air, physics, step_s)
+
+    def _confine_and_steer(self, step_s: float) -> None:
+        """Forces that act once a step: eddies kept alive, and the mean wind led back to the sounding's."""
+        if self.physics.confinement > 0:
+            self._confinement.push(self._middle, self._wind, step_s)
+        if self.physics.wind_relaxation_s is not None:
+            share = -math.expm1(-step_s / self.physics.wind_relaxation_s)
+            for axis in range(2):
+                inner = self._wind[axis][_INNER]
+                missing = self.background.wind_m_per_s[:, axis] - inner.mean(axis=(1, 2), dtype=np.float64)
+                inner += (share * missing).astype(np.float32)[:, None, None]
+
+    def _snapshot(self, weather: Weather, fallen: NDArray[np.float64], step_s: float) -> Weather:
+        u, v, w = self._wind
+        heat, vapour, cloud, rain = (ratio[_INNER] for ratio in self._ratios)
+        air = self.background
+        theta = heat + air.potential_temperature_k.astype(np.float32)[:, None, None]
+        after = Weather(
+            self.grid,
+            weather.time_s + step_s,
+            u[2:-2, 2:-2, 2:-1].copy(),
+            v[2:-2, 2:-1, 2:-2].copy(),
+            w[2:-1, 2:-2, 2:-2].copy(),
+            theta,
+            vapour.copy(),
+            cloud.copy(),
+            rain.copy(),
+            fallen,
+            air.density_kg_per_m3,
+            air.temperature_ratio,
+            self.solid,
+        )
+        check_fields(_fields(after))
+        fastest = max(float(max(field.max(), -field.min())) for field in (u, v, w))
+        if fastest > self.physics.fastest_m_per_s:
+            raise UnstableError(
+                f"the air has {fastest:.0f} m/s at {after.time_s:.1f} s; expected"
+                f" {self.physics.fastest_m_per_s:.0f} or less: shorter steps or weaker heating may help"
+            )
+        return after
+
+
+_INNER = (slice(2, -2),) * 3
+
+
+class _TooLongError(UnstableError):
+    """The air speeds up within the step."""
+
+
+def _fields(weather: Weather) -> dict[str, Field]:
+    return {
+        "east wind": weather.east_m_per_s,
+        "north wind": weather.north_m_per_s,
+        "upward wind": weather.up_m_per_s,
+        "potential temperature": weather.potential_temperature_k,
+        "vapour": weather.vapour,
+        "cloud": weather.cloud,
+        "rain": weather.rain,
+    }
+
+
+def _zeros(shape: tuple[int, ...]) -> Field:
+    return np.zeros(shape, np.float32)
+
+
+def _calm_per_s(grid: AirGrid, physics: Physics) -> NDArray[np.float64]:
+    """(Z + 1,) rate at which vertical motion dies out at the faces: rises as a sine squared to the ceiling."""
+    height = np.arange(grid.cells[2] + 1) / grid.cells[2]
+    if physics.sponge_share == 0:
+        return 0.0 * height
+    within = np.clip(1 - (1 - height) / physics.sponge_share, 0, 1)
+    return np.asarray(physics.sponge_per_s * np.sin(np.pi / 2 * within) ** 2)

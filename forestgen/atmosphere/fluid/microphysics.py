@@ -1,0 +1,167 @@
+"""Vapour, droplets and drops: Kessler's scheme (Eqs. 35 to 37) and saturation (Eqs. 29, 34).
+
+A step's sources, cell by cell: autoconversion A = alpha_A (q_c - a_T) and accretion K = alpha_K q_c q_r turn droplets
+into drops; drops evaporate in dry air (Klemp & Wilhelmson 1978, after Ogura & Takahashi 1971); last, vapour condenses
+or droplets evaporate until the air is just saturated or no droplet is left (Soong & Ogura 1973), with
+c_p Pi theta + L q_v unchanged: up to three steps of Newton's method. Each amount is at most what there is, so no
+ratio is negative and water is conserved to rounding.
+
+Drops fall at one speed: the column is shifted by whole cells, and the rest of the way by a limited flux, at any
+length of step. What reaches the ground, flat or terrain, is counted there.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.atmosphere.fluid.background import HEAT_CAPACITY_J_PER_KG_K, Background
+from forestgen.atmosphere.fluid.loops import loop, over_slabs
+from forestgen.atmosphere.fluid.parameters import Physics
+from forestgen.atmosphere.sounding import LATENT_HEAT_J_PER_KG
+from forestgen.core.compiled import borrowed
+
+Field = NDArray[np.float32]
+_ZERO, _ONE = np.float32(0), np.float32(1)
+_LITTLE = np.float32(1e-8)  # kg/kg: a step of Newton's method this short is the last
+# Bolton's saturation ratio (Eq. 29), celsius = T - 273.15.
+_SCALE_PA, _SLOPE, _ORIGIN_K, _FREEZING_K = np.float32(380.16), np.float32(17.67), np.float32(29.65), np.float32(273.15)
+_LATENT_K = np.float32(LATENT_HEAT_J_PER_KG / HEAT_CAPACITY_J_PER_KG_K)  # warming by condensation of 1 kg/kg
+
+
+def change_phases(
+    heat: Field, vapour: Field, cloud: Field, rain: Field, air: Background, physics: Physics, step_s: float
+) -> None:
+    """The step's condensation, evaporation and growth of drops, in place. Fields (Z + 4, Y + 4, X + 4)."""
+    rest, exner, pressure, density = (
+        values.astype(np.float32)
+        for values in (air.potential_temperature_k, air.temperature_ratio, air.pressure_pa, air.density_kg_per_m3)
+    )
+    gone = np.float32(-np.expm1(-physics.autoconversion_per_s * step_s))
+    threshold, swept = np.float32(physics.autoconversion_threshold), np.float32(physics.accretion_per_s * step_s)
+    drying = np.float32(physics.evaporation * step_s)
+    layers, rows, columns = heat.shape
+
+    def work(first: int, end: int) -> None:
+        _change(
+            heat, vapour, cloud, rain, rest, exner, pressure, density, gone, threshold, swept, drying, first, end
+        )  # fmt: skip
+
+    over_slabs(layers - 4, (rows - 4) * (columns - 4), work)
+
+
+@loop
+def _change(heat, vapour, cloud, rain, rest, exner, pressure, density, gone, threshold, swept, drying, first, end):  # type: ignore[no-untyped-def]
+    heat, vapour, cloud, rain = borrowed(heat), borrowed(vapour), borrowed(cloud), borrowed(rain)
+    rows, columns = heat.shape[1], heat.shape[2]
+    for k in range(first, end):
+        ratio, per_pa, warming = exner[k], _SCALE_PA / pressure[k], _LATENT_K / exner[k]
+        for j in range(2, rows - 2):
+            row_h, row_v, row_c, row_r = heat[k + 2, j], vapour[k + 2, j], cloud[k + 2, j], rain[k + 2, j]
+            for i in range(2, columns - 2):
+                h, v, c, r = row_h[i], row_v[i], row_c[i], row_r[i]
+                if c > _ZERO:
+                    grown = gone * (c - threshold) if c > threshold else _ZERO
+                    c -= grown
+                    sweep = swept * r
+                    caught = c * sweep / (_ONE + sweep)
+                    c -= caught
+                    r += grown + caught
+                saturated, slope = _saturation(ratio * (rest[k] + h), per_pa)
+                if r > _ZERO and v < saturated:
+                    dried = drying * _drying_per_s(v / saturated, saturated, r, density[k], pressure[k])
+                    most = (saturated - v) / (_ONE + _LATENT_K * slope)
+                    dried = dried if dried < most else most
+                    dried = dried if dried < r else r
+                    r -= dried
+                    v += dried
+                    h -= warming * dried
+                if c > _ZERO or v > saturated:
+                    for _ in range(3):
+                        saturated, slope = _saturation(ratio * (rest[k] + h), per_pa)
+                        wet = (v - saturated) / (_ONE + _LATENT_K * slope)
+                        wet = wet if wet > -c else -c
+                        c += wet
+                        v -= wet
+                        h += warming * wet
+                        if abs(wet) < _LITTLE:
+                            break
+                row_h[i], row_v[i], row_c[i], row_r[i] = h, v, c, r
+
+
+@loop
+def _saturation(temperature, per_pa):  # type: ignore[no-untyped-def]
+    """Saturation ratio, and its change per kelvin."""
+    above = temperature - _ORIGIN_K
+    ratio = per_pa * np.exp(_SLOPE * (temperature - _FREEZING_K) / above)
+    return ratio, ratio * _SLOPE * (_FREEZING_K - _ORIGIN_K) / (above * above)
+
+
+@loop
+def _drying_per_s(humidity, saturated, rain, density, pressure):  # type: ignore[no-untyped-def]
+    """Evaporation of drops in kg/kg/s; the published fit has g/cm3 and mbar."""
+    water = np.float64(density) * 1e-3 * np.float64(rain)
+    ventilation = 1.6 + 124.9 * water**0.2046
+    rate = (1.0 - humidity) * ventilation * water**0.525 / (5.4e5 + 2.55e6 / (0.01 * pressure * saturated))
+    return np.float32(rate / (density * 1e-3))
+
+
+def fall(
+    rain: Field, fallen_kg_per_m2: NDArray[np.float64], ground: NDArray[np.int64], distance_m: float,
+    thickness_m: float, flow_density_kg_per_m3: float,
+) -> None:  # fmt: skip
+    """Lets drops fall by a distance, and counts what reaches the ground.
+
+    Parameters
+    ----------
+    rain : (Z + 4, Y + 4, X + 4) kg/kg, changed.
+    fallen_kg_per_m2 : (Y, X) added to.
+    ground : (Y, X) number of the lowest cell of air in each column.
+    """
+    whole, part = divmod(distance_m / thickness_m, 1.0)
+    layers, rows, columns = rain.shape
+    mass, share, cells = flow_density_kg_per_m3 * thickness_m, np.float32(part), min(int(whole), layers)
+
+    def work(first: int, end: int) -> None:
+        _fall(rain, fallen_kg_per_m2, ground, cells, share, mass, first, end)
+
+    over_slabs(rows - 4, (layers - 4) * (columns - 4), work)
+
+
+@loop
+def _fall(rain, fallen, ground, cells, share, mass, first, end):  # type: ignore[no-untyped-def]
+    rain, fallen = borrowed(rain), borrowed(fallen)
+    layers, columns = rain.shape[0] - 4, rain.shape[2] - 4
+    column = np.zeros(layers + 4, np.float32)  # shifted by whole cells, two of nothing on each side
+    flux = np.zeros(layers + 1, np.float32)  # through the bottom of each; nothing enters at the top
+    for j in range(first, end):
+        for i in range(columns):
+            lowest, lost, any_rain = ground[j, i], 0.0, False
+            for k in range(layers):
+                column[k + 2] = _ZERO
+            for k in range(layers):
+                value = rain[k + 2, j + 2, i + 2]
+                any_rain = any_rain or value > _ZERO
+                if k - cells >= lowest:
+                    column[k - cells + 2] = value
+                else:
+                    lost += value
+            if not any_rain:
+                continue
+            for k in range(lowest, layers):
+                flux[k] = _drop(column[k + 3], column[k + 2], column[k + 1], share, k == lowest)
+            lost += flux[lowest]
+            for k in range(lowest, layers):
+                rain[k + 2, j + 2, i + 2] = max((column[k + 2] - flux[k]) + flux[k + 1], _ZERO)
+            fallen[j, i] += mass * lost
+
+
+@loop
+def _drop(above, here, below, share, at_ground):  # type: ignore[no-untyped-def]
+    """Flux of a column that moves down by a share of a cell (see `advection`)."""
+    ahead, behind = below - here, here - above
+    if ahead * behind <= _ZERO or at_ground:
+        return share * here
+    want = share * (_ONE - share) * abs((np.float32(2) - share) * ahead + (_ONE + share) * behind) / np.float32(6)
+    size = min(want, min(share * abs(ahead), (_ONE - share) * abs(behind)))
+    return share * here + (size if ahead > _ZERO else -size)

@@ -1,0 +1,204 @@
+"""A cloud field as bricks, each a medium of its own, for the renderer's volume path tracer.
+
+The renderer steps through a medium by the largest extinction in it. One box around all clouds makes it look up
+thousands of places in clear air; small bricks with a largest value each, and none where there is no cloud, leave it
+few.
+
+Decisions
+---------
+- Between two bricks there is one rectangle, with a medium on either side. Two boxes that touch leak: a ray that is
+  lifted off the face of one may land inside the other without having entered it. Where a brick borders on
+  nothing, the rectangle has one medium.
+- A brick holds its cells and one more on every side, so that what is interpolated between two bricks comes out the same
+  from both; at the border of the field those are the cells at the border once more, as the renderer has it for the
+  whole field.
+- A ray that passes a face starts again behind it, by up to 9e-5 of its largest coordinate along the face's normal, and
+  what lies between is not counted. Bricks are therefore large where the field has many cells.
+- The camera stands in nothing: a small sphere around it, with the medium outside. It must not cut a face. So faces are
+  laid such that the camera's brick has it near its middle.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.atmosphere.grid import CloudGrid
+from forestgen.core.errors import RenderError
+from forestgen.render.build import ray_corners_m
+from forestgen.render.sky import phase_function
+from forestgen.render.variant import mitsuba
+from forestgen.scene.spec import Camera
+
+SIDE_CELLS = 8  # of a brick
+_MOST_BRICKS = 8000  # more make the scene slow to build, and their faces cost more than empty steps
+_SHELL_M = 0.01  # around the camera's lens
+_AXES = "xyz"
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Bricks:
+    """A division of a field's cells into boxes."""
+
+    cuts: tuple[NDArray[np.int64], ...]  # three: first cells of the bricks along x, y and z, and the end
+    number: NDArray[np.int64]  # (bricks along x, y, z) number of a brick's medium from 0, -1: there is no cloud in it
+
+    @property
+    def count(self) -> int:
+        return int(self.number.max()) + 1
+
+
+def divide(clouds: CloudGrid, place_m: Floats, side_cells: int = SIDE_CELLS) -> Bricks:
+    """Bricks of `side_cells` or, where that makes too many, twice as large; `place_m` lies near the middle of one."""
+    counts = clouds.extinction_per_m.shape[::-1]
+    at = ((place_m - np.asarray(clouds.low_m)) / np.asarray(clouds.cell_m)).clip(-1e6, 1e6)
+    while True:
+        cuts = tuple(_cuts(count, int(np.floor(one)), side_cells) for count, one in zip(counts, at, strict=True))
+        cloudy = _cloudy(clouds.extinction_per_m, cuts)
+        if cloudy.sum() <= _MOST_BRICKS:
+            break
+        side_cells *= 2
+    number = np.where(cloudy, np.cumsum(cloudy).reshape(cloudy.shape) - 1, -1)
+    return Bricks(cuts, number)
+
+
+def _cuts(count: int, cell: int, side_cells: int) -> NDArray[np.int64]:
+    """First cells of the bricks along an axis, and the end, such that `cell` is the middle of one."""
+    first = (cell - side_cells // 2) % side_cells if 0 <= cell < count else 0
+    inner = np.arange(first, count, side_cells)
+    return np.unique(np.concatenate([[0], inner, [count]])).astype(np.int64)
+
+
+def _cloudy(extinction_per_m: NDArray[np.float32], cuts: tuple[NDArray[np.int64], ...]) -> NDArray[np.bool_]:
+    """(bricks along x, y, z) which hold any cloud, or border on some that their interpolation reaches."""
+    from scipy.ndimage import maximum_filter
+
+    reach = maximum_filter(extinction_per_m, size=3, mode="nearest")
+    for axis, starts in zip((2, 1, 0), cuts, strict=True):
+        reach = np.maximum.reduceat(reach, starts[:-1], axis=axis)
+    return np.asarray(reach.transpose(2, 1, 0) > 0)
+
+
+def brick_shapes(
+    clouds: CloudGrid, bricks: Bricks, origin_m: Floats, *, albedo: float | None = None
+) -> tuple[dict[str, Any], list[Any]]:
+    """The faces of the bricks, as Mitsuba's dictionaries by name, and their media.
+
+    Parameters
+    ----------
+    albedo : in place of the clouds' own; with 0 they only take light away.
+    """
+    media = _media(clouds, bricks, origin_m, clouds.albedo if albedo is None else albedo)
+    null = mitsuba().load_dict({"type": "null"})
+    shapes: dict[str, Any] = {}
+    edges = [
+        low + np.asarray(cuts) * size - shift
+        for low, cuts, size, shift in zip(clouds.low_m, bricks.cuts, clouds.cell_m, origin_m, strict=True)
+    ]
+    for axis in range(3):
+        for (i, j, k), below, above in _faces(bricks.number, axis):
+            sides: dict[str, Any] = {}
+            if below >= 0:
+                sides["interior"] = media[below]
+            if above >= 0:
+                sides["exterior"] = media[above]
+            place = _rectangle(edges, axis, (i, j, k))
+            shapes[f"face-{_AXES[axis]}-{i}-{j}-{k}"] = {"type": "rectangle", "to_world": place, "bsdf": null, **sides}
+    return shapes, media
+
+
+def _faces(number: NDArray[np.int64], axis: int) -> list[tuple[tuple[int, int, int], int, int]]:
+    """Faces across an axis: the brick above each, or the one past the end, and the media below and above."""
+    padding = [(0, 0)] * 3
+    padding[axis] = (1, 1)
+    padded = np.moveaxis(np.pad(number, padding, constant_values=-1), axis, 0)
+    below, above = np.moveaxis(padded[:-1], 0, axis), np.moveaxis(padded[1:], 0, axis)
+    places = np.argwhere(below != above)
+    return [
+        ((int(i), int(j), int(k)), int(below[i, j, k]), int(above[i, j, k]))
+        for i, j, k in places
+    ]  # fmt: skip
+
+
+def _rectangle(edges: list[Floats], axis: int, place: tuple[int, int, int]) -> Any:
+    """Transform of Mitsuba's rectangle, (-1, 1) in x and y, its normal z: here along the axis."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = 0.0
+    matrix[axis, 2], matrix[axis, 3] = 1.0, edges[axis][place[axis]]
+    for column, other in enumerate(((axis + 1) % 3, (axis + 2) % 3)):
+        low, high = edges[other][place[other]], edges[other][place[other] + 1]
+        matrix[other, column], matrix[other, 3] = (high - low) / 2, (high + low) / 2
+    return mitsuba().ScalarTransform4f(matrix)
+
+
+def _media(clouds: CloudGrid, bricks: Bricks, origin_m: Floats, albedo: float) -> list[Any]:
+    mi = mitsuba()
+    phase = mi.load_dict(phase_function(clouds.phase))
+    padded = np.pad(clouds.extinction_per_m, 1, mode="edge")
+    low, size = np.asarray(clouds.low_m) - origin_m, np.asarray(clouds.cell_m)
+    media: list[Any] = [None] * bricks.count
+    for index in np.argwhere(bricks.number >= 0):
+        first = np.array([cuts[i] for cuts, i in zip(bricks.cuts, index, strict=True)])
+        end = np.array([cuts[i + 1] for cuts, i in zip(bricks.cuts, index, strict=True)]) + 2
+        (x, y, z), (x_end, y_end, z_end) = first, end
+        values = np.ascontiguousarray(padded[z:z_end, y:y_end, x:x_end, None])
+        box = (
+            mi.ScalarTransform4f()
+            .translate((low + (first - 1) * size).tolist())
+            .scale(((end - first) * size).tolist())
+        )  # fmt: skip
+        media[bricks.number[tuple(index)]] = mi.load_dict(
+            {
+                "type": "heterogeneous",
+                "albedo": albedo,
+                "sigma_t": {
+                    "type": "gridvolume",
+                    "grid": mi.VolumeGrid(values),
+                    "filter_type": "trilinear",
+                    "to_world": box,
+                },
+                "phase": phase,
+            }
+        )
+    return media
+
+
+def camera_shell(clouds: CloudGrid, bricks: Bricks, media: list[Any], camera: Camera) -> dict[str, Any]:
+    """What lets a camera stand in a cloud: nothing, if there is none around it.
+
+    Raises
+    ------
+    RenderError : the camera is an orthographic one, whose rays start all over a plane.
+    """
+    place = np.asarray(camera.position_m, dtype=np.float64)
+    index = _brick_at(clouds, bricks, place)
+    if camera.projection == "orthographic":
+        corners = ray_corners_m(camera)
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        if np.all(high >= np.asarray(clouds.low_m)) and np.all(low <= np.asarray(clouds.high_m)):
+            raise RenderError(
+                f"the orthographic camera {camera.name!r} stands in the clouds",
+                hint="move it above or below them, or use a perspective camera",
+            )
+    if index is None or bricks.number[index] < 0:
+        return {}
+    radius = _SHELL_M + (0.0 if camera.lens is None else camera.lens.aperture_radius_m)
+    room = np.min([place - clouds.low_m, np.asarray(clouds.high_m) - place])
+    radius = min(radius, max(room / 2, 1e-4))
+    null = mitsuba().load_dict({"type": "null"})
+    shell = {"type": "sphere", "center": [0.0, 0.0, 0.0], "radius": float(radius), "bsdf": null}
+    return {"camera-shell": shell | {"exterior": media[bricks.number[index]]}}
+
+
+def _brick_at(clouds: CloudGrid, bricks: Bricks, place_m: Floats) -> tuple[int, int, int] | None:
+    """The brick that holds a place; None outside of the field."""
+    cell = (place_m - np.asarray(clouds.low_m)) / np.asarray(clouds.cell_m)
+    counts = np.array(clouds.extinction_per_m.shape[::-1])
+    if np.any(cell <= 0) or np.any(cell >= counts):
+        return None
+    i, j, k = (int(np.searchsorted(cuts, one, "right")) - 1 for cuts, one in zip(bricks.cuts, cell, strict=True))
+    return i, j, k

@@ -1,0 +1,305 @@
+"""Aerial perspective: the haze between the camera and what it sees.
+
+A surface at the distance d is seen as L exp(-sigma d) + A (1 - exp(-sigma d)), channel by channel, where A is the
+airlight: what the haze in the ray's direction would shine with if it went on for ever.
+
+- Airlight is the light of sun, sky and ground that haze scatters once into the ray: the mean of their radiance,
+  weighted by the phase function (atmosphere/haze.py). The sky's radiance is that at the ground, so what was scattered
+  before is in it.
+- A long path must end in the horizon's colour, which the sky model has and which the weighted mean meets only roughly:
+  from 0.9 under an overcast sky to 1.0, 1.3 and 1.4 in blue, green and red at a sun of 40 degrees. So A is multiplied
+  by this ratio, by azimuth, in level directions, and by less of it up and down: by a third of what it is beyond 1 at 10
+  degrees from the level. A black thing at the visibility is then as Koschmieder has it.
+- sigma of a channel is the mean over its wavelengths, weighted by the daylight: exact for a grey surface nearby.
+- The sky is seen through no haze but its own. A ray that leaves the world below the horizon sees the airlight alone.
+
+Pixels that see surfaces and sky: with s the share of surfaces, T the mean of exp(-sigma d) over them and K the sky's
+radiance there, the pixel becomes T L + (1 - T) (1 - s) K + (1 - T) s A, which is linear in L, so its variance is that
+of L times T². s and T come from rays of the identity pass, which are much cheaper than light paths. Within a pixel,
+near and far surfaces are taken to be equally bright. K is known under a clear or overcast sky; with clouds it is the
+mean of the neighbours that see nothing but sky.
+
+Valid while the haze is thin over the scene: light on its way to a plant is not dimmed, blur and the shadows of clouds
+and plants in the haze are left out. Beyond an optical depth of about 1 to the farthest plants, fog should be simulated
+(`sky.clouds`): `haze_notes` in stages/frames.py says so.
+
+Under clouds the airlight is that of the sky through them, as it is at the middle of the site, and of the share of the
+sun that their shadow lets through in the mean; the ratio at the horizon counts by as much of it as this share. One
+airlight serves all: that some of the haze lies in the sun and some in shadow is not seen.
+
+Clouds fade into the clear sky behind them, by the haze on the way to where half of what they take of the light is
+taken. On this way, which leads upwards, the haze gets thinner with height, by e in 1500 m. Where clouds shade the haze,
+its airlight stands in for the clear sky, by the share of the sun that they take.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.atmosphere.daylight import daylight_of
+from forestgen.atmosphere.grid import CloudGrid
+from forestgen.atmosphere.haze import Haze, aerosol_phase, molecular_phase
+from forestgen.atmosphere.optical_depth import distance_into, optical_depth
+from forestgen.core.randomness import child_rng
+from forestgen.core.spectrum import Spectrum
+from forestgen.render.cloud_shadow import base_of, shadow_of
+from forestgen.render.frame import Radiance
+from forestgen.render.identity.tracer import SceneTracer, sample_offsets
+from forestgen.render.sky import SkyLight, baked_sky, level_irradiance, site_middle, traced_clouds_of
+from forestgen.render.sky_radiance import MAP_COLUMNS, MAP_ROWS, along, map_directions, sky_map, sun_irradiance
+from forestgen.render.variant import SCALAR, drjit, mitsuba, using
+from forestgen.render.wavelengths import ColourAtOnce, Mode, Quadrature, quadrature_of
+from forestgen.scene.channels import Channels
+from forestgen.scene.projection import world_rays
+from forestgen.scene.spec import Camera, SceneSpec, Sky
+
+SAMPLES = 64  # a pixel
+_RAYS_AT_ONCE = 1_000_000
+_VIEW_ROWS, _VIEW_COLUMNS = 33, 64  # of the airlight's map, the sun's part left out
+_DRAWS = 8  # of wavelengths
+_LEVEL_SINE = 0.17  # of the elevation at which airlight has nearly left the horizon's colour
+_CLOUD_BLUR_PX = 3.0
+_SCALE_HEIGHT_M = 1500.0  # of the haze on the way to clouds
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What the pixels of a camera see through the haze; means over their samples."""
+
+    inside: Floats  # (H, W) share of the samples that see anything: those in a fisheye's circle
+    surface: Floats  # (H, W) of these, the share that sees a surface, or nothing below the horizon
+    transmittance: Floats  # (H, W, C) mean over the latter; 1 where there are none
+
+
+@dataclass(frozen=True, eq=False)
+class Airlight:
+    """What haze without end shines with, by direction and channel; maps as `sky_radiance.map_directions`."""
+
+    diffuse: Floats  # (R, Q, C) of the light of sky and ground
+    sun: Floats  # (2, C) irradiance of the sun times the part of the scattering that molecules do, and aerosol
+    to_sun: Floats  # (3,)
+    open_sky: Floats  # (MAP_ROWS, MAP_COLUMNS, C) radiance of the sky without its sun, behind all clouds
+    horizon: Floats  # (MAP_COLUMNS, C) ratio of the sky's radiance at the horizon to the airlight there
+
+    def towards(self, direction: Floats) -> Floats:
+        """(..., C) by (..., 3) unit directions, world."""
+        level = np.exp(-((direction[..., 2:3] / _LEVEL_SINE) ** 2))
+        ratio = 1.0 + level * (along(self.horizon[None], direction) - 1.0)
+        return np.asarray(self.unjoined(direction) * ratio)
+
+    def unjoined(self, direction: Floats) -> Floats:
+        """The same, not fitted to the horizon."""
+        cosine = direction @ self.to_sun
+        phases = np.stack([molecular_phase(cosine), aerosol_phase(cosine)], axis=-1)
+        return np.asarray(along(self.diffuse, direction) + phases @ self.sun / (4.0 * np.pi))
+
+
+@dataclass(frozen=True, eq=False)
+class UnderClouds:
+    """Light below the clouds of a scene."""
+
+    sky: SkyLight
+    sun_share: float  # of the sun's own light that comes down, in the mean
+
+    def on_level(self, radiance: NDArray[np.float32], sky: Sky, channels: Channels) -> Floats:
+        """(3,) of all light on a level plane, with `radiance` of the sky."""
+        sun = self.sun_share * max(float(sky.to_sun[2]), 0.0) * sun_irradiance(sky, channels)
+        return np.asarray(level_irradiance(radiance) + sun)
+
+
+def under_clouds(spec: SceneSpec) -> UnderClouds | None:
+    """Light below a scene's clouds; None where there are none. Call it in the scalar variant."""
+    base_m = None if spec.clouds is None else base_of(spec.clouds)
+    if spec.clouds is None or base_m is None:
+        return None
+    share = float(shadow_of(spec.clouds, spec.sky.to_sun, base_m)[0].mean()) if spec.sky.to_sun[2] > 0 else 0.0
+    return UnderClouds(baked_sky(traced_clouds_of(spec), site_middle(spec)), share)
+
+
+def through_haze(
+    radiance: Radiance, tracer: SceneTracer, camera: Camera, *, mode: Mode, timer: Callable[[str], Any]
+) -> Radiance:
+    """The image as the sky's haze shows it; the very same where there is none."""
+    sky = tracer.spec.sky
+    if sky.visibility_m is None:
+        return radiance
+    haze, quadrature = Haze(sky.visibility_m), quadrature_of(camera, mode, daylight_of(sky).on_level)
+    extinction = extinction_of(haze, quadrature, sky)
+    seen = trace_seen(tracer, camera, extinction, timer=timer)
+    with timer("haze: airlight"):
+        with using(SCALAR):
+            light = airlight_of(haze, quadrature, sky, under_clouds(tracer.spec))
+        clouds = tracer.spec.clouds
+        veil = None if clouds is None else cloud_veil(clouds, camera, extinction)
+        return hazed(radiance, seen, light, camera, veil)
+
+
+def extinction_of(haze: Haze, quadrature: Quadrature, sky: Sky) -> Floats:
+    """(C,) per metre by the image's channels."""
+    light = daylight_of(sky).on_level
+    taken = Spectrum(light.wavelength_nm, light.value * haze.extinction_per_m(light.wavelength_nm))
+    return np.array(quadrature.of_light(taken)) / np.maximum(quadrature.of_light(light), np.finfo(float).tiny)
+
+
+def airlight_of(haze: Haze, quadrature: Quadrature, sky: Sky, under: UnderClouds | None = None) -> Airlight:
+    """Airlight of a haze under a sky, and under its clouds where there are any."""
+    own = _airlight(haze, quadrature, sky, under)
+    clear = own if under is None else _airlight(haze, quadrature, sky, None)
+    level = map_directions()[MAP_ROWS // 2]
+    ratio = own.open_sky[MAP_ROWS // 2] / np.maximum(clear.unjoined(level), np.finfo(float).tiny)
+    if under is None:
+        return replace(own, horizon=ratio)
+    joined = replace(own, horizon=1.0 + under.sun_share * (ratio - 1.0))
+    veil = (1.0 - under.sun_share) * joined.towards(map_directions())
+    return replace(joined, open_sky=under.sun_share * own.open_sky + veil)
+
+
+def _airlight(haze: Haze, quadrature: Quadrature, sky: Sky, under: UnderClouds | None) -> Airlight:
+    """The same, not fitted to the horizon."""
+    draws = 1 if isinstance(quadrature, ColourAtOnce) else _DRAWS
+    passes = [one for number in range(draws) for one in quadrature.draw(child_rng(0, "haze"), number)]
+    count = len(quadrature.names)
+    open_sky, sun = np.zeros((MAP_ROWS, MAP_COLUMNS, count)), np.zeros((2, count))
+    around = np.zeros((2, _VIEW_ROWS * _VIEW_COLUMNS, count))
+    for one in passes:
+        weight = one.weight.T / draws
+        radiance, share = sky_map(sky, one.channels), _molecular_share(haze, one.channels, sky)
+        open_sky += radiance @ weight
+        level, shine = one.channels.of_light(daylight_of(sky).on_level), sun_irradiance(sky, one.channels)
+        if under is not None:
+            radiance = under.sky.radiance(one.channels)
+            level, shine = under.on_level(radiance, sky, one.channels), under.sun_share * shine
+        light = _surroundings(radiance, level * sky.ground_albedo / np.pi)
+        for k, part in enumerate((share, 1.0 - share)):
+            around[k] += (light * part) @ weight
+            sun[k] += (shine * part) @ weight
+    diffuse = np.sum([kernel @ light for kernel, light in zip(_kernels(), around, strict=True)], axis=0)
+    return Airlight(
+        diffuse.reshape(_VIEW_ROWS, _VIEW_COLUMNS, count), sun, sky.to_sun, open_sky, np.ones_like(open_sky[0])
+    )
+
+
+def _molecular_share(haze: Haze, channels: Channels, sky: Sky) -> Floats:
+    """(3,) of what the haze scatters of the daylight in a pass' channels, the part of the molecules."""
+    light = daylight_of(sky).on_level
+    parts = [
+        channels.of_light(Spectrum(light.wavelength_nm, light.value * taken(light.wavelength_nm)))
+        for taken in (haze.molecular_per_m, haze.extinction_per_m)
+    ]
+    return np.asarray(parts[0] / np.maximum(parts[1], np.finfo(float).tiny))
+
+
+def _surroundings(radiance: NDArray[np.float32], ground: Floats) -> Floats:
+    """(N, 3) radiance that arrives from the directions of a view's map: the sky's, and (3,) of even ground below."""
+    rows, columns = (MAP_ROWS - 1) // (_VIEW_ROWS - 1), MAP_COLUMNS // _VIEW_COLUMNS
+    # Rows are averaged with their neighbours as hats, columns as blocks; the horizon's row has the sky's half alone.
+    hat = 1.0 - np.abs(np.arange(1 - rows, rows)) / rows
+    at = np.arange(_VIEW_ROWS // 2 + 1)[:, None] * rows + np.arange(1 - rows, rows)
+    kept = hat * (at >= 0) * (at <= MAP_ROWS // 2)
+    up = np.einsum("rk,rkcx->rcx", kept / kept.sum(axis=1)[:, None], radiance[np.clip(at, 0, MAP_ROWS - 1)])
+    up = up.reshape(len(at), _VIEW_COLUMNS, columns, 3).mean(axis=2)
+    result = np.broadcast_to(ground, (_VIEW_ROWS, _VIEW_COLUMNS, 3)).copy()
+    result[: len(up)] = up
+    result[len(up) - 1] = (up[-1] + ground) / 2.0
+    return result.reshape(-1, 3)
+
+
+@lru_cache(maxsize=1)
+def _kernels() -> tuple[Floats, Floats]:
+    """(N, N) share of the light from each direction in what molecules, and aerosol, scatter towards each other one."""
+    direction = map_directions(_VIEW_ROWS, _VIEW_COLUMNS).reshape(-1, 3)
+    angle = np.sqrt(np.maximum(1.0 - direction[:, 2] ** 2, 0.0))  # solid angle, of any scale
+    cosine = np.clip(direction @ direction.T, -1.0, 1.0)
+    molecules, aerosol = (
+        weighed / weighed.sum(axis=1, keepdims=True)
+        for weighed in (molecular_phase(cosine) * angle, aerosol_phase(cosine) * angle)
+    )
+    return molecules, aerosol
+
+
+def trace_seen(tracer: SceneTracer, camera: Camera, extinction_per_m: Floats, *, timer: Callable[[str], Any]) -> Seen:
+    """What `camera` sees of the tracer's scene through a haze of an extinction (C,)."""
+    width, height = camera.size_px
+    sums = np.zeros((2 + len(extinction_per_m), height, width))
+    rows = max(1, _RAYS_AT_ONCE // (width * SAMPLES))
+    with using(tracer.variant), timer("haze: distances"):
+        for first in range(0, height, rows):
+            last = min(first + rows, height)
+            found = _trace_rows(tracer, camera, extinction_per_m, first, last - first)
+            sums[:, first:last] = found.reshape(len(sums), last - first, width)
+        drjit().flush_malloc_cache()
+    rays, surfaces, through = sums[0], sums[1], np.moveaxis(sums[2:], 0, -1)
+    some = (surfaces > 0)[..., None]
+    mean = np.where(some, through / np.maximum(surfaces, 1.0)[..., None], 1.0)
+    return Seen(rays / SAMPLES, surfaces / np.maximum(rays, 1.0), mean)
+
+
+def _trace_rows(tracer: SceneTracer, camera: Camera, extinction_per_m: Floats, first: int, count: int) -> Floats:
+    """(2 + C, R) by pixel: rays, those that see a surface, and the sums of their transmittances."""
+    mi, dr = mitsuba(), drjit()
+    hits = tracer.trace(camera, sample_offsets(SAMPLES), first, count)
+    good = mi.Bool(True) if hits.rays.valid is None else hits.rays.valid
+    surface = hits.valid | (good & (hits.rays.direction.z < 0))
+    ray = dr.zeros(mi.Float, dr.width(hits.distance_m))
+    parts = [dr.select(good, 1.0, 0.0) + ray, dr.select(surface, 1.0, 0.0) + ray]
+    for value in extinction_per_m:
+        through = dr.exp(-dr.opaque(mi.Float, float(value)) * hits.distance_m)
+        parts.append(dr.select(hits.valid, through, 0.0))
+    sums = [dr.block_sum(part, SAMPLES) for part in parts]
+    dr.eval(sums)
+    return np.stack([np.array(one, dtype=np.float64) for one in sums])
+
+
+def cloud_veil(clouds: CloudGrid, camera: Camera, extinction_per_m: Floats) -> Floats:
+    """(H, W, C) share of the sky's light, by pixel, that haze takes from clouds and gives to the clear sky's colour."""
+    rays = world_rays(camera)
+    opacity = -np.expm1(-optical_depth(clouds, rays.origin_m, rays.direction, np.inf))
+    distance = distance_into(clouds, rays.origin_m, rays.direction)
+    rise = np.maximum(np.abs(rays.direction[..., 2]), 1e-4) / _SCALE_HEIGHT_M
+    path = -np.expm1(-np.where(opacity > 0, distance, 0.0) * rise) / rise
+    return np.asarray(opacity[..., None] * -np.expm1(-path[..., None] * extinction_per_m))
+
+
+def hazed(radiance: Radiance, seen: Seen, light: Airlight, camera: Camera, veil: Floats | None) -> Radiance:
+    """The image through the haze; see the module.
+
+    Parameters
+    ----------
+    veil : of `cloud_veil`; None: the sky has no clouds, and is the sky model's.
+    """
+    direction = world_rays(camera).direction
+    above = np.maximum(direction, [-1.0, -1.0, 0.0])
+    clear = along(light.open_sky, above / np.maximum(np.linalg.norm(above, axis=-1, keepdims=True), 1e-9))
+    kept = through = seen.transmittance
+    surface, behind = seen.surface[..., None], clear
+    if veil is not None:
+        only_sky = surface == 0
+        behind = _filled(radiance.mean, (seen.surface == 0) & (seen.inside == 1), clear)
+        kept = np.where(only_sky, 1.0 - veil, through)
+    added = (1.0 - through) * ((1.0 - surface) * behind + surface * light.towards(direction))
+    if veil is not None:
+        added += (1.0 - surface) * veil * np.where(only_sky, clear, clear - behind)
+    added *= seen.inside[..., None]
+    return replace(
+        radiance,
+        mean=(kept * radiance.mean + added).astype(np.float32),
+        variance=(kept**2 * radiance.variance).astype(np.float32),
+    )
+
+
+def _filled(image: NDArray[np.float32], known: NDArray[np.bool_], otherwise: Floats) -> Floats:
+    """(H, W, C) mean of the known pixels nearby, or `otherwise` where there are none."""
+    from scipy.ndimage import gaussian_filter
+
+    blur = (_CLOUD_BLUR_PX, _CLOUD_BLUR_PX)
+    weight = gaussian_filter(known.astype(np.float64), blur)[..., None]
+    total = gaussian_filter(np.where(known[..., None], image, 0.0).astype(np.float64), (*blur, 0.0))
+    some = weight > 1e-3
+    return np.where(some, total / np.where(some, weight, 1.0), otherwise)

@@ -1,0 +1,104 @@
+"""The projection: no divergence, nothing through walls, nothing changed that had none."""
+
+import numpy as np
+import pytest
+
+from forestgen.atmosphere.fluid import pressure
+from forestgen.atmosphere.fluid.boundaries import Boundaries
+from forestgen.atmosphere.fluid.parameters import UnstableError
+from forestgen.atmosphere.fluid.pressure import Pressure
+from forestgen.atmosphere.weather import AirGrid
+
+CELLS, CELL_M = (16, 12, 10), (50.0, 40.0, 30.0)
+
+
+def projected(periodic, wind=(0.0, 0.0), solid=None, seed=0):
+    grid = AirGrid(CELLS, CELL_M, periodic=periodic)
+    sides = Boundaries(grid, np.tile(np.asarray(wind, float), (CELLS[2], 1)), solid)
+    rng = np.random.default_rng(seed)
+    velocity = tuple(rng.normal(0, 3, tuple(n + 4 for n in grid.shape)).astype(np.float32) for _ in range(3))
+    sides.apply(velocity)
+    before = [field.copy() for field in velocity]
+    Pressure(grid, sides.openness).project(velocity)
+    sides.apply(velocity)
+    return velocity, before
+
+
+def divergence(velocity):
+    u, v, w = (field.astype(float) for field in velocity)
+    x, y, z = CELL_M
+    inner = slice(2, -2)
+    return (
+        np.diff(u[inner, inner, 2:-1], axis=2) / x
+        + np.diff(v[inner, 2:-1, inner], axis=1) / y
+        + np.diff(w[2:-1, inner, inner], axis=0) / z
+    )
+
+
+def hill():
+    solid = np.zeros(CELLS[::-1], bool)
+    solid[:4, 3:7, 5:9] = True
+    solid[:2, 6:9, 1:12] = True
+    return solid
+
+
+@pytest.mark.parametrize("periodic", [True, False])
+@pytest.mark.parametrize("solid", [None, hill()])
+def test_divergence_falls_to_rounding(periodic, solid):
+    velocity, before = projected(periodic, (4.0, -2.0), solid)
+    assert abs(divergence(before)).max() > 0.3
+    assert abs(divergence(velocity)).max() < (2e-6 if solid is None else 5e-6)
+
+
+@pytest.mark.parametrize("periodic", [True, False])
+def test_projecting_twice_is_projecting_once(periodic):
+    velocity, _ = projected(periodic)
+    again = tuple(field.copy() for field in velocity)
+    Pressure(AirGrid(CELLS, CELL_M, periodic=periodic), None).project(again)
+    inner = (slice(2, -2),) * 3
+    for one, two in zip(velocity, again, strict=True):
+        np.testing.assert_allclose(one[inner], two[inner], atol=1e-5)
+
+
+def test_walls_and_terrain_are_shut():
+    solid = hill()
+    (u, v, w), _ = projected(True, solid=solid)
+    assert (w[2] == 0).all()
+    assert (w[-2] == 0).all()
+    inner = slice(2, -2)
+    for low, high in ((u[inner, inner, 2:-2], u[inner, inner, 3:-1]), (v[inner, 2:-2, inner], v[inner, 3:-1, inner])):
+        assert not low[solid].any()
+        assert not high[solid].any()
+    assert not w[3:-1, inner, inner][solid].any()
+
+
+def test_wind_of_open_sides_stands_there_and_as_much_leaves_as_comes():
+    (u, v, w), _ = projected(False, (5.0, 2.0))
+    inner = slice(2, -2)
+    assert (u[inner, inner, 2] == 5).all()
+    assert (u[inner, inner, -2] == 5).all()
+    assert (v[inner, 2, inner] == 2).all()
+    np.testing.assert_array_equal(w[:, :, 1], -w[:, :, 2])  # nothing rises at the sides
+    solid = np.zeros(CELLS[::-1], bool)
+    solid[:5, :, :3] = True  # a cliff that shuts half of the west
+    (u, v, w), _ = projected(False, (5.0, 2.0), solid)
+    assert not u[2:7, inner, 2].any()
+    leaving = (u[inner, inner, -2].sum(dtype=float) - u[inner, inner, 2].sum(dtype=float)) * CELL_M[1]
+    leaving += (v[inner, -2, inner].sum(dtype=float) - v[inner, 2, inner].sum(dtype=float)) * CELL_M[0]
+    assert abs(leaving) < 1e-2
+    assert abs(divergence((u, v, w))).max() < 5e-6
+
+
+def test_ghosts_of_ground_and_ceiling():
+    (u, _, w), _ = projected(True)
+    np.testing.assert_array_equal(u[1], u[2])
+    np.testing.assert_array_equal(u[-2], u[-3])  # free slip
+    np.testing.assert_array_equal(w[1], -w[3])
+
+
+def test_what_does_not_converge_is_told(monkeypatch):
+    projected(True, (4.0, -2.0), hill())
+    monkeypatch.setattr(pressure, "_MOST_ITERATIONS", 2)
+    with pytest.raises(UnstableError, match=r"after 2 iterations a divergence of \S+ 1/s is left"):
+        projected(True, (4.0, -2.0), hill())
+    projected(True, (4.0, -2.0))  # over flat ground there is nothing to iterate

@@ -1,0 +1,91 @@
+"""The keys of clouds: each type's own, and what is said of the others'."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import pytest
+
+from forestgen.core.errors import AssetError, RecipeError
+from forestgen.recipe.clouds import NOISE, SIMULATED
+from forestgen.recipe.load import dump_yaml, load_recipe
+
+Write = Callable[..., Path]
+
+
+@pytest.mark.parametrize("kind", [*SIMULATED, "noise", "none"])
+def test_a_type_alone_is_enough(write: Write, kind: str) -> None:
+    drawn = load_recipe(write(), [f"sky.clouds={kind}"]).draw(0)
+    assert drawn.recipe.sky.clouds.type == kind
+    assert drawn.data["sky"]["clouds"] == {"type": kind, **(NOISE if kind == "noise" else {})}
+
+
+def test_what_is_stored_with_an_image_gives_it_again(write: Write, tmp_path: Path) -> None:
+    (tmp_path / "dawn.csv").write_text("height_m,temperature_c\n0,10\n5000,-20\n")
+    story = (
+        "sky.clouds={time_s: {sequence: [60, 600]}, story: [{at_s: 0, type: fog, sounding: dawn.csv}, "
+        "{at_s: 300, type: cumulus, emission: {heat_w_per_m2: {uniform: [50, 90]}, vapour_g_per_m2_s: 0.1}}]}"
+    )
+    loaded = load_recipe(write(), [story])
+    drawn = loaded.draw(1)
+    clouds = drawn.recipe.sky.clouds
+    assert clouds.type == "fog"
+    assert clouds.time_s == 600
+    assert clouds.story is not None
+    assert clouds.story[0].sounding is not None
+    assert clouds.story[0].sounding.sha256 is not None
+    again = tmp_path / "again.yaml"
+    again.write_text(dump_yaml(drawn))
+    assert load_recipe(again).draw(0).recipe.sky.clouds == clouds
+    (tmp_path / "dawn.csv").write_text("height_m,temperature_c\n0,11\n5000,-20\n")
+    assert load_recipe(write(), [story]).hash != loaded.hash
+    with pytest.raises(AssetError, match="not the file that the recipe was made with"):
+        load_recipe(again)
+
+
+def test_where_the_type_is_drawn_none_has_no_keys_of_its_own(write: Write) -> None:
+    loaded = load_recipe(write(), ["sky.clouds={type: {choice: [noise, none]}, cover: {uniform: [0.2, 0.4]}}"])
+    assert {loaded.draw(index).recipe.sky.clouds.type for index in range(20)} == {"noise", "none"}
+
+
+@pytest.mark.parametrize(
+    ("clouds", "said"),
+    [
+        ("{type: cumulus, cover: 0.4}", ["sky.clouds.cover", "cumulus have no cover", "type noise", "emission"]),
+        ("{type: noise, emission: {heat_w_per_m2: 9}}", ["sky.clouds.emission", "noise have no emission", "fog"]),
+        ("{type: noise, time_s: 60}", ["sky.clouds.time_s", "simulated types"]),
+        ("{type: fog, file: a.nc}", ["sky.clouds.file", "a.nc"]),
+        ("{type: file}", ["sky.clouds.type", "file: sky.nc"]),
+        ("{type: cumulus, wind_m_per_s: -1}", ["sky.clouds.wind_m_per_s", "at least 0"]),
+        ("{type: cumulus, sounding: {lapse_rate_k_per_km: 40}}", ["sky.clouds.sounding.lapse_rate_k_per_km", "30"]),
+        ("{type: cumulus, sounding: {lapse_rate: 4}}", ["unknown key 'lapse_rate'"]),
+        ("{type: cumulus, sounding: nowhere.csv}", ["sky.clouds.sounding", "no such file"]),
+        ("{type: cumulus, emission: {latent_w_per_m2: 9, vapour_g_per_m2_s: 1}}", ["vapour_g_per_m2_s", "twice"]),
+        ("{type: cumulus, domain: {extent_m: 5}}", ["sky.clouds.domain.extent_m", "100"]),
+        ("{type: fog, story: [{at_s: 0, type: cumulus}]}", ["sky.clouds.type", "begins with another type", "cumulus"]),
+        ("{story: [{at_s: 5, type: fog}]}", ["sky.clouds.story.0", "at_s: 0"]),
+        ("{story: [{at_s: 0, type: fog}, {at_s: 0, type: fog}]}", ["sky.clouds.story.1.at_s", "more than 0 s"]),
+        ("{story: [{at_s: 0, type: noise}]}", ["sky.clouds.story.0.type", "'cumulus'"]),
+        ("{story: [{at_s: 0, type: fog}], wind_m_per_s: 3}", ["sky.clouds.wind_m_per_s", "into the chapters"]),
+        ("{story: []}", ["sky.clouds.story", "at least 1"]),
+        ("{story: 3}", ["sky.clouds.story"]),
+        ("cirrus", ["'stratocumulus'", "'cirrus'"]),
+    ],
+)
+def test_mistakes_are_told_with_their_place(write: Write, clouds: str, said: Sequence[str]) -> None:
+    with pytest.raises((RecipeError, AssetError)) as caught:
+        load_recipe(write(), [f"sky.clouds={clouds}"])
+    for part in said:
+        assert part in str(caught.value)
+
+
+def test_a_sequence_gives_each_image_its_own(write: Write) -> None:
+    loaded = load_recipe(write(), ["sky.clouds={type: fog, time_s: {sequence: [1, 2, 5]}}"])
+    assert [loaded.draw(index).recipe.sky.clouds.time_s for index in range(4)] == [1, 2, 5, 1]
+    later = load_recipe(write(), ["sky.clouds={type: fog, time_s: {sequence: [1, 2, 5]}}", "first_image=2"])
+    assert later.draw(0).recipe.sky.clouds.time_s == 5
+    with pytest.raises(RecipeError, match="at least 0"):
+        load_recipe(write(), ["sky.clouds={type: fog, time_s: {sequence: [1, -2]}}"])
+    with pytest.raises(RecipeError, match="1 to 10000 values"):
+        load_recipe(write(), ["sky.clouds={type: fog, time_s: {sequence: []}}"])
