@@ -1,11 +1,14 @@
 """Pictures of the air, for docs/clouds.md; `docs/pictures.py` runs them.
 
 weather_profiles.png    weather_profiles    four skies: a thermal and the air around it by height, and their cloud
+weather_story.png       weather_story       recipes/weather_story.yaml: its eight skies, cut through and from below
+weather_cumulus.jpg     weather_cumulus     recipes/weather_cumulus.yaml, rendered
 """
 
 from __future__ import annotations
 
 import io
+import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -138,14 +141,44 @@ def _draw_legend(figure: Figure) -> None:
 def _save(figure: Figure, name: str) -> None:
     stream = io.BytesIO()
     figure.savefig(stream, dpi=DPI)
-    picture = Image.open(stream).convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE)
+    _save_few_colours(Image.open(stream), name)
+
+
+def _save_few_colours(image: Image.Image, name: str) -> None:
+    picture = image.convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE)
     path = PICTURES / name
     picture.save(path, optimize=True)
     assert path.stat().st_size <= MOST_BYTES, f"{name}: {path.stat().st_size:,} bytes"
     sys.stdout.write(f"{path}\n")
 
 
-PICTURES_OF = {"weather_profiles": weather_profiles}
+def weather_story(scratch: Path) -> None:
+    """Some ten minutes the first time."""
+    path = scratch / "story.png"
+    recipe = PICTURES.parents[1] / "recipes" / "weather_story.yaml"
+    subprocess.run([sys.executable, "-m", "forestgen", "weather", recipe, "--picture", path], check=True)
+    save_story(path)
+
+
+def save_story(path: Path) -> None:
+    picture = Image.open(path)
+    _save_few_colours(
+        picture.resize((1100, round(picture.height * 1100 / picture.width)), Image.Resampling.LANCZOS),
+        "weather_story.png",
+    )
+
+
+def weather_cumulus(scratch: Path) -> None:
+    """Some four minutes the first time."""
+    recipe = PICTURES.parents[1] / "recipes" / "weather_cumulus.yaml"
+    subprocess.run([sys.executable, "-m", "forestgen", "render", recipe, "-o", scratch / "cumulus"], check=True)
+    preview = next((scratch / "cumulus").glob("*/preview.png"))
+    path = PICTURES / "weather_cumulus.jpg"
+    Image.open(preview).convert("RGB").save(path, quality=88, optimize=True)
+    sys.stdout.write(f"{path}\n")
+
+
+PICTURES_OF = {one.__name__: one for one in (weather_profiles, weather_story, weather_cumulus)}
 
 
 if __name__ == "__main__":
