@@ -19,8 +19,9 @@ from forestgen.recipe import clouds as recipe_clouds
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.stages.scenarios import droplet_radius_um_of, known_file, scenario_of, time_of
 
-MOST_OPTICAL_DEPTH = 1000.0  # straight up, of noise
+MOST_OPTICAL_DEPTH = 200.0  # straight up, of noise: small cumulus
 _MOST_SIMULATED_DEPTH = 5000.0  # of a thundercloud's core
+_WIDEST_M, _HIGHEST_M = 1e6, 1e5  # of a file's box
 _SHOWN_BY_TOP, _SHOWN_M = 12.0, (4000.0, 24_000.0)  # how far clouds are shown, by the height of their tops
 _MOST_TILES = 7
 _BYTES_PER_AIR_CELL = 160  # the state twice, its rates of change, and the pressure's transform
@@ -125,6 +126,8 @@ def _from_file(drawn: DrawnRecipe, centre: tuple[float, float], ground_m: float)
         raise AssetError(f"{cause.problem}: {path}", where=where, expected=cause.expected, got=cause.got) from cause
     if isinstance(found, CloudGrid):
         _check_keys_of_volumes(drawn)
+        _check_box_of_volume(drawn, found)
+        _check_depth(drawn, found)
         return _on_the_ground(drawn, _centred(found, centre), ground_m)
     if radius_um is None:
         raise RecipeError(
@@ -150,6 +153,36 @@ def _check_keys_of_volumes(drawn: DrawnRecipe) -> None:
                 got=f"{getattr(clouds, key)}",
                 hint=f"leave out {key}, or save the state of the air, .nc, instead",
             )
+
+
+def _check_box_of_volume(drawn: DrawnRecipe, grid: CloudGrid) -> None:
+    """Raise `RecipeError` if a field is nowhere near the ground, or as wide as a continent."""
+    width_m = max(high - low for low, high in zip(grid.low_m[:2], grid.high_m[:2], strict=True))
+    if width_m <= _WIDEST_M and -_HIGHEST_M <= grid.low_m[2] and 0 < grid.high_m[2] <= _HIGHEST_M:
+        return
+    raise RecipeError(
+        "the file's box is not one of clouds",
+        where=drawn.where("sky", "clouds", "file"),
+        expected=f"metres: at most {_WIDEST_M:g} wide, its top above the ground and at most {_HIGHEST_M:g} high",
+        got=f"{width_m:g} wide, from {grid.low_m[2]:g} to {grid.high_m[2]:g} high",
+        hint="give the file's box in metres",
+    )
+
+
+def _check_depth(drawn: DrawnRecipe, grid: CloudGrid) -> None:
+    """Raise `RecipeError` if light would take for ever through the field."""
+    depth = float(grid.extinction_per_m.sum(axis=0, dtype=np.float64).max()) * grid.cell_m[2]
+    if depth <= _MOST_SIMULATED_DEPTH:
+        return
+    raise RecipeError(
+        "the clouds are too thick to be traced in reasonable time",
+        where=drawn.where("sky", "clouds"),
+        expected=f"an optical depth of at most {_MOST_SIMULATED_DEPTH:g}; thunderclouds have hundreds",
+        got=f"{depth:.3g} in the thickest column",
+        hint="raise droplet_radius_um, or lower the emission"
+        if drawn.recipe.sky.clouds.simulated
+        else "check the file's unit: extinction per metre",
+    )
 
 
 def _centred(grid: CloudGrid, centre: tuple[float, float]) -> CloudGrid:
@@ -192,15 +225,7 @@ def _placed(
     )
     if grid is None:
         return None
-    depth = float(grid.extinction_per_m.sum(axis=0, dtype=np.float64).max()) * grid.cell_m[2]
-    if depth > _MOST_SIMULATED_DEPTH:
-        raise RecipeError(
-            "the clouds are too thick to be traced in reasonable time",
-            where=drawn.where("sky", "clouds"),
-            expected=f"an optical depth of at most {_MOST_SIMULATED_DEPTH:g}; thunderclouds have hundreds",
-            got=f"{depth:.0f} in the thickest column",
-            hint="raise droplet_radius_um, or lower the emission",
-        )
+    _check_depth(drawn, grid)
     return _on_the_ground(drawn, grid, ground_m)
 
 
@@ -267,6 +292,6 @@ def check_clouds(drawn: DrawnRecipe) -> None:
         raise RecipeError(
             "the clouds are too thick to be traced in reasonable time",
             where=drawn.where("sky", "clouds"),
-            expected=f"extinction_per_m x thickness_m of at most {MOST_OPTICAL_DEPTH:g}; thunderclouds have hundreds",
+            expected=f"extinction_per_m x thickness_m of at most {MOST_OPTICAL_DEPTH:g}; cumulus have tens",
             got=f"{clouds.extinction_per_m:g} x {clouds.thickness_m:g} = {depth:g}",
         )

@@ -49,7 +49,7 @@ MISTAKES = {
     "clouds too thick": (
         "seed: 3",
         "sky: {clouds: {type: noise, extinction_per_m: 1, thickness_m: 20000}}",
-        ["tiny.yaml:2: sky.clouds", "at most 1000", "1 x 20000 = 20000"],
+        ["tiny.yaml:2: sky.clouds", "at most 200", "1 x 20000 = 20000"],
     ),
     "sun below the horizon": (
         "seed: 3",
@@ -118,7 +118,10 @@ TOO_LARGE = {
     "exemplars": (["plants.exemplars_per_species=1000", "species.poplar=poplar", "species.spruce=spruce"], "exemplars"),
     "pixels": (["cameras.0.size_px=[16384,16384]"], "images"),
     "label samples": (["labels.samples=1024", "cameras.0.size_px=[8192,4096]"], "images"),
-    "clouds": (["sky.clouds={type: noise, extent_m: 20000, thickness_m: 20000, base_m: 2000}"], "clouds"),
+    "clouds": (
+        ["sky.clouds={type: noise, extent_m: 20000, thickness_m: 20000, base_m: 2000, extinction_per_m: 0.01}"],
+        "clouds",
+    ),
 }
 
 

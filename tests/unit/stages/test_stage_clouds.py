@@ -228,12 +228,12 @@ def test_the_radius_goes_from_one_chapters_to_the_nexts_within_its_change() -> N
     assert droplet_radius_um_of(fixed, scenario_of(fixed), 1100.0) == 11.0
 
 
-def volume(tmp_path: Path, size_m: float = 400.0) -> CloudGrid:
+def volume(tmp_path: Path, size_m: float = 400.0, top_m: float = 500.0, times: float = 1.0) -> CloudGrid:
     from forestgen.atmosphere.weather_files import write_clouds
 
-    values = np.random.default_rng(1).random((4, 5, 6), dtype=np.float32)
+    values = np.random.default_rng(1).random((4, 5, 6), dtype=np.float32) * np.float32(times)
     half = size_m / 2
-    grid = CloudGrid(values, (-half, -half, 300.0), (half, half, 500.0))
+    grid = CloudGrid(values, (-half, -half, top_m - 200.0), (half, half, top_m))
     write_clouds(tmp_path / "sky.vol", grid)
     return grid
 
@@ -245,6 +245,22 @@ def test_a_volume_of_extinction_lies_where_the_weather_did(tmp_path: Path) -> No
     np.testing.assert_array_equal(grid.extinction_per_m, saved.extinction_per_m)
     assert grid.low_m == (60.0 + 10.0 - 200.0, 60.0 - 20.0 - 200.0, 297.0)
     assert grid.high_m == (270.0, 240.0, 497.0)
+
+
+@pytest.mark.parametrize(
+    ("made", "said"),
+    [
+        ({"times": 1e30}, "too thick"),
+        ({"size_m": 2e7}, "not one of clouds"),
+        ({"top_m": 2e5}, "not one of clouds"),
+        ({"top_m": -5.0}, "not one of clouds"),
+    ],
+)
+def test_a_volume_that_is_no_cloud_is_refused(made: dict[str, float], said: str, tmp_path: Path) -> None:
+    recipe = stand(tmp_path)
+    volume(tmp_path, **made)
+    with pytest.raises(ForestgenError, match=said):
+        clouds_of(drawn("{type: file, file: sky.vol}", recipe=recipe), 0.0, Silent())
 
 
 @pytest.mark.parametrize(("key", "value"), [("droplet_radius_um", "9"), ("repeat", "true")])
