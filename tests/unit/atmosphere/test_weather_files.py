@@ -25,6 +25,7 @@ from forestgen.atmosphere.weather_files import (
     write_weather,
 )
 from forestgen.core.errors import AssetError, OutputError, ResourceError
+from forestgen.render.variant import SCALAR, using
 
 
 def snapshot(*, solid: bool = True, periodic: bool = False) -> Weather:
@@ -125,12 +126,10 @@ def test_any_field_comes_back_from_a_volume(
 
 
 def test_mitsuba_reads_our_volumes_and_we_read_its_own(tmp_path: Path) -> None:
-    import mitsuba as mi
-
-    mi.set_variant("scalar_rgb")
     grid = clouds()
     write_clouds(tmp_path / "ours.vol", grid)
-    theirs = mi.VolumeGrid(str(tmp_path / "ours.vol"))
+    with using(SCALAR) as mi:
+        theirs = mi.VolumeGrid(str(tmp_path / "ours.vol"))
     np.testing.assert_array_equal(np.array(theirs).reshape(4, 5, 6), grid.extinction_per_m)
     assert list(theirs.size()) == [6, 5, 4]
     assert theirs.channel_count() == 1
@@ -143,12 +142,10 @@ def test_mitsuba_reads_our_volumes_and_we_read_its_own(tmp_path: Path) -> None:
 
 
 def test_mitsuba_finds_the_box_of_our_volumes(tmp_path: Path) -> None:
-    import mitsuba as mi
-
-    mi.set_variant("scalar_rgb")
     write_clouds(tmp_path / "sky.vol", clouds())
-    volume = mi.load_dict({"type": "gridvolume", "filename": str(tmp_path / "sky.vol"), "use_grid_bbox": True})
-    box = volume.bbox()
+    with using(SCALAR) as mi:
+        volume = mi.load_dict({"type": "gridvolume", "filename": str(tmp_path / "sky.vol"), "use_grid_bbox": True})
+        box = volume.bbox()
     np.testing.assert_allclose(np.array(box.min), [0.1, 1.0, 2.0], rtol=1e-6)
     np.testing.assert_allclose(np.array(box.max), [30.0, 41.0, 55.5], rtol=1e-6)
 
