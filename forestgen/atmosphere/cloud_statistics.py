@@ -30,7 +30,6 @@ class CloudStatistics:
     cloud_kg_per_m2: float  # liquid water path of droplets, over all columns: mm
     rain_kg_per_m2: float  # the same of falling drops
     fallen_kg_per_m2: float  # rain on the ground since the beginning, mean: mm
-    most_cloud_kg_per_m3: float  # largest liquid water content
     optical_depth: float  # of droplets straight up, mean over cloudy columns, at the radius given
     updraught_m_per_s: float  # largest upward speed
 
@@ -47,8 +46,7 @@ def cloud_statistics(weather: Weather, *, droplet_radius_um: float = 10.0) -> Cl
         last = len(cloudy) - np.argmax(cloudy[::-1], axis=0)[columns]
         base = [low_m + side_m * float(one) for one in (np.percentile(first, _LOW_PERCENT), first.mean())]
         top = [low_m + side_m * float(one) for one in (np.percentile(last, _HIGH_PERCENT), last.mean())]
-    water = weather.cloud_water_kg_per_m3
-    path = water.sum(axis=0, dtype=np.float64) * side_m
+    path = weather.cloud_water_kg_per_m3.sum(axis=0, dtype=np.float64) * side_m
     depth = 1.5 * path / (_WATER_KG_PER_M3 * droplet_radius_um * 1e-6)
     return CloudStatistics(
         time_s=weather.time_s,
@@ -60,7 +58,6 @@ def cloud_statistics(weather: Weather, *, droplet_radius_um: float = 10.0) -> Cl
         cloud_kg_per_m2=float(path.mean()),
         rain_kg_per_m2=float(weather.rain_water_kg_per_m3.sum(axis=0, dtype=np.float64).mean() * side_m),
         fallen_kg_per_m2=float(weather.fallen_kg_per_m2.mean()),
-        most_cloud_kg_per_m3=float(water.max()),
         optical_depth=float(depth[columns].mean()) if columns.any() else 0.0,
         updraught_m_per_s=float(weather.up_m_per_s.max()),
     )

@@ -13,18 +13,11 @@ With `latent_heat` off, as in the paper's first exploration, the thermal stays o
 so that its relative humidity passes 1. With it on, a saturated thermal follows the moist adiabat (`humid_air`). Neither
 mixes with the air around, and droplets weigh nothing, so a real top lies rather lower.
 
-`FIG24` holds the four skies of Fig. 24 as plain parameters. They are meant to be read as follows by a simulation:
-
-- `Sky.sounding()` is the air at rest that the simulation begins with and that its boundaries hold: two lapse rates with
-  an inversion, and one relative humidity at all heights. It is everywhere below saturation. No sky here has a wind.
-- `excess_k` and `thermal_vapour` are what the ground does to the air in the lowest cells where it emits: it warms that
-  air to the sounding's ground temperature + `excess_k`, and moistens it to `thermal_vapour` (kg/kg). They serve as
-  values to relax towards, or a flux that reaches them before the air leaves; an emission map scales the differences to
-  the air at rest, `excess_k` and `thermal_vapour - sounding.vapour[0]`, from 0 to 1.
-- `latent_heat` is what the prediction below assumes. A simulation has it on always. Fog, stratocumulus and cumulus come
-  out the same either way, because an inversion stops the moister climb; the thunderhead needs it: with the heat off, it
-  takes a lapse rate of nearly the dry adiabat's up to 8 km, which no real sky has.
-- `domain_m` is a height of the simulated box that leaves room above the cloud.
+`FIG24` holds four skies that make the clouds of Fig. 24: the air at rest, two lapse rates with an inversion and one
+relative humidity at all heights, and a thermal, warmer by `excess_k` and with its own vapour. The types that are
+simulated have soundings of their own, in presets.py. Fog, stratocumulus and cumulus come out nearly the same with
+latent heat on or off, because an inversion stops the moister climb; the thunderhead needs it: with the heat off, it
+takes a lapse rate of nearly the dry adiabat's up to 8 km, which no real sky has.
 
 | sky | ground | dT/dz, K/km | from | above | thermal | base to top, heat off | heat on |
 |---|---|---|---|---|---|---|---|
@@ -112,7 +105,7 @@ class Sky:
     air_relative_humidity: float  # of the air at rest, at all heights
     excess_k: float  # of the thermal over the air at the ground
     thermal_vapour: float  # kg/kg at the ground
-    domain_m: float
+    domain_m: float  # a height that leaves room above the cloud
     latent_heat: bool = False
 
     def sounding(self) -> Sounding:

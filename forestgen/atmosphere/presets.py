@@ -34,14 +34,12 @@ from forestgen.atmosphere.sounding import (
     AIR_EXPONENT,
     GAS_CONSTANT_AIR_J_PER_KG_K,
     GRAVITY_M_PER_S2,
-    LATENT_HEAT_J_PER_KG,
     Sounding,
     saturation_ratio,
 )
 from forestgen.atmosphere.weather import AirGrid
 
 ZERO_CELSIUS_K = 273.15
-LATENT_J_PER_KG = LATENT_HEAT_J_PER_KG
 _DRY_K_PER_M = GRAVITY_M_PER_S2 * AIR_EXPONENT / GAS_CONSTANT_AIR_J_PER_KG_K
 _MOST_HUMID = 0.9995  # air at rest holds no cloud
 _INVERSION_SHARE, _INVERSION_M = 0.1, 100.0

@@ -31,8 +31,9 @@ from numpy.typing import NDArray
 import forestgen
 from forestgen.atmosphere.fluid.air import Air, at_rest
 from forestgen.atmosphere.fluid.parameters import Physics, Surface
-from forestgen.atmosphere.presets import LATENT_J_PER_KG, Conditions, Emission
+from forestgen.atmosphere.presets import Conditions, Emission
 from forestgen.atmosphere.regridding import regridded
+from forestgen.atmosphere.sounding import LATENT_HEAT_J_PER_KG
 from forestgen.atmosphere.weather import AirGrid, Weather
 from forestgen.core.disk_cache import DiskCache, cache_root
 from forestgen.core.packed import UnreadableError, pack, unpack
@@ -223,7 +224,7 @@ class _Work:
     def _surface(self, conditions: Conditions) -> Surface:
         emission, grid = conditions.emission, conditions.domain.grid()
         pattern = emission_pattern(emission, grid, child_rng(self._seed, "weather", "emission"))
-        vapour = emission.latent_w_per_m2 / LATENT_J_PER_KG
+        vapour = emission.latent_w_per_m2 / LATENT_HEAT_J_PER_KG
         return Surface((emission.heat_w_per_m2 * pattern).astype(np.float32), (vapour * pattern).astype(np.float32))
 
     def _air_of(self, number: int) -> Air:

@@ -29,7 +29,8 @@ def weather(
             "--out",
             "-o",
             metavar="FILE",
-            help="Of the last image: .nc, the state of the air; .vol, its extinction for Mitsuba. May be repeated.",
+            help="Of the last image: .nc, the state of the air; .vol or .vdb, its extinction for Mitsuba or Blender. "
+            "May be repeated.",
             show_default=False,
         ),
     ] = None,

@@ -87,7 +87,7 @@ class ExactView:
         if self._parts is None:
             with self._timer("mitsuba"):
                 return _captured(self._tracer, self._whole, self._shot, samples, ("whole", *number))
-        # Measured: the sun's own light has less than a tenth of the noise of light from clouds and sky.
+        # In the scenes that were looked at the sun's own light was much less noisy than that of clouds and sky.
         image = self._parts.by_sun((samples + 1) // 2, number)
         return image + self._parts.by_clouds(channels, samples, number, self._followed)
 
@@ -231,8 +231,8 @@ class _Parts:
 def _captured(tracer: Any, scene: Any, shot: Shot, samples: int, name: tuple[str | int, ...]) -> Floats:
     """(H, W, 3) image of the volume path tracer.
 
-    About one path in a million, which slips through between two faces of bricks, ends in no number. Its pixel is taken
-    once more.
+    Now and then a path of the renderer's through bricks ends in no number (one in half a million was seen; why is not
+    known). Its pixel is taken once more.
 
     Raises
     ------

@@ -158,7 +158,7 @@ def _check_keys_of_volumes(drawn: DrawnRecipe) -> None:
 def _check_box_of_volume(drawn: DrawnRecipe, grid: CloudGrid) -> None:
     """Raise `RecipeError` if a field is nowhere near the ground, or as wide as a continent."""
     width_m = max(high - low for low, high in zip(grid.low_m[:2], grid.high_m[:2], strict=True))
-    if width_m <= _WIDEST_M and -_HIGHEST_M <= grid.low_m[2] and 0 < grid.high_m[2] <= _HIGHEST_M:
+    if width_m <= _WIDEST_M and grid.low_m[2] >= -_HIGHEST_M and 0 < grid.high_m[2] <= _HIGHEST_M:
         return
     raise RecipeError(
         "the file's box is not one of clouds",

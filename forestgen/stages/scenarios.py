@@ -115,11 +115,11 @@ def _with(preset: _ANY, section: BaseModel, skipped: Sequence[str] = ()) -> _ANY
 
 
 def _emission(drawn: DrawnRecipe, own: Any, section: recipe_clouds.EmissionSection, where: _Keys) -> Any:
-    from forestgen.atmosphere.presets import LATENT_J_PER_KG
+    from forestgen.atmosphere.sounding import LATENT_HEAT_J_PER_KG
 
     made = _with(own, section, skipped=("map",))
     if section.vapour_g_per_m2_s is not None:
-        made = replace(made, latent_w_per_m2=section.vapour_g_per_m2_s * 1e-3 * LATENT_J_PER_KG)
+        made = replace(made, latent_w_per_m2=section.vapour_g_per_m2_s * 1e-3 * LATENT_HEAT_J_PER_KG)
     if section.map is None:
         return made
     place = drawn.where(*where, "emission", "map")

@@ -15,8 +15,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.atmosphere.fluid.loops import loop, over_slabs
-from forestgen.core.compiled import borrowed
+from forestgen.atmosphere.fluid.loops import over_slabs
+from forestgen.core.compiled import borrowed, unchecked
 
 Field = NDArray[np.float32]
 _ZERO, _ONE, _TWO = np.float32(0), np.float32(1), np.float32(2)
@@ -86,7 +86,7 @@ def fill_sides(field: Field, periodic: bool, outside: NDArray[np.float32]) -> No
             side[...] = outside[:, None, None]
 
 
-@loop
+@unchecked
 def _squeeze(out, u, v, cx, cy, first, end):  # type: ignore[no-untyped-def]
     rows, columns = u.shape[1], u.shape[2]
     for k in range(first, end):
@@ -97,7 +97,7 @@ def _squeeze(out, u, v, cx, cy, first, end):  # type: ignore[no-untyped-def]
                 out[1, k, j, i] = x + _HALF * cy * (v[k, j + 1, i] - v[k, j, i])
 
 
-@loop
+@unchecked
 def _x_then_y(ratio, out, u, v, squeeze, cx, cy, opened, least, first, end):  # type: ignore[no-untyped-def]
     ratio, out, u, v, squeeze = borrowed(ratio), borrowed(out), borrowed(u), borrowed(v), borrowed(squeeze)
     rows = ratio.shape[1]
@@ -110,7 +110,7 @@ def _x_then_y(ratio, out, u, v, squeeze, cx, cy, opened, least, first, end):  # 
         out[k, 2:-2, 2:-2] = plane[2:-2, 2:-2]
 
 
-@loop
+@unchecked
 def _y_then_x(ratio, out, u, v, squeeze, cx, cy, opened, least, first, end):  # type: ignore[no-untyped-def]
     ratio, out, u, v, squeeze = borrowed(ratio), borrowed(out), borrowed(u), borrowed(v), borrowed(squeeze)
     rows = ratio.shape[1]
@@ -123,14 +123,14 @@ def _y_then_x(ratio, out, u, v, squeeze, cx, cy, opened, least, first, end):  # 
         out[k, 2:-2, 2:-2] = plane[2:-2, 2:-2]
 
 
-@loop
+@unchecked
 def _opened(opened, axis, k):  # type: ignore[no-untyped-def]
     if opened is None:
         return None
     return opened[axis][k]
 
 
-@loop
+@unchecked
 def _sweep_x(plane, u, squeeze, before, after, per_m, opened, least, first, end, work):  # type: ignore[no-untyped-def]
     """Rows of a plane, each along itself. A cell's air is 1 + before x squeeze, and then 1 + after x squeeze."""
     plane, u, squeeze = borrowed(plane), borrowed(u), borrowed(squeeze)
@@ -150,7 +150,7 @@ def _sweep_x(plane, u, squeeze, before, after, per_m, opened, least, first, end,
         _settle(row[2 : m - 2], air[2 : m - 2], flux[2 : m - 2], flux[3 : m - 1], lost[2 : m - 2], after, least)
 
 
-@loop
+@unchecked
 def _sweep_y(plane, v, squeeze, squeeze_after, sign, per_m, opened, least, work):  # type: ignore[no-untyped-def]
     """Columns of a plane, all at once, row by row. A cell's air is 1 + sign x squeeze, before and after."""
     plane, v, squeeze, squeeze_after = borrowed(plane), borrowed(v), borrowed(squeeze), borrowed(squeeze_after)
@@ -177,7 +177,7 @@ def _sweep_y(plane, v, squeeze, squeeze_after, sign, per_m, opened, least, work)
         rest_south, rest_north = rest_north, rest_south
 
 
-@loop
+@unchecked
 def _along_z(field, w, squeeze, per_m, opened, least, first, end):  # type: ignore[no-untyped-def]
     """Columns upwards, for rows [first, end). Nothing passes the ground or the ceiling."""
     field, w, squeeze = borrowed(field), borrowed(w), borrowed(squeeze)
@@ -211,19 +211,19 @@ def _along_z(field, w, squeeze, per_m, opened, least, first, end):  # type: igno
         _settle(field[top, j], air[top], below, above, squeeze[1, top, j], _ONE, least)
 
 
-@loop
+@unchecked
 def _scaled(out, velocity, per_m):  # type: ignore[no-untyped-def]
     for i in range(out.size):
         out[i] = velocity[i] * per_m
 
 
-@loop
+@unchecked
 def _air(out, squeeze, sign):  # type: ignore[no-untyped-def]
     for i in range(out.size):
         out[i] = _ONE + sign * squeeze[i]
 
 
-@loop
+@unchecked
 def _remains(out, air, low, high):  # type: ignore[no-untyped-def]
     """Air that does not leave a cell through its two faces."""
     for i in range(out.size):
@@ -233,14 +233,14 @@ def _remains(out, air, low, high):  # type: ignore[no-untyped-def]
         out[i] = left if left > _ZERO else _ZERO
 
 
-@loop
+@unchecked
 def _fluxes(out, courant, a, b, c, d, rest_b, rest_c):  # type: ignore[no-untyped-def]
     """What passes from b to c; a and d lie behind them; `rest` is the air that stays in each."""
     for i in range(out.size):
         out[i] = _flux(courant[i], b[i] - a[i], b[i], c[i], d[i] - c[i], rest_b[i], rest_c[i])
 
 
-@loop
+@unchecked
 def _fluxes_by_terrain(out, courant, a, b, c, d, rest_b, rest_c, open_b, open_c):  # type: ignore[no-untyped-def]
     """The same; where terrain lies between a and b or c and d, there is no slope to be seen there."""
     for i in range(out.size):
@@ -248,7 +248,7 @@ def _fluxes_by_terrain(out, courant, a, b, c, d, rest_b, rest_c, open_b, open_c)
         out[i] = _flux(courant[i], behind, b[i], c[i], ahead, rest_b[i], rest_c[i])
 
 
-@loop
+@unchecked
 def _flux(courant, slope_b, b, c, slope_c, rest_b, rest_c):  # type: ignore[no-untyped-def]
     forward = courant > _ZERO
     share = courant if forward else -courant
@@ -265,7 +265,7 @@ def _flux(courant, slope_b, b, c, slope_c, rest_b, rest_c):  # type: ignore[no-u
     return share * up + beyond if forward else -(share * up + beyond)
 
 
-@loop
+@unchecked
 def _settle(ratio, air, flux_in, flux_out, squeeze, sign, least):  # type: ignore[no-untyped-def]
     """The new ratio: what was there and came and went, over the air that is there now."""
     for i in range(ratio.size):

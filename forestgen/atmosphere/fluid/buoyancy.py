@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.atmosphere.fluid.background import VAPOUR_LIGHTNESS, Background
-from forestgen.atmosphere.fluid.loops import loop, over_slabs
+from forestgen.atmosphere.fluid.loops import over_slabs
 from forestgen.atmosphere.sounding import GRAVITY_M_PER_S2
-from forestgen.core.compiled import borrowed
+from forestgen.core.compiled import borrowed, unchecked
 
 Field = NDArray[np.float32]
 _HALF = np.float32(0.5)
@@ -43,7 +43,7 @@ def lift(out: Field, heat: Field, vapour: Field, cloud: Field, rain: Field, air:
     over_slabs(layers - 2, rows * columns, work)
 
 
-@loop
+@unchecked
 def _lift(out, heat, vapour, cloud, rain, per_k, rest, light, gravity, new, old, first, end):  # type: ignore[no-untyped-def]
     out, heat, vapour, cloud, rain = borrowed(out), borrowed(heat), borrowed(vapour), borrowed(cloud), borrowed(rain)
     rows, columns = out.shape[1], out.shape[2]
@@ -60,7 +60,7 @@ def _lift(out, heat, vapour, cloud, rain, per_k, rest, light, gravity, new, old,
                 to[i] = new * (scale * (low[i + 2] + high[i + 2]) + gravity * moist) + old * to[i]
 
 
-@loop
+@unchecked
 def _weight(out, a, b, c, d):  # type: ignore[no-untyped-def]
     for i in range(out.size):
         out[i] = (a[i + 2] + b[i + 2]) + (c[i + 2] + d[i + 2])
@@ -82,7 +82,7 @@ def carry_rest(heat: Field, up: Field, air: Background, step_s: float, thickness
     over_slabs(layers - 4, size, lambda a, b: _carry_rest(heat, up, slope, a + 2, b + 2))
 
 
-@loop
+@unchecked
 def _carry_rest(heat, up, slope, first, end):  # type: ignore[no-untyped-def]
     heat, up = borrowed(heat), borrowed(up)
     rows, columns = heat.shape[1], heat.shape[2]

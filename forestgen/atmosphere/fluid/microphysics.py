@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.atmosphere.fluid.background import HEAT_CAPACITY_J_PER_KG_K, Background
-from forestgen.atmosphere.fluid.loops import loop, over_slabs
+from forestgen.atmosphere.fluid.loops import over_slabs
 from forestgen.atmosphere.fluid.parameters import Physics
 from forestgen.atmosphere.sounding import LATENT_HEAT_J_PER_KG
-from forestgen.core.compiled import borrowed
+from forestgen.core.compiled import borrowed, unchecked
 
 Field = NDArray[np.float32]
 _ZERO, _ONE = np.float32(0), np.float32(1)
@@ -50,7 +50,7 @@ def change_phases(
     over_slabs(layers - 4, (rows - 4) * (columns - 4), work)
 
 
-@loop
+@unchecked
 def _change(heat, vapour, cloud, rain, rest, exner, pressure, density, gone, threshold, swept, drying, first, end):  # type: ignore[no-untyped-def]
     heat, vapour, cloud, rain = borrowed(heat), borrowed(vapour), borrowed(cloud), borrowed(rain)
     rows, columns = heat.shape[1], heat.shape[2]
@@ -89,7 +89,7 @@ def _change(heat, vapour, cloud, rain, rest, exner, pressure, density, gone, thr
                 row_h[i], row_v[i], row_c[i], row_r[i] = h, v, c, r
 
 
-@loop
+@unchecked
 def _saturation(temperature, per_pa):  # type: ignore[no-untyped-def]
     """Saturation ratio, and its change per kelvin."""
     above = temperature - _ORIGIN_K
@@ -97,7 +97,7 @@ def _saturation(temperature, per_pa):  # type: ignore[no-untyped-def]
     return ratio, ratio * _SLOPE * (_FREEZING_K - _ORIGIN_K) / (above * above)
 
 
-@loop
+@unchecked
 def _drying_per_s(humidity, saturated, rain, density, pressure):  # type: ignore[no-untyped-def]
     """Evaporation of drops in kg/kg/s; the published fit has g/cm3 and mbar."""
     water = np.float64(density) * 1e-3 * np.float64(rain)
@@ -128,7 +128,7 @@ def fall(
     over_slabs(rows - 4, (layers - 4) * (columns - 4), work)
 
 
-@loop
+@unchecked
 def _fall(rain, fallen, ground, cells, share, mass, first, end):  # type: ignore[no-untyped-def]
     rain, fallen = borrowed(rain), borrowed(fallen)
     layers, columns = rain.shape[0] - 4, rain.shape[2] - 4
@@ -156,7 +156,7 @@ def _fall(rain, fallen, ground, cells, share, mass, first, end):  # type: ignore
             fallen[j, i] += mass * lost
 
 
-@loop
+@unchecked
 def _drop(above, here, below, share, at_ground):  # type: ignore[no-untyped-def]
     """Flux of a column that moves down by a share of a cell (see `advection`)."""
     ahead, behind = below - here, here - above

@@ -13,8 +13,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.atmosphere.fluid.loops import loop, over_slabs
-from forestgen.core.compiled import borrowed
+from forestgen.atmosphere.fluid.loops import over_slabs
+from forestgen.core.compiled import borrowed, unchecked
 
 Field = NDArray[np.float32]
 _TWO, _THREE, _SEVEN = np.float32(2), np.float32(3), np.float32(7)
@@ -46,7 +46,7 @@ def advance_velocity(
         over_slabs(layers - 4, (rows - 4) * (columns - 4), work)
 
 
-@loop
+@unchecked
 def _advance(q, base, out, u, v, w, back, step, per_m, smooth, first, end):  # type: ignore[no-untyped-def]
     """One component in layers [first, end). `back` points from a face to the one before it along the component."""
     q, base, out, u, v, w = borrowed(q), borrowed(base), borrowed(out), borrowed(u), borrowed(v), borrowed(w)
@@ -77,7 +77,7 @@ def _advance(q, base, out, u, v, w, back, step, per_m, smooth, first, end):  # t
         below, above = above, below
 
 
-@loop
+@unchecked
 def _east_flux(out, q, u, back, per_m, k, j):  # type: ignore[no-untyped-def]
     n = out.size
     a, b, c = k - back[0], j - back[1], 2 - back[2]
@@ -85,7 +85,7 @@ def _east_flux(out, q, u, back, per_m, k, j):  # type: ignore[no-untyped-def]
     _flux(out, u[k, j, 2 : n + 2], u[a, b, c : c + n], row[0:n], row[1 : n + 1], row[2 : n + 2], row[3 : n + 3], per_m)
 
 
-@loop
+@unchecked
 def _north_flux(out, q, v, back, per_m, k, j):  # type: ignore[no-untyped-def]
     n = out.size
     a, b, c = k - back[0], j - back[1], 2 - back[2]
@@ -94,7 +94,7 @@ def _north_flux(out, q, v, back, per_m, k, j):  # type: ignore[no-untyped-def]
     _flux(out, one, two, at[j - 2, 2 : n + 2], at[j - 1, 2 : n + 2], at[j, 2 : n + 2], at[j + 1, 2 : n + 2], per_m)
 
 
-@loop
+@unchecked
 def _up_flux(out, q, w, back, per_m, k, j):  # type: ignore[no-untyped-def]
     n = out.size
     a, b, c = k - back[0], j - back[1], 2 - back[2]
@@ -104,7 +104,7 @@ def _up_flux(out, q, w, back, per_m, k, j):  # type: ignore[no-untyped-def]
     )
 
 
-@loop
+@unchecked
 def _flux(out, one, two, a, b, c, d, per_m):  # type: ignore[no-untyped-def]
     """Flux of a quantity whose values along the axis are a, b | c, d; the velocity is the mean of `one` and `two`."""
     for i in range(out.size):
@@ -113,19 +113,19 @@ def _flux(out, one, two, a, b, c, d, per_m):  # type: ignore[no-untyped-def]
         out[i] = speed * even + abs(speed) * odd
 
 
-@loop
+@unchecked
 def _gather(out, base, step, east, south, north, below, above):  # type: ignore[no-untyped-def]
     for i in range(out.size):
         out[i] = base[i] + step * ((east[i] - east[i + 1]) + (south[i] - north[i]) + (below[i] - above[i]))
 
 
-@loop
+@unchecked
 def _smooth_along(out, before, here, after, weight):  # type: ignore[no-untyped-def]
     for i in range(out.size):
         out[i] += weight * ((before[i] + after[i]) - _TWO * here[i])
 
 
-@loop
+@unchecked
 def _brake(out, here, above, weight):  # type: ignore[no-untyped-def]
     """The same in the lowest layer: below it is its own wind with the sign turned, so that the ground's is 0."""
     for i in range(out.size):

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.atmosphere.fluid.boundaries import Velocity
-from forestgen.atmosphere.fluid.loops import loop, over_slabs
+from forestgen.atmosphere.fluid.loops import over_slabs
 from forestgen.atmosphere.fluid.parameters import UnstableError
 from forestgen.atmosphere.weather import AirGrid
-from forestgen.core.compiled import borrowed
+from forestgen.core.compiled import borrowed, unchecked
 from forestgen.core.threads import cores
 
 Field = NDArray[np.float32]
@@ -122,7 +122,7 @@ def _size(a: Field) -> float:
     return float(np.sqrt(_dot(a, a) / a.size))
 
 
-@loop
+@unchecked
 def _divergence(out, u, v, w, x_per_m, y_per_m, z_per_m, joined, first, end):  # type: ignore[no-untyped-def]
     out, u, v, w = borrowed(out), borrowed(u), borrowed(v), borrowed(w)
     rows, columns = out.shape[1], out.shape[2]
@@ -140,7 +140,7 @@ def _divergence(out, u, v, w, x_per_m, y_per_m, z_per_m, joined, first, end):  #
                 to[last] += (east[2] - east[last + 2]) * x_per_m
 
 
-@loop
+@unchecked
 def _subtract(p, u, v, w, x_per_m, y_per_m, z_per_m, joined, opened, first, end):  # type: ignore[no-untyped-def]
     p, u, v, w = borrowed(p), borrowed(u), borrowed(v), borrowed(w)
     rows, columns = p.shape[1], p.shape[2]
@@ -162,13 +162,13 @@ def _subtract(p, u, v, w, x_per_m, y_per_m, z_per_m, joined, opened, first, end)
                     w[k + 2, j + 2, i] *= opened[2][k + 2, j + 2, i]
 
 
-@loop
+@unchecked
 def _slope(velocity, before, after, per_m):  # type: ignore[no-untyped-def]
     for i in range(velocity.size):
         velocity[i] -= (after[i] - before[i]) * per_m
 
 
-@loop
+@unchecked
 def _laplacian(out, p, x_per_m, y_per_m, z_per_m, joined, opened, first, end):  # type: ignore[no-untyped-def]
     """Divergence of the gradient through open faces."""
     out, p = borrowed(out), borrowed(p)

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from forestgen.atmosphere.fluid.background import Background
 from forestgen.atmosphere.fluid.boundaries import Velocity
-from forestgen.atmosphere.fluid.loops import loop, over_slabs
+from forestgen.atmosphere.fluid.loops import over_slabs
 from forestgen.atmosphere.fluid.parameters import Physics, UnstableError
 from forestgen.atmosphere.weather import AirGrid
-from forestgen.core.compiled import borrowed
+from forestgen.core.compiled import borrowed, unchecked
 
 Field = NDArray[np.float32]
 WAVE_LIMIT = 1.8  # of step x frequency; 2 is the leapfrog's
@@ -37,7 +37,7 @@ def crossing_per_s(velocity: Velocity, cell_m: tuple[float, float, float]) -> fl
     return float(most.max())
 
 
-@loop
+@unchecked
 def _crossing(most, u, v, w, x_per_m, y_per_m, z_per_m, first, end):  # type: ignore[no-untyped-def]
     u, v, w = borrowed(u), borrowed(v), borrowed(w)
     rows, columns = u.shape[1], u.shape[2]
@@ -54,7 +54,7 @@ def _crossing(most, u, v, w, x_per_m, y_per_m, z_per_m, first, end):  # type: ig
         most[layer] = largest.max()
 
 
-@loop
+@unchecked
 def _out(rate, low, high, per_m, keep):  # type: ignore[no-untyped-def]
     zero = np.float32(0)
     for i in range(min(high.size, rate.size)):

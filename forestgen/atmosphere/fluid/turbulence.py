@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.atmosphere.fluid.boundaries import Velocity
-from forestgen.atmosphere.fluid.loops import loop, over_slabs
+from forestgen.atmosphere.fluid.loops import over_slabs
 from forestgen.atmosphere.weather import AirGrid
-from forestgen.core.compiled import borrowed
+from forestgen.core.compiled import borrowed, unchecked
 
 Field = NDArray[np.float32]
 _HALF, _QUARTER = np.float32(0.5), np.float32(0.25)
@@ -58,7 +58,7 @@ def _away_from(solid: NDArray[np.bool_]) -> Field:
     return (~near).astype(np.float32)
 
 
-@loop
+@unchecked
 def _vorticity(out, u, v, w, x_per_m, y_per_m, z_per_m, first, end):  # type: ignore[no-untyped-def]
     """At the cells' centres, from a cell before the first to one after the last, along each axis."""
     out, u, v, w = borrowed(out), borrowed(u), borrowed(v), borrowed(w)
@@ -80,7 +80,7 @@ def _vorticity(out, u, v, w, x_per_m, y_per_m, z_per_m, first, end):  # type: ig
                 size[i] = np.sqrt(p[i] * p[i] + q[i] * q[i] + r[i] * r[i])
 
 
-@loop
+@unchecked
 def _less_mean(layer):  # type: ignore[no-untyped-def]
     """Takes the layer's mean away: that of the mean wind's shear, which is no eddy."""
     rows, columns = layer.shape
@@ -94,7 +94,7 @@ def _less_mean(layer):  # type: ignore[no-untyped-def]
             layer[j, i] -= mean
 
 
-@loop
+@unchecked
 def _turn(out, w_north, w_south, y, v_above, v_below, z):  # type: ignore[no-untyped-def]
     """dw/dy - dv/dz."""
     a, b, c, d = w_north[0], w_north[1], w_south[0], w_south[1]
@@ -104,7 +104,7 @@ def _turn(out, w_north, w_south, y, v_above, v_below, z):  # type: ignore[no-unt
         out[i] = rise * y - ((e[i + 1] + f[i + 1]) - (g[i + 1] + h[i + 1])) * z
 
 
-@loop
+@unchecked
 def _turn_up(out, u_above, u_below, z, w, x):  # type: ignore[no-untyped-def]
     """du/dz - dw/dx."""
     a, b = w[0], w[1]
@@ -113,7 +113,7 @@ def _turn_up(out, u_above, u_below, z, w, x):  # type: ignore[no-untyped-def]
         out[i] = shear * z - ((a[i + 2] + b[i + 2]) - (a[i] + b[i])) * x
 
 
-@loop
+@unchecked
 def _turn_flat(out, v, x, u_north, u_south, y):  # type: ignore[no-untyped-def]
     """dv/dx - du/dy."""
     a, b = v[0], v[1]
@@ -122,7 +122,7 @@ def _turn_flat(out, v, x, u_north, u_south, y):  # type: ignore[no-untyped-def]
         out[i] = ((a[i + 2] + b[i + 2]) - (a[i] + b[i])) * x - shear * y
 
 
-@loop
+@unchecked
 def _push(vorticity, u, v, up, push, x_per_m, y_per_m, z_per_m, joined, away, first, end):  # type: ignore[no-untyped-def]
     vorticity, u, v, up = borrowed(vorticity), borrowed(u), borrowed(v), borrowed(up)
     rows, columns = up.shape[1], up.shape[2]
@@ -146,7 +146,7 @@ def _push(vorticity, u, v, up, push, x_per_m, y_per_m, z_per_m, joined, away, fi
                 u[k + 2, j + 2, 2] += east[columns - 1]
 
 
-@loop
+@unchecked
 def _force(vorticity, south, north, below, above, x, y, z, push, x_per_m, y_per_m, z_per_m):  # type: ignore[no-untyped-def]
     """Push times N x omega into the rows x, y, z. N is the gradient of the vorticity's size, made a unit vector."""
     p, q, r, size = vorticity[0], vorticity[1], vorticity[2], vorticity[3]
@@ -160,7 +160,7 @@ def _force(vorticity, south, north, below, above, x, y, z, push, x_per_m, y_per_
         z[i] = scale * (gx * q[i + 1] - gy * p[i + 1])
 
 
-@loop
+@unchecked
 def _add(to, what):  # type: ignore[no-untyped-def]
     for i in range(what.size):
         to[i] += what[i]
@@ -184,7 +184,7 @@ def diffuse(
     over_slabs(layers - 4, size, lambda a, b: _diffuse(field, work, weight, openness, a + 2, b + 2))
 
 
-@loop
+@unchecked
 def _diffuse(out, q, weight, opened, first, end):  # type: ignore[no-untyped-def]
     out, q = borrowed(out), borrowed(q)
     layers, rows, columns = q.shape
