@@ -87,7 +87,18 @@ def images(spec: SceneSpec, camera: Camera, sizes: Sizes) -> tuple[dict[str, Flo
                     image = capture(tracer, plain, camera, samples=sizes.samples, seed=repetition + 1)[..., :3]
                 seconds[name] = seconds.get(name, 0.0) + (process_time() - start) / sizes.repetitions
                 found.setdefault(name, []).append(image @ LUMINANCE)
-    return {name: np.array(each) for name, each in found.items()}, seconds
+    return {name: whole(np.array(each), name) for name, each in found.items()}, seconds
+
+
+def whole(each: Floats, name: str) -> Floats:
+    """(repetitions, H, W) images in which a pixel that is no number is the mean of the other repetitions'.
+
+    One path in half a million of `volpath` through a box of clouds ends in no number.
+    """
+    wrong = ~np.isfinite(each)
+    if wrong.any():
+        print(f"{name}: {wrong.sum()} of {wrong.size} pixels are no numbers: left out")
+    return np.where(wrong, np.nanmean(np.where(wrong, np.nan, each), axis=0), each)
 
 
 def main() -> int:

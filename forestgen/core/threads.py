@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from typing import TypeVar
 
 T = TypeVar("T")
@@ -18,6 +20,45 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+class _Pool:
+    """Threads that wait for the next loop: to start them anew takes longer than a short loop.
+
+    A loop inside a loop gets threads of its own, since one that waits for others of its pool might wait for ever.
+    """
+
+    def __init__(self) -> None:
+        self._made = threading.Lock()
+        self._inside = threading.local()
+        self._threads: ThreadPoolExecutor | None = None
+        self._size = 0
+
+    @contextmanager
+    def threads(self) -> Iterator[ThreadPoolExecutor]:
+        """As many as there are cores."""
+        size = cores()
+        if getattr(self._inside, "yes", False):
+            with ThreadPoolExecutor(size) as own:
+                yield own
+            return
+        with self._made:
+            if self._threads is None or self._size != size:
+                self._threads, self._size = ThreadPoolExecutor(size, initializer=self._mark), size
+            pool = self._threads
+        yield pool
+
+    def _mark(self) -> None:
+        self._inside.yes = True
+
+    def forget(self) -> None:
+        """In a process that was forked: threads do not come along."""
+        self.__init__()  # type: ignore[misc]
+
+
+_POOL = _Pool()
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_POOL.forget)
+
+
 def map_ranges(n: int, work: Callable[[int, int], T]) -> list[T]:
     """``work(first, end)`` of as many disjoint ranges of 0 ... n as there are cores, in order.
 
@@ -27,7 +68,7 @@ def map_ranges(n: int, work: Callable[[int, int], T]) -> list[T]:
     edges = [n * k // threads for k in range(threads + 1)]
     if threads == 1:
         return [work(0, n)]
-    with ThreadPoolExecutor(threads) as pool:
+    with _POOL.threads() as pool:
         return list(pool.map(work, edges[:-1], edges[1:]))
 
 
@@ -38,5 +79,13 @@ def over_ranges(n: int, work: Callable[[int, int], None]) -> None:
         work(0, n)
         return
     edges = [n * k // (4 * threads) for k in range(4 * threads + 1)]  # four each: the last to finish has little left
-    with ThreadPoolExecutor(threads) as pool:
+    with _POOL.threads() as pool:
         list(pool.map(work, edges[:-1], edges[1:]))
+
+
+def at_once(jobs: Sequence[Callable[[], T]]) -> list[T]:
+    """The results of jobs that do not depend on one another, on all cores."""
+    if cores() < 2:
+        return [job() for job in jobs]
+    with _POOL.threads() as pool:
+        return list(pool.map(lambda job: job(), jobs))

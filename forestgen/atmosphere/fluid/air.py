@@ -26,6 +26,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,6 +53,7 @@ from forestgen.atmosphere.fluid.start import at_rest, check_grid
 from forestgen.atmosphere.fluid.turbulence import Confinement, diffuse
 from forestgen.atmosphere.sounding import Sounding
 from forestgen.atmosphere.weather import AirGrid, Weather
+from forestgen.core.threads import at_once
 
 __all__ = [
     "Air",
@@ -102,6 +104,7 @@ class Air:
         self._lift = _zeros((grid.cells[2] + 1, *grid.shape[1:]))
         self._fixed_limit_s = fixed_limit_s(grid, self.background, physics)
         self._calm = _calm_per_s(grid, physics)
+        self._made: Weather | None = None  # the weather that the work space holds, from the last step
 
     def step_limit_s(self, weather: Weather) -> float:
         """The step that `step` would choose: the largest that is stable with some margin."""
@@ -154,17 +157,16 @@ class Air:
         """The weather into the work space."""
         if weather.grid != self.grid:
             raise ValueError(f"the weather has the grid {weather.grid}; this solver's is {self.grid}")
-        fields = _fields(weather)
-        check_fields(fields)
-        u, v, w = self._wind
-        u[2:-2, 2:-2, 2:-1], v[2:-2, 2:-1, 2:-2] = fields["east wind"], fields["north wind"]
-        w[2:-1, 2:-2, 2:-2] = fields["upward wind"]
-        self._sides.apply(self._wind)
         rest = self.background.potential_temperature_k.astype(np.float32)[:, None, None]
-        heat, *waters = self._ratios
-        np.subtract(fields["potential temperature"], rest, out=heat[_INNER])
-        for to, name in zip(waters, ("vapour", "cloud", "rain"), strict=True):
-            to[_INNER] = fields[name]
+        np.subtract(weather.potential_temperature_k, rest, out=self._ratios[0][_INNER])
+        if weather is not self._made:  # else its wind and water are still there
+            check_fields(_fields(weather))
+            u, v, w = self._wind
+            u[2:-2, 2:-2, 2:-1], v[2:-2, 2:-1, 2:-2] = weather.east_m_per_s, weather.north_m_per_s
+            w[2:-1, 2:-2, 2:-2] = weather.up_m_per_s
+            self._sides.apply(self._wind)
+            for to, water in zip(self._ratios[1:], (weather.vapour, weather.cloud, weather.rain), strict=True):
+                to[_INNER] = water
         lift(self._lift, *self._ratios, self.background, 1.0)
 
     def _limit_s(self) -> float:
@@ -191,6 +193,7 @@ class Air:
 
     def _stepped(self, weather: Weather, step_s: float) -> Weather:
         """One step of the loaded weather."""
+        self._made = None
         fallen = weather.fallen_kg_per_m2.copy()
         self._forward(self._wind, self._wind, self._middle, step_s / 2)
         crossing = crossing_per_s(self._middle, self.grid.cell_m)
@@ -261,30 +264,38 @@ class Air:
         u, v, w = self._wind
         heat, vapour, cloud, rain = (ratio[_INNER] for ratio in self._ratios)
         air = self.background
-        theta = heat + air.potential_temperature_k.astype(np.float32)[:, None, None]
+        rest = air.potential_temperature_k.astype(np.float32)[:, None, None]
+        parts = (u[2:-2, 2:-2, 2:-1], v[2:-2, 2:-1, 2:-2], w[2:-1, 2:-2, 2:-2], vapour, cloud, rain)
+        copies: list[Callable[[], Field]] = [part.copy for part in parts]
+        east, north, up, damp, drops, falling, warmth = at_once([*copies, lambda: heat + rest])
         after = Weather(
             self.grid,
             weather.time_s + step_s,
-            u[2:-2, 2:-2, 2:-1].copy(),
-            v[2:-2, 2:-1, 2:-2].copy(),
-            w[2:-1, 2:-2, 2:-2].copy(),
-            theta,
-            vapour.copy(),
-            cloud.copy(),
-            rain.copy(),
+            east,
+            north,
+            up,
+            warmth,
+            damp,
+            drops,
+            falling,
             fallen,
             air.density_kg_per_m3,
             air.temperature_ratio,
             self.solid,
         )
         check_fields(_fields(after))
-        fastest = max(float(max(field.max(), -field.min())) for field in (u, v, w))
+        fastest = max(at_once([partial(_fastest, field) for field in (u, v, w)]))
         if fastest > self.physics.fastest_m_per_s:
             raise UnstableError(
                 f"the air has {fastest:.0f} m/s at {after.time_s:.1f} s; expected"
                 f" {self.physics.fastest_m_per_s:.0f} or less: shorter steps or weaker heating may help"
             )
+        self._made = after
         return after
+
+
+def _fastest(field: Field) -> float:
+    return max(float(field.max()), -float(field.min()))
 
 
 _INNER = (slice(2, -2),) * 3

@@ -8,10 +8,13 @@ at rest stands there: it blows in and out, and nothing rises at them. Faces of t
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.atmosphere.weather import AirGrid
+from forestgen.core.threads import at_once
 
 Field = NDArray[np.float32]
 Velocity = tuple[Field, Field, Field]
@@ -40,9 +43,7 @@ class Boundaries:
                 field *= opened
         w[2] = w[-2] = 0
         if self.periodic:
-            for field in velocity:
-                field[:, :, :2], field[:, :, -2:] = field[:, :, -4:-2], field[:, :, 2:4]
-                field[:, :2], field[:, -2:] = field[:, -4:-2], field[:, 2:4]
+            at_once([partial(_joined, field) for field in velocity])
         else:
             self._open_sides(u, v, w)
         for field in (u, v):
@@ -59,6 +60,11 @@ class Boundaries:
         u[2:-2, 2:-2, 2], u[2:-2, 2:-2, -2], v[2:-2, 2, 2:-2], v[2:-2, -2, 2:-2] = self._normal
         w[:, :, 1], w[:, :, 0], w[:, :, -2], w[:, :, -1] = -w[:, :, 2], -w[:, :, 3], -w[:, :, -3], -w[:, :, -4]
         w[:, 1], w[:, 0], w[:, -2], w[:, -1] = -w[:, 2], -w[:, 3], -w[:, -3], -w[:, -4]
+
+
+def _joined(field: Field) -> None:
+    field[:, :, :2], field[:, :, -2:] = field[:, :, -4:-2], field[:, :, 2:4]
+    field[:, :2], field[:, -2:] = field[:, -4:-2], field[:, 2:4]
 
 
 def _wind_through(

@@ -76,9 +76,11 @@ def _change(heat, vapour, cloud, rain, rest, exner, pressure, density, gone, thr
                     r -= dried
                     v += dried
                     h -= warming * dried
+                    saturated, slope = _saturation(ratio * (rest[k] + h), per_pa)
                 if c > _ZERO or v > saturated:
-                    for _ in range(3):
-                        saturated, slope = _saturation(ratio * (rest[k] + h), per_pa)
+                    for turn in range(3):
+                        if turn > 0:
+                            saturated, slope = _saturation(ratio * (rest[k] + h), per_pa)
                         wet = (v - saturated) / (_ONE + _LATENT_K * slope)
                         wet = wet if wet > -c else -c
                         c += wet
@@ -100,9 +102,9 @@ def _saturation(temperature, per_pa):  # type: ignore[no-untyped-def]
 @unchecked
 def _drying_per_s(humidity, saturated, rain, density, pressure):  # type: ignore[no-untyped-def]
     """Evaporation of drops in kg/kg/s; the published fit has g/cm3 and mbar."""
-    water = np.float64(density) * 1e-3 * np.float64(rain)
-    ventilation = 1.6 + 124.9 * water**0.2046
-    rate = (1.0 - humidity) * ventilation * water**0.525 / (5.4e5 + 2.55e6 / (0.01 * pressure * saturated))
+    water = np.log(np.float64(density) * 1e-3 * np.float64(rain))
+    ventilation = 1.6 + 124.9 * np.exp(0.2046 * water)
+    rate = (1.0 - humidity) * ventilation * np.exp(0.525 * water) / (5.4e5 + 2.55e6 / (0.01 * pressure * saturated))
     return np.float32(rate / (density * 1e-3))
 
 

@@ -8,6 +8,7 @@ and wind are a leapfrog).
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from forestgen.atmosphere.fluid.loops import over_slabs
 from forestgen.atmosphere.fluid.parameters import Physics, UnstableError
 from forestgen.atmosphere.weather import AirGrid
 from forestgen.core.compiled import borrowed, unchecked
+from forestgen.core.threads import at_once
 
 Field = NDArray[np.float32]
 WAVE_LIMIT = 1.8  # of step x frequency; 2 is the leapfrog's
@@ -90,8 +92,9 @@ def moving_limit_s(crossing_per_s: float, lift_m_per_s2: float, thickness_m: flo
 
 def check_fields(fields: dict[str, Field]) -> None:
     """Raises UnstableError where a field is not finite."""
-    for name, field in fields.items():
-        if np.isfinite(np.add.reduce(field, axis=None)):
+    sums = at_once([partial(np.add.reduce, field, axis=None) for field in fields.values()])
+    for (name, field), total in zip(fields.items(), sums, strict=True):
+        if np.isfinite(total):
             continue
         bad = np.argwhere(~np.isfinite(field))
         if len(bad):  # else the sum alone is too large

@@ -1,0 +1,64 @@
+"""Compiled loops on several cores: order, loops inside loops, forks."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import threading
+
+import numpy as np
+import pytest
+
+from forestgen.core import threads
+
+pytestmark = pytest.mark.usefixtures("four_cores")
+
+
+@pytest.fixture
+def four_cores(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(threads, "cores", lambda: 4)
+
+
+@pytest.mark.parametrize("n", [0, 1, 9_999, 123_457])
+def test_ranges_cover_everything_once(n: int) -> None:
+    seen = np.zeros(n, dtype=np.int64)
+
+    def work(first: int, end: int) -> None:
+        seen[first:end] += 1
+
+    threads.over_ranges(n, work)
+    assert (seen == 1).all()
+    spans = threads.map_ranges(n, lambda first, end: (first, end))
+    assert spans[0][0] == 0
+    assert spans[-1][1] == n
+    assert all(a[1] == b[0] for a, b in itertools.pairwise(spans))
+
+
+def test_a_loop_inside_loops_ends() -> None:
+    def inner(first: int, end: int) -> None:
+        threads.over_ranges(100_000, lambda a, b: None)
+
+    done = threading.Thread(target=lambda: threads.over_ranges(400_000, inner), daemon=True)
+    done.start()
+    done.join(timeout=30)
+    assert not done.is_alive()
+
+
+def test_an_error_in_a_range_is_raised() -> None:
+    def work(first: int, end: int) -> None:
+        if first > 0:
+            raise ValueError("in a range")
+
+    with pytest.raises(ValueError, match="in a range"):
+        threads.over_ranges(100_000, work)
+    assert threads.at_once([lambda: 1, lambda: 2]) == [1, 2]  # the threads are still there
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork")
+@pytest.mark.filterwarnings("ignore:This process:DeprecationWarning")
+def test_a_forked_process_has_threads_of_its_own() -> None:
+    threads.at_once([lambda: None] * 4)
+    child = os.fork()
+    if child == 0:
+        os._exit(0 if threads.at_once([lambda: 1, lambda: 2]) == [1, 2] else 1)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
