@@ -11,6 +11,7 @@ import json
 import re
 import sys
 from collections.abc import Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -252,10 +253,17 @@ def species_numbers() -> dict[str, dict[str, float]]:
     return numbers
 
 
+@cache
+def species_that_grow_alone() -> list[str]:
+    """All species but those whose branches only a community grows."""
+    return [name for name in list_assets("species") if drawn_of(name, 0).species[name].plant.generator != GROWN]
+
+
 def species_page() -> str:
     """The species that come with forestgen: numbers, pictures, sources."""
     names, numbers = list_assets("species"), species_numbers()
-    pictured = [name for name in names if name != "stalk"]  # a bare rod, for the figures of variation
+    alone = species_that_grow_alone()
+    pictured = [name for name in alone if name != "stalk"]  # a bare rod, for the figures of variation
     species = {name: drawn_of(name, 0).species[name] for name in names}
     text = [
         _NOTICE.replace("generate.py", "species_sheet.py").replace("code", "species' files"),
@@ -263,7 +271,8 @@ def species_page() -> str:
         "Each plant close up, its organs at detail 2, and from 30 m: " + ", ".join(pictured) + ".\n",
         "![Every species close up and from 30 m](pictures/library.jpg)\n",
         "Numbers are those of one mature plant, seed 3. Leaf area is of one side; the index is leaf area over the",
-        "crown's projection, π/4 width²; masses are dry. `forestgen plant NAME` grows one.\n",
+        "crown's projection, π/4 width²; masses are dry. `forestgen plant NAME` grows one. Species of the generator",
+        "`branch_modules` have none: they grow in [communities of branch modules](branch_modules.md) alone.\n",
         "| species | generator | height m | width m | triangles | leaf area m² | index | wood kg | leaves kg |",
         "|---|---|---|---|---|---|---|---|---|",
     ]
@@ -274,12 +283,14 @@ def species_page() -> str:
         text.append(f"| {' | '.join(cells)} |")
     for name in names:
         described = species[name].description
-        text += [f"\n## {name}\n", f"![{name}](pictures/species/{name}.jpg)\n"]
+        text.append(f"\n## {name}\n")
+        text += [f"![{name}](pictures/species/{name}.jpg)\n"] if name in alone else []
         text.append(f"{described[:1].upper()}{described[1:]}. [{name}.yaml](../scenes/species/{name}.yaml)")
         text += ["", *(f"- {source}" for source in species[name].sources)] if species[name].sources else []
     return "\n".join(text) + "\n"
 
 
+GROWN = "branch_modules"
 _SPECIES_COLUMNS = ("height_m", "width_m", "triangles", "leaf_area_m2", "leaf_area_index", "wood_kg", "leaf_kg")
 
 

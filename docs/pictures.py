@@ -1,6 +1,7 @@
 """Makes the documentation's pictures: `uv run python docs/pictures.py` (some fifteen minutes on two cores).
 
 quickstart.jpg        the quickstart's view, larger and with more samples; the right half under its instance mask
+branch_modules.jpg    recipes/branch_modules.yaml
 succession.jpg        four stages of the quickstart's succession: maps, and the stand as a camera sees it
 succession_maps.png   recipes/reproductions/succession.yaml at four steps (Lane 2002, Figure 4.5)
 propagation_maps.png  recipes/reproductions/propagation.yaml at three steps (Lane 2002, Figure 4.6)
@@ -19,7 +20,8 @@ placement_models.png            placement_models all placement models
 densities.png                   densities        what `forestgen simulate` shows
 
 and, by docs/label_pictures.py, labels.jpg: a view and its labels; by docs/light_pictures.py, light.jpg: other skies,
-a season and bands; by docs/weather_pictures.py, weather_profiles.png: the air in which four clouds form.
+a season and bands; by docs/weather_pictures.py, weather_profiles.png: the air in which four clouds form; by
+docs/plant_types.py, plant_types.png: the sixteen types of branch modules.
 
 With names behind it, `uv run python docs/pictures.py self_thinning succession_maps`, it makes these alone.
 The plants' pictures, library.jpg and species/, are made by docs/species_sheet.py.
@@ -37,6 +39,7 @@ import label_pictures
 import light_pictures
 import numpy as np
 import placement_pictures
+import plant_types
 import weather_pictures
 from PIL import Image
 
@@ -60,6 +63,12 @@ def quickstart(scratch: Path) -> None:
     picture[:, half:] = labels[:, half:]
     picture[:, half - 1 : half + 1] = 255
     save(picture, "quickstart.jpg")
+
+
+def branch_modules(scratch: Path) -> None:
+    command = [sys.executable, "-m", "forestgen", "render", str(ROOT / "recipes" / "branch_modules.yaml")]
+    subprocess.run([*command, "-o", str(scratch / "branch_modules")], check=True)
+    save(np.asarray(Image.open(next((scratch / "branch_modules").glob("*/preview.png")))), "branch_modules.jpg")
 
 
 def simulate(folder: Path, recipe: str, *options: str, steps: Sequence[int] = ()) -> list[Path]:
@@ -152,8 +161,10 @@ PICTURES_OF = {
     },
     **placement_pictures.PICTURES_OF,
     **weather_pictures.PICTURES_OF,
+    "branch_modules": branch_modules,
     "labels": label_pictures.labels,
     "light": light_pictures.light,
+    "plant_types": plant_types.plant_types,
 }
 
 

@@ -1,6 +1,6 @@
 """Grows, measures and photographs the species: `uv run python docs/species_sheet.py` (some ten minutes on two cores).
 
-docs/species.json               numbers of a mature plant of each species
+docs/species.json               numbers of a mature plant of each species that grows alone
 docs/pictures/species/NAME.jpg  the plant close up and whole, from 30 m and from a person's height
 docs/pictures/library.jpg       these pictures in one sheet, but for models that are no plants (`NO_PLANT`)
 docs/species.md                 the page about them, see docs/generate.py
@@ -25,7 +25,6 @@ from PIL import Image
 from forestgen.core.progress import Silent
 from forestgen.geometry.mesh import Mesh
 from forestgen.plants.exemplar import Exemplar
-from forestgen.recipe.assets import list_assets
 from forestgen.stages.plan import Plan
 from forestgen.stages.scene import materials_of
 from forestgen.stages.single_plant import described, grow, plan_of
@@ -138,7 +137,7 @@ def save(picture: np.ndarray, path: Path) -> None:
 
 def contact_sheet() -> None:
     """All species' pictures in rows, but for `NO_PLANT`; the page tells their names."""
-    shown = [name for name in list_assets("species") if name not in NO_PLANT]
+    shown = [name for name in generate.species_that_grow_alone() if name not in NO_PLANT]
     names = [name for name in shown if (PICTURES / "species" / f"{name}.jpg").exists()]
     gap = 8
     width, height = 2 * VIEW_PX[0] + gap, VIEW_PX[1] + gap
@@ -151,7 +150,7 @@ def contact_sheet() -> None:
 
 
 def main() -> None:
-    known = list_assets("species")
+    known = generate.species_that_grow_alone()
     unknown = [name for name in sys.argv[1:] if name not in known]
     if unknown:
         sys.exit(f"no such species: {', '.join(unknown)}; there are {', '.join(known)}")

@@ -173,6 +173,7 @@ def simulate(
     map_steps: Sequence[int] = (),
     resume: Path | None = None,
     from_step: int | None = None,
+    graphs: Sequence[Path] = (),
     overwrite: bool = False,
     progress: Progress,
     timings: Timings,
@@ -180,18 +181,21 @@ def simulate(
     """Simulate the community of a recipe's first image: history, maps at some steps (by default the last), curves.
 
     `resume` is a history that the recipe made; the simulation goes on from its snapshot of `from_step`, by default its
-    last.
+    last. `graphs` are files that the branches of its last step's plants are written to.
     """
+    from forestgen.stages.graphs import check_graphs, write_graphs
     from forestgen.stages.history import check_map_steps, write_community
     from forestgen.stages.resume import snapshot_to_resume
 
     plan = check_plan(loaded, simulate_only=True)
     start = snapshot_to_resume(plan, resume, from_step) if resume is not None else None
+    check_graphs(plan, graphs)
     check_map_steps(plan, map_steps, first=start.step if start is not None else 0)
     summary = RunSummary(target)
     with OutputFolder(target, overwrite=overwrite) as folder:
         with timings("community"):
             last = write_community(folder, plan, snapshots(plan, progress, start), map_steps)
+        write_graphs(plan, last, graphs)
         summary.plants, summary.counts = len(last), _counts(last)
         summary.notes += last.notes
         if not len(last):

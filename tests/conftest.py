@@ -1,14 +1,29 @@
 """Signals as a person's terminal sets them: a job started in the background inherits them ignored.
 
-And a cache for exemplars of the tests' own, and one for the bytecode of commands that they start.
+And a cache for exemplars of the tests' own, one for bytecode, and one thread for linear algebra: tests of other
+processes have the other cores, and threads that wait for one another spin meanwhile.
 """
 
 from __future__ import annotations
 
+import atexit
 import os
+import shutil
 import signal
 import sys
+import tempfile
 from collections.abc import Iterator
+
+# Before anything imports NumPy; commands that tests start inherit it.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+if sys.dont_write_bytecode and "PYTEST_XDIST_WORKER" not in os.environ:
+    # Where Python may keep no bytecode, each worker and command would compile all libraries anew: half of its start.
+    _BYTECODE = tempfile.mkdtemp(prefix="forestgen-bytecode-")
+    atexit.register(shutil.rmtree, _BYTECODE, ignore_errors=True)
+    sys.pycache_prefix, sys.dont_write_bytecode = _BYTECODE, False
+    os.environ["PYTHONPYCACHEPREFIX"] = _BYTECODE
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 import pytest
 from hypothesis import settings
@@ -30,23 +45,12 @@ settings.load_profile("forestgen")
 
 @pytest.fixture(scope="session", autouse=True)
 def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Tests keep their exemplars apart from the user's; commands that they start inherit the folder."""
+    """Tests keep their exemplars apart from the user's; commands that they start inherit the one folder."""
     before = os.environ.get(ENVIRONMENT)
-    os.environ[ENVIRONMENT] = str(tmp_path_factory.mktemp("cache"))
+    base = tmp_path_factory.getbasetemp()
+    os.environ[ENVIRONMENT] = str((base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "cache")
     yield
     if before is None:
         del os.environ[ENVIRONMENT]
     else:
         os.environ[ENVIRONMENT] = before
-
-
-@pytest.fixture(scope="session", autouse=True)
-def _compiled_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Where Python may keep no bytecode, each command would compile all libraries anew: half of its start."""
-    if not sys.dont_write_bytecode:
-        yield
-        return
-    with pytest.MonkeyPatch.context() as environment:
-        environment.delenv("PYTHONDONTWRITEBYTECODE", raising=False)
-        environment.setenv("PYTHONPYCACHEPREFIX", str(tmp_path_factory.mktemp("bytecode")))
-        yield

@@ -135,12 +135,24 @@ def simulate(
             "--from-step", metavar="N", help="Resume from this step; by default from the last.", show_default=False
         ),
     ] = None,
+    graphs: Annotated[
+        Optional[list[Path]],  # noqa: UP045
+        typer.Option(
+            "--graph",
+            metavar="FILE",
+            help="Export the last step's branches, of the model branch_modules: .parquet, .csv, .gltf, .glb, .obj, "
+            ".usda, .usdc. May be repeated.",
+            show_default=False,
+        ),
+    ] = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Simulate a recipe's community only: history, statistics, maps."""
     from forestgen.cli import commands
 
-    commands.simulate(recipe, overrides or [], map_steps or [], resume, from_step, output, overwrite, Bars())
+    commands.simulate(
+        recipe, overrides or [], map_steps or [], resume, from_step, graphs or [], output, overwrite, Bars()
+    )
 
 
 @app.command(epilog="Example: forestgen plant spruce --height-m 12 --seed 3 --out tree.glb --out tree.png")

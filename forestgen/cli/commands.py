@@ -118,6 +118,7 @@ def simulate(
     map_steps: Sequence[int],
     resume: Path | None,
     from_step: int | None,
+    graphs: Sequence[Path],
     target: Path | None,
     overwrite: bool,
     bars: Bars,
@@ -136,15 +137,27 @@ def simulate(
             map_steps=map_steps,
             resume=resume,
             from_step=from_step,
+            graphs=graphs,
             overwrite=overwrite,
             progress=bars,
             timings=timings,
         )
     out = output()
     _say_counts(out, summary)
+    _say_biome(out, loaded)
     _say_notes(out, summary.notes)
     _say(out, f"simulated in {seconds(summary.timings_s['community'])}")
     _say(out, f"files: {summary.folder}/ ({', '.join(sorted(path.name for path in summary.folder.iterdir()))})")
+
+
+def _say_biome(out: Console, loaded: LoadedRecipe) -> None:
+    """What people call land of the climate that chose a recipe's species."""
+    from forestgen.recipe.biome import biome_name
+
+    biome = loaded.draw(0).recipe.community.parameters.get("biome")
+    if biome:
+        t, p = biome["temperature_c"], biome["precipitation_mm_per_yr"]
+        _say(out, f"biome: {biome_name(t, p)}, of {t:g} deg C and {p:g} mm a year")
 
 
 def validate(recipe: Path, overrides: Sequence[str]) -> None:

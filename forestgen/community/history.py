@@ -6,14 +6,17 @@ name. The file's metadata, JSON under ``forestgen.community``, names the species
 snapshot's time, number of plants (a snapshot without plants has no rows), step and state, and the origin: what the
 simulation was started with, so that `forestgen.stages.resume` can tell whether a recipe continues it. A snapshot is one
 row group, and is read alone. The same snapshots give the same bytes.
+
+Of plants that grow by branch modules, the modules may lie in a second table beside it (`community.module_history`); the
+metadata then has their number in every snapshot, and null where they were left out.
 """
 
 from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass, replace
 from itertools import accumulate
 from pathlib import Path
 from typing import Any
@@ -22,6 +25,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from forestgen.community.module_history import NAME, ModuleWriter, read_modules
 from forestgen.community.population import Population
 from forestgen.core.errors import AssetError, OutputError
 
@@ -74,8 +78,10 @@ def _table(population: Population) -> Any:
     )
 
 
-def _write(path: Path, populations: Iterable[Population], origin: Mapping[str, Any]) -> None:
-    writer, names, snapshots = None, None, []
+def _write(
+    path: Path, populations: Iterable[Population], origin: Mapping[str, Any], modules: ModuleWriter | None
+) -> None:
+    writer, names, snapshots, has_modules = None, None, [], False
     try:
         for population in populations:
             table = _table(population)
@@ -87,21 +93,38 @@ def _write(path: Path, populations: Iterable[Population], origin: Mapping[str, A
             if len(population):
                 writer.write_table(table, row_group_size=len(population))
             snapshots.append([population.time_yr, len(population), population.step, dict(population.state)])
+            has_modules = has_modules or population.modules is not None
+            if modules is not None:
+                modules.add(population)
         if writer is None:
             raise ValueError("a history needs at least one snapshot")
-        about = {"version": _VERSION, "species_names": names, "snapshots": snapshots, "origin": dict(origin)}
+        about: dict[str, Any] = {
+            "version": _VERSION,
+            "species_names": names,
+            "snapshots": snapshots,
+            "origin": dict(origin),
+        }
+        if has_modules:
+            about["modules"] = None if modules is None else modules.counts
         writer.add_key_value_metadata({_KEY: json.dumps(about).encode()})
     finally:
         if writer is not None:
             writer.close()
 
 
-def write_history(path: Path, populations: Iterable[Population], origin: Mapping[str, Any] | None = None) -> None:
+def write_history(
+    path: Path,
+    populations: Iterable[Population],
+    origin: Mapping[str, Any] | None = None,
+    *,
+    modules: bool = False,
+) -> None:
     """Write snapshots as they come; only one is held in memory. The file appears when it is complete.
 
     Parameters
     ----------
     origin : what the simulation was started with, plain as in JSON.
+    modules : whether the plants' modules are written too, into a table beside it.
 
     Raises
     ------
@@ -110,7 +133,8 @@ def write_history(path: Path, populations: Iterable[Population], origin: Mapping
     """
     partial = path.with_name(path.name + ".partial")
     try:
-        _write(partial, populations, origin or {})
+        with ModuleWriter(path.with_name(NAME)) if modules else nullcontext() as writer:
+            _write(partial, populations, origin or {}, writer)
         partial.replace(path)
     except OSError as error:
         raise OutputError(
@@ -128,6 +152,8 @@ class History:
     species_names: tuple[str, ...]
     origin: Mapping[str, Any]  # what the simulation was started with
     _snapshots: Sequence[tuple[float, int, int, Mapping[str, Any]]]  # time_yr, plants, step, state
+    grows_by_modules: bool = False  # whether its plants had modules, which may have been left out
+    _modules: Sequence[int] | None = None  # of each snapshot; None: there are none, or they were left out
 
     @property
     def steps(self) -> list[int]:
@@ -142,6 +168,23 @@ class History:
         AssetError : the file has changed, or is damaged.
         """
         return next(self._read([self.steps.index(step)]))
+
+    @property
+    def has_modules(self) -> bool:
+        """Whether the plants' modules were written too."""
+        return self._modules is not None
+
+    def with_modules(self, step: int) -> Population:
+        """The snapshot of a step of `steps` with its plants' modules, of a history that has them.
+
+        Raises
+        ------
+        AssetError : the modules' table is not there, or not of this history.
+        """
+        if self._modules is None:
+            raise ValueError("this history has no modules")
+        population, index = self.snapshot(step), self.steps.index(step)
+        return replace(population, modules=read_modules(self.path.with_name(NAME), population, self._modules, index))
 
     def __iter__(self) -> Iterator[Population]:
         return self._read(range(len(self._snapshots)))
@@ -202,7 +245,8 @@ def open_history(path: Path) -> History:
         if about["version"] != _VERSION:
             raise ValueError(f"version {about['version']} of the format, not {_VERSION}")
         snapshots = [(float(time_yr), int(n), int(step), state) for time_yr, n, step, state in about["snapshots"]]
-        return History(path, tuple(about["species_names"]), about["origin"], snapshots)
+        names, modules = tuple(about["species_names"]), about.get("modules")
+        return History(path, names, about["origin"], snapshots, "modules" in about, modules)
 
 
 def read_history(path: Path) -> list[Population]:

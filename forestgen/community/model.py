@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
+from forestgen.architecture.plant_type import PlantType
 from forestgen.community.disturbance import Disturbance, Ground, Planting
 from forestgen.community.population import Population
 from forestgen.core.randomness import child_rng
@@ -41,9 +42,10 @@ class SpeciesEcology:
     seedling_radius_m: float  # mean radius of an arriving seedling, m, > 0
     height_scale: float  # A_H of H = A_H r^c_H, metres of height at r = 1 m, > 0
     height_exponent: float  # c_H of H = A_H r^c_H, >= 0
+    modules: PlantType | None = None  # how it grows as a graph of branch modules; None: not at all
 
     def __post_init__(self) -> None:
-        for name in (f.name for f in fields(self) if f.name != "name"):
+        for name in (f.name for f in fields(self) if f.name not in ("name", "modules")):
             value = getattr(self, name)
             least_is_zero = name not in ("max_radius_m", "seedling_radius_m", "height_scale")
             most = 1.0 if name in ("shade_tolerance", "old_age_survival") else math.inf

@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.architecture.modules import Modules
+
 
 class Status(IntEnum):
     """State of a plant in its community. The numbers are written to files: never renumber."""
@@ -40,6 +42,7 @@ class Population:
     columns: Mapping[str, NDArray[Any]] = field(default_factory=dict)  # (N,) each, a model's own
     step: int = 0  # of the simulation
     state: Mapping[str, Any] = field(default_factory=dict)  # what a model knows besides its plants, plain as in JSON
+    modules: Modules | None = None  # of plants that grow by branch modules; None: a model of whole plants
 
     def __post_init__(self) -> None:
         n = len(self.plant_id)
@@ -56,6 +59,8 @@ class Population:
                 raise ValueError(f"{name} must have shape {shape}, got {getattr(self, name).shape}")
         if n and (self.plant_id[0] == 0 or np.any(np.diff(self.plant_id.astype(np.int64)) <= 0)):
             raise ValueError("plant_id must be positive, unique and sorted")
+        if self.modules is not None and self.modules.plants != n:
+            raise ValueError(f"modules must be those of {n} plants, got {self.modules.plants}")
 
     def __len__(self) -> int:
         return len(self.plant_id)

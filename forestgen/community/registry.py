@@ -7,6 +7,10 @@ from forestgen.core.registry import Registry
 COMMUNITY_MODELS = Registry(
     "community model",
     {
+        "branch_modules": (
+            "forestgen.community.models.branch_modules:MODEL",
+            "plants that grow, compete and die by their branches (Makowski et al. 2019, Synthetic Silviculture)",
+        ),
         "deformation_kernel": (
             "forestgen.community.models.deformation_kernel:MODEL",
             "plants drawn one by one from a density that each of them deforms (Lane 2002, chapter 5)",

@@ -19,3 +19,4 @@ class Part(IntEnum):
     LITTER = 8
     ROCK = 9
     WATER = 10
+    STRUCTURE = 11  # what people have built

@@ -19,6 +19,9 @@
 | cloud                 | opacity                     | float  | 1 - transmittance of the clouds along the ray         |
 | motion                | forward.u forward.v         | float  | pixels right, down, to the next frame; NaN: none      |
 | boundary              | occluding                   | uint32 | 1 where the surface hides a neighbouring pixel's      |
+| module                | number node                 | uint32 | branch module's number + 1, 0: none; its segment's    |
+|                       |                             |        | node; where labels.channels name it                   |
+|                       | own                         | uint32 | 1: the plant's own branches; 0: of what stands for it |
 | identity              | plant_id part semantic      | uint32 | of the largest coverage                               |
 |                       | centre.plant_id centre.part | uint32 | of the centre's ray                                   |
 |                       | centre.exemplar centre.face | uint32 | number of the exemplar + 1, 0: none; its triangle     |
@@ -68,7 +71,7 @@ from forestgen.dataset.legend import classes_text, parts_text
 from forestgen.dataset.light_parts import light_attributes, own_attributes, radiance_channels
 from forestgen.labels.labelled import LabelledFrame
 from forestgen.labels.masks import CoverageRanks
-from forestgen.render.frame import Surface
+from forestgen.render.frame import Branches, Surface
 from forestgen.scene.projection import centre_rays
 from forestgen.scene.spec import Camera
 
@@ -176,6 +179,7 @@ def _parts(labelled: LabelledFrame) -> dict[str, Channels]:
         "cloud": _single("opacity", frame.cloud_opacity if "cloud" in wanted else None),
         "motion": _split(("forward.u", "forward.v"), frame.motion_px if "motion" in wanted else None),
         "boundary": _single("occluding", labelled.boundaries),
+        "module": _branch_channels(frame.branches if "module" in wanted else None),
         "identity": {
             **_single("plant_id", labels.instance),
             **_single("part", labels.part),
@@ -205,6 +209,16 @@ def _centre_channels(surface: Surface) -> Channels:
         **_single("centre.part", surface.part),
         **_single("centre.exemplar", surface.exemplar),
         **_single("centre.face", surface.face),
+    }
+
+
+def _branch_channels(branches: Branches | None) -> Channels:
+    if branches is None:
+        return {}
+    return {
+        **_single("number", branches.module),
+        **_single("node", branches.node),
+        **_single("own", branches.is_own),
     }
 
 

@@ -15,10 +15,11 @@ from forestgen.plants.budget import check_budget
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.plants.fitting import fit
 from forestgen.plants.foliage import place
+from forestgen.plants.generators.house import DEPTH_SHARE
 from forestgen.plants.levels import FULL, Level, simplified
 from forestgen.plants.meshing import organ_meshes
 from forestgen.plants.organs.base import OrganForm
-from forestgen.plants.parameters import Fit
+from forestgen.plants.parameters import Fit, PlantParameters
 from forestgen.plants.registry import GENERATORS
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
 from forestgen.plants.variation.model import vary
@@ -83,19 +84,53 @@ def build_exemplar(
     height_m, width_m = size_m(species, radius_m)
     wood_rng, foliage_rng, level_rng, variation_rng = rng.spawn(4)
     plant = generator_parameters
-    skeleton = GENERATORS.load(plant.generator).grow(plant, height_m, width_m, wood_rng)
+    generator = GENERATORS.load(plant.generator)
+    if hasattr(generator, "build"):  # what is no plant
+        size = (width_m, DEPTH_SHARE * width_m, height_m)
+        return built(species_name, species, plant, size, radius_m)
+    skeleton = generator.grow(plant, height_m, width_m, wood_rng)
     if plant.variation is not None:
         skeleton = vary(skeleton, plant.variation, variation_rng)
     _check_grown(species_name, skeleton)
     rules = [rule for rule in plant.foliage if rule.suits(height_m)]
     placed = tuple(place(rule, skeleton, height_m, foliage_rng) for rule in rules)
     skeleton = replace(skeleton, organs=(*skeleton.organs, *placed))
+    return finished(species_name, species, plant, skeleton, (radius_m, height_m, width_m), level_rng, level=level)
+
+
+def built(
+    species_name: str, species: Species, plant: PlantParameters, size_m: tuple[float, float, float], radius_m: float
+) -> Exemplar:
+    """What a generator builds to a width, depth and height, metres, instead of growing it: a house."""
+    exemplar: Exemplar = GENERATORS.load(plant.generator).build(species_name, plant, size_m, radius_m)
+    _check_materials(species_name, exemplar.organs, species.materials)
+    return exemplar
+
+
+def finished(
+    species_name: str,
+    species: Species,
+    plant: PlantParameters,
+    skeleton: Skeleton,
+    size: tuple[float, float, float],
+    rng: np.random.Generator,
+    *,
+    level: Level = FULL,
+) -> Exemplar:
+    """Fit and mesh a plant that has grown, with its leaves.
+
+    Parameters
+    ----------
+    size : community radius, height and width that it is to have, metres.
+    rng : decides what a far version leaves out.
+    """
+    radius_m, height_m, width_m = size
     _check_grown(species_name, skeleton)
     templates = {name: shape.template() for name, shape in plant.shapes.items()}
     skeleton = _with_visible_organs(fit(skeleton, templates, plant.fit, height_m, width_m), templates)
     triangles = sum(len(organs.node) * templates[organs.shape].triangles for organs in skeleton.organs)
     check_budget("triangles in leaves and flowers", triangles, _TRIANGLE_BYTES, "fewer organs, a lower detail")
-    seen = simplified(skeleton, templates, level, level_rng)
+    seen = simplified(skeleton, templates, level, rng)
     organs = organ_meshes(seen, plant.shapes, plant.wood, pixel_m=level.pixel_m)
     _check_materials(species_name, organs, species.materials)
     low, high = _box(organs, species_name)

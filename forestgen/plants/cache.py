@@ -23,6 +23,7 @@ from forestgen.core.parts import Part
 from forestgen.geometry.mesh import Mesh
 from forestgen.plants.build import Species
 from forestgen.plants.exemplar import Exemplar, OrganMesh
+from forestgen.plants.grown.wood import ModuleWood, wood_key
 from forestgen.plants.levels import FULL, Level
 
 MOST_BYTES = 4_000_000_000
@@ -43,6 +44,9 @@ class ExemplarRequest:
     seed: int  # root seed
     identity: tuple[str | int, ...]  # of its randomness, see `core.randomness.child_rng`
     level: Level = FULL
+    wood: ModuleWood | None = None  # branches that its community grew; None: the generator grows it by the radius
+    box_m: tuple[float, float, float] | None = None  # width, depth, height of what is built, as a house
+    is_kept: bool = True  # on disk: other runs may ask for the same
 
     def key(self) -> str:
         """Hash of everything that the exemplar depends on, hexadecimal."""
@@ -56,6 +60,8 @@ class ExemplarRequest:
             "radius_m": repr(float(self.radius_m)),
             "seed": [int(self.seed), *self.identity],
             "level": asdict(self.level),
+            **({} if self.wood is None else {"wood": wood_key(self.wood)}),
+            **({} if self.box_m is None else {"box_m": [repr(float(side)) for side in self.box_m]}),
             "code": code_hash(),
         }
         text = json.dumps(content, sort_keys=True, separators=(",", ":"))

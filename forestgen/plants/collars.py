@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from forestgen.core.compiled import compiled
 from forestgen.geometry.mesh import Mesh
-from forestgen.geometry.sweep import Polylines, rotation_minimising_frames, sides_for_radius, sweep, sweep_tubes
+from forestgen.geometry.sweep import Polylines, rotation_minimising_frames, sides_for_radius, sweep_tubes
 from forestgen.geometry.vectors import unit
 from forestgen.plants.skeleton import Skeleton
 
@@ -69,8 +69,8 @@ def sweep_with_collars(
     pointed: NDArray[np.bool_],
     height_ratio: float,
     tile_m: tuple[float, float],
-) -> Mesh:
-    """Branches as tubes with collars; see `sweep`.
+) -> tuple[Mesh, Ints]:
+    """Branches as tubes with collars, and where each tube's vertices begin; see `sweep_tubes`.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def sweep_with_collars(
     sides = sides_for_radius(base)
     chosen = np.flatnonzero((base >= _COLLARED_M) & (base < 2.0 * skeleton.radius_m[bearer]))
     if not len(chosen):
-        return sweep(lines, sides, pointed=pointed, height_ratio=height_ratio, tile_m=tile_m)
+        return sweep_tubes(lines, sides, pointed=pointed, height_ratio=height_ratio, tile_m=tile_m)
     sides[chosen] = np.maximum(sides[chosen], np.where(base[chosen] < _MANY_RINGS_M, 6, 8))
     surfaces = _bearers(skeleton, bearer[chosen])
     lines = _with_rings(lines, chosen, _stops(lines, chosen, surfaces))
@@ -94,7 +94,7 @@ def sweep_with_collars(
     )
     if mesh.normals is not None:
         _blend(mesh.vertices_m, mesh.normals, vertex_start, chosen, base[chosen], *surfaces.arrays)
-    return mesh
+    return mesh, vertex_start
 
 
 @compiled

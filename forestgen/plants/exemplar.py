@@ -18,6 +18,7 @@ class OrganMesh:
     part: Part
     material: str  # key into the species' materials
     mesh: Mesh
+    mark: NDArray[np.uint32] | None = None  # (F,) `Skeleton.mark` of what each triangle is part of; None: not told
 
 
 @dataclass(frozen=True)
@@ -31,10 +32,16 @@ class Exemplar:
     crown_width_m: float  # mean of its geometry's extents in x and y
     leaf_area_m2: float  # one side of all blades, petioles of the blade's own material included
     wood_volume_m3: float  # of the skeleton, see `Skeleton.volume_m3`
+    is_unique: bool = False  # of one plant alone, with that plant's own branches
 
     @property
     def triangles(self) -> int:
         return sum(organ.mesh.triangles for organ in self.organs)
+
+    def marks(self) -> NDArray[np.uint32] | None:
+        """(F,) marks of all triangles, the organs one after another; None if the plant has none."""
+        known = [organ.mark for organ in self.organs if organ.mark is not None]
+        return np.concatenate(known) if len(known) == len(self.organs) else None
 
     def bounds_m(self) -> NDArray[np.float64]:
         """(2, 3) lowest and highest corner."""

@@ -13,14 +13,27 @@ from concurrent.futures import ThreadPoolExecutor
 from forestgen.core.disk_cache import DiskCache
 from forestgen.core.randomness import child_rng
 from forestgen.core.threads import cores
-from forestgen.plants.build import build_exemplar
+from forestgen.plants.build import build_exemplar, built
 from forestgen.plants.cache import ExemplarRequest, keep_exemplar, load_exemplar
 from forestgen.plants.exemplar import Exemplar
+from forestgen.plants.grown.build import build_grown
 
 
 def grow_exemplar(request: ExemplarRequest) -> Exemplar:
     """The plant of a request, grown and meshed."""
+    if request.box_m is not None:
+        return built(request.species_name, request.species, request.parameters, request.box_m, request.radius_m)
     rng = child_rng(request.seed, *request.identity)
+    if request.wood is not None:
+        return build_grown(
+            request.species_name,
+            request.species,
+            request.parameters,
+            request.wood,
+            request.radius_m,
+            rng,
+            level=request.level,
+        )
     return build_exemplar(
         request.species_name, request.species, request.parameters, request.radius_m, rng, level=request.level
     )
@@ -48,11 +61,12 @@ def grow_exemplars(
     threads = max(1, min(workers or cores(), len(requests)))
 
     def one(request: ExemplarRequest) -> tuple[Exemplar, bool]:
-        found = load_exemplar(store, request) if store is not None else None
+        own = store if request.is_kept else None
+        found = load_exemplar(own, request) if own is not None else None
         if found is not None:
             return found, False
         grown = grow_exemplar(request)
-        return grown, store is not None and keep_exemplar(store, request, grown)
+        return grown, own is not None and keep_exemplar(own, request, grown)
 
     results = []
     with ThreadPoolExecutor(threads) as pool:

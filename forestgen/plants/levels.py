@@ -264,4 +264,5 @@ def _without(skeleton: Skeleton, gone: Bools) -> Skeleton:
         order=skeleton.order[keep],
         axis=skeleton.axis[keep],
         organs=tuple(replace(one, node=renumbered[one.node]) for one in skeleton.organs),
+        mark=None if skeleton.mark is None else skeleton.mark[keep],
     )

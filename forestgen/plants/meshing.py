@@ -24,12 +24,13 @@ from numpy.typing import NDArray
 from forestgen.core.parts import Part
 from forestgen.geometry.instancing import instance
 from forestgen.geometry.mesh import Mesh
-from forestgen.geometry.sweep import Polylines, sides_for_radius, sweep
+from forestgen.geometry.sweep import Polylines, sides_for_radius, sweep, sweep_tubes
 from forestgen.geometry.vectors import concatenate, unit
 from forestgen.plants.collars import sweep_with_collars
 from forestgen.plants.exemplar import OrganMesh
 from forestgen.plants.far_organs import far_piece
 from forestgen.plants.levels import mean_size
+from forestgen.plants.marks import tube_marks
 from forestgen.plants.organs.shapes import OrganShape
 from forestgen.plants.parameters import Wood
 from forestgen.plants.skeleton import Skeleton
@@ -66,24 +67,63 @@ def wood_mesh(
     plain : tubes as measured: no flare, relief, collars or domes.
     foot_m : of the branches, those alone whose diameter at the foot is within (first included, second not).
     """
+    tubes = _wood(skeleton, trunk, flare, height_ratio, tile_m, plain, foot_m)
+    meshes = [mesh for mesh, _, _, _ in tubes]
+    return concatenate(meshes) if meshes else sweep(_no_lines(), np.zeros(0, np.int64))
+
+
+def marked_wood(
+    skeleton: Skeleton,
+    trunk: bool,
+    flare: float,
+    *,
+    height_ratio: float = 1.0,
+    tile_m: tuple[float, float] = (1.0, 1.0),
+    plain: bool = False,
+    foot_m: tuple[float, float] = (0.0, np.inf),
+) -> tuple[Mesh, NDArray[np.uint32]]:
+    """The same with the mark of each triangle, of a skeleton that has marks."""
+    tubes = _wood(skeleton, trunk, flare, height_ratio, tile_m, plain, foot_m)
+    if not tubes or skeleton.mark is None:
+        mesh = concatenate([one[0] for one in tubes]) if tubes else sweep(_no_lines(), np.zeros(0, np.int64))
+        return mesh, np.zeros(mesh.triangles, dtype=np.uint32)
+    marks = [tube_marks(mesh, start, line, skeleton.mark[node], tile_m[1]) for mesh, start, line, node in tubes]
+    return concatenate([mesh for mesh, _, _, _ in tubes]), np.concatenate(marks)
+
+
+def _wood(
+    skeleton: Skeleton,
+    trunk: bool,
+    flare: float,
+    height_ratio: float,
+    tile_m: tuple[float, float],
+    plain: bool,
+    foot_m: tuple[float, float],
+) -> list[tuple[Mesh, Ints, Polylines, Ints]]:
+    """Meshes of tubes, where each tube's vertices begin, and the polylines and their nodes that the tubes follow."""
     first, last = _axis_ranges(skeleton)
     standing = (skeleton.order[first] == 0) & (skeleton.parent[first] <= 0)
     bears = _bears_at_its_end(skeleton, first, last) & (not plain)
-    meshes = []
+    tubes = []
     if trunk:
         for a, b, forks in zip(first[standing], last[standing], bears[standing], strict=True):
             line = stem_line(skeleton, int(a), int(b), rings=not plain)
             if line is not None:
-                meshes.append(_stem(_domed(line, np.array([forks])), flare, tile_m, plain))
+                mesh = _stem(_domed(line, np.array([forks])), flare, tile_m, plain)
+                own = stem_line(skeleton, int(a), int(b))
+                assert own is not None
+                tubes.append((mesh, np.array([0, len(mesh.vertices_m)]), own, _stem_nodes(skeleton, int(a), own)))
     chosen = ~standing & ((skeleton.order[first] == 0) == trunk) & ~skeleton.is_thread()
     if not trunk:
         foot = 2.0 * skeleton.radius_m[first]
         chosen &= (foot >= foot_m[0]) & (foot < foot_m[1])
     if np.any(chosen):
         ratio = 1.0 if trunk else height_ratio
-        lines = _domed(branch_lines(skeleton, first[chosen], last[chosen]), bears[chosen])
-        meshes.append(_limbs(skeleton, lines, skeleton.parent[first[chosen]], ratio, tile_m, plain))
-    return concatenate(meshes) if meshes else sweep(_no_lines(), np.zeros(0, np.int64))
+        own = branch_lines(skeleton, first[chosen], last[chosen])
+        lines = _domed(own, bears[chosen])
+        mesh, start = _limbs(skeleton, lines, skeleton.parent[first[chosen]], ratio, tile_m, plain)
+        tubes.append((mesh, start, own, _branch_nodes(skeleton, first[chosen], last[chosen])))
+    return tubes
 
 
 def organ_meshes(
@@ -95,15 +135,15 @@ def organ_meshes(
     ----------
     pixel_m : what a pixel covers of the plant, metres; collars do not show from far. 0 is all detail.
     """
-    parts: dict[tuple[Part, str], list[Mesh]] = {}
+    parts: dict[tuple[Part, str], list[tuple[Mesh, NDArray[np.uint32] | None]]] = {}
     stem, limb = (Part.DEAD_WOOD, Part.DEAD_WOOD) if wood.dead else (Part.TRUNK, Part.BRANCH)
-    parts[stem, wood.material] = [wood_mesh(skeleton, True, wood.flare, tile_m=wood.bark_tile_m)]
+    parts[stem, wood.material] = [_known(skeleton, True, wood.flare, tile_m=wood.bark_tile_m)]
     thick = np.inf if wood.thick_branch_m is None else wood.thick_branch_m
     for foot_m, material, tile_m in (
         ((0.0, thick), wood.branch_material or wood.material, wood.branch_tile_m),
         ((thick, np.inf), wood.material, wood.bark_tile_m),
     ):
-        branches = wood_mesh(
+        branches = _known(
             skeleton,
             False,
             wood.flare,
@@ -117,9 +157,30 @@ def organ_meshes(
         organ_pixel_m = pixel_m / mean_size(placement.frame) if pixel_m else 0.0
         for piece in shapes[placement.shape].pieces():
             mesh = far_piece(piece.mesh, organ_pixel_m)
-            parts.setdefault((piece.part, piece.material), []).append(instance(mesh, placement.frame))
-    joined = ((part, material, concatenate(meshes)) for (part, material), meshes in parts.items())
-    return tuple(OrganMesh(part, material, mesh) for part, material, mesh in joined if mesh.triangles)
+            mark = None if skeleton.mark is None else np.repeat(skeleton.mark[placement.node], mesh.triangles)
+            parts.setdefault((piece.part, piece.material), []).append((instance(mesh, placement.frame), mark))
+    made = []
+    for (part, material), found in parts.items():
+        mesh, marks = concatenate([one for one, _ in found]), [mark for _, mark in found if mark is not None]
+        if mesh.triangles:
+            made.append(OrganMesh(part, material, mesh, np.concatenate(marks) if len(marks) == len(found) else None))
+    return tuple(made)
+
+
+def _known(
+    skeleton: Skeleton,
+    trunk: bool,
+    flare: float,
+    *,
+    height_ratio: float = 1.0,
+    tile_m: tuple[float, float],
+    plain: bool = False,
+    foot_m: tuple[float, float] = (0.0, np.inf),
+) -> tuple[Mesh, NDArray[np.uint32] | None]:
+    """Wood with its marks, where the skeleton has some."""
+    make = wood_mesh if skeleton.mark is None else marked_wood
+    made = make(skeleton, trunk, flare, height_ratio=height_ratio, tile_m=tile_m, plain=plain, foot_m=foot_m)
+    return made if isinstance(made, tuple) else (made, None)
 
 
 def branch_lines(skeleton: Skeleton, first: Ints, last: Ints) -> Polylines:
@@ -129,14 +190,30 @@ def branch_lines(skeleton: Skeleton, first: Ints, last: Ints) -> Polylines:
     ----------
     first, last : (A,) first node of each axis, and one beyond its last.
     """
-    lengths = last - first + 1
-    offset = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
-    index = np.arange(offset[-1]) - np.repeat(offset[:-1], lengths) + np.repeat(first - 1, lengths)
+    offset = np.concatenate([[0], np.cumsum(last - first + 1)]).astype(np.int64)
     foot = offset[:-1]
-    index[foot] = skeleton.parent[first]
+    index = _branch_nodes(skeleton, first, last)
     radius = skeleton.radius_m[index].astype(np.float64)
     radius[foot] = radius[foot + 1]
     return Polylines(skeleton.position_m[index].astype(np.float64), radius, offset)
+
+
+def _branch_nodes(skeleton: Skeleton, first: Ints, last: Ints) -> Ints:
+    """Nodes along the lines of branches: of each the one that bears it, and its own."""
+    lengths = last - first + 1
+    offset = np.cumsum(lengths) - lengths
+    index = np.arange(lengths.sum()) - np.repeat(offset, lengths) + np.repeat(first - 1, lengths)
+    index[offset] = skeleton.parent[first]
+    return np.asarray(index, dtype=np.int64)
+
+
+def _stem_nodes(skeleton: Skeleton, first: int, line: Polylines) -> Ints:
+    """Nodes along a stem's line without rings; the part below the ground is that of its foot."""
+    own = np.flatnonzero(skeleton.axis == skeleton.axis[first])
+    if skeleton.parent[first] >= 0:
+        own = np.concatenate([[skeleton.parent[first]], own])
+    below = len(line.radius_m) - len(own)
+    return np.asarray(np.concatenate([np.repeat(own[:1], below), own]), dtype=np.int64)
 
 
 def stem_line(skeleton: Skeleton, first: int, last: int, *, rings: bool = False) -> Polylines | None:
@@ -196,13 +273,13 @@ def _stem(line: Polylines, flare: float, tile_m: tuple[float, float], plain: boo
 
 def _limbs(
     skeleton: Skeleton, lines: Polylines, bearer: Ints, height_ratio: float, tile_m: tuple[float, float], plain: bool
-) -> Mesh:
-    """Axes that other axes bear; `bearer` (A,) is the node that bears each."""
+) -> tuple[Mesh, Ints]:
+    """Axes that other axes bear; `bearer` (A,) is the node that bears each. And where each tube's vertices begin."""
     pointed = _is_pointed(lines)
     if not plain:
         return sweep_with_collars(skeleton, lines, bearer, pointed=pointed, height_ratio=height_ratio, tile_m=tile_m)
     sides = sides_for_radius(lines.radius_m[lines.offset[:-1]])
-    return sweep(lines, sides, pointed=pointed, height_ratio=height_ratio, tile_m=tile_m)
+    return sweep_tubes(lines, sides, pointed=pointed, height_ratio=height_ratio, tile_m=tile_m)
 
 
 def _axis_ranges(skeleton: Skeleton) -> tuple[Ints, Ints]:

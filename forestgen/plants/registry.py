@@ -27,5 +27,13 @@ GENERATORS = Registry(
             "forestgen.plants.generators.auxin_root:GENERATOR",
             "a bent axis: auxin transport, redistribution by gravity, growth of a root's or a shoot's sides",
         ),
+        "house": (
+            "forestgen.plants.generators.house:GENERATOR",
+            "no plant: a house with a gable roof, an obstacle that plants grow around",
+        ),
+        "branch_modules": (
+            "forestgen.plants.generators.branch_modules:GENERATOR",
+            "twigs and leaves on the branches that the community model branch_modules grew (Makowski 2023)",
+        ),
     },
 )

@@ -33,12 +33,15 @@ class Skeleton:
     order: NDArray[np.uint8]  # (N,) 0 trunk, 1 its branches, ...
     axis: NDArray[np.int32]  # (N,) nodes of one axis share its number; consecutive nodes of an axis are chained
     organs: tuple[OrganPlacements, ...] = ()
+    mark: NDArray[np.uint32] | None = None  # (N,) what each node's segment belongs to; meshes carry it to their faces
 
     def __post_init__(self) -> None:
         n = len(self.parent)
         for name, shape in {"position_m": (n, 3), "radius_m": (n,), "order": (n,), "axis": (n,)}.items():
             if getattr(self, name).shape != shape:
                 raise ValueError(f"{name} must have shape {shape}, got {getattr(self, name).shape}")
+        if self.mark is not None and self.mark.shape != (n,):
+            raise ValueError(f"mark must have shape {(n,)}, got {self.mark.shape}")
         if n and (self.parent[0] != -1 or np.any(self.parent >= np.arange(n))):
             raise ValueError("parents must precede children, and node 0 must be the root")
 

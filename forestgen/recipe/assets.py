@@ -17,6 +17,7 @@ SUFFIXES = {
     "terrain": (".yaml",),
     "climate": (".yaml",),
     "lsystems": (".lsys", ".sys"),
+    "modules": (".yaml",),
     "spectra": (".csv",),
 }
 

@@ -49,7 +49,7 @@ def recipe_json_schema(
     _admit_shorthands(schema)
     _admit_species_files(schema)
     definitions["Distribution"] = _distribution()
-    schema["required"] = [name for name in schema["required"] if name != "cameras"]
+    schema["required"] = [name for name in schema["required"] if name not in ("cameras", "species")]
     head = {
         "$schema": DIALECT,
         "$id": f"https://forestgen.invalid/schemas/recipe-{SCHEMA_VERSION}.json",
@@ -157,7 +157,7 @@ def _admit_shorthands(schema: Json) -> None:
 def _admit_species_files(schema: Json) -> None:
     definitions = schema["$defs"]
     # Under `from`, any key may be left out at any depth: the file has it.
-    for name in ("Species", "Ecology", "PowerLaw", "Allometry", "Plant", "Material"):
+    for name in ("Species", "Ecology", "PowerLaw", "Allometry", "Plant", "PlantType", "Material"):
         definitions[f"{name}Override"] = _partial(definitions[name])
     override = definitions["SpeciesOverride"]
     source = {"type": "string", "description": "Name of a species in scenes/species, or the path of its file."}
@@ -184,6 +184,7 @@ def _partial(node: Any) -> Any:
         "PowerLaw",
         "Allometry",
         "Plant",
+        "PlantType",
         "Material",
     ):
         result["$ref"] = reference + "Override"

@@ -24,6 +24,7 @@ from forestgen.core.errors import AssetError, RecipeError
 from forestgen.core.randomness import child_rng, child_root
 from forestgen.recipe.assemble import apply_override, embed_program, embed_tables, merge_species, spell_out
 from forestgen.recipe.assets import list_assets, recipes_dir
+from forestgen.recipe.biome import forget_drawn_biome, settle_biome
 from forestgen.recipe.distributions import (
     BadDistributionError,
     Distribution,
@@ -109,6 +110,8 @@ class LoadedRecipe:
     def complete(self) -> dict[str, Any]:
         """Everything the recipe says: defaults filled in, species merged, distributions as written."""
         data = _plain(self._validated(self._values(self._first_image)))
+        if any(keys[:2] == ("community", "biome") for keys in self.written):
+            forget_drawn_biome(data, self.data)
         for keys, written in self.written.items():
             _put(data, keys, copy.deepcopy(written))
         embed_maps(data, self.sources, self.path.parent, self.file_sha256)  # those that are chosen for each image
@@ -175,6 +178,8 @@ class LoadedRecipe:
         for keys, value in values.items():
             _put(data, keys, value)
         spell_out(data)
+        if settle_biome(data, self.sources):
+            merge_species(data, self.sources, self.path.parent)
         embed_program(data, self.sources, self.path.parent)
         embed_tables(data, self.sources, self.path.parent)
         embed_maps(data, self.sources, self.path.parent, self.file_sha256)
@@ -319,6 +324,7 @@ def _put(data: Any, keys: Keys, value: Any) -> None:
 def _plain(recipe: Recipe) -> dict[str, Any]:
     data: dict[str, Any] = recipe.model_dump(mode="json")
     for species in data["species"].values():
-        if species["height_m"] is None:
-            del species["height_m"]
+        for key in ("height_m", "modules", "modules_plant"):
+            if species[key] is None:
+                del species[key]
     return data

@@ -1,4 +1,4 @@
-"""Pictures, soundings and weather that a recipe names: found beside it, part of its hash by content, not by name.
+"""Pictures, terrain, soundings and weather that a recipe names: found beside it, hashed by content, not by name.
 
 ``map: meadow.png`` becomes ``map: {file: meadow.png, sha256: ...}`` when a recipe is loaded. With a sha256 in the
 recipe, as in one that is stored with an image, no other file is taken.
@@ -105,6 +105,8 @@ def is_map_file(value: object) -> bool:
 def _all_slots(data: dict[str, Any]) -> Iterator[tuple[Keys, Any, str | int]]:
     """Key path, parent and key of every value that may be a file."""
     yield from _slots(data.get(SECTION), (SECTION,))
+    yield from _own_slot(data, (SECTION, "soil"))
+    yield from _own_slot(data, ("site", "terrain", "map"))
     sky = data.get("sky")
     clouds = sky.get("clouds") if isinstance(sky, dict) else None
     if not isinstance(clouds, dict):
@@ -116,6 +118,15 @@ def _all_slots(data: dict[str, Any]) -> Iterator[tuple[Keys, Any, str | int]]:
     story = clouds.get("story")
     for index, chapter in enumerate(story if isinstance(story, list) else ()):
         yield from _weather_slots(chapter, (*keys, "story", index))
+
+
+def _own_slot(data: dict[str, Any], keys: tuple[str, ...]) -> Iterator[tuple[Keys, Any, str | int]]:
+    """A map that has one place in a recipe."""
+    parent: Any = data
+    for key in keys[:-1]:
+        parent = parent.get(key) if isinstance(parent, dict) else None
+    if isinstance(parent, dict) and keys[-1] in parent:
+        yield keys, parent, keys[-1]
 
 
 def _weather_slots(value: Any, keys: Keys) -> Iterator[tuple[Keys, Any, str | int]]:

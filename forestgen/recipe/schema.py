@@ -33,23 +33,12 @@ from forestgen.recipe.render import Render
 from forestgen.recipe.sky import SkySection
 from forestgen.recipe.species import Species
 from forestgen.recipe.spectra import Season
+from forestgen.recipe.terrain import Terrain
 
 SCHEMA_VERSION = 1
 # Kinds of cameras that a format has words for; the others have them for all.
 _KINDS_OF_FORMATS = {"bop": ("perspective",), "nerfstudio": ("perspective", "fisheye", "panorama")}
 Extent = Annotated[Positive, Field(le=5000)]
-
-
-class Terrain(Section):
-    """The ground's shape."""
-
-    kind: Annotated[Literal["flat", "rolling"], Field(description="Shape of the ground.")] = "flat"
-    amplitude_m: Annotated[
-        Number, Field(ge=0, le=500, description="Standard deviation of rolling ground's height, metres.")
-    ] = 0.8
-    wavelength_m: Annotated[
-        Positive, Field(ge=1, le=10000, description="Longest distance between rolling ground's crests, metres.")
-    ] = 70.0
 
 
 Ground = Literal["litter", "soil_dry", "soil_wet", "grass", "rock", "sand", "snow"]
@@ -150,6 +139,14 @@ class Plants(Section):
             "radius' logarithm.",
         ),
     ] = ()
+    unique: Annotated[
+        Literal["auto", "all", "none"] | Annotated[Whole, Field(ge=0, le=100_000)],
+        Field(
+            description="Which plants that grew as branch modules are modelled with their own branches: auto, those "
+            "that are large in an image, as many as ten million triangles hold; all; none; or so many of the largest. "
+            "The others are one of `exemplars_per_species` of these, scaled and turned."
+        ),
+    ] = "auto"
     levels: Annotated[
         Flag,
         Field(
@@ -180,8 +177,8 @@ class Plants(Section):
         return value
 
 
-Channel = Literal["coverage", "surface", "albedo", "sun", "cloud", "motion", "boundaries", "amodal"]
-CHANNELS: tuple[Channel, ...] = get_args(Channel)
+Channel = Literal["coverage", "surface", "albedo", "sun", "cloud", "motion", "boundaries", "amodal", "module"]
+CHANNELS: tuple[Channel, ...] = tuple(one for one in get_args(Channel) if one != "module")  # if none are named
 
 
 class Labels(Section):
@@ -194,7 +191,8 @@ class Labels(Section):
         tuple[Channel, ...],
         Field(
             description="Labels besides the masks: coverage ranks, surface (position, normals), albedo, sun (shadows), "
-            "cloud opacity, motion, occlusion boundaries, amodal masks."
+            "cloud opacity, motion, occlusion boundaries, amodal masks; and module, not among those made by default: "
+            "branch modules and their segments."
         ),
     ] = CHANNELS
     classes: Annotated[

@@ -25,6 +25,7 @@ from forestgen.recipe.fields import (
     mistake,
     spelled_out,
 )
+from forestgen.recipe.plant_type import PlantType
 from forestgen.recipe.spectra import MOST_BYTES, Season
 
 TALLEST_M = 200.0
@@ -245,6 +246,14 @@ class Species(Section):
         tuple[Text, ...], Field(max_length=20, description="Where the proportions come from, one reference each.")
     ] = ()
     plant: Annotated[Plant, Field(description="What makes its geometry.")]
+    modules: Annotated[
+        PlantType | None,
+        Field(description="How it grows as branch modules (community model branch_modules); null: it does not."),
+    ] = None
+    modules_plant: Annotated[
+        Plant | None,
+        Field(description="What clothes its branch modules, where `plant` serves other communities; null: `plant`."),
+    ] = None
     materials: Annotated[
         dict[Name, Material], Field(default_factory=dict, description="Materials of the plant's organs, by name.")
     ]

@@ -56,6 +56,15 @@ class Amodal:
 
 
 @dataclass(frozen=True)
+class Branches:
+    """The branch module and its segment that the ray through each pixel's centre meets; see labels/branches.py."""
+
+    module: NDArray[np.uint32]  # (H, W) number of the module + 1; 0 where no plant of branch modules is hit
+    node: NDArray[np.uint32]  # (H, W) of the module's prototype that ends the segment; 0 is the plant's foot, or none
+    is_own: NDArray[np.bool_]  # (H, W) the module is the plant's own, not that of the plant that stands for it
+
+
+@dataclass(frozen=True)
 class Radiance:
     """What the sensor measured, by channel: linear Rec. 709 in cd/m², or bands in W/m²/sr/nm."""
 
@@ -82,4 +91,5 @@ class Frame:
     surface: Surface
     amodal: Amodal | None = None  # of the plants that the identity pass saw
     cloud_opacity: NDArray[np.float32] | None = None  # (H, W) in [0, 1]: 1 - transmittance along the centre's ray
+    branches: Branches | None = None  # branch modules, see labels/branches.py
     motion_px: NDArray[np.float32] | None = None  # (H, W, 2) right, down, to the sequence's next frame; NaN: unknown

@@ -28,6 +28,7 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -78,9 +79,14 @@ class TracedClouds:
     ground_m: float  # world height of the plain
     key: str  # hash of all that a baked sky depends on
 
+    @cached_property
+    def _near_colour(self) -> tuple[float, float, float]:
+        """Of the terrain: the mean over a large texture, asked for with every channel."""
+        return self.terrain.mean_colour
+
     def albedo(self, channels: Channels) -> Floats:
         """(3,) of the plain."""
-        near = channels.of_surface(self.terrain.mean_colour, self.terrain.spectrum)
+        near = channels.of_surface(self._near_colour, self.terrain.spectrum)
         far = channels.of_surface(self.terrain.far_reflectance, self.terrain.far_spectrum)
         return np.asarray((1.0 - self.far_share) * near + self.far_share * far)
 

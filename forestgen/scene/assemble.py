@@ -24,19 +24,36 @@ def stand_on(population: Population, height: HeightField) -> Population:
 
 
 def place_instances(
-    population: Population, exemplar_of_plant: NDArray[np.uint32], exemplars: Sequence[Exemplar], seed: int
+    population: Population,
+    exemplar_of_plant: NDArray[np.uint32],
+    exemplars: Sequence[Exemplar],
+    seed: int,
+    *,
+    stands_for_m: NDArray[np.float64] | None = None,
+    is_unique: NDArray[np.bool_] | None = None,
 ) -> Instances:
     """One instance a plant: its exemplar scaled to the plant's exact height and turned by the plant's own angle.
 
     The angle belongs to the plant_id, so a plant keeps it through time and whatever else grows beside it; a community
     that knows how its plants stand gives it in a column `azimuth_deg`, clockwise from north, NaN where it does not.
+
+    Parameters
+    ----------
+    stands_for_m : (E,) height of the plant whose own branches an exemplar has; NaN or None: the exemplar's height is
+        that of its plants.
+    is_unique : (E,) exemplars of one plant alone, whose branches know their neighbours: neither turned nor scaled.
     """
-    heights = np.array([exemplar.height_m for exemplar in exemplars])
+    heights = np.array([exemplar.height_m for exemplar in exemplars], dtype=np.float64)
+    if stands_for_m is not None:
+        heights = np.where(np.isnan(stands_for_m), heights, stands_for_m)
     scale = population.height_m / heights[exemplar_of_plant]
     angle = np.array([child_rng(seed, "plant", int(i)).random() for i in population.plant_id]) * 2 * np.pi
     if "azimuth_deg" in population.columns:
         turned = -np.radians(population.columns["azimuth_deg"].astype(np.float64))
         angle = np.where(np.isnan(turned), angle, turned)
+    if is_unique is not None:
+        own = is_unique[exemplar_of_plant]
+        scale, angle = np.where(own, 1.0, scale), np.where(own, 0.0, angle)
     cos, sin = np.cos(angle) * scale, np.sin(angle) * scale
     zero = np.zeros_like(cos)
     rows = [[cos, -sin, zero], [sin, cos, zero], [zero, zero, scale]]

@@ -18,7 +18,7 @@ Deussen, O. et al. (1998). Realistic modeling and rendering of plant ecosystems.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -47,6 +47,8 @@ class ExemplarPlan:
     variant: Ints  # (E,) which of the plants of that size
     level: Ints  # (E,) index of its level of detail, see plants/levels.py: 0 is all detail
     exemplar_of_plant: NDArray[np.uint32]  # (N,) index into the exemplars
+    plant: Ints  # (E,) row of the plant whose own branches it has; -1: its species' generator grows it by its radius
+    is_unique: NDArray[np.bool_]  # (E,) of that plant alone, which keeps its place, size and attitude
 
     def __len__(self) -> int:
         return len(self.radius_m)
@@ -88,7 +90,13 @@ def _is_numeric(column: NDArray[np.generic]) -> bool:
 
 
 def plan_exemplars(
-    population: Population, per_species: int, seed: int, *, traits: Sequence[str] = (), variants: int = 1
+    population: Population,
+    per_species: int,
+    seed: int,
+    *,
+    traits: Sequence[str] = (),
+    variants: int = 1,
+    given: Mapping[int, ExemplarPlan] | None = None,
 ) -> ExemplarPlan:
     """Cluster each species' plants into at most `per_species` sizes; species without plants get none.
 
@@ -96,6 +104,8 @@ def plan_exemplars(
     ----------
     traits : columns of the population that count beside the radius, see `check_traits`.
     variants : exemplars of each size. A plant's is its own, whatever else grows.
+    given : plans of species that have one, by their index, see scene/own_exemplars.py; `exemplar_of_plant` of those
+        has a species' plants alone.
     """
     columns = [np.asarray(_column(population, trait), dtype=np.float64) for trait in traits]
     own = np.array([child_seed(seed, "variant", int(i)) % variants for i in population.plant_id], dtype=np.int64)
@@ -104,8 +114,11 @@ def plan_exemplars(
         rows = np.flatnonzero(population.species == index)
         if not len(rows):
             continue
+        if given is not None and index in given:
+            parts.append(given[index])
+            continue
         features = _features(population.radius_m[rows], [column[rows] for column in columns])
-        centres, labels = _cluster(features, per_species, child_seed(seed, "k-means", name))
+        centres, labels = cluster(features, per_species, child_seed(seed, "k-means", name))
         part = ExemplarPlan(
             species=np.full(len(centres), index, dtype=np.uint16),
             radius_m=np.exp(centres[:, 0]),
@@ -113,6 +126,8 @@ def plan_exemplars(
             variant=np.zeros(len(centres), dtype=np.int64),
             level=np.zeros(len(centres), dtype=np.int64),
             exemplar_of_plant=labels.astype(np.uint32),
+            plant=np.full(len(centres), -1, dtype=np.int64),
+            is_unique=np.zeros(len(centres), dtype=np.bool_),
         )
         parts.append(_split(part, own[rows], "variant"))
     return _joined(parts, population.species)
@@ -140,6 +155,8 @@ def _split(plan: ExemplarPlan, value_of_plant: Ints, field: Literal["variant", "
         variant=used[:, 1] if field == "variant" else plan.variant[origin],
         level=used[:, 1] if field == "level" else plan.level[origin],
         exemplar_of_plant=chosen.reshape(-1).astype(np.uint32),
+        plant=plan.plant[origin],
+        is_unique=plan.is_unique[origin],
     )
 
 
@@ -158,6 +175,8 @@ def _joined(parts: Sequence[ExemplarPlan], species: NDArray[np.uint16]) -> Exemp
         variant=np.concatenate([empty_whole, *(part.variant for part in parts)]),
         level=np.concatenate([empty_whole, *(part.level for part in parts)]),
         exemplar_of_plant=assignment,
+        plant=np.concatenate([empty_whole, *(part.plant for part in parts)]),
+        is_unique=np.concatenate([empty_whole, *(part.is_unique for part in parts)]).astype(np.bool_),
     )
 
 
@@ -180,7 +199,7 @@ def _features(radius_m: Floats, traits: Sequence[Floats]) -> Floats:
     return np.stack(columns, axis=1)
 
 
-def _cluster(features: Floats, clusters: int, seed: int) -> tuple[Floats, Ints]:
+def cluster(features: Floats, clusters: int, seed: int) -> tuple[Floats, Ints]:
     """Centres, sorted by their first feature and then the next, and each row's centre."""
     distinct, rank = np.unique(features, axis=0, return_inverse=True)
     if len(distinct) <= clusters:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.core.compiled import compiled
 from forestgen.core.spectrum import Spectrum
 from forestgen.geometry.mesh import Mesh
 from forestgen.plants.bark.texture import with_mean
@@ -57,16 +58,16 @@ class HeightField:
     def _height(self, x_m: NDArray[np.float64], y_m: NDArray[np.float64]) -> NDArray[np.float64]:
         z = np.zeros(x_m.shape)
         away = self.distance_m(x_m, y_m)
-        far = _smooth((away - HILLS_FROM_M) / (6 * HILLS_FROM_M))
+        far = smooth_step((away - HILLS_FROM_M) / (6 * HILLS_FROM_M))
         has_hills = bool(far.any())
         for k, amplitude, phase, hill in zip(self.wave_per_m, self.amplitude_m, self.phase, self.hill, strict=True):
             if hill and not has_hills:
                 continue
             wavelength = 2 * np.pi / np.hypot(*k)
             fade = (
-                far * (1 - _smooth(away / (2 * wavelength) - 1))
+                far * (1 - smooth_step(away / (2 * wavelength) - 1))
                 if hill
-                else 1 - _smooth((away - _MARGIN_M) / wavelength)
+                else 1 - smooth_step((away - _MARGIN_M) / wavelength)
             )
             z += amplitude * fade * np.sin(k[0] * x_m + k[1] * y_m + phase)
         return z
@@ -78,7 +79,7 @@ class HeightField:
         return np.hypot(dx, dy)
 
 
-def _smooth(x: NDArray[np.float64]) -> NDArray[np.float64]:
+def smooth_step(x: NDArray[np.float64]) -> NDArray[np.float64]:
     """0 below 0, 1 above 1, with a continuous slope."""
     t = np.clip(x, 0.0, 1.0)
     return t * t * (3 - 2 * t)
@@ -167,25 +168,37 @@ def _scattered_leaves(rng: np.random.Generator) -> tuple[NDArray[np.int64], NDAr
     angle = rng.random(leaves) * 2 * np.pi
     half_length = (0.018 + 0.026 * rng.random(leaves)) / cell
     half_width = half_length * (0.45 + 0.35 * rng.random(leaves))
-    reach = int(np.ceil(half_length.max()))
-    step = np.arange(-reach, reach + 1)
-    dx, dy = (one.ravel() for one in np.meshgrid(step, step))
-    pixel = np.floor(centre).astype(np.int64)
-    x = pixel[:, :1] + dx + 0.5 - centre[:, :1]
-    y = pixel[:, 1:] + dy + 0.5 - centre[:, 1:]
-    along = (x * np.cos(angle)[:, None] + y * np.sin(angle)[:, None]) / half_length[:, None]
-    across = (y * np.cos(angle)[:, None] - x * np.sin(angle)[:, None]) / half_width[:, None]
-    leaf, spot = np.nonzero(across**2 < (1 - along**2) * (1 - 0.45 * along))
-    row = (pixel[leaf, 1] + dy[spot]) % _TEXTURE_PX
-    column = (pixel[leaf, 0] + dx[spot]) % _TEXTURE_PX
-    upper = np.full(_TEXTURE_PX * _TEXTURE_PX, -1, dtype=np.int64)
-    np.maximum.at(upper, row * _TEXTURE_PX + column, leaf)
-    seen = leaf == upper[row * _TEXTURE_PX + column]
-    shade = np.ones(_TEXTURE_PX * _TEXTURE_PX)
-    shade[(row * _TEXTURE_PX + column)[seen]] = 1 + 0.16 * np.sign(across[leaf, spot][seen])
+    upper = np.full((_TEXTURE_PX, _TEXTURE_PX), -1, dtype=np.int64)
+    side = np.zeros((_TEXTURE_PX, _TEXTURE_PX), dtype=np.int8)
+    _lay_leaves(centre, np.cos(angle), np.sin(angle), half_length, half_width, upper, side)
     kind = rng.choice(len(_DRY_LEAVES), leaves, p=[0.30, 0.26, 0.10, 0.20, 0.14])
     colour = _DRY_LEAVES[kind] * (0.75 + 0.5 * rng.random((leaves, 1)))
-    return upper.reshape(_TEXTURE_PX, -1), colour, shade.reshape(_TEXTURE_PX, -1)
+    return upper, colour, 1 + 0.16 * side.astype(np.float64)
+
+
+@compiled
+def _lay_leaves(centre, cos, sin, half_length, half_width, upper, side):  # type: ignore[no-untyped-def]
+    """Lay leaves one upon another, periodically: each pixel keeps the last one's index, and which half of it it sees.
+
+    Parameters
+    ----------
+    centre : (L, 2) column and row, pixels; cos, sin : (L,) of the direction of a leaf's axis.
+    half_length, half_width : (L,) pixels.
+    upper, side : (P, P) written: index of the uppermost leaf, and 1 or -1 left and right of its axis.
+    """
+    pixels = len(upper)
+    reach = int(np.ceil(half_length.max()))
+    for leaf in range(len(centre)):
+        column, row = int(np.floor(centre[leaf, 0])), int(np.floor(centre[leaf, 1]))
+        for dy in range(-reach, reach + 1):
+            y = row + dy + 0.5 - centre[leaf, 1]
+            for dx in range(-reach, reach + 1):
+                x = column + dx + 0.5 - centre[leaf, 0]
+                along = (x * cos[leaf] + y * sin[leaf]) / half_length[leaf]
+                across = (y * cos[leaf] - x * sin[leaf]) / half_width[leaf]
+                if across * across < (1 - along * along) * (1 - 0.45 * along):
+                    upper[(row + dy) % pixels, (column + dx) % pixels] = leaf
+                    side[(row + dy) % pixels, (column + dx) % pixels] = np.sign(across)
 
 
 def litter_texture(rng: np.random.Generator) -> NDArray[np.float32]:
@@ -228,7 +241,7 @@ def build_terrain(height: HeightField, rng: np.random.Generator, ground: str = "
     """
     mesh = terrain_mesh(height)
     x, y = mesh.vertices_m[:, 0].astype(np.float64), mesh.vertices_m[:, 1].astype(np.float64)
-    far = _smooth((height.distance_m(x, y) - 30.0) / 120.0)
+    far = smooth_step((height.distance_m(x, y) - 30.0) / 120.0)
     spectrum, far_spectrum = _reflectance(f"ground/{ground}"), _reflectance("ground/far")
     if ground == "snow":
         far_spectrum = _mixed(far_spectrum, spectrum, SNOW_AFAR)

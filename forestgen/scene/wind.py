@@ -11,8 +11,8 @@ an elastic stem, at half its height h = H / 2:
 
 g is the gustiness; gusts come at f' = U / (4 H), as eddies over a canopy are a few of its heights apart. The mean is
 bounded smoothly, theta_m tanh(theta / theta_m) with theta_m of 12.5 degrees, and so the lean by 25 degrees, downwind.
-Each plant has phases of its own and up to 10% more or less of f and theta, by its plant_id. Dead wood stays still, and
-the drag's fall by streamlining is left to the bound.
+Each plant has phases of its own and up to 10% more or less of f and theta, by its plant_id. Dead wood and houses stay
+still, and the drag's fall by streamlining is left to the bound.
 
 D comes from the exemplar's wood as if half of the cylinder D x H were full of it, within a factor of two of the stem
 that elastic similarity gives a plant of its height, H = 35 D^(2/3) in metres: bushes have many stems, herbs little
@@ -106,13 +106,14 @@ def sway_in(
 def _mechanics(
     instances: Instances, exemplars: Sequence[Exemplar]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """(N,) each: height in m, frontal area by mass in m^2/kg (0 for dead wood), stem diameter in m."""
+    """(N,) each: height in m, frontal area by mass in m^2/kg (0 for dead wood, houses), stem diameter in m."""
     which = instances.exemplar
     scale = np.linalg.norm(instances.transform[:, :, 2], axis=1)
     height = np.array([one.height_m for one in exemplars])[which] * scale
     leaf_m2 = np.array([one.leaf_area_m2 for one in exemplars])[which] * scale**2
     wood_m3 = np.array([one.wood_volume_m3 for one in exemplars])[which] * scale**3
-    living = np.array([any(organ.part != Part.DEAD_WOOD for organ in one.organs) for one in exemplars], dtype=bool)
+    stiff = (Part.DEAD_WOOD, Part.STRUCTURE)
+    living = np.array([any(organ.part not in stiff for organ in one.organs) for one in exemplars], dtype=bool)
     similar = (height / 35.0) ** 1.5
     diameter = np.clip(np.sqrt(4.0 * wood_m3 / (np.pi * _STEM_FORM * height)), 0.5 * similar, 2.0 * similar)
     area = _FRONTAL_SHARE * leaf_m2 + 0.5 * diameter * height

@@ -12,6 +12,7 @@ from forestgen.atmosphere.optical_depth import cloud_opacity
 from forestgen.core.progress import Progress
 from forestgen.core.randomness import child_seed
 from forestgen.core.timing import Timings
+from forestgen.labels.branches import branch_labels
 from forestgen.labels.motion import motion_px
 from forestgen.recipe.schema import Recipe
 from forestgen.render.amodal import trace_amodal
@@ -62,6 +63,7 @@ def render_frame(
         surface=surface,
         amodal=_amodal(tracer, camera, identity, progress, timings) if "amodal" in channels else None,
         cloud_opacity=_cloud_opacity(tracer.spec, camera, surface, timings) if "cloud" in channels else None,
+        branches=branch_labels(surface, tracer.spec.exemplars) if "module" in channels else None,
         motion_px=_motion(tracer.spec, camera, surface, following, timings) if "motion" in channels else None,
     )
 

@@ -51,18 +51,24 @@ def write_community(folder: Path, plan: Plan, snapshots: Iterator[Population], m
 
     history.parquet, a map for each of `map_steps` (by default the last), sizes.png of the last snapshot, and
     statistics.json; if there are steps, animation.gif, curves.png and thinning.png too; of a model that places plants
-    by densities, densities.png. No snapshot is held but the current one. Fellings and plantings thin a stand as no
-    crowding does: with them there is no self-thinning line.
+    by densities, densities.png; on request, modules.parquet. No snapshot is held but the current one. Fellings and
+    plantings thin a stand as no crowding does: with them there is no self-thinning line.
 
     `check_map_steps` tells whether the simulation reaches `map_steps`.
     """
     told: list[_Told] = []
-    write_history(folder / "history.parquet", _watched(folder, plan, snapshots, map_steps, told), origin(plan))
+    watched, modules = _watched(folder, plan, snapshots, map_steps, told), keeps_modules(plan)
+    write_history(folder / "history.parquet", watched, origin(plan), modules=modules)
     (end,) = told
     thinning = _write_course(folder, plan, end) if plan.steps else None
     plot_sizes(end.last, map_colours(plan), folder / "sizes.png")
     _write_statistics(folder / "statistics.json", plan, end, thinning)
     return end.last
+
+
+def keeps_modules(plan: Plan) -> bool:
+    """Whether the recipe asks for the modules of its history's plants."""
+    return bool(getattr(plan.model_parameters, "history_modules", False))
 
 
 def _write_course(folder: Path, plan: Plan, end: _Told) -> dict[str, Any] | None:

@@ -9,10 +9,11 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
+from forestgen.community.branch_modules.parameters import BranchModulesParameters
 from forestgen.community.disturbance import Ground
 from forestgen.community.model import CommunityParameters, Site, SpeciesEcology
 from forestgen.community.placement.density_map import check_maps
@@ -24,10 +25,12 @@ from forestgen.plants.bark.texture import with_bark_tiles
 from forestgen.plants.parameters import PlantParameters
 from forestgen.plants.registry import GENERATORS
 from forestgen.recipe.load import DrawnRecipe, LoadedRecipe
-from forestgen.recipe.species import Species
+from forestgen.recipe.species import Plant, Species
 from forestgen.scene.exemplars import check_traits
 from forestgen.stages.clouds import check_clouds, cloud_bytes, known_base_m
 from forestgen.stages.ground import community_site
+from forestgen.stages.module_checks import check_branch_modules, is_built
+from forestgen.stages.own_plants import clothing_of, own_triangles
 from forestgen.stages.sky import check_sun
 from forestgen.stages.views import below_ground, check_above_ground, drawn_cameras
 
@@ -39,6 +42,8 @@ _LOADED_RENDERER_BYTES = 900_000_000  # libraries, kernels, the ground's texture
 _BYTES_PER_SAMPLE = 5 + 16  # an identity sample, and the sorting of it
 _BYTES_PER_PIXEL = 800  # radiance sums in double precision, buffers, channels on their way to files
 _BYTES_PER_TRIANGLE = 200  # mesh, two scenes with their trees, normals' table
+# Of plants with branches of their own, each in the scenes once: 330 measured on recipes/branch_modules.yaml.
+_BYTES_PER_OWN_TRIANGLE = 360
 # More of the same under clouds, by render.clouds. Measured: afar takes 0.3 of its figure, exact 0.45.
 _BYTES_PER_TRIANGLE_UNDER_CLOUDS = {"farfield": 60, "exact": 120, "auto": 120}
 # Of a mature plant, over its height times its width squared: poplar 280, spruce 310, oak 200; and of a herb in all.
@@ -58,6 +63,7 @@ class Plan:
     model: Any  # a CommunityModel
     model_parameters: CommunityParameters
     generator_parameters: Mapping[str, PlantParameters]  # by species
+    module_parameters: Mapping[str, PlantParameters] = field(default_factory=dict)  # of species clothed by modules
 
     @cached_property
     def site(self) -> Site:
@@ -75,7 +81,11 @@ class Plan:
 def _ecology(name: str, species: Species) -> SpeciesEcology:
     law = species.allometry.height_m
     return SpeciesEcology(
-        name=name, height_scale=law.scale, height_exponent=law.exponent, **species.ecology.model_dump()
+        name=name,
+        height_scale=law.scale,
+        height_exponent=law.exponent,
+        modules=species.modules,
+        **species.ecology.model_dump(),
     )
 
 
@@ -90,18 +100,23 @@ def make_plan(drawn: DrawnRecipe) -> Plan:
     model = COMMUNITY_MODELS.load(community.model, where=drawn.where("community", "model"))
     generators = {}
     for name, species in drawn.species.items():
-        keys = ("species", name, "plant")
-        generator = GENERATORS.load(species.plant.generator, where=drawn.where(*keys, "generator"))
-        plant = drawn.parse(generator.Parameters, species.plant.parameters, keys)
-        generators[name] = with_bark_tiles(plant, species.materials)
+        generators[name] = _generator(drawn, species, species.plant, ("species", name, "plant"))
+    clothing = clothing_of(drawn, generators, _generator)
     check_above_ground(drawn)
     _check_clouds(drawn)
     check_sun(drawn)
     parameters = drawn.parse(model.Parameters, community.parameters, ("community",))
     _check_named_species(drawn, parameters)
     _check_disturbances(drawn, parameters)
+    check_branch_modules(drawn, parameters)
     check_maps(parameters, drawn.recipe.site.size_m, lambda *keys: drawn.where("community", *keys))
-    return Plan(drawn, model, parameters, generators)
+    return Plan(drawn, model, parameters, generators, clothing)
+
+
+def _generator(drawn: DrawnRecipe, species: Species, plant: Plant, keys: tuple[str, ...]) -> PlantParameters:
+    generator = GENERATORS.load(plant.generator, where=drawn.where(*keys, "generator"))
+    parameters: PlantParameters = drawn.parse(generator.Parameters, plant.parameters, keys)
+    return with_bark_tiles(parameters, species.materials)
 
 
 def check_plan(loaded: LoadedRecipe, *, simulate_only: bool = False) -> Plan:
@@ -219,7 +234,9 @@ def estimate_bytes(plan: Plan, *, simulate_only: bool = False, plants: int = 0) 
     pixels = max(camera.size_px[0] * camera.size_px[1] for camera in recipe.cameras)
     cloudy = recipe.sky.clouds.type != "none"
     per_plant = _BYTES_PER_PLANT + cloudy * _BYTES_PER_PLANT_UNDER_CLOUDS[recipe.render.clouds]
-    per_triangle = _BYTES_PER_TRIANGLE + cloudy * _BYTES_PER_TRIANGLE_UNDER_CLOUDS[recipe.render.clouds]
+    clouds_per_triangle = cloudy * _BYTES_PER_TRIANGLE_UNDER_CLOUDS[recipe.render.clouds]
+    per_triangle = _BYTES_PER_TRIANGLE + clouds_per_triangle
+    own = own_triangles(plan.module_parameters, recipe.plants)
     across, along = (
         min(math.ceil((side + 40) / _GROUND_CELL_M), _MOST_GROUND_CELLS) + _GROUND_BEYOND for side in recipe.site.size_m
     )
@@ -228,7 +245,7 @@ def estimate_bytes(plan: Plan, *, simulate_only: bool = False, plants: int = 0) 
         "libraries": _LOADED_RENDERER_BYTES,
         "ground": 2 * across * along * per_triangle,
         "images": pixels * (_BYTES_PER_PIXEL + recipe.labels.samples * _BYTES_PER_SAMPLE),
-        "exemplars": _exemplar_triangles(plan) * per_triangle,
+        "exemplars": _exemplar_triangles(plan) * per_triangle + own * (_BYTES_PER_OWN_TRIANGLE + clouds_per_triangle),
         "plants": plants * per_plant,
         "clouds": cloud_bytes(plan.drawn),
     }
@@ -244,12 +261,13 @@ def _located(cause: RecipeError, drawn: DrawnRecipe) -> RecipeError:
 
 
 def _exemplar_triangles(plan: Plan) -> int:
-    """Triangles of all exemplars, as if each were a mature plant of its species."""
+    """Triangles of all exemplars, as if each were a mature plant of its species; see `own_triangles` for the others."""
     section = plan.drawn.recipe.plants
     each = section.exemplars_per_species * section.variants_per_size * (_DETAIL_OF_ALL_LEVELS if section.levels else 1)
     boxes_m3 = [
         species.mature_height_m * float(species.allometry.width(species.ecology.max_radius_m)) ** 2
-        for species in plan.drawn.species.values()
+        for name, species in plan.drawn.species.items()
+        if name not in plan.module_parameters and not is_built(species)
     ]
     return int(each * sum(_TRIANGLES_OF_A_HERB + _TRIANGLES_PER_M3 * box_m3 for box_m3 in boxes_m3))
 
@@ -293,11 +311,26 @@ def check_memory(plan: Plan, *, simulate_only: bool = False, plants: int = 0) ->
     )
 
 
+def check_own_triangles(plan: Plan, triangles: float) -> None:
+    """Raise `ResourceError` if so many triangles of plants as themselves do not fit into the memory that is free."""
+    free, need = int(free_bytes() * _SHARE_OF_MEMORY), int(triangles * _BYTES_PER_OWN_TRIANGLE)
+    if need > free:
+        raise ResourceError(
+            "plants with branches of their own would need more memory than is free",
+            where=plan.drawn.where("plants", "unique"),
+            expected=f"at most {_show_bytes(free)}",
+            got=f"about {_show_bytes(need)} for {triangles / 1e6:,.0f} million triangles",
+            hint="set plants.unique to auto, or to a smaller number",
+        )
+
+
 def _hint_of(parameters: CommunityParameters) -> str:
     """How a community takes less memory."""
     if isinstance(parameters, PlacementParameters):
         grids = [f", or fewer community.{name}" for name in ("cells", "pixels") if hasattr(parameters, name)]
         return "".join(["ask for fewer plants in community.plants", *grids])
+    if isinstance(parameters, BranchModulesParameters):
+        return "make the site smaller, or lower community.most_modules"
     return "make the site smaller, or lower species' seedlings_per_ha_per_yr"
 
 

@@ -1,20 +1,24 @@
 """A simulation goes on from a snapshot of its history.
 
 A history tells its origin: seed, image, model with its parameters, species and site. A recipe continues it if all of
-that is the same, except the number of steps and disturbances that are still to come: a stand may be felled or not.
+that is the same, except the number of steps and the disturbances and changes of parameters that are still to come: a
+stand may be felled or not.
 """
 
 from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 from forestgen import __version__
+from forestgen.community.branch_modules.changes import Change
 from forestgen.community.disturbance import Disturbance
 from forestgen.community.history import open_history
+from forestgen.community.model import SpeciesEcology
+from forestgen.community.module_history import NAME
 from forestgen.community.population import Population
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.hashing import recipe_hash
@@ -22,6 +26,8 @@ from forestgen.recipe.messages import show
 from forestgen.stages.plan import Plan
 
 _MOST_SHOWN = 3
+_TIMED: Mapping[str, type[Disturbance] | type[Change]] = {"disturbances": Disturbance, "changes": Change}
+_FREE = ("steps", "history_modules")  # keys that no future depends on
 
 
 def origin(plan: Plan) -> dict[str, Any]:
@@ -35,18 +41,28 @@ def origin(plan: Plan) -> dict[str, Any]:
         "model": drawn.recipe.community.model,
         "parameters": plan.model_parameters.model_dump(mode="json"),
         "site": _about_site(plan),
-        "species": {one.name: asdict(one) for one in plan.ecologies},
+        "species": {one.name: _about_species(one) for one in plan.ecologies},
     }
     plain: dict[str, Any] = json.loads(json.dumps(about))
     return plain
 
 
+def _about_species(ecology: SpeciesEcology) -> dict[str, Any]:
+    """What a community may depend on of a species; how it grows by modules, if it does."""
+    about = {one.name: getattr(ecology, one.name) for one in fields(ecology)}
+    modules = about.pop("modules", None)
+    return about if modules is None else {**about, "modules": modules.model_dump(mode="json")}
+
+
 def _about_site(plan: Plan) -> dict[str, Any]:
     """What a community may depend on: its ground's shape, and where on earth it lies."""
     site, terrain = plan.site, plan.drawn.recipe.site.terrain
+    shape = terrain.model_dump(mode="json")
+    if terrain.map is not None and terrain.map.sha256 is not None:
+        shape["map"] = {"sha256": terrain.map.sha256}  # a map is its content, wherever it lies
     return {
         "size_m": site.size_m,
-        "terrain": "flat" if site.height is None else terrain.model_dump(mode="json"),
+        "terrain": "flat" if site.height is None else shape,
         "altitude_m": site.altitude_m,
         "latitude_deg": site.latitude_deg,
         "wind_from_deg": site.wind_from_deg,
@@ -76,7 +92,17 @@ def snapshot_to_resume(plan: Plan, path: Path, step: int | None) -> Population:
             got=str(plan.steps),
             hint=f"--set community.steps={chosen + 100}, or --from-step with an earlier step",
         )
-    return history.snapshot(chosen)
+    if not history.grows_by_modules:
+        return history.snapshot(chosen)
+    if not history.has_modules:
+        raise RecipeError(
+            f"{path} has no modules, from which alone its plants can go on",
+            where="--resume",
+            expected=f"a history with {NAME} beside it",
+            got="one row a plant",
+            hint="simulate it again with --set community.history_modules=true, and resume that",
+        )
+    return history.with_modules(chosen)
 
 
 def _check_same_simulation(theirs: Mapping[str, Any], ours: Mapping[str, Any], step: int, path: Path) -> None:
@@ -89,12 +115,13 @@ def _check_same_simulation(theirs: Mapping[str, Any], ours: Mapping[str, Any], s
     if not differ:
         return
     shown, more = differ[:_MOST_SHOWN], len(differ) - _MOST_SHOWN
+    timed = " and ".join(key for key in _TIMED if key in ours["parameters"])
     raise RecipeError(
         f"{path} is the history of another simulation",
         where="--resume",
         expected="; ".join(f"{key} {_show(before.get(key))}" for key in shown) + ", as in the history",
         got="; ".join(f"{key} {_show(now.get(key))}" for key in shown) + (f", and {more} more" if more > 0 else ""),
-        hint="only community.steps and later disturbances may change; leave --resume out to start anew",
+        hint=f"only community.steps and later {timed} may change; leave --resume out to start anew",
     )
 
 
@@ -110,11 +137,11 @@ def _until(about: Mapping[str, Any], step: int) -> Iterator[tuple[str, Any]]:
     yield "community.model", about["model"]
     parameters = about["parameters"]
     for key, value in parameters.items():
-        if key == "disturbances":
+        if key in _TIMED:
             for index, one in enumerate(value):
-                if Disturbance.model_validate(one).step(parameters["step_yr"]) <= step:
-                    yield f"community.disturbances.{index}", one
-        elif key != "steps":
+                if _TIMED[key].model_validate(one).step(parameters["step_yr"]) <= step:
+                    yield f"community.{key}.{index}", one
+        elif key not in _FREE:
             yield f"community.{key}", value
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +36,8 @@ from forestgen.scene.trunks import Trunks
 from forestgen.scene.wind import Sway, spec_at, sway_in
 from forestgen.stages.clouds import clouds_of
 from forestgen.stages.ground import height_field
+from forestgen.stages.module_checks import turned_obstacles
+from forestgen.stages.own_requests import has_own, own_requests, plan_own_plants
 from forestgen.stages.plan import Plan
 from forestgen.stages.sky import sky_of
 from forestgen.stages.surfaces import infrared_notes, materials_of
@@ -81,13 +83,23 @@ def build_scene(plan: Plan, population: Population, progress: Progress, timer: T
         cameras = [camera for entry in drawn_cameras(plan.drawn) for camera in entry]  # walks do not go around yet
     with timer("plants"):
         exemplar_plan = choose_exemplars(plan, population, cameras)
-        exemplars = grow_planned(plan, exemplar_plan, progress)
+        exemplars = grow_planned(plan, exemplar_plan, progress, population)
     with timer("clouds"):
         clouds = clouds_of(plan.drawn, _lowest_m(plan, height), progress)
     with timer("scene"):
         terrain = build_terrain(height, child_rng(seed, "terrain", "colour"), recipe.site.ground)
         albedo = float(np.mean(terrain.far_reflectance))  # of the region, which the sky and the clouds see
-        instances = place_instances(population, exemplar_plan.exemplar_of_plant, exemplars, seed)
+        stands_for_m = np.full(len(exemplar_plan), np.nan)
+        own = exemplar_plan.plant >= 0
+        stands_for_m[own] = population.height_m[exemplar_plan.plant[own]]
+        instances = place_instances(
+            turned_obstacles(plan.model_parameters, population),
+            exemplar_plan.exemplar_of_plant,
+            exemplars,
+            seed,
+            stands_for_m=stands_for_m,
+            is_unique=exemplar_plan.is_unique,
+        )
         trunks = Trunks(exemplars, instances)
         views = drawn_cameras(plan.drawn, trunks)
         materials = materials_of(plan.drawn.species, recipe.plants.season)
@@ -136,31 +148,42 @@ def choose_exemplars(plan: Plan, population: Population, cameras: Sequence[Camer
     """
     section = plan.drawn.recipe.plants
     check_traits(section.traits, population, plan.drawn.where("plants", "traits"))
+    pixel_m = None
+    if len(population) and (section.levels or has_own(plan, population)):
+        pixel_m = pixel_size_m(cameras, population.position_m, population.height_m, _widths_m(plan, population))
+    given = {} if pixel_m is None else plan_own_plants(plan, population, pixel_m)
     chosen = plan_exemplars(
         population,
         section.exemplars_per_species,
         plan.drawn.image_seed,
         traits=section.traits,
         variants=section.variants_per_size,
+        given=given,
     )
-    if not section.levels or not len(population):
+    if not section.levels or pixel_m is None:
         return chosen
-    pixel_m = pixel_size_m(cameras, population.position_m, population.height_m, _widths_m(plan, population))
     own_height_m = np.ones(len(population))
     for index, name in enumerate(population.species_names):
         rows = population.species == index
         exemplar_radius_m = chosen.radius_m[chosen.exemplar_of_plant[rows]]
         own_height_m[rows] = plan.drawn.species[name].allometry.height(exemplar_radius_m)
+    stand_in = chosen.plant[chosen.exemplar_of_plant]
+    own_height_m = np.where(stand_in < 0, own_height_m, population.height_m[np.maximum(stand_in, 0)])
     scale = population.height_m / own_height_m  # of the instance
     return with_levels(chosen, level_for(pixel_m / scale))
 
 
-def grow_planned(plan: Plan, exemplar_plan: ExemplarPlan, progress: Progress) -> tuple[Exemplar, ...]:
+def grow_planned(
+    plan: Plan, exemplar_plan: ExemplarPlan, progress: Progress, population: Population | None = None
+) -> tuple[Exemplar, ...]:
     """The exemplars of a plan; see `exemplar_requests`."""
     kept = plan.drawn.recipe.plants.cache and plan.drawn.image_index < MOST_CACHED_IMAGES
     with progress.stage("plants", len(exemplar_plan)) as advance:
-        requests = exemplar_requests(plan, exemplar_plan)
+        requests = exemplar_requests(plan, exemplar_plan, population)
         grown = grow_exemplars(requests, store=exemplar_store() if kept else None, advance=advance)
+    grown = tuple(
+        replace(one, is_unique=bool(unique)) for one, unique in zip(grown, exemplar_plan.is_unique, strict=True)
+    )
     if plan.drawn.recipe.plants.geometry == "silhouettes":
         return tuple(_silhouette(request, one) for request, one in zip(requests, grown, strict=True))
     return grown
@@ -173,11 +196,22 @@ def _silhouette(request: ExemplarRequest, exemplar: Exemplar) -> Exemplar:
     return as_solids(exemplar, None if profile_of is None else profile_of(request.parameters, *size))
 
 
-def exemplar_requests(plan: Plan, exemplar_plan: ExemplarPlan) -> list[ExemplarRequest]:
-    """What to grow. A plant's randomness belongs to its species, its cluster's rank and its variant, at any level."""
+def exemplar_requests(
+    plan: Plan, exemplar_plan: ExemplarPlan, population: Population | None = None
+) -> list[ExemplarRequest]:
+    """What to grow. A plant's randomness belongs to its species, its cluster's rank and its variant, at any level.
+
+    Parameters
+    ----------
+    population : of the plan, which plants that grew branches of their own are part of.
+    """
     names = list(plan.drawn.species)
+    own = {} if population is None else own_requests(plan, exemplar_plan, population)
     requests = []
     for index in range(len(exemplar_plan)):
+        if index in own:
+            requests.append(own[index])
+            continue
         name = names[exemplar_plan.species[index]]
         rank, variant = int(exemplar_plan.rank[index]), int(exemplar_plan.variant[index])
         requests.append(
@@ -197,14 +231,19 @@ def exemplar_requests(plan: Plan, exemplar_plan: ExemplarPlan) -> list[ExemplarR
 def _errors(
     plan: Plan, population: Population, exemplar_plan: ExemplarPlan, exemplars: tuple[Exemplar, ...]
 ) -> list[SizeError]:
-    """Error of the approximation, each plant's width by its species' allometry."""
-    return size_errors(
-        population,
-        exemplar_plan,
-        np.array([exemplar.height_m for exemplar in exemplars]),
-        np.array([exemplar.crown_width_m for exemplar in exemplars]),
-        _widths_m(plan, population),
+    """Error of the approximation, each plant's width by its species' allometry.
+
+    An exemplar with a plant's own branches has that plant's own size: leaves beyond its modules are no error.
+    """
+    widths_m, plant = _widths_m(plan, population), exemplar_plan.plant
+    height_m, width_m = (
+        np.where(plant < 0, made, grown[np.maximum(plant, 0)]) if len(population) else made
+        for made, grown in (
+            (np.array([exemplar.height_m for exemplar in exemplars]), population.height_m),
+            (np.array([exemplar.crown_width_m for exemplar in exemplars]), widths_m),
+        )
     )
+    return size_errors(population, exemplar_plan, height_m, width_m, widths_m)
 
 
 def _widths_m(plan: Plan, population: Population) -> NDArray[np.float64]:
@@ -212,5 +251,7 @@ def _widths_m(plan: Plan, population: Population) -> NDArray[np.float64]:
     width = np.ones(len(population))
     for index, name in enumerate(population.species_names):
         rows = population.species == index
-        width[rows] = plan.drawn.species[name].allometry.width(population.radius_m[rows])
+        radius_m = population.radius_m[rows]
+        own = population.modules is not None and name in plan.module_parameters
+        width[rows] = 2.0 * radius_m if own else plan.drawn.species[name].allometry.width(radius_m)
     return width

@@ -20,7 +20,7 @@ from forestgen.recipe.load import load_recipe
 RECIPE = """\
 forestgen: 1
 seed: 3
-site: {size_m: [8, 8], terrain: flat}
+site: {size_m: [8, 8], terrain: flat, ground: soil_wet}
 species: {fireweed: , birch: }
 community:
   model: placed

@@ -20,7 +20,6 @@ from forestgen.render.surfaces import gloss_share, leaf_bsdf, repaint, sides_of,
 from forestgen.render.variant import LLVM, drjit, mitsuba, using
 from forestgen.scene.channels import RGB, Channels
 from forestgen.scene.spec import Material
-from forestgen.stages.plan import make_plan
 from forestgen.stages.surfaces import materials_of
 
 
@@ -128,7 +127,7 @@ def test_the_leaves_of_all_species_are_their_tables(season):
     """What the shipped species files say of leaves and petals, in colour, in the red edge and in the infrared."""
     rows = [f"species.{name}=" for name in list_assets("species")]
     recipe = load_recipe(recipes_dir() / "quickstart.yaml", ["sky.clouds=none", *rows])
-    species = make_plan(recipe.draw(0)).drawn.species
+    species = recipe.draw(0).species  # a plan would ask for a community that all of them can grow in
     bare = {
         name: one.model_copy(update={"materials": {k: m for k, m in one.materials.items() if m.bark is None}})
         for name, one in species.items()

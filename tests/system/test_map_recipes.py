@@ -19,7 +19,7 @@ from forestgen.recipe.json_schema import recipe_json_schema
 RECIPE = """\
 forestgen: 1
 seed: 3
-site: {size_m: [6, 4], terrain: flat}
+site: {size_m: [6, 4], terrain: flat, ground: soil_wet}
 species: {fireweed: }
 community:
   model: deformation_kernel

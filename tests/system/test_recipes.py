@@ -19,16 +19,28 @@ SMALL = (
     "labels.samples=1",
     "plants.exemplars_per_species=2",
     "site.size_m=[30, 30]",
+    "site.ground=soil_wet",
     "cameras.0.size_px=[48, 32]",
     "cameras.0.position_m=[15, -8, 2]",
     "cameras.0.look_at_m=[15, 15, 3]",
 )
 
 
-COARSE = {  # of simulated weather
+COARSE = {  # of clouds, of a walk of eight frames, and of a house on a larger site
+    "branch_modules": ("community.obstacles.0.position_m=[18, 20]",),
+    "kernel_growth": ("sky.clouds={type: noise, extent_m: 2000}",),
+    "quickstart": ("sky.clouds={type: noise, extent_m: 2000}",),
+    "training_set": ("sky.clouds.extent_m=2000",),
+    "walk_in_the_wind": ("cameras.0.path.frames=3",),
     "weather_cumulus": ("sky.clouds.time_s=600", "sky.clouds.domain={cell_m: 450, cell_height_m: 200}"),
     "weather_story": ("images=1", "sky.clouds.time_s=300", "sky.clouds.story.0.domain={cell_m: 75, cell_height_m: 10}"),
 }
+
+
+# Young plants, two of them with branches of their own.
+MODULES = ("community.steps=4", "community.initial_plants=12", "plants.unique=2")
+BIOMES = [name for name in list_assets("recipes") if name.startswith("biomes/")]
+ALWAYS = "biomes/desert"  # the others with the slow tests
 
 
 def _render(recipe: Path, target: Path, *settings: str) -> Path:
@@ -54,10 +66,18 @@ def test_reproduction_simulates(name: str) -> None:
     assert len(final_population(plan, Silent()))
 
 
-@pytest.mark.parametrize("name", [name for name in list_assets("recipes") if name not in REPRODUCTIONS])
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.slow if name in BIOMES and name != ALWAYS else ())
+        for name in list_assets("recipes")
+        if name not in REPRODUCTIONS
+    ],
+)
 def test_shipped_recipe_renders(name: str, tmp_path: Path) -> None:
     one_each = [one.replace("per_species=2", "per_species=1") for one in SMALL]
-    made = _frames(_render(recipes_dir() / f"{name}.yaml", tmp_path / "out", *one_each, *COARSE.get(name, ())))
+    coarse = (*(MODULES if name in (*BIOMES, "branch_modules") else ()), *COARSE.get(name, ()))
+    made = _frames(_render(recipes_dir() / f"{name}.yaml", tmp_path / "out", *one_each, *coarse))
     kinds = {Path(path).name for path in made}
     assert kinds == {
         "frame.exr", "preview.png", "overlay.png", "instance.png", "semantic.png", "plants.parquet", "camera.json",
@@ -67,7 +87,8 @@ def test_shipped_recipe_renders(name: str, tmp_path: Path) -> None:
 
 def test_an_image_is_the_same_alone_among_others_and_from_its_stored_recipe(tmp_path: Path) -> None:
     recipe = recipes_dir() / "training_set.yaml"
-    settings = (*SMALL, "community.steps={integers: [20, 60]}")  # young stands: the same draws in less time
+    # Young stands under few clouds: the same draws in less time.
+    settings = (*SMALL, *COARSE["training_set"], "community.steps={integers: [20, 60]}")
     among = _frames(_render(recipe, tmp_path / "among", *settings, "images=2"))
     alone = _frames(_render(recipe, tmp_path / "alone", *settings, "first_image=1"))
     second = {path: data for path, data in among.items() if path.startswith("000001-")}

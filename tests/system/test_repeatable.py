@@ -22,7 +22,7 @@ from forestgen.render.variant import drjit, mitsuba
 RECIPE = """\
 forestgen: 1
 seed: 7
-site: {size_m: [14, 14], terrain: rolling}
+site: {size_m: [14, 14], terrain: rolling, ground: soil_wet}
 species: {fireweed: , poplar: , spruce: }
 community: {model: multiset_lsystem, program: succession, steps: 36}
 plants: {exemplars_per_species: 1}
@@ -38,9 +38,8 @@ OF_THE_RUN = ("timings_s", "peak_memory_bytes")
 def run(recipe, folder, threads: int, hash_seed: str) -> dict[str, bytes]:
     """Files of a run in a process of its own: relative path -> content, the manifest without timings."""
     command = [sys.executable, "-m", "forestgen", "render", str(recipe), "-o", str(folder), "--threads", str(threads)]
-    done = subprocess.run(
-        command, capture_output=True, text=True, env={**os.environ, "PYTHONHASHSEED": hash_seed}, check=False
-    )
+    environment = {**os.environ, "PYTHONHASHSEED": hash_seed, "OPENBLAS_NUM_THREADS": str(threads)}
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
     assert done.returncode == 0, done.stderr
     files = {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
     manifest = json.loads(files["manifest.json"])
@@ -67,7 +66,10 @@ def test_the_same_recipe_gives_the_same_bytes_with_one_and_two_threads(tmp_path)
 
 @pytest.mark.slow
 def test_the_same_recipe_gives_the_same_bytes_with_any_number_of_threads(tmp_path):
-    larger = RECIPE.replace("[48, 27]", "[160, 90]").replace("exemplars_per_species: 1", "exemplars_per_species: 3")
+    larger = RECIPE
+    for less, more in {"[48, 27]": "[160, 90]", "per_species: 1": "per_species: 3", "soil_wet": "litter"}.items():
+        assert less in larger
+        larger = larger.replace(less, more)
     assert_equal_runs(larger, tmp_path, (1, 2, 2, 5, 16))
 
 

@@ -251,7 +251,7 @@ def check_maps(parameters: BaseModel, size_m: tuple[float, float], where: Callab
     RecipeError : a density that is 0 everywhere; pixels that are not square on the site, of a map not to be stretched.
     """
     for keys, one in maps_in(parameters):
-        if one.is_zero and keys[-1] != "keep_out":
+        if one.is_zero and keys[-1] not in ("keep_out", "soil"):
             raise RecipeError(
                 "the map is 0 everywhere",
                 where=where(*keys),

@@ -124,7 +124,8 @@ def centre(frame: FrameData) -> Iterator[Offence]:
     wrong = (plant != 0) & ~np.isin(plant, known)
     yield from wrong_pixels(frame, EXR, wrong, "centre.plant_id is not in plants.parquet", "a row of it", plant)
     own = np.isin(part, [int(one) for one in (Part.TRUNK, Part.BRANCH, Part.LEAF, Part.FLOWER, Part.FRUIT)])
-    wrong = np.where(plant != 0, ~own & (part != int(Part.DEAD_WOOD)), own)
+    rarer = np.isin(part, [int(Part.DEAD_WOOD), int(Part.STRUCTURE)])
+    wrong = np.where(plant != 0, ~own & ~rarer, own)
     yield from wrong_pixels(frame, EXR, wrong, "centre.part does not suit centre.plant_id", "", part)
     if frame.has_part("identity", "centre.exemplar") and frame.known("exemplar"):
         exemplar = channels["centre.exemplar"].astype(np.int64)

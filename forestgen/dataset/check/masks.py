@@ -16,7 +16,7 @@ from forestgen.dataset.check.frame_data import EXR, INSTANCE, PLANTS, SEMANTIC, 
 from forestgen.dataset.check.offence import Offence
 from forestgen.dataset.check.pixels import wrong_pixels
 
-_PLANT_PARTS = (Part.TRUNK, Part.BRANCH, Part.LEAF, Part.FLOWER, Part.FRUIT, Part.DEAD_WOOD)
+_PLANT_PARTS = (Part.TRUNK, Part.BRANCH, Part.LEAF, Part.FLOWER, Part.FRUIT, Part.DEAD_WOOD, Part.STRUCTURE)
 _NAMES = {part.name.lower(): int(part) for part in Part}
 _OTHERS = "others"
 _LARGEST_PNG_ID = (1 << 24) - 1
@@ -38,7 +38,7 @@ def parts(frame: FrameData) -> Iterator[Offence]:
     part, is_plant = frame.part, frame.instance != 0
     yield from wrong_pixels(frame, EXR, part >= len(Part), "no such part", f"0 to {len(Part) - 1}", part)
     own = np.isin(part, [int(one) for one in _PLANT_PARTS])
-    names = "a part of a plant: trunk, branch, leaf, flower, fruit or dead wood"
+    names = "a part of a plant: trunk, branch, leaf, flower, fruit or dead wood; or a structure"
     yield from wrong_pixels(frame, EXR, is_plant & ~own, "a plant's pixel has no plant's part", names, part)
     yield from wrong_pixels(
         frame, EXR, ~is_plant & own, "a pixel of no plant has a plant's part", "sky, ground or what lies on it", part

@@ -5,6 +5,7 @@ from __future__ import annotations
 from forestgen.dataset.check import (
     amodal,
     bop,
+    branches,
     cameras,
     coco,
     coverage,
@@ -52,6 +53,7 @@ FRAME_CHECKS = (
     FrameCheck("position", "depth reprojects to the position", EXR, geometry.has_position, geometry.position),
     FrameCheck("normals", "unit, towards the camera", EXR, geometry.has_normals, geometry.normals),
     FrameCheck("centre", "the centre ray's plant is in the table", EXR, geometry.has_centre, geometry.centre),
+    FrameCheck("modules", "plants have branch modules, or none", EXR, branches.has_branches, branches.branches),
     FrameCheck("radiance", "finite, not negative", EXR, light.has_radiance, light.radiance),
     FrameCheck("light units", "units, white, bands, bias are told", EXR, light_files.has_radiance, light_files.header),
     FrameCheck("raw", "numbers are the radiance's and noise", light_files.RAW, light_files.has_raw, light_files.raw),

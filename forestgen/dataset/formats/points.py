@@ -17,9 +17,10 @@ none. Both files hold the same points in the same order, row by row of the image
 
 What is of a plant is that of the centre's ray, as `identity.centre` of frame.exr, not that of the instance mask.
 
-**Classification** (LAS 1.4, table 17): 2 ground, litter and rock; 9 water; plants by the height of the point above its
-own plant's stem base: 3 low vegetation up to 0.3 m, 4 medium up to 2 m, 5 high above that. The standard names no
-heights; these are the Australian ones (ICSM). They count from the stem base, not from the ground straight below.
+**Classification** (LAS 1.4, table 17): 2 ground, litter and rock; 6 buildings; 9 water; plants by the height of the
+point above its own plant's stem base: 3 low vegetation up to 0.3 m, 4 medium up to 2 m, 5 high above that. The
+standard names no heights; these are the Australian ones (ICSM). They count from the stem base, not from the ground
+straight below.
 
 LAZ coordinates are 32-bit steps of 0.1 mm from whole metres near the cloud's lowest corner. A cloud that reaches
 further than 214 km would overflow them: its steps are 10 times as large, as often as is needed. Neither file holds a
@@ -53,7 +54,7 @@ from forestgen.recipe.schema import View
 PLY_NAME, LAZ_NAME = "points.ply", "points.laz"
 FINEST_STEP_M = 1e-4
 LOW_M, MEDIUM_M = 0.3, 2.0  # up to which vegetation is low, and medium
-GROUND, LOW, MEDIUM, HIGH, WATER = 2, 3, 4, 5, 9  # ASPRS
+GROUND, LOW, MEDIUM, HIGH, BUILDING, WATER = 2, 3, 4, 5, 6, 9  # ASPRS
 
 _PLY_TYPES = {"<f8": "double", "<f4": "float", "u1": "uchar", "<u2": "ushort", "<u4": "uint"}
 _FIELDS = [
@@ -112,6 +113,7 @@ def frame_points(labelled: LabelledFrame, stride: int, view: View = "filmic") ->
     height = vertices["z"][is_plant] - labelled.measures.stem_base_m[row, 2]
     classification = np.where(vertices["part"] == Part.WATER, WATER, GROUND).astype(np.uint8)
     classification[is_plant] = np.select([height <= LOW_M, height <= MEDIUM_M], [LOW, MEDIUM], HIGH)
+    classification[vertices["part"] == Part.STRUCTURE] = BUILDING
     return Points(vertices, classification, frame.camera.time_s)
 
 

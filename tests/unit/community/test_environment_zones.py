@@ -19,6 +19,7 @@ from forestgen.core import threads
 
 ENVIRONMENTS = [fw.ENVIRONMENT, lk.ENVIRONMENT]
 EACH = pytest.mark.parametrize("environment", ENVIRONMENTS, ids=lambda one: type(one).__name__)
+GAUSS = np.polynomial.legendre.leggauss(400)  # the eigenvalues of a large matrix: once
 TORUS = pytest.mark.parametrize("periodic", [True, False])
 
 
@@ -62,7 +63,7 @@ def lens(d, r, s):
     """Shared area of two circles by quadrature over the chord."""
     if d >= r + s:
         return 0.0
-    y, w = np.polynomial.legendre.leggauss(400)
+    y, w = GAUSS
     # x = centre + radius sin(t) removes the square root's end points
     low, high = max(-r, d - s), min(r, d + s)
     parts = sorted({low, high, min(max((d * d + r * r - s * s) / (2 * d), low), high)} if d > 0 else {low, high})

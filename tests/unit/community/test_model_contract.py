@@ -10,10 +10,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
+from forestgen.architecture.modules import Modules
 from forestgen.community.disturbance import Planting
 from forestgen.community.history import open_history, write_history
 from forestgen.community.model import CommunityParameters, Site, simulate
 from forestgen.community.registry import COMMUNITY_MODELS
+from forestgen.recipe.plant_type import PlantType
 
 MODELS = COMMUNITY_MODELS.ids()
 PLACEMENTS = (
@@ -27,11 +29,14 @@ PLACEMENTS = (
     "uniform",
 )
 PLACING = (*PLACEMENTS, "placed")
-GROWING = tuple(name for name in MODELS if name not in PLACING)  # plants arrive by themselves
+FOUNDED = "branch_modules"  # plants of the start seed others; none arrive from outside
+GROWING = tuple(name for name in MODELS if name not in (*PLACING, FOUNDED))  # plants arrive by themselves
 NEEDED = {
+    FOUNDED: {"initial_plants": 9, "history_modules": True},
     "placed": {"plants": [{"species": "tree", "position_m": [x, 2 * x]} for x in range(9)]},
     **{name: {"plants": {"tree": {"count": 9}}} for name in PLACEMENTS},
 }
+EMPTY = {FOUNDED: {"initial_plants": 0}}
 SITE = Site((30.0, 20.0))
 STEPS = 24
 DISTURBANCES = (
@@ -42,6 +47,15 @@ DISTURBANCES = (
     {"at_step": STEPS, "fell": {"max_radius_m": 0.4}},
 )
 # Resumed steps change what numbers a model holds; anything may follow any of them.
+TYPE = PlantType(
+    life_span_yr=15.0,
+    root_vigour_max=6.0,
+    growth_rate_per_yr=0.5,
+    apical_control=0.8,
+    determinacy=0.6,
+    flowering_age_yr=4.0,
+    seeds_per_yr=0.2,
+)
 seeds, steps = st.integers(0, 2**63 - 1), st.integers(0, STEPS)
 
 
@@ -49,6 +63,8 @@ def identical(a, b) -> bool:
     """Whether two populations hold the same bytes."""
 
     def plain(value):
+        if isinstance(value, Modules):
+            return [plain(getattr(value, field.name)) for field in dataclasses.fields(value)]
         return (value.dtype, value.shape, value.tobytes()) if isinstance(value, np.ndarray) else value
 
     return all(
@@ -83,13 +99,18 @@ def test_a_key_left_over_from_another_model_is_told_as_such(name, key, knows):
 
 @pytest.fixture
 def species(tree):
-    return [tree(), tree(name="b", growth_m_per_yr=0.2, shade_tolerance=0.8, old_age_survival=0.5)]
+    return [
+        tree(modules=TYPE),
+        tree(name="b", growth_m_per_yr=0.2, shade_tolerance=0.8, old_age_survival=0.5, modules=TYPE),
+    ]
 
 
 def check_that_it_resumes(name, parameters, species, tmp_path, seed, step):
     whole = run(name, species, seed, parameters=parameters)
-    write_history(tmp_path / "a.parquet", whole)
-    again = run(name, species, seed, parameters=parameters, start=open_history(tmp_path / "a.parquet").snapshot(step))
+    write_history(tmp_path / "a.parquet", whole, modules=name == FOUNDED)
+    history = open_history(tmp_path / "a.parquet")
+    start = history.with_modules(step) if name == FOUNDED else history.snapshot(step)
+    again = run(name, species, seed, parameters=parameters, start=start)
     assert [one.step for one in again] == list(range(step, STEPS + 1))
     assert all(identical(one, other) for one, other in zip(again, whole[step:], strict=True))
     assert len(whole[-1])
@@ -107,12 +128,12 @@ def test_a_stored_snapshot_resumes_to_the_same_future(name, parameters, species,
     check_that_it_resumes(name, parameters, species, tmp_path, seed, step)
 
 
-@pytest.mark.parametrize("name", PLACEMENTS)
+@pytest.mark.parametrize("name", [*PLACEMENTS, FOUNDED])
 @other_parameters
 @settings(max_examples=2, deadline=None, suppress_health_check=[one_folder])
 @given(seed=seeds, step=steps)
 def test_a_stored_placement_resumes_to_the_same_future(name, parameters, species, tmp_path, seed, step):
-    """Few examples: after step 0 all placement models are the same code."""
+    """Few examples: after step 0 all placement models are the same code, and branch modules take long."""
     check_that_it_resumes(name, parameters, species, tmp_path, seed, step)
 
 
@@ -120,11 +141,12 @@ def test_a_stored_placement_resumes_to_the_same_future(name, parameters, species
 def test_every_snapshot_is_of_its_step_and_in_the_file(name, species, tmp_path):
     whole = run(name, species, 1)
     assert [one.step for one in whole] == list(range(STEPS + 1))
-    write_history(tmp_path / "a.parquet", whole, {"seed": 1})
+    write_history(tmp_path / "a.parquet", whole, {"seed": 1}, modules=name == FOUNDED)
     history = open_history(tmp_path / "a.parquet")
     assert history.steps == list(range(STEPS + 1))
     assert history.origin == {"seed": 1}
-    assert all(identical(one, other) for one, other in zip(history, whole, strict=True))
+    stored = history if name != FOUNDED else map(history.with_modules, history.steps)
+    assert all(identical(one, other) for one, other in zip(stored, whole, strict=True))
 
 
 @pytest.mark.parametrize("name", MODELS)
@@ -136,9 +158,10 @@ def test_each_disturbance_happens_once_at_its_time(name, species, tree):
         {"at_yr": 3.9, "plant": {"species": "c", "count": 4}},
         {"at_step": 12, "fell": {"species": ["c"]}},
     ]
-    immortal = tree(name="c", seedlings_per_ha_per_yr=0.0, shade_tolerance=1.0, old_age_survival=1.0)
+    barren = TYPE.model_copy(update={"seeds_per_yr": 0.0, "life_span_yr": 1000.0, "shade_tolerance": 1.0})
+    immortal = tree(name="c", seedlings_per_ha_per_yr=0.0, shade_tolerance=1.0, old_age_survival=1.0, modules=barren)
     others = [dataclasses.replace(one, seedlings_per_ha_per_yr=0.0) for one in species]
-    chosen = {"steps": STEPS, "step_yr": 0.5, "disturbances": disturbances}
+    chosen = {"steps": STEPS, "step_yr": 0.5, "disturbances": disturbances, **EMPTY.get(name, {})}
     model = COMMUNITY_MODELS.load(name)
     populations = list(simulate(model, model.Parameters(**chosen), SITE, [*others, immortal], 3, steps=STEPS))
     assert [len(one) for one in populations] == [1] * 5 + [4] * 3 + [8] * 4 + [0] * 13
@@ -162,7 +185,8 @@ def test_removing_and_planting(name, species):
     planted = model.population(model.plant(state, planting))
     assert planted.plant_id[:-2].tolist() == before.plant_id.tolist()
     assert planted.plant_id[-2] > before.plant_id[-1]
-    assert planted.radius_m[-2:].tolist() == [0.7, 1.1]
+    # Where crowns are of modules, a planting of any radius sets seeds.
+    assert planted.radius_m[-2:].tolist() == ([0.7, 1.1] if name != FOUNDED else [0.01, 0.01])
     assert planted.species[-2:].tolist() == [1, 0]
     assert planted.position_m[-2:].tolist() == [[2.0, 3.0, 0.0], [25.0, 15.0, 0.0]]
     assert (planted.step, planted.age_yr[-1]) == (before.step, 0)
@@ -172,13 +196,18 @@ def test_removing_and_planting(name, species):
 @pytest.mark.parametrize("name", MODELS)
 @pytest.mark.parametrize("rate", [0.0, 500.0])
 def test_no_more_plants_than_expected(name, rate, tree):
-    species = [tree(seedlings_per_ha_per_yr=rate), tree(name="b", seedlings_per_ha_per_yr=rate, shade_tolerance=0.95)]
+    species = [
+        tree(seedlings_per_ha_per_yr=rate, modules=TYPE),
+        tree(name="b", seedlings_per_ha_per_yr=rate, shade_tolerance=0.95, modules=TYPE),
+    ]
+    start = {"initial_plants": int(rate / 20)} if name == FOUNDED else {}
     model = COMMUNITY_MODELS.load(name)
     planting = {"at_step": 3, "plant": {"species": "b", "count": 30}}
     for disturbances in ((), (planting,)):
-        parameters = model.Parameters(steps=60, disturbances=disturbances)
+        parameters = model.Parameters(steps=60, disturbances=disturbances, **start)
         bound = model.expected_plants(parameters, SITE, species)
-        numbers = [[len(p) for p in simulate(model, parameters, SITE, species, k, steps=60)] for k in range(5)]
+        seeds = range(5 if name != FOUNDED else 2)
+        numbers = [[len(p) for p in simulate(model, parameters, SITE, species, k, steps=60)] for k in seeds]
         assert np.mean(numbers, axis=0).max() <= bound
         assert (
             (bound == 0) == (max(map(max, numbers)) == 0) == (model.why_barren(parameters, SITE, species) is not None)
@@ -190,6 +219,12 @@ def test_what_keeps_plants_from_arriving_is_named(name, species, tree):
     model = COMMUNITY_MODELS.load(name)
     assert "0 for every species" in model.why_barren(model.Parameters(), SITE, [tree(seedlings_per_ha_per_yr=0.0)])
     assert "steps is 0" in model.why_barren(model.Parameters(steps=0), SITE, species)
+
+
+def test_that_nothing_was_founded_is_named(species):
+    model = COMMUNITY_MODELS.load(FOUNDED)
+    assert "initial_plants is 0" in model.why_barren(model.Parameters(initial_plants=0), SITE, species)
+    assert model.why_barren(model.Parameters(initial_plants=1), SITE, species) is None
 
 
 @pytest.mark.parametrize("name", MODELS)

@@ -17,7 +17,7 @@ from forestgen.recipe.load import load_recipe
 
 QUICKSTART = Path(__file__).parents[3] / "recipes" / "quickstart.yaml"
 TINY = (
-    "site={size_m: [8, 8]}",
+    "site={size_m: [8, 8], ground: soil_wet}",
     "species={fireweed: }",
     "community.steps=8",
     "sky.clouds=none",

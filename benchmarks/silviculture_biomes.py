@@ -1,0 +1,94 @@
+"""The biomes for benchmarks/silviculture.py: what grows at Table 4's climates, and in what order."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+from scipy.stats import spearmanr
+from silviculture_stands import Course, Report, grow_recipe
+
+from forestgen.community.plots import new_figure
+
+FOLDER = Path(__file__).parents[1] / "recipes" / "biomes"
+
+
+@dataclass(frozen=True)
+class Row:
+    """A line of Table 4."""
+
+    figure: str
+    plants: int
+    types: int
+    modules_k: float
+    forest: bool  # closed stands of trees: not in the table, but in Fig. 2
+
+
+TABLE_4 = {  # those of its scenes that the text names; where two show a biome, the one from the row of transitions
+    "desert": Row("13 b", 168, 2, 2.6, False),
+    "tundra": Row("11 a", 147, 2, 2.9, False),
+    "savanna": Row("1 a", 218, 3, 4.6, False),
+    "grassland": Row("11 f", 330, 3, 4.2, False),
+    "shrubland": Row("11 g", 423, 4, 14.38, False),
+    "boreal": Row("11 e", 640, 5, 37.49, True),
+    "temperate_seasonal": Row("11 h", 776, 4, 19.8, True),
+    "temperate_rain": Row("13 c", 767, 5, 13.6, True),
+    "tropical_seasonal": Row("12 a", 938, 7, 8.4, True),
+    "tropical_rain": Row("1 d", 1248, 6, 18.9, True),
+}
+
+
+def zones(quick: bool) -> dict[str, Course]:
+    """Every biome's recipe as it is; quick: its first 80 years."""
+    settings = ["community.steps=80"] if quick else []
+    return {name: grow_recipe(FOLDER / f"{name}.yaml", settings, every=1_000_000) for name in TABLE_4}
+
+
+def biomes(report: Report, courses: dict[str, Course]) -> Figure:
+    """Table 4: stems, height, wood and species of the biomes, in its order."""
+    rows = [_measure(courses[name]) for name in TABLE_4]
+    stems, height, wood, species = (np.array(column) for column in zip(*rows, strict=True))
+    for name, row in zip(TABLE_4, rows, strict=True):
+        report.line(f"{name:26s} {row[0]:8.0f} stems/ha  {row[1]:5.1f} m  {row[2]:9.2f} t/ha  {row[3]} species")
+    paper = list(TABLE_4.values())
+    forest = np.array([one.forest for one in paper])
+    for what, ours, theirs in (
+        ("stems with its plants", stems, [one.plants for one in paper]),
+        ("species with its types", species, [one.types for one in paper]),
+        ("wood with its modules", wood, [one.modules_k for one in paper]),
+    ):
+        rank = float(spearmanr(ours, theirs).statistic) if np.ptp(ours) > 0 else float("nan")
+        report.check(f"Table 4, rank correlation of {what}", f"{rank:.2f}", rank >= 0.6, "0.6 at least")
+    for what, ours in (("height", height), ("wood", wood)):
+        least, most = float(ours[forest].min()), float(ours[~forest].max())
+        report.check(
+            f"Fig. 2, {what}: least forest over most open", f"{least / max(most, 1e-9):.2f}", least > most, "over 1"
+        )
+    return _draw(stems, height, wood, species)
+
+
+def _measure(course: Course) -> tuple[float, float, float, int]:
+    """Stems per hectare, height of the tallest tenth in metres, wood in t/ha, species that live."""
+    last = course.moments[-1]
+    tall = np.sort(last.height_m)[-max(1, len(last) // 10) :] if len(last) else np.zeros(1)
+    wood_t = float(last.wood_kg.sum()) / 1e3 / course.site.area_ha
+    return len(last) / course.site.area_ha, float(tall.mean()), wood_t, len(np.unique(last.species))
+
+
+def _draw(stems: np.ndarray, height: np.ndarray, wood: np.ndarray, species: np.ndarray) -> Figure:
+    figure = new_figure(10, 7)
+    panels = figure.subplots(2, 2, sharex=True).ravel()
+    for axes, values, label in zip(
+        panels,
+        (stems, height, wood, species),
+        ("stems per hectare", "height of the tallest tenth (m)", "wood (t/ha)", "species"),
+        strict=True,
+    ):
+        axes.bar(
+            np.arange(len(values)), values, color=["#14532D" if one.forest else "#F08C00" for one in TABLE_4.values()]
+        )
+        axes.set_ylabel(label)
+        axes.set_xticks(np.arange(len(values)), [name.replace("_", " ") for name in TABLE_4], rotation=60, ha="right")
+    return figure

@@ -1,0 +1,263 @@
+"""Skeletal graphs as files.
+
+==============  ====================================================================================================
+suffix          content
+==============  ====================================================================================================
+.parquet .csv   one row a node: plant, module, node, parent, x_m, y_m, z_m, diameter_m, age, order, axis, is_main
+.gltf .glb      a node and a mesh of lines a plant, y up; attributes _DIAMETER and _AGE of the vertices
+.obj            a group a plant, a polyline an axis; z up, no diameters
+.usda .usdc     linear BasisCurves a plant, a curve an axis, with widths and the primvar physiologicalAge; z up
+==============  ====================================================================================================
+
+All are in metres. The same graph gives the same bytes. `parent` counts the file's rows from 0; -1 is a plant's root.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import struct
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.architecture.skeletal_graph import SkeletalGraph
+from forestgen.core.errors import AssetError, OutputError
+
+GRAPH_FORMATS = (".parquet", ".csv", ".gltf", ".glb", ".obj", ".usda", ".usdc")
+_TYPES: dict[str, type] = {
+    "plant": np.int64,
+    "module": np.int64,
+    "node": np.int16,
+    "parent": np.int64,
+    "x_m": np.float32,
+    "y_m": np.float32,
+    "z_m": np.float32,
+    "diameter_m": np.float32,
+    "age": np.float32,
+    "order": np.uint8,
+    "axis": np.int64,
+    "is_main": np.bool_,
+}
+Columns = Mapping[str, Sequence[Any] | NDArray[Any]]
+
+
+def write_graph(path: Path, graph: SkeletalGraph, *, foot_m: Any = None, columns: Columns | None = None) -> None:
+    """Write a graph in the format that the path's suffix names.
+
+    Parameters
+    ----------
+    foot_m : (P, 3) world, of all plants of the population: positions become the world's; None: each from its own foot.
+    columns : name -> (P,) what else is known of each plant, such as plant_id and species: columns of tables, custom
+        data of scenes.
+
+    Raises
+    ------
+    OutputError : no such format, or the file cannot be written.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in GRAPH_FORMATS:
+        expected = f"a name that ends with {', '.join(GRAPH_FORMATS)}"
+        raise OutputError("no format for skeletal graphs", where=str(path), expected=expected, got=suffix or "none")
+    position = graph.position_m
+    if foot_m is not None:
+        position = (position + np.asarray(foot_m, dtype=np.float64)[graph.plant]).astype(np.float32)
+    known = {name: np.asarray(values) for name, values in (columns or {}).items()}
+    if suffix in (".parquet", ".csv"):
+        content = _table_bytes(graph, position, known, suffix)
+    elif suffix in (".gltf", ".glb"):
+        content = _gltf(graph, position, known, binary=suffix == ".glb")
+    elif suffix == ".obj":
+        content = _obj(graph, position).encode()
+    else:
+        _write_usd(path, graph, position, known)
+        return
+    try:
+        path.write_bytes(content)
+    except OSError as cause:
+        raise OutputError("the graph cannot be written", where=str(path), got=str(cause)) from cause
+
+
+def read_graph(path: Path) -> SkeletalGraph:
+    """The graph of a .parquet or .csv file of `write_graph`; other columns are left out.
+
+    Raises
+    ------
+    AssetError : the file is missing, or lacks a column.
+    """
+    import pyarrow as pa
+    import pyarrow.csv as pa_csv
+    import pyarrow.parquet as pq
+
+    try:
+        table = pq.read_table(path) if path.suffix.lower() == ".parquet" else pa_csv.read_csv(path)
+    except (OSError, pa.ArrowException) as cause:
+        raise AssetError("no table of a skeletal graph", where=str(path), got=str(cause)[:200]) from cause
+    missing = [name for name in _TYPES if name not in table.column_names]
+    if missing:
+        raise AssetError("no table of a skeletal graph", where=str(path), expected=f"a column {missing[0]}", got="none")
+    column: dict[str, NDArray[Any]]
+    column = {name: np.asarray(table[name].to_numpy(), dtype=kind) for name, kind in _TYPES.items()}
+    position = np.stack([column.pop(name) for name in ("x_m", "y_m", "z_m")], axis=-1)
+    return SkeletalGraph(position_m=position, **column)
+
+
+def _table_bytes(
+    graph: SkeletalGraph, position: NDArray[np.float32], known: Mapping[str, NDArray[Any]], suffix: str
+) -> bytes:
+    import pyarrow as pa
+    import pyarrow.csv as pa_csv
+    import pyarrow.parquet as pq
+
+    columns = {name: getattr(graph, name) for name in _TYPES if not name.endswith("_m") or name == "diameter_m"}
+    columns |= dict(zip(("x_m", "y_m", "z_m"), position.T, strict=True))
+    columns = {name: columns[name] for name in _TYPES}
+    columns |= {name: values[graph.plant] for name, values in known.items()}
+    table = pa.table({name: pa.array(np.ascontiguousarray(values)) for name, values in columns.items()})
+    sink = pa.BufferOutputStream()
+    if suffix == ".parquet":
+        pq.write_table(table, sink, compression="zstd")
+    else:
+        pa_csv.write_csv(table, sink)
+    return bytes(sink.getvalue())
+
+
+def _plants(graph: SkeletalGraph) -> list[tuple[int, int, int]]:
+    """(row of the plant, its first node, the end) of each plant of the graph, in order."""
+    first = np.flatnonzero(graph.parent < 0)
+    return [
+        (int(graph.plant[begin]), int(begin), int(end))
+        for begin, end in zip(first, [*first[1:], len(graph)], strict=True)
+    ]
+
+
+def _known(known: Mapping[str, NDArray[Any]], plant: int) -> dict[str, Any]:
+    return {"plant": plant, **{name: np.asarray(values[plant]).item() for name, values in known.items()}}
+
+
+def _polylines(graph: SkeletalGraph, first: int, end: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Points of one plant's axes as rows of the graph, each axis from the node that bears it, and their numbers."""
+    begins = np.flatnonzero(np.diff(graph.axis[first:end], prepend=-1)) + first
+    counts = np.diff([*begins, end])
+    rows = np.arange(first, end)
+    borne = begins[graph.parent[begins] >= 0]
+    points = np.insert(rows, borne - first, graph.parent[borne])
+    counts = counts + (graph.parent[begins] >= 0)
+    return points, counts
+
+
+def _obj(graph: SkeletalGraph, position: NDArray[np.float32]) -> str:
+    text = ["# forestgen: skeletal graph; metres, z up\n"]
+    text.append(("v %.5f %.5f %.5f\n" * len(position)) % tuple(position.ravel().tolist()))
+    for plant, first, end in _plants(graph):
+        text.append(f"o plant_{plant}\n")
+        points, counts = _polylines(graph, first, end)
+        lines = np.split(points + 1, np.cumsum(counts)[:-1])
+        text.extend(f"l {' '.join(map(str, line.tolist()))}\n" for line in lines if len(line) > 1)
+    return "".join(text)
+
+
+def _gltf(
+    graph: SkeletalGraph, position: NDArray[np.float32], known: Mapping[str, NDArray[Any]], *, binary: bool
+) -> bytes:
+    chunks: list[bytes] = []
+    views: list[dict[str, int]] = []
+    accessors: list[dict[str, Any]] = []
+
+    def accessor(values: NDArray[Any], kind: str, target: int, *, bounds: bool = False) -> int:
+        offset = sum(view["byteLength"] for view in views[-1:]) + (views[-1]["byteOffset"] if views else 0)
+        content = np.ascontiguousarray(values).tobytes()  # four-byte numbers: aligned as they come
+        views.append({"buffer": 0, "byteOffset": offset, "byteLength": len(content), "target": target})
+        chunks.append(content)
+        component = 5126 if values.dtype == np.float32 else 5125
+        entry = {"bufferView": len(views) - 1, "componentType": component, "count": len(values), "type": kind}
+        if bounds:
+            entry |= {"min": values.min(axis=0).tolist(), "max": values.max(axis=0).tolist()}
+        accessors.append(entry)
+        return len(accessors) - 1
+
+    x, y, z = position.T
+    upright = np.stack([x, z, -y], axis=-1)  # the standard wants y up
+    meshes: list[dict[str, Any]] = []
+    nodes: list[dict[str, Any]] = []
+    for plant, first, end in _plants(graph):
+        child = np.flatnonzero(graph.parent[first:end] >= 0)
+        node: dict[str, Any] = {"name": f"plant_{plant}", "extras": _known(known, plant)}
+        if len(child):  # a plant of one node has no line
+            lines = np.stack([graph.parent[first:end][child] - first, child], axis=-1).astype(np.uint32)
+            attributes = {
+                "POSITION": accessor(upright[first:end], "VEC3", 34962, bounds=True),
+                "_DIAMETER": accessor(graph.diameter_m[first:end], "SCALAR", 34962),
+                "_AGE": accessor(graph.age[first:end], "SCALAR", 34962),
+            }
+            indices = accessor(lines.ravel(), "SCALAR", 34963)
+            primitive = {"attributes": attributes, "indices": indices, "mode": 1}
+            meshes.append({"name": f"plant_{plant}", "primitives": [primitive]})
+            node["mesh"] = len(meshes) - 1
+        nodes.append(node)
+    data = b"".join(chunks)
+    document: dict[str, Any] = {
+        "asset": {"version": "2.0", "generator": "forestgen"},
+        "scene": 0,
+        "scenes": [{"nodes": list(range(len(nodes)))} if nodes else {}],
+    }
+    parts = {"nodes": nodes, "meshes": meshes, "accessors": accessors, "bufferViews": views}
+    document |= {name: entries for name, entries in parts.items() if entries}  # the standard forbids empty lists
+    buffer: dict[str, Any] = {"byteLength": len(data)}
+    if not binary:
+        buffer["uri"] = "data:application/octet-stream;base64," + base64.b64encode(data).decode()
+    if data:
+        document["buffers"] = [buffer]
+    text = json.dumps(document, separators=(",", ":"), allow_nan=False).encode()
+    if not binary:
+        return text
+    text += b" " * (-len(text) % 4)
+    tail = struct.pack("<I4s", len(data), b"BIN\0") + data if data else b""
+    return struct.pack("<4sIII4s", b"glTF", 2, 20 + len(text) + len(tail), len(text), b"JSON") + text + tail
+
+
+def _write_usd(
+    path: Path, graph: SkeletalGraph, position: NDArray[np.float32], known: Mapping[str, NDArray[Any]]
+) -> None:
+    from pxr import Sdf, Tf, Usd, UsdGeom, Vt
+
+    layer = Sdf.Layer.CreateAnonymous(".usda")
+    stage = Usd.Stage.Open(layer)
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+    root = UsdGeom.Xform.Define(stage, "/plants").GetPrim()
+    stage.SetDefaultPrim(root)
+    for plant, first, end in _plants(graph):
+        points, counts = _polylines(graph, first, end)
+        curves = UsdGeom.BasisCurves.Define(stage, f"/plants/plant_{plant}")
+        curves.GetPrim().SetCustomDataByKey("forestgen", _known(known, plant))
+        if end - first < 2:
+            continue
+        if counts[0] < 2:  # the trunk's axis is the foot alone
+            points, counts = points[1:], counts[1:]
+        # A lateral is as thick at its foot as at its own first node.
+        wide = graph.diameter_m[points].copy()
+        foot = np.concatenate([[0], np.cumsum(counts)[:-1]])
+        lateral = graph.axis[points[foot]] != graph.axis[points[foot + 1]]
+        wide[foot[lateral]] = wide[foot[lateral] + 1]
+        curves.CreateTypeAttr(UsdGeom.Tokens.linear)
+        curves.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(position[points])))
+        curves.CreateCurveVertexCountsAttr(Vt.IntArray.FromNumpy(counts.astype(np.int32)))
+        curves.CreateWidthsAttr(Vt.FloatArray.FromNumpy(wide))
+        curves.SetWidthsInterpolation(UsdGeom.Tokens.vertex)
+        half = wide[:, None] / 2
+        extent = np.stack([(position[points] - half).min(axis=0), (position[points] + half).max(axis=0)])
+        curves.CreateExtentAttr(Vt.Vec3fArray.FromNumpy(extent.astype(np.float32)))
+        ages = UsdGeom.PrimvarsAPI(curves).CreatePrimvar(
+            "physiologicalAge", Sdf.ValueTypeNames.FloatArray, UsdGeom.Tokens.vertex
+        )
+        ages.Set(Vt.FloatArray.FromNumpy(np.ascontiguousarray(graph.age[points])))
+    try:
+        written = path.parent.is_dir() and layer.Export(str(path))
+    except Tf.ErrorException as cause:
+        raise OutputError("the graph cannot be written", where=str(path), got=str(cause)[:200]) from cause
+    if not written:
+        raise OutputError("the graph cannot be written", where=str(path), expected="a folder that can be written to")

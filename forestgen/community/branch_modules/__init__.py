@@ -1,0 +1,1 @@
+"""The parts of the model of branch modules."""

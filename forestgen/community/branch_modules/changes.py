@@ -1,0 +1,184 @@
+"""Other values of a simulation's parameters from some year on: interactive design, written down.
+
+In a recipe::
+
+    community:
+      changes:
+        - {at_yr: 50, set: {temperature_c: 9, species.pine.shade_tolerance: 0.2}}
+
+A change is made at the end of the step that reaches its time, as a disturbance is: what happens from then on goes by
+the new values. So the step from k to k + 1 goes by `parameters_at(parameters, types, k)`, which depends on k alone: a
+simulation that resumes there goes by the same. Changes of one step are made in the order of the list.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any, Protocol, Self, TypeVar
+
+from pydantic import BaseModel, Field, model_validator
+
+from forestgen.architecture.plant_type import PlantType
+from forestgen.core.errors import RecipeError
+from forestgen.recipe.fields import NonNegative, Section, mistake
+from forestgen.recipe.messages import show
+from forestgen.recipe.sources import Keys
+
+if TYPE_CHECKING:
+    from forestgen.community.branch_modules.parameters import BranchModulesParameters
+
+M = TypeVar("M", bound=BaseModel)
+
+
+class Parse(Protocol):
+    """Validates a class's values, with the recipe's messages."""
+
+    def __call__(self, model: type[M], data: Mapping[str, Any], keys: Keys) -> M: ...
+
+
+#: Keys of the section that a simulation starts with, and cannot change on its way.
+FIXED = (
+    "steps", "step_yr", "periodic", "disturbances", "initial_plants", "biome", "soil", "obstacles", "changes",
+    "most_modules", "history_modules",
+)  # fmt: skip
+
+
+class Change(Section):
+    """Other values of some parameters."""
+
+    at_yr: NonNegative = Field(le=1e6, description="Time from which they hold, years.")
+    set: dict[str, Any] = Field(
+        min_length=1, description="New values by key: of this section, or species.NAME.KEY of a species' modules."
+    )
+
+    @model_validator(mode="after")
+    def _can_be_changed(self) -> Self:
+        for key in self.set:
+            if key in FIXED:
+                raise mistake(
+                    "a key that may change with time",
+                    problem=f"{key} holds for the whole simulation",
+                    got=show(self.set[key]),
+                    at=("set", key),
+                )
+            if key.startswith("species") and species_key(key) is None:
+                raise mistake(
+                    "species.NAME.KEY, such as species.pine.shade_tolerance",
+                    problem="this names no key of a species",
+                    got=repr(key),
+                    at=("set", key),
+                )
+        return self
+
+    def step(self, step_yr: float) -> int:
+        """The step at whose end it is made."""
+        # Whole numbers of steps, such as 0.3 years in steps of 0.1, must not be missed by a rounding error.
+        return math.ceil(self.at_yr / step_yr * (1 - 1e-9))
+
+
+def species_key(key: str) -> tuple[str, str] | None:
+    """Name and key of ``species.NAME.KEY``; None: a key of the section itself."""
+    parts = key.split(".")
+    return (parts[1], parts[2]) if len(parts) == 3 and parts[0] == "species" else None
+
+
+def parameters_at(
+    parameters: BranchModulesParameters, types: Mapping[str, PlantType], step: int
+) -> tuple[BranchModulesParameters, dict[str, PlantType]]:
+    """What holds from the end of `step` on: the parameters and plant types with all changes up to then.
+
+    Parameters
+    ----------
+    parameters, types : as the recipe gives them; types by the names of the species that grow.
+
+    Raises
+    ------
+    ValueError : a value that its key does not take, or no such key or species; `check_changes` tells so before.
+    """
+    changed, kinds = parameters, dict(types)
+    for one in in_order(parameters):
+        if one.step(parameters.step_yr) > step:
+            break
+        own, of_species = split(one)
+        if own:
+            changed = type(parameters).model_validate({**_values(changed), **own})
+        for name, values in of_species.items():
+            if name not in kinds:
+                raise ValueError(f"no species {name!r} grows by branch modules")
+            kinds[name] = PlantType.model_validate({**_values(kinds[name]), **values})
+    return changed, kinds
+
+
+def in_order(parameters: BranchModulesParameters) -> list[Change]:
+    """The changes in the order in which they are made."""
+    return sorted(parameters.changes, key=lambda one: one.step(parameters.step_yr))
+
+
+def split(change: Change) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
+    """A change's new values: those of the section, and those of each species' modules."""
+    own: dict[str, Any] = {}
+    of_species: dict[str, dict[str, Any]] = {}
+    for key, value in change.set.items():
+        parts = species_key(key)
+        if parts is None:
+            own[key] = value
+        else:
+            of_species.setdefault(parts[0], {})[parts[1]] = value
+    return own, of_species
+
+
+def _values(model: BaseModel) -> dict[str, Any]:
+    """A model's values as they are: maps stay read."""
+    return {name: getattr(model, name) for name in type(model).model_fields}
+
+
+def check_changes(
+    parameters: BranchModulesParameters, types: Mapping[str, PlantType], parse: Parse, where: Callable[..., str]
+) -> None:
+    """Refuse, before anything is simulated, changes that could not be made.
+
+    Parameters
+    ----------
+    parse : checks values of a class as the recipe checks its own (`DrawnRecipe.parse`).
+    where : place of a key path of the parameters, for messages.
+
+    Raises
+    ------
+    RecipeError : worded as if the value stood in the recipe itself, at the change's place.
+    """
+    changed: BranchModulesParameters = parameters
+    kinds = dict(types)
+    numbers = {id(one): index for index, one in enumerate(parameters.changes)}
+    for one in in_order(parameters):
+        place = ("changes", numbers[id(one)], "set")
+        own, of_species = split(one)
+        if own:
+            places = {key: where(*place, key) for key in own}
+            changed = _told(type(parameters), {**_values(changed), **own}, places, parse)
+        for name, values in of_species.items():
+            places = {key: where(*place, f"species.{name}.{key}") for key in values}
+            if name not in kinds:
+                raise RecipeError(
+                    "this species does not grow by branch modules",
+                    where=next(iter(places.values())),
+                    expected="one of " + (", ".join(kinds) or "none: no species of the recipe has a section modules"),
+                    got=repr(name),
+                )
+            kinds[name] = _told(PlantType, {**_values(kinds[name]), **values}, places, parse)
+
+
+def _told(model: type[M], data: dict[str, Any], places: Mapping[str, str], parse: Parse) -> M:
+    """The model of the values; a mistake is told at the place of the new value that made it."""
+    try:
+        return parse(model, data, ())
+    except RecipeError as cause:
+        # The parser names the key in the recipe's own section, whose value may be right.
+        own = [place for key, place in places.items() if (cause.where or "").endswith(key)]
+        raise RecipeError(
+            cause.problem,
+            where=(own or list(places.values()))[0],
+            expected=cause.expected,
+            got=cause.got,
+            hint=cause.hint,
+        ) from cause

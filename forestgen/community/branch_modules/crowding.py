@@ -1,0 +1,399 @@
+"""Crowding: how much the bounding spheres of branch modules intersect.
+
+Reference: M. Makowski et al., Synthetic Silviculture, 2019, in the form of the book of 2023, Eq. 1 and section 2.8. ::
+
+    f(u) = sum over w of V(B_u and B_w) / V(B_u)                 own light Q = exp(-f)
+    ratio = sum over pairs of V(B_u and B_w) / sum over u of V(B_u)                      Figure 18 (a)
+
+Decided where the print is silent: the sum is divided by the module's own volume, since the exponent must be a pure
+number. Pairs that share a joint (a module and the one that bears it) touch by construction and are left out. Boxes
+(obstacles) count like spheres, with the volume that lies in them. Spheres below 1 mm count as spheres of 1 mm: a module
+that has just begun feels how many others it stands in.
+
+Method: spheres are sorted by radius into levels, each within a factor of 3; a level is a grid of columns, each with its
+own layers of cells from its lowest to its highest sphere, so that grids follow terrain of any height. Cells are about
+1.4 radii of the level's largest sphere wide, or hold about one sphere in the mean where spheres are rare. A sphere
+looks through the cells of each level within its own radius and the level's largest. So seedlings among trees cost no
+more than seedlings, and time and memory are O(M). Each sphere adds up its own neighbours in the order of the grid:
+the sums do not depend on the number of threads.
+
+On a torus a sphere meets the nearest image of another; spheres should be smaller than a quarter of the site.
+
+Kernels of other files call those of this one, and Numba's cache sees changes of a kernel's own file only: after a
+change here, touch the files that import it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from math import floor, pi, sqrt
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.community.branch_modules.boxes import NO_BOXES, Boxes, volume_in_boxes
+from forestgen.core.compiled import borrowed, compiled
+from forestgen.core.threads import over_ranges
+
+LEAST_RADIUS_M = 1e-3
+_LEVELS = 6
+_RATIO = 3.0  # of the largest radii of two levels
+_CELL_PER_RADIUS = 1.4  # width of a cell over the level's largest radius
+_SPHERES_PER_CELL = 1.0  # at least, in the mean; columns too
+
+Floats = NDArray[np.float64]
+
+
+class Cells(NamedTuple):  # a tuple: compiled loops take no dataclass
+    """Spheres in the order of levels, in each of columns, in each of layers."""
+
+    sphere: Floats  # (M, 4) x, y, z, r, metres; on a torus x and y in [0, W]
+    row: NDArray[np.int32]  # (M,) in the caller's arrays
+    start: NDArray[np.int32]  # (cells + 1,) first sphere of each cell
+    first: NDArray[np.int32]  # (columns + 1,) first cell of each column
+    bottom: Floats  # (columns,) z at which its first layer begins
+    level: Floats  # (levels, 9) first column, nx, ny, columns per metre in x and y, x0, y0, layers per metre, most r
+    width: float  # of the torus; 0: the plane
+    height: float
+
+
+@compiled
+def lent(cells):  # type: ignore[no-untyped-def]
+    """The same cells, in a kernel that passes them on for each sphere; see `borrowed`."""
+    return Cells(
+        borrowed(cells.sphere),
+        borrowed(cells.row),
+        borrowed(cells.start),
+        borrowed(cells.first),
+        borrowed(cells.bottom),
+        borrowed(cells.level),
+        cells.width,
+        cells.height,
+    )
+
+
+@compiled
+def lens(d2, r, s):  # type: ignore[no-untyped-def]
+    """Common volume of two spheres of radii r and s, the square of the distance of whose centres is d2."""
+    if d2 >= (r + s) * (r + s):
+        return 0.0
+    if d2 <= (r - s) * (r - s):
+        least = min(r, s)
+        return 4.0 / 3.0 * pi * least * least * least
+    d = sqrt(d2)
+    gap = r + s - d
+    return pi * gap * gap * (d2 + 2.0 * d * (r + s) - 3.0 * (r - s) * (r - s)) / (12.0 * d)
+
+
+@compiled
+def columns_within(at, reach, first, per_m, n, periodic):  # type: ignore[no-untyped-def]
+    """First and number of the columns, along one axis, that the interval at ± reach meets; not yet wrapped."""
+    low, high = floor((at - reach - first) * per_m), floor((at + reach - first) * per_m)
+    if periodic:
+        return (low, high - low + 1) if high - low + 1 < n else (0, n)
+    low, high = max(low, 0), min(high, n - 1)
+    return low, high - low + 1
+
+
+@compiled
+def nearest_image(d, period):  # type: ignore[no-untyped-def]
+    """The difference of two coordinates, each from 0 to the period, on a torus; as it is where the period is 0."""
+    if period > 0.0:
+        half = 0.5 * period
+        if d > half:
+            return d - period
+        if d < -half:
+            return d + period
+    return d
+
+
+@compiled
+def _outside(at, low, width):  # type: ignore[no-untyped-def]
+    """Distance along one axis of `at` from the column that begins at `low`."""
+    return max(low - at, at - low - width, 0.0)
+
+
+@compiled
+def runs(x, y, z, radius, cells, out):  # type: ignore[no-untyped-def]
+    """Fill `out` (R, 2) with runs of spheres, first and end, that can meet a sphere; their number, or -1: no room.
+
+    On a torus x and y are from 0 to its sides.
+    """
+    count, most, periodic = 0, len(out), cells.width > 0.0
+    for k in range(len(cells.level)):
+        column0, nx, ny = int(cells.level[k, 0]), int(cells.level[k, 1]), int(cells.level[k, 2])
+        per_x, per_y, x0, y0 = cells.level[k, 3], cells.level[k, 4], cells.level[k, 5], cells.level[k, 6]
+        per_z, reach = cells.level[k, 7], radius + cells.level[k, 8]
+        wide, deep = 1.0 / per_x, 1.0 / per_y
+        low_y, along = columns_within(y, reach, y0, per_y, ny, periodic)
+        low_x, across = columns_within(x, reach, x0, per_x, nx, periodic)
+        round_y, round_x = periodic and along == ny, periodic and across == nx
+        for row in range(low_y, low_y + along):
+            dy = 0.0 if round_y else _outside(y, y0 + row * deep, deep)
+            room_y = reach * reach - dy * dy
+            line = column0 + (row + ny if row < 0 else (row - ny if row >= ny else row)) * nx
+            for column in range(low_x, low_x + across):
+                c = line + (column + nx if column < 0 else (column - nx if column >= nx else column))
+                cell, end = cells.first[c], cells.first[c + 1]
+                dx = 0.0 if round_x else _outside(x, x0 + column * wide, wide)
+                room = room_y - dx * dx
+                if room <= 0.0 or cell == end:
+                    continue
+                up, at = sqrt(room), z - cells.bottom[c]
+                low = max(floor((at - up) * per_z), 0)
+                high = min(floor((at + up) * per_z), end - cell - 1)
+                if low > high:
+                    continue
+                begin, stop = cells.start[cell + low], cells.start[cell + high + 1]
+                if begin < stop:
+                    if count == most:
+                        return -1
+                    out[count, 0], out[count, 1] = begin, stop
+                    count += 1
+    return count
+
+
+@compiled
+def _sum_overlaps(first, end, cells, parent, joints, boxes, total):  # type: ignore[no-untyped-def]
+    """Set `total` of the spheres `first` to `end` of the grid to the sum of their common volumes with others, m3."""
+    cells, parent, total, boxes = lent(cells), borrowed(parent), borrowed(total), borrowed(boxes)
+    sphere, rows, width, height = cells.sphere, cells.row, cells.width, cells.height
+    room = np.empty((256, 2), dtype=np.int64)
+    run = borrowed(room)
+    for i in range(first, end):
+        x, y, z, r, own = sphere[i, 0], sphere[i, 1], sphere[i, 2], sphere[i, 3], rows[i]
+        bearer = parent[own]
+        count = runs(x, y, z, r, cells, run)
+        while count < 0:
+            room = np.empty((2 * len(room), 2), dtype=np.int64)
+            run = borrowed(room)
+            count = runs(x, y, z, r, cells, run)
+        volume = 0.0
+        for k in range(count):
+            for j in range(run[k, 0], run[k, 1]):
+                dz, reach = z - sphere[j, 2], r + sphere[j, 3]
+                dx, dy = nearest_image(x - sphere[j, 0], width), nearest_image(y - sphere[j, 1], height)
+                d2 = dx * dx + dy * dy + dz * dz
+                if d2 < reach * reach and j != i:
+                    other = rows[j]
+                    if joints or (other != bearer and parent[other] != own):
+                        volume += lens(d2, r, sphere[j, 3])
+        if len(boxes) > 0:
+            volume += volume_in_boxes(x, y, z, r, boxes, width, height)
+        total[own] = volume
+
+
+@compiled
+def _sort_by_level(radius, top, level, counts, order):  # type: ignore[no-untyped-def]
+    """Level of each sphere by its radius, the number of each level, and the rows in order of levels."""
+    for i in range(len(radius)):
+        k, least = 0, top / _RATIO
+        while radius[i] <= least and k < _LEVELS - 1:
+            k, least = k + 1, least / _RATIO
+        level[i] = k
+        counts[k] += 1
+    place = np.zeros(_LEVELS, dtype=np.int64)
+    for k in range(1, _LEVELS):
+        place[k] = place[k - 1] + counts[k - 1]
+    for i in range(len(radius)):
+        k = level[i]
+        order[place[k]] = i
+        place[k] += 1
+
+
+@compiled
+def _columns(position, order, levels, first, end, k, width, height, column, low, high):  # type: ignore[no-untyped-def]
+    """Column of each sphere of level `k`, rows `order[first:end]`; lowest and highest z of each column."""
+    column0, nx, ny = int(levels[k, 0]), int(levels[k, 1]), int(levels[k, 2])
+    for at in range(first, end):
+        i = order[at]
+        x, y, z = position[i, 0], position[i, 1], position[i, 2]
+        if width > 0.0:
+            x, y = x % width, y % height
+        a = min(max(floor((x - levels[k, 5]) * levels[k, 3]), 0), nx - 1)
+        b = min(max(floor((y - levels[k, 6]) * levels[k, 4]), 0), ny - 1)
+        c = column0 + b * nx + a
+        column[at] = c
+        low[c], high[c] = min(low[c], z), max(high[c], z)
+
+
+@compiled
+def _fill(position, radius, order, column, levels, edges, first, low, width, height, start, sphere, row):  # type: ignore[no-untyped-def]
+    """Put spheres into their cells; `start` (cells + 2,) is zeros, and afterwards right but for its last place."""
+    for counting in (True, False):
+        for k in range(len(levels)):
+            for at in range(edges[k], edges[k + 1]):
+                i, c = order[at], column[at]
+                layer = floor((position[i, 2] - low[c]) * levels[k, 7])
+                cell = first[c] + min(max(layer, 0), first[c + 1] - first[c] - 1) + 1
+                if counting:
+                    start[cell + 1] += 1
+                    continue
+                place = start[cell]
+                start[cell] += 1
+                x, y = position[i, 0], position[i, 1]
+                if width > 0.0:
+                    x, y = x % width, y % height
+                sphere[place, 0], sphere[place, 1], sphere[place, 2] = x, y, position[i, 2]
+                sphere[place, 3], row[place] = radius[i], i
+        if counting:
+            for cell in range(2, len(start)):
+                start[cell] += start[cell - 1]
+
+
+def _shape(
+    position_m: Floats, radius_m: Floats, rows: NDArray[np.int32], period_m: tuple[float, float] | None
+) -> tuple[float, ...]:
+    """A level's row of `Cells.level` without its first column and its layers."""
+    most = float(radius_m[rows].max())
+    if period_m is None:
+        low, high = position_m[rows, :2].min(axis=0), position_m[rows, :2].max(axis=0)
+        sides = np.maximum(high - low, 1e-6)
+    else:
+        low, sides = np.zeros(2), np.array(period_m)
+    side = max(_CELL_PER_RADIUS * most, float(np.sqrt(_SPHERES_PER_CELL * sides[0] / len(rows) * sides[1])))
+    n = np.clip(np.floor(sides / side), 1, 2 * len(rows) + 1)
+    per_m = n / sides
+    return float(n[0]), float(n[1]), float(per_m[0]), float(per_m[1]), float(low[0]), float(low[1]), most
+
+
+def cells_of(position_m: Floats, radius_m: Floats, period_m: tuple[float, float] | None) -> Cells:
+    """The cells of (M, 3) float64 centres and (M,) float64 radii, metres; see `SphereGrid`."""
+    m = len(radius_m)
+    width, height = period_m or (0.0, 0.0)
+    counts, order = np.zeros(_LEVELS, dtype=np.int64), np.empty(m, dtype=np.int32)
+    _sort_by_level(radius_m, radius_m.max(initial=LEAST_RADIUS_M), np.empty(m, dtype=np.int8), counts, order)
+    edges = np.concatenate([[0], np.cumsum(counts[counts > 0])])
+    levels = np.zeros((len(edges) - 1, 9))
+    columns = 0
+    for k, (begin, end) in enumerate(pairwise(edges.tolist())):
+        nx, ny, per_x, per_y, x0, y0, most = _shape(position_m, radius_m, order[begin:end], period_m)
+        levels[k] = columns, nx, ny, per_x, per_y, x0, y0, 0.0, most
+        columns += int(nx * ny)
+    column, low, high = np.empty(m, dtype=np.int32), np.full(columns, np.inf), np.full(columns, -np.inf)
+    layers = np.zeros(columns, dtype=np.int32)
+    for k, (begin, end) in enumerate(pairwise(edges.tolist())):
+        _columns(position_m, order, levels, begin, end, k, width, height, column, low, high)
+        own = slice(int(levels[k, 0]), int(levels[k, 0] + levels[k, 1] * levels[k, 2]))
+        tall = np.where(high[own] >= low[own], high[own] - low[own], -1.0)
+        thick = max(_CELL_PER_RADIUS * levels[k, 8], _SPHERES_PER_CELL * tall.clip(0).sum() / (end - begin))
+        levels[k, 7] = 1.0 / thick
+        layers[own] = np.where(tall >= 0.0, np.floor(tall * levels[k, 7]) + 1, 0)
+    first = np.zeros(columns + 1, dtype=np.int32)
+    np.cumsum(layers, out=first[1:])
+    start = np.zeros(int(first[-1]) + 2, dtype=np.int32)
+    sphere, row = np.empty((m, 4)), np.empty(m, dtype=np.int32)
+    _fill(position_m, radius_m, order, column, levels, edges, first, low, width, height, start, sphere, row)
+    return Cells(sphere, row, start[:-1], first, low, levels, float(width), float(height))
+
+
+@compiled
+def _kept(cells, leave_out, start, sphere, row):  # type: ignore[no-untyped-def]
+    """Copy the spheres whose rows do not leave out, and where each cell's begin; their number."""
+    count = 0
+    for cell in range(len(start) - 1):
+        start[cell] = count
+        for j in range(cells.start[cell], cells.start[cell + 1]):
+            if not leave_out[cells.row[j]]:
+                for d in range(4):
+                    sphere[count, d] = cells.sphere[j, d]
+                row[count] = cells.row[j]
+                count += 1
+    start[len(start) - 1] = count
+    return count
+
+
+def without(cells: Cells, leave_out: NDArray[np.bool_]) -> Cells:
+    """The same cells without the spheres of some of the caller's rows, (M,)."""
+    start, sphere, row = np.empty_like(cells.start), np.empty_like(cells.sphere), np.empty_like(cells.row)
+    count = _kept(cells, leave_out, start, sphere, row)
+    return cells._replace(sphere=sphere[:count], row=row[:count], start=start)
+
+
+@dataclass(frozen=True)
+class SphereGrid:
+    """The bounding spheres of all modules, sorted into cells."""
+
+    cells: Cells
+    radius_m: Floats  # (M,) at least LEAST_RADIUS_M
+    period_m: tuple[float, float] | None  # width and height of a torus; None: the plane
+
+    @classmethod
+    def of(
+        cls,
+        centre_world_m: NDArray[np.floating],
+        radius_m: NDArray[np.floating],
+        period_m: tuple[float, float] | None = None,
+    ) -> SphereGrid:
+        """The grid of spheres.
+
+        Parameters
+        ----------
+        centre_world_m : (M, 3) metres, world frame; float64 is taken without a copy.
+        radius_m : (M,) metres, at least 0.
+        period_m : width and height of a periodic site; None: the plane.
+
+        Raises
+        ------
+        ValueError
+            Numbers that are not finite, or radii below 0.
+        """
+        centre = np.ascontiguousarray(centre_world_m, dtype=np.float64)
+        radius = np.ascontiguousarray(radius_m, dtype=np.float64)
+        if centre.shape != (len(radius), 3):
+            raise ValueError(f"{len(radius)} radii need centres of shape ({len(radius)}, 3), got {centre.shape}")
+        if not (np.isfinite(centre).all() and np.isfinite(radius).all() and radius.min(initial=0.0) >= 0.0):
+            raise ValueError("spheres need finite centres and finite radii of at least 0")
+        radius = np.maximum(radius, LEAST_RADIUS_M)
+        return cls(cells_of(centre, radius, period_m), radius, period_m)
+
+    def __len__(self) -> int:
+        return len(self.radius_m)
+
+    @property
+    def volume_m3(self) -> Floats:
+        """(M,) volume of each sphere."""
+        return 4.0 / 3.0 * np.pi * self.radius_m**3
+
+
+def overlap_volumes(
+    grid: SphereGrid, parent_row: NDArray[np.integer], boxes: Boxes = NO_BOXES, *, joints: bool = False
+) -> Floats:
+    """(M,) float64, m3: sum of each sphere's common volumes with all others and boxes; see `overlap`."""
+    total = np.empty(len(grid))
+    parent = np.ascontiguousarray(parent_row, dtype=np.int64)
+    if len(grid):
+        cells, rows = grid.cells, boxes.rows
+        over_ranges(len(grid), lambda first, end: _sum_overlaps(first, end, cells, parent, joints, rows, total))
+    return total
+
+
+def overlap(
+    grid: SphereGrid, parent_row: NDArray[np.integer], boxes: Boxes = NO_BOXES, *, joints: bool = False
+) -> NDArray[np.float32]:
+    """Crowding of each module (Eq. 1 over the module's own volume).
+
+    Parameters
+    ----------
+    grid : of all modules.
+    parent_row : (M,) row of the module that bears each, -1 for roots (`Modules.parent_row`).
+    boxes : obstacles.
+    joints : count pairs that share a joint too.
+
+    Returns
+    -------
+    (M,) float32: f(u), in units of the module's own volume.
+    """
+    return (overlap_volumes(grid, parent_row, boxes, joints=joints) / grid.volume_m3).astype(np.float32)
+
+
+def intersection_ratio(grid: SphereGrid, parent_row: NDArray[np.integer], *, joints: bool = False) -> float:
+    """Sum of the common volumes of all pairs over the sum of all volumes (section 2.8, Figure 18 a); 0 without modules.
+
+    Pairs that share a joint count only with `joints`.
+    """
+    if not len(grid):
+        return 0.0
+    return float(0.5 * overlap_volumes(grid, parent_row, joints=joints).sum() / grid.volume_m3.sum())

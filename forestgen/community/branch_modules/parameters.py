@@ -1,0 +1,272 @@
+"""What a recipe says about the model of branch modules besides its species (Makowski 2023, section 2.6)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Annotated, Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import AfterValidator, BeforeValidator, Field, WithJsonSchema, model_validator
+from pydantic_core import PydanticCustomError
+
+from forestgen.community.branch_modules.changes import Change, species_key
+from forestgen.community.disturbance import PointOnGround
+from forestgen.community.model import CommunityParameters
+from forestgen.community.placement.density_map import DensityMap
+from forestgen.recipe.fields import (
+    Flag,
+    Fraction,
+    Name,
+    NonNegative,
+    Number,
+    Positive,
+    Section,
+    Text,
+    Whole,
+    mistake,
+)
+from forestgen.recipe.sources import Keys
+
+BLOCKED_ABOVE = 0.5  # a soil map's values above this bar plants
+MOST_PLANTS = 1_000_000  # at the start
+
+COLDEST_C, WARMEST_C = -10.0, 33.0  # Table 3
+DRIEST_MM_PER_YR, WETTEST_MM_PER_YR = 10.0, 4300.0  # Table 3
+
+
+def _temperature(value: float) -> float:
+    if not COLDEST_C <= value <= WARMEST_C:
+        raise mistake(f"{COLDEST_C:g} to {WARMEST_C:g} deg C", problem="no such climate", got=f"{value:g} deg C")
+    return value
+
+
+def _precipitation(value: float) -> float:
+    if not DRIEST_MM_PER_YR <= value <= WETTEST_MM_PER_YR:
+        raise mistake(
+            f"{DRIEST_MM_PER_YR:g} to {WETTEST_MM_PER_YR:g} mm a year",
+            problem="no such climate",
+            got=f"{value:g} mm a year",
+        )
+    return value
+
+
+Temperature = Annotated[
+    Number, AfterValidator(_temperature), Field(json_schema_extra={"minimum": COLDEST_C, "maximum": WARMEST_C})
+]
+Precipitation = Annotated[
+    Number,
+    AfterValidator(_precipitation),
+    Field(json_schema_extra={"minimum": DRIEST_MM_PER_YR, "maximum": WETTEST_MM_PER_YR}),
+]
+Side = Annotated[Positive, Field(ge=0.5, le=200)]
+
+
+class Obstacle(Section):
+    """A building: plants neither grow into it nor get light through it."""
+
+    species: Name = Field(description="Its species, whose generator shows it: house.")
+    position_m: PointOnGround = Field(description="Middle of its ground plan: x, y, metres; on the site.")
+    azimuth_deg: Number = Field(
+        0.0, ge=-360, le=360, description="Turn of its width from east, clockwise from above, degrees."
+    )
+    size_m: tuple[Side, Side, Side] = Field(
+        (10.0, 8.0, 7.0), description="Width along its ridge, depth, and height to the ridge, metres."
+    )
+
+    @property
+    def turn_rad(self) -> float:
+        """The same anticlockwise, as world axes turn, radians."""
+        return -math.radians(self.azimuth_deg)
+
+    def corners_m(self) -> NDArray[np.float64]:
+        """(4, 2) world x and y of its ground plan's corners."""
+        x, y = 0.5 * self.size_m[0], 0.5 * self.size_m[1]
+        cos, sin = math.cos(self.turn_rad), math.sin(self.turn_rad)
+        plan = np.array([[-x, -y], [x, -y], [x, y], [-x, y]])
+        return np.asarray(plan @ np.array([[cos, sin], [-sin, cos]]) + self.position_m)
+
+
+class Biome(Section):
+    """What the climate was chosen by: two numbers, or a place with known normals."""
+
+    temperature_c: Temperature | None = Field(None, description="Mean temperature, deg C, -10 to 33.")
+    precipitation_mm_per_yr: Precipitation | None = Field(None, description="Precipitation, mm/year, 10 to 4300.")
+    place: Text | None = Field(None, description="A station of the climate normals that come with forestgen.")
+
+
+def _number_or_by_species(value: Any) -> Any:
+    """One number as it is; what is neither that nor a mapping is refused here, with both forms named."""
+    if isinstance(value, Mapping):
+        return value
+    whole = isinstance(value, int | float) and not isinstance(value, bool) and 0 <= value <= MOST_PLANTS
+    if not whole or value != int(value):
+        raise mistake(f"a whole number from 0 to {MOST_PLANTS}, or such numbers by species")
+    return {_ALL: int(value)}
+
+
+_ALL = "*"  # no species has this name
+_Count = Annotated[Whole, Field(ge=0, le=MOST_PLANTS)]
+InitialPlants = Annotated[
+    dict[str, _Count],
+    BeforeValidator(_number_or_by_species),
+    WithJsonSchema(
+        {
+            "anyOf": [
+                {"type": "integer", "minimum": 0, "maximum": MOST_PLANTS},
+                {"type": "object", "additionalProperties": {"type": "integer", "minimum": 0, "maximum": MOST_PLANTS}},
+            ],
+            "default": 100,
+        }
+    ),
+]
+
+
+class BranchModulesParameters(CommunityParameters):
+    """What a recipe says about the model besides its species."""
+
+    steps: Whole = Field(200, ge=0, le=100_000, description="number of steps")
+    step_yr: float = Field(1.0, gt=0, le=10, description="duration of a step, years")
+    periodic: bool = Field(False, description="the site is a torus, without edges; false: a bounded site")
+    initial_plants: InitialPlants = Field(
+        100,
+        validate_default=True,
+        description="plants at the start, at random places: one number, shared evenly by the species that grow; or "
+        "numbers by species, where those not named have none",
+    )
+    temperature_c: Temperature | None = Field(
+        None, description="mean temperature at z = 0, deg C, -10 to 33; null: what each species likes best"
+    )
+    precipitation_mm_per_yr: Precipitation | None = Field(
+        None, description="precipitation, mm/year, 10 to 4300; null: what each species likes best"
+    )
+    biome: Biome | None = Field(
+        None,
+        description="instead of the two: the same numbers, or a place; species then need not be named, and are chosen "
+        "by climate",
+    )
+    lapse_rate_k_per_km: Number = Field(
+        -6.5, ge=-20, le=0, description="change of temperature with elevation above z = 0, K/km, not above 0"
+    )
+    adaptation_min: Fraction = Field(0.05, description="no seed germinates where the climate suits it less than this")
+    soil: DensityMap | None = Field(
+        None, description="where nothing grows, such as streets and water: values above 0.5 of this map bar plants"
+    )
+    obstacles: tuple[Obstacle, ...] = Field((), max_length=1000, description="buildings")
+    changes: tuple[Change, ...] = Field(
+        (),
+        max_length=10_000,
+        description="other values of this section's keys, or of `species.NAME.KEY` of a species' modules, from some "
+        "year on",
+    )
+    crowding: NonNegative = Field(
+        4.0, le=100, description="what a sphere's overlap with others, by its own volume, counts against its light"
+    )
+    sphere_scale: Positive = Field(1.0, ge=0.1, le=3, description="factor on the radius of the modules' spheres")
+    orient: Flag = Field(True, description="whether modules are turned away from others and to their tropism's angle")
+    orientation_steps: Whole = Field(3, ge=0, le=50, description="turns of a new module")
+    turning_steps: Whole = Field(
+        1, ge=0, le=50, description="further turns a step of a module that grows and bears no other"
+    )
+    turn_rad: Positive = Field(0.2, le=1.6, description="angle of a turn [alpha of Eq. 5], radians")
+    global_shade: Flag = Field(True, description="whether plants shade what stands below them (section 2.6.2)")
+    cell_m: Positive = Field(2.0, ge=0.25, le=50, description="side of a cell of the grid of shadows, metres")
+    senescence_yr: Positive = Field(
+        20.0, le=10_000, description="years after its life span in which a plant's greatest vigour falls to 0"
+    )
+    seedling_spacing_m: NonNegative = Field(
+        0.8, le=100, description="no seed germinates nearer than this to a plant's foot, metres"
+    )
+    most_modules: Whole = Field(
+        10_000_000, ge=1, le=200_000_000, description="stop with a message where the community has more modules"
+    )
+    history_modules: Flag = Field(
+        False, description="whether a history keeps each plant's modules too, from which a simulation can be resumed"
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _numbers_of_the_biome(cls, data: Any) -> Any:
+        """A biome by two numbers is a climate; one by place was looked up before the model sees it."""
+        biome = data.get("biome") if isinstance(data, Mapping) else None
+        if not isinstance(biome, Mapping | Biome):
+            return data
+        numbers = biome if isinstance(biome, Mapping) else biome.model_dump()
+        checks = {"temperature_c": _temperature, "precipitation_mm_per_yr": _precipitation}
+        taken = {}
+        for key, check in checks.items():
+            try:
+                taken[key] = check(numbers[key]) if data.get(key) is None else data[key]
+            except (KeyError, TypeError, ValueError, PydanticCustomError):
+                continue  # the biome's own check says what is wrong
+        return {**data, **taken}
+
+    @model_validator(mode="after")
+    def _whole_climate(self) -> Self:
+        keys = ("temperature_c", "precipitation_mm_per_yr")
+        missing = [key for key in keys if getattr(self, key) is None]
+        if len(missing) == 1:
+            given = next(key for key in keys if key not in missing)
+            raise mistake(missing[0], problem="half a climate", got=f"{given} alone", at=(given,))
+        if missing and self.biome is not None:
+            raise mistake(
+                "temperature_c and precipitation_mm_per_yr, or a place",
+                problem="a biome without a climate",
+                at=("biome",),
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _some_ground_is_open(self) -> Self:
+        blocked = self.blocked_soil()
+        if blocked is not None and blocked.all():
+            raise mistake(
+                f"a value of at most {BLOCKED_ABOVE:g}, where plants may grow",
+                problem="the soil map bars the whole site",
+                got=f"values from {self.soil.values().min():g}" if self.soil is not None else None,
+                hint="1 is blocked and 0 is open: invert: true turns a map round",
+                at=("soil",),
+            )
+        return self
+
+    @property
+    def has_climate(self) -> bool:
+        """Whether temperature and precipitation are given; without, every species has its own optimum."""
+        return self.temperature_c is not None and self.precipitation_mm_per_yr is not None
+
+    def blocked_soil(self) -> NDArray[np.bool_] | None:
+        """(rows, cols) whether the soil map bars each of its pixels, row 0 at y = 0; None: no map, all is open."""
+        return None if self.soil is None else self.soil.values() > BLOCKED_ABOVE
+
+    def counts(self, names: Sequence[str]) -> NDArray[np.int64]:
+        """(T,) plants of each of the species that grow at the start; what a number leaves over goes to the first."""
+        if _ALL not in self.initial_plants:
+            return np.array([self.initial_plants.get(name, 0) for name in names], dtype=np.int64)
+        total, kinds = self.initial_plants[_ALL], max(1, len(names))
+        return np.array([total // kinds + (index < total % kinds) for index in range(len(names))], dtype=np.int64)
+
+    def counted_species(self) -> list[str]:
+        """The species whose plants at the start have a number of their own."""
+        return [name for name in self.initial_plants if name != _ALL]
+
+    def named_species(self) -> Iterator[tuple[Keys, str]]:
+        yield from super().named_species()
+        yield from ((("initial_plants", name), name) for name in self.counted_species())
+        yield from ((("obstacles", index, "species"), one.species) for index, one in enumerate(self.obstacles))
+        for index, change in enumerate(self.changes):
+            for key in change.set:
+                if (parts := species_key(key)) is not None:
+                    yield ("changes", index, "set", key), parts[0]
+
+
+def is_blocked(
+    blocked: NDArray[np.bool_] | None, x_m: NDArray[np.float64], y_m: NDArray[np.float64], size_m: tuple[float, float]
+) -> NDArray[np.bool_]:
+    """(N,) whether the soil at points on the site is barred; `blocked` is that of `blocked_soil`."""
+    if blocked is None:
+        return np.zeros(len(x_m), dtype=bool)
+    rows, cols = blocked.shape
+    col = np.clip((x_m / size_m[0] * cols).astype(np.int64), 0, cols - 1)
+    row = np.clip((y_m / size_m[1] * rows).astype(np.int64), 0, rows - 1)
+    return np.asarray(blocked[row, col])

@@ -1,0 +1,110 @@
+"""Populations of states, and states of populations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.architecture.modules import Modules
+from forestgen.architecture.prototypes import load_prototypes
+from forestgen.architecture.sizes import plant_sizes
+from forestgen.community.branch_modules.kinds import kinds_at
+from forestgen.community.branch_modules.parameters import BranchModulesParameters
+from forestgen.community.branch_modules.state import Plants, State
+from forestgen.community.branch_modules.surroundings import ground_at
+from forestgen.community.model import Site, SpeciesEcology
+from forestgen.community.population import Population, Status
+from forestgen.core.errors import RecipeError
+
+LEAST_SIZE_M = 0.01  # of a seed, which has no length yet
+DOMINATED_BELOW = 0.5  # mean light of a plant's modules
+
+
+def population_of(state: State) -> Population:
+    """Snapshot; z is 0."""
+    plants, modules, kinds = state.plants, state.modules, kinds_at(state)
+    step_yr = state.parameters.step_yr
+    sizes = plant_sizes(kinds.tables, modules, plants.species)
+    light, vigour = _mean(modules, modules.light), np.zeros(len(plants))
+    rooted = np.diff(modules.first) > 0
+    vigour[rooted] = modules.vigour[modules.first[:-1][rooted]]
+    age_yr = (state.step - plants.born) * step_yr
+    status = np.where(plants.flowering, np.uint8(Status.MATURE), np.uint8(Status.GROWING))
+    status[rooted & (light < DOMINATED_BELOW) & (age_yr > 0)] = Status.DOMINATED
+    radius_m, height_m = (one.astype(np.float64) for one in (sizes.crown_radius_m, sizes.height_m))
+    for row, obstacle in enumerate(state.parameters.obstacles):  # they are the first plants of all
+        radius_m[row], height_m[row] = 0.5 * float(np.hypot(*obstacle.size_m[:2])), obstacle.size_m[2]
+    position_m = np.zeros((len(plants), 3))
+    position_m[:, :2] = plants.position_m
+    return Population(
+        time_yr=state.step * step_yr,
+        species_names=tuple(one.name for one in state.species),
+        plant_id=plants.plant_id,
+        species=plants.species,
+        position_m=position_m,
+        radius_m=np.maximum(radius_m, LEAST_SIZE_M),
+        height_m=np.maximum(height_m, LEAST_SIZE_M),
+        age_yr=age_yr.astype(np.float64),
+        status=status,
+        columns={
+            "modules": sizes.modules.astype(np.int32),
+            "trunk_diameter_m": sizes.trunk_diameter_m.astype(np.float32),
+            "wood_volume_m3": sizes.wood_volume_m3.astype(np.float32),
+            "leaf_area_m2": sizes.leaf_area_m2.astype(np.float32),
+            "vigour": vigour.astype(np.float32),
+            "light": light.astype(np.float32),
+            "flowering": plants.flowering.astype(np.uint8),
+            "next_module": plants.next_number,
+        },
+        step=state.step,
+        state={"next_id": state.next_id, **({"notes": list(state.notes)} if state.notes else {})},
+        modules=modules,
+    )
+
+
+def _mean(modules: Modules, values: NDArray[np.float32]) -> NDArray[np.float64]:
+    """(P,) mean of a number of each module; 0 for plants that have none."""
+    sums = np.concatenate([[0.0], np.cumsum(values, dtype=np.float64)])
+    count = np.diff(modules.first)
+    return np.asarray((sums[modules.first[1:]] - sums[modules.first[:-1]]) / np.maximum(count, 1))
+
+
+def state_of(
+    parameters: BranchModulesParameters,
+    site: Site,
+    species: Sequence[SpeciesEcology],
+    seed: int,
+    population: Population,
+) -> State:
+    """The state that a snapshot was made of."""
+    if population.modules is None:
+        raise RecipeError(
+            "a snapshot without its modules cannot go on",
+            where="community.history_modules",
+            expected="a history that keeps each plant's modules",
+            hint="set history_modules: true and simulate again",
+        )
+    position_m = np.ascontiguousarray(population.position_m[:, :2])
+    plants = Plants(
+        plant_id=population.plant_id,
+        species=population.species,
+        position_m=position_m,
+        ground_m=ground_at(site, position_m),
+        born=np.int32(population.step) - np.rint(population.age_yr / parameters.step_yr).astype(np.int32),
+        flowering=population.columns["flowering"] != 0,
+        next_number=population.columns["next_module"],
+    )
+    return State(
+        parameters,
+        site,
+        tuple(species),
+        seed,
+        population.step,
+        int(population.state["next_id"]),
+        load_prototypes(),
+        plants,
+        population.modules,
+        tuple(population.notes),
+    )

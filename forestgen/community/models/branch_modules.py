@@ -1,0 +1,229 @@
+"""Forests of branch modules: plants that grow, compete and die by their branches.
+
+Reference: M. Makowski et al., Synthetic Silviculture: multi-scale modeling of plant ecosystems, SIGGRAPH 2019; in the
+form of M. Makowski's book of 2023, chapter 2. Equations and tables are numbered as there.
+
+A plant is a tree of modules, each a branching pattern (a prototype, scenes/modules/) that grows, is turned, bears
+others at its terminals, and is shed. A step of Δt years is
+
+1.  light: Q = exp(-crowding f), f the volume that a module's sphere shares with others, over its own (Eq. 1); shade of
+    what stands above, Q_G, by Beer's law (2.6.2); ``Q_eff = s_tol + (1 - s_tol) Q Q_G``;
+2.  vigour: each module gains ``g = (Q_eff - c) / (1 - c)`` times its share of leaves; gains add up towards the root, at
+    most v_rootmax o s go up again, and every fork shares by Eq. 2 (vigour.py). o is the climate's adaptation (Eq. 13),
+    s falls from 1 to 0 in senescence_yr after the life span;
+3.  growth: a module's physiological age rises by Eqs. 7 and 8, of its vigour over its size, up to a_mature;
+4.  shedding: a module of less than v_min over its size, or stunted, falls with all that it bears; a plant that loses
+    its root is dead;
+5.  new modules at free terminals of grown modules whose vigour, times the module's number of terminals, exceeds
+    ``sprouting v_min``. The prototype is that of the Voronoi region of λ and ``D' = min(1, v(parent) / v_max) D``,
+    among those that the type may have; λ and D are the mature ones once the plant flowers;
+6.  turning: new modules and those that still grow turn to free space and to their tropism's angle (Eqs. 3 to 6);
+7.  seeds: a Poisson number of mean ``seeds_per_yr o Δt`` of each flowering plant, at Gaussian distances. One
+    germinates where soil and climate allow it, where its light would give it a gain above ``sprouting v_min``, outside
+    of obstacles, and seedling_spacing_m away from every stem.
+
+A plant flowers at the age ``F_age min(v_rootmax / v_root, flowering_delay_max)``, with a grown root module, and from
+then on. Lengths, diameters and tropism of segments (Eqs. 9 to 12) follow from the ages: architecture/geometry.py.
+
+Parameters are `BranchModulesParameters`, this section's keys, and `PlantType`, a species' section ``modules``. Recipe::
+
+    community: {model: branch_modules, steps: 200, initial_plants: {pine: 600, shrub: 400}, temperature_c: 5.6,
+                precipitation_mm_per_yr: 940}
+
+A plant's radius is that of its crown, its height that of its highest node; both at least 1 cm. Columns: modules,
+trunk_diameter_m, wood_volume_m3, leaf_area_m2, vigour (of the root), light (mean Q_eff), flowering, next_module.
+Status: MATURE flowers, DOMINATED has a mean light below a half.
+
+Decided where the print is silent or wrong:
+
+- Eq. 1 has the unit m3 in an exponent: f is taken over the module's own volume. `crowding` and ω1 (`collision_weight`)
+  are 4: a sphere of 1 m has 4.2 m3, so that such modules count as printed. Pairs that share a joint are left out.
+- Light is gained by leaves, and these sit on the last shoots. A module that is grown by the share a and whose K
+  terminals bear modules grown by a_k gains ``a Σ_k (1 - a_k) / K`` of its g: a bare stem gains nothing, and a bud no
+  more than the terminal that it takes the place of. A module's size is ``a + (1 - a) / K``, K of its bearer: its own
+  leaves and those left on that terminal. What vigour means to it (Eq. 7, v_min) is its vigour over its size. Were buds
+  counted as whole modules, a plant at its root's cap would sprout everywhere and starve its crown. v_rootmax of Table 1
+  is so about the number of leafy modules in full light that feed a plant at its greatest.
+- A module is stunted that in twice the time in which full vigour makes it grow up has not come to a thirtieth of that.
+  Without this, buds just above v_min, which Eq. 7 lets grow by nothing, would wait for ever; so would seedlings.
+- c, `compensation` (0.4), is ours. Without it a plant in the deepest shade still sums up s_tol of every module, and the
+  larger it is the less it can die: no stand thins itself. With it a module in deep shade feeds nobody and is fed: types
+  with s_tol below about 0.5 die where it is dark, those above wait, and grow slowly the more they tolerate. At forks a
+  branch of gain below zero counts as zero, gets nothing, and falls: crowns clean their stems.
+- `reach_m` (25 m) and `upkeep` (0.01 / m) are ours. At λ = 1 and wherever the leader has more than v_max, Eqs. 2 and 7
+  give a stem that grows at one speed as long as the plant lives. The way of water bounds the height of trees: the
+  tension rises with it, and what wood still conducts falls as a Weibull function of the tension (Neufeld et al. 1992,
+  its exponent about 3). So of the vigour at the foot ``exp(-(w / reach)^3)`` is left after w metres of the way, each
+  module taking its part; `upkeep` is taken from every metre alike. A sole stem ends at about 1.2 reaches, a lone tree
+  with a leader at 1.2 to 1.8, in a stand lower. At every fork the children's vigour still sums to what reached the
+  fork. As the toll is a share, a plant in want loses first what is darkest, its lowest branches.
+- v_min (0.08) is not given, and stands for two scales: a module's vigour, and that of one of its K terminals, which
+  share it. Terminals are compared with v_min / K. `sprouting` (2) times that is wanted of a terminal that sprouts: a
+  new module must grow, and what grew must not fall at once.
+- φ of Table 1 has no unit: it is read as the radius of a grown terminal segment in cm, so `thickening_cm` is 2 φ. A
+  tree of 20 to 25 m has then a trunk of 0.3 to 0.4 m in the open.
+- v_max is 1, the vigour of one module in full light.
+- l_max is not given: 0.8 m, a whole module of Table 1's trees is then 1.5 to 2 m long. a_mature is 1.
+- F_eff is limited to flowering_delay_max (1.2) times F_age: seen from v_rootmax = 600, a young stem of λ = 1 never
+  flowers.
+- The tropism's angle is that of branches: modules that continue a leading (λ > 0.5) plant's main axis turn upright.
+  Root modules are upright and never turn; the root's prototype is that of λ and D. A new module begins along the
+  segment that bears it, rolled by a random angle of its identity; along the parent's own axis, as in the print,
+  laterals would stand upright.
+- Pipes of shed modules stay in the wood below them until new ones take their place, all but `disused_share` (0.15):
+  stems never shrink; see shedding.py.
+- `seedling_spacing_m` (0.8), with the light that a seedling needs, bounds how many plants a square metre has.
+- All of a state's modules look at the spheres at the step's beginning.
+- A planting sets seeds, whatever its radius. Felling and fire spare obstacles.
+- Obstacles are the first rows of a population, have no modules, and never change.
+- Randomness of step k: ``child_rng(seed, "community", k)``; of a module: seed, plant_id and its number.
+- Snapshots without their modules (a history without history_modules) cannot be resumed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.architecture.prototypes import load_prototypes
+from forestgen.community.arrivals import refuse_overflow
+from forestgen.community.branch_modules.founding import founded
+from forestgen.community.branch_modules.kinds import kinds_at
+from forestgen.community.branch_modules.parameters import BranchModulesParameters
+from forestgen.community.branch_modules.seeding import begun
+from forestgen.community.branch_modules.snapshot import population_of, state_of
+from forestgen.community.branch_modules.state import State, appended, rows_of_plants
+from forestgen.community.branch_modules.step import advanced
+from forestgen.community.disturbance import Planting, planted
+from forestgen.community.model import Site, SpeciesEcology
+from forestgen.community.population import Population
+from forestgen.core.errors import RecipeError
+
+# Peak bytes: of a module in a step with the state before and after, and a snapshot; of a plant with its arrays.
+_BYTES_PER_MODULE, _BYTES_PER_PLANT = 700, 400
+_BYTES_AT_LEAST = 64 * 1024 * 1024
+_MODULES_PER_M2 = 12.0  # more than the light on the ground feeds
+
+
+class BranchModules:
+    """The model; see the module's page."""
+
+    Parameters = BranchModulesParameters
+
+    def init(
+        self, parameters: BranchModulesParameters, site: Site, species: Sequence[SpeciesEcology], seed: int
+    ) -> State:
+        """The obstacles, and the plants of the start as seeds at random places."""
+        _refuse_without_modules(parameters, species)
+        refuse_overflow(1, float(parameters.counts([one.name for one in _growing(species)]).sum()))
+        return founded(parameters, site, species, seed, load_prototypes())
+
+    def step(self, state: State) -> State:
+        """Light, vigour, growth, shedding, new modules, turning, seeds, death."""
+        refuse_overflow(state.next_id, 0.0)
+        return advanced(state)
+
+    def population(self, state: State) -> Population:
+        """Snapshot; z is 0."""
+        return population_of(state)
+
+    def resume(
+        self,
+        parameters: BranchModulesParameters,
+        site: Site,
+        species: Sequence[SpeciesEcology],
+        seed: int,
+        population: Population,
+    ) -> State:
+        """The state of a snapshot; it needs the snapshot's modules."""
+        _refuse_without_modules(parameters, species)
+        return state_of(parameters, site, species, seed, population)
+
+    def remove(self, state: State, plant_id: NDArray[np.uint32]) -> State:
+        """The forest without these plants; obstacles stay."""
+        grows = np.array([one.modules is not None for one in state.species], dtype=np.bool_)
+        keep = ~(np.isin(state.plants.plant_id, plant_id) & grows[state.plants.species])
+        return replace(state, plants=state.plants.where(keep), modules=rows_of_plants(state.modules, keep))
+
+    def plant(self, state: State, planting: Planting) -> State:
+        """The forest with new plants, seeds all: a planting's radius says nothing here."""
+        for sp in np.unique(planting.species):
+            one = state.species[int(sp)]
+            if one.modules is None:
+                raise _without_modules(one.name)
+        plants, modules = begun(planting.position_m, planting.species, state, kinds_at(state), state.step)
+        return replace(
+            state,
+            next_id=state.next_id + len(plants),
+            plants=state.plants.and_then(plants),
+            modules=appended(state.modules, modules),
+        )
+
+    def expected_plants(
+        self, parameters: BranchModulesParameters, site: Site, species: Sequence[SpeciesEcology]
+    ) -> float:
+        """Upper bound: those of the start, planted or built, and as many seedlings as find room and light."""
+        total = _founders(parameters, species)
+        seeding = any(one.modules is not None and one.modules.seeds_per_yr > 0 for one in species)
+        if total > 0 and seeding and parameters.steps > 0:
+            total += min(site.area_m2 * _most_seedlings_per_m2(parameters), float(parameters.most_modules))
+        return total + len(parameters.obstacles)
+
+    def why_barren(
+        self, parameters: BranchModulesParameters, site: Site, species: Sequence[SpeciesEcology]
+    ) -> str | None:
+        """Why no plant can ever grow, or None if one may."""
+        _refuse_without_modules(parameters, species)
+        if _founders(parameters, species) > 0:
+            return None
+        return "no plant can grow: community.initial_plants is 0, and none is planted"
+
+    def estimate_bytes(self, parameters: BranchModulesParameters, site: Site, species: Sequence[SpeciesEcology]) -> int:
+        """Bytes for so many modules as the light feeds, at most most_modules, and for the shadow grid."""
+        plants = self.expected_plants(parameters, site, species)
+        modules = min(site.area_m2 * _MODULES_PER_M2 + 10 * _founders(parameters, species), parameters.most_modules)
+        cells = site.area_m2 / parameters.cell_m**2
+        return _BYTES_AT_LEAST + math.ceil(
+            modules * _BYTES_PER_MODULE + min(plants, modules) * _BYTES_PER_PLANT + 80 * cells
+        )
+
+
+def _most_seedlings_per_m2(parameters: BranchModulesParameters) -> float:
+    """How many points lie at least a spacing apart on a square metre: discs of half of it, packed."""
+    spacing = max(parameters.seedling_spacing_m, 0.01)
+    return 2 / (math.sqrt(3) * spacing**2)
+
+
+def _growing(species: Sequence[SpeciesEcology]) -> list[SpeciesEcology]:
+    return [one for one in species if one.modules is not None]
+
+
+def _founders(parameters: BranchModulesParameters, species: Sequence[SpeciesEcology]) -> float:
+    """Plants of the start, and those that disturbances plant."""
+    counts = parameters.counts([one.name for one in _growing(species)])
+    return float(counts.sum() if len(counts) else 0) + planted(parameters.disturbances)
+
+
+def _refuse_without_modules(parameters: BranchModulesParameters, species: Sequence[SpeciesEcology]) -> None:
+    """Every species must grow by modules but those that stand for obstacles."""
+    built = {one.species for one in parameters.obstacles}
+    for one in species:
+        if one.modules is None and one.name not in built:
+            raise _without_modules(one.name)
+
+
+def _without_modules(name: str) -> RecipeError:
+    return RecipeError(
+        f"{name} does not grow by branch modules",
+        where=f"species.{name}.modules",
+        expected="a section `modules` with life_span_yr, root_vigour_max, growth_rate_per_yr and so on",
+        got="none",
+        hint="take a species that has one, such as those of scenes/species with `modules:`; or another community.model",
+    )
+
+
+MODEL = BranchModules()

@@ -1,0 +1,32 @@
+"""Which branch module, and which segment of it, lies under the centre of each pixel.
+
+A module's number is its own within its plant for life (`architecture/modules.py`), so a branch is named by the plant's
+id, the module's number and the node of the module's prototype that ends the segment. Twigs and leaves that are drawn on
+a segment are that segment's. A plant that another one stands for shows that one's branches: `is_own` tells.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from forestgen.architecture.prototype import MOST_NODES
+from forestgen.plants.exemplar import Exemplar
+from forestgen.render.frame import Branches, Surface
+
+
+def branch_labels(surface: Surface, exemplars: Sequence[Exemplar]) -> Branches:
+    """Look up the surface's triangles in the scene's exemplars."""
+    shape = surface.exemplar.shape
+    module, node = np.zeros(shape, dtype=np.uint32), np.zeros(shape, dtype=np.uint32)
+    is_own = np.zeros(shape, dtype=np.bool_)
+    for index in np.unique(surface.exemplar[surface.exemplar > 0]).tolist():
+        marks = exemplars[index - 1].marks()
+        if marks is None:
+            continue
+        seen = surface.exemplar == index
+        found = marks[surface.face[seen]]
+        module[seen], node[seen] = found // MOST_NODES + 1, found % MOST_NODES
+        is_own[seen] = exemplars[index - 1].is_unique
+    return Branches(module, node, is_own)

@@ -1,0 +1,163 @@
+"""Exemplars of plants that their community grew branch by branch: near plants as themselves, far ones by a few.
+
+Near plants are unique: each is meshed with its own branches, and stands as it grew. The others of a species are grouped
+by k-means over the logarithms of height, crown radius, number of modules and trunk diameter, and the plant nearest to a
+cluster's centre stands for it, scaled to each plant's height and turned by each plant's own angle.
+
+Which plants are unique is decided by their size in pixels, the largest first: those at least `LEAST_PIXELS` high, as
+long as `MOST_TRIANGLES` allow. Both are fixed, so that images do not depend on the machine.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.architecture.modules import Modules
+from forestgen.architecture.prototype import MOST_NODES
+from forestgen.architecture.skeletal_graph import skeletal_graph
+from forestgen.architecture.tables import Tables
+from forestgen.community.population import Population
+from forestgen.core.randomness import child_seed
+from forestgen.plants.grown.wood import ModuleWood
+from forestgen.scene.exemplars import ExemplarPlan, cluster
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+LEAST_PIXELS = 24.0  # height of a unique plant in the image that shows it largest
+MOST_TRIANGLES = 10_000_000  # of all unique plants
+_WEIGHTS = {"height_m": 1.0, "radius_m": 0.7, "modules": 0.5, "trunk_diameter_m": 0.5}
+_LEAST = 1e-3  # metres, below which a size's logarithm tells nothing
+
+
+def unique_plants(
+    population: Population, species: Bools, pixel_m: Floats, triangles: Callable[[], Floats], wanted: str | int
+) -> Bools:
+    """(N,) which plants are meshed as themselves.
+
+    Parameters
+    ----------
+    species : (N,) plants of species that are clothed by modules.
+    pixel_m : (N,) what a pixel covers of each plant, see `scene.assemble.pixel_size_m`.
+    triangles : (N,) of each plant, estimated; asked for where it matters.
+    wanted : auto, all, none, or the number of plants.
+    """
+    chosen = np.zeros(len(population), dtype=np.bool_)
+    if wanted == "all":
+        return species.copy()
+    pixels = population.height_m / np.maximum(pixel_m, 1e-9)
+    rows = np.flatnonzero(species)
+    rows = rows[np.argsort(-pixels[rows], kind="stable")]
+    if isinstance(wanted, int):
+        chosen[rows[:wanted]] = True
+    elif wanted == "auto":
+        rows = rows[pixels[rows] >= LEAST_PIXELS]
+        if len(rows):
+            chosen[rows[np.cumsum(triangles()[rows]) <= MOST_TRIANGLES]] = True
+    return chosen
+
+
+def plan_own(population: Population, index: int, is_unique: Bools, per_species: int, seed: int) -> ExemplarPlan:
+    """The plan of one species whose plants have branches of their own.
+
+    Parameters
+    ----------
+    index : of the species.
+    is_unique : (N,) see `unique_plants`.
+    per_species : exemplars of the plants that are not unique, at most.
+    """
+    rows = np.flatnonzero(population.species == index)
+    unique, others = rows[is_unique[rows]], rows[~is_unique[rows]]
+    stand_in, label = _stand_ins(population, others, per_species, child_seed(seed, "k-means", "own", index))
+    plant = np.concatenate([unique, stand_in])
+    of_plant = np.empty(len(rows), dtype=np.uint32)
+    of_plant[is_unique[rows]] = np.arange(len(unique))
+    of_plant[~is_unique[rows]] = len(unique) + label
+    return ExemplarPlan(
+        species=np.full(len(plant), index, dtype=np.uint16),
+        radius_m=population.radius_m[plant],
+        rank=np.arange(len(plant)),
+        variant=np.zeros(len(plant), dtype=np.int64),
+        level=np.zeros(len(plant), dtype=np.int64),
+        exemplar_of_plant=of_plant,
+        plant=plant.astype(np.int64),
+        is_unique=np.arange(len(plant)) < len(unique),
+    )
+
+
+def _stand_ins(population: Population, rows: Ints, clusters: int, seed: int) -> tuple[Ints, Ints]:
+    """The plants that stand for others, and (R,) which of them stands for each row."""
+    if not len(rows):
+        return rows, rows
+    columns = {"height_m": population.height_m, "radius_m": population.radius_m, **population.columns}
+    features = np.stack(
+        [
+            weight * np.log(np.maximum(np.asarray(columns[name], dtype=np.float64)[rows], _LEAST))
+            for name, weight in _WEIGHTS.items()
+            if name in columns
+        ],
+        axis=1,
+    )
+    centres, label = cluster(features, clusters, seed)
+    away = np.sum((features - centres[label]) ** 2, axis=1)
+    order = np.lexsort((rows, away, label))
+    nearest = order[np.unique(label[order], return_index=True)[1]]
+    return rows[nearest], np.unique(label, return_inverse=True)[1].reshape(-1)
+
+
+def woods_of(population: Population, tables: Tables, plants: Ints) -> list[ModuleWood]:
+    """The skeletal graphs of the plants of some rows, each as its own.
+
+    Parameters
+    ----------
+    tables : of all species of the population, in their order.
+
+    Raises
+    ------
+    ValueError : a population without modules.
+    """
+    modules = population.modules
+    if modules is None:
+        raise ValueError("the population has no modules")
+    if not len(plants):
+        return []
+    graph = skeletal_graph(tables, modules, population.species, plants)
+    kind = population.species[graph.plant].astype(np.int64)
+    prototype = modules.prototype[graph.module]
+    grown = tables.mature_age[kind] * (1.0 - tables.birth[prototype, graph.node])
+    share = np.clip(graph.age / np.maximum(grown, 1e-9), 0.0, 1.0)
+    start = np.searchsorted(_place(graph.plant, plants), np.arange(len(plants) + 1))
+    woods = []
+    for first, last in pairwise(start):
+        part = slice(int(first), int(last))
+        parent = graph.parent[part]
+        woods.append(
+            ModuleWood(
+                parent=np.where(parent < 0, -1, parent - first).astype(np.int64),
+                position_m=graph.position_m[part].astype(np.float64),
+                diameter_m=graph.diameter_m[part].astype(np.float64),
+                age_share=share[part].astype(np.float64),
+                age_yr=modules.age_yr[graph.module[part]].astype(np.float64),
+                light=modules.light[graph.module[part]].astype(np.float64),
+                main=graph.is_main[part],
+                mark=_marks(modules, graph.module[part], graph.node[part]),
+            )
+        )
+    return woods
+
+
+def _place(plant: Ints, plants: Ints) -> Ints:
+    """(N,) which of `plants` each node's is; nodes are in that order."""
+    change = np.concatenate([[0], np.cumsum(np.diff(plant) != 0)])
+    assert len(plants) == change[-1] + 1  # every plant has a root
+    return change
+
+
+def _marks(modules: Modules, module: Ints, node: NDArray[np.int16]) -> NDArray[np.uint32]:
+    """(N,) a module's number times `MOST_NODES`, plus the node of its prototype."""
+    return (modules.number[module] * np.uint32(MOST_NODES) + node.astype(np.uint32)).astype(np.uint32)

@@ -1,0 +1,149 @@
+"""Plants that grew branches of their own: which are meshed as themselves, and from what."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.architecture.plant_type import PlantType
+from forestgen.architecture.prototypes import load_prototypes
+from forestgen.architecture.tables import Tables, tables_of
+from forestgen.community.branch_modules.changes import parameters_at
+from forestgen.community.branch_modules.parameters import BranchModulesParameters
+from forestgen.community.branch_modules.traits import STAND_IN
+from forestgen.community.population import Population
+from forestgen.core.randomness import child_rng
+from forestgen.plants.cache import ExemplarRequest
+from forestgen.plants.generators.branch_modules import Parameters
+from forestgen.plants.grown.build import estimate_triangles
+from forestgen.plants.levels import level_of_index
+from forestgen.scene.exemplars import ExemplarPlan
+from forestgen.scene.own_exemplars import plan_own, unique_plants, woods_of
+from forestgen.stages.module_checks import obstacles_of
+from forestgen.stages.plan import Plan, check_own_triangles
+
+Floats = NDArray[np.float64]
+
+
+def has_own(plan: Plan, population: Population) -> bool:
+    """Whether some plants have modules that their species clothes, or are no plants but obstacles."""
+    if population.modules is None:
+        return False
+    return bool(_own(plan, population).any() or obstacles_of(plan.model_parameters, population))
+
+
+def plan_own_plants(plan: Plan, population: Population, pixel_m: Floats) -> dict[int, ExemplarPlan]:
+    """Plans of the species that are clothed by modules, and of obstacles, by their index in the population.
+
+    Parameters
+    ----------
+    pixel_m : (N,) what a pixel covers of each plant where it is seen largest.
+
+    Raises
+    ------
+    ResourceError : the recipe asks for more plants as themselves than the memory holds.
+    """
+    own = _own(plan, population) if population.modules is not None else np.zeros(len(population), dtype=np.bool_)
+    built = _plan_obstacles(plan, population)
+    if not own.any():
+        return built
+    section, seed = plan.drawn.recipe.plants, plan.drawn.image_seed
+    triangles = cache(lambda: _triangles(plan, population, own))
+    is_unique = unique_plants(population, own, pixel_m, triangles, section.unique)
+    if section.unique != "auto" and is_unique.any():  # auto keeps to a number of triangles
+        check_own_triangles(plan, float(triangles()[is_unique].sum()))
+    return built | {
+        int(index): plan_own(population, int(index), is_unique, section.exemplars_per_species, seed)
+        for index in np.unique(population.species[own])
+    }
+
+
+def _plan_obstacles(plan: Plan, population: Population) -> dict[int, ExemplarPlan]:
+    """One exemplar for each size of the obstacles of a species."""
+    obstacles = obstacles_of(plan.model_parameters, population)
+    plans = {}
+    for index in np.unique(population.species[list(obstacles)]) if obstacles else ():
+        rows = np.flatnonzero(population.species == index)
+        sizes = np.array([obstacles[int(row)].size_m for row in rows])
+        _, first, label = np.unique(sizes, axis=0, return_index=True, return_inverse=True)
+        plans[int(index)] = ExemplarPlan(
+            species=np.full(len(first), index, dtype=np.uint16),
+            radius_m=population.radius_m[rows[first]],
+            rank=np.arange(len(first)),
+            variant=np.zeros(len(first), dtype=np.int64),
+            level=np.zeros(len(first), dtype=np.int64),
+            exemplar_of_plant=label.reshape(-1).astype(np.uint32),
+            plant=rows[first],
+            is_unique=np.zeros(len(first), dtype=np.bool_),
+        )
+    return plans
+
+
+def own_requests(plan: Plan, exemplar_plan: ExemplarPlan, population: Population) -> dict[int, ExemplarRequest]:
+    """What to grow of the exemplars that have a plant's own branches, by their index.
+
+    A plant's randomness belongs to the plant: its twigs are the same in every image.
+    """
+    chosen = np.flatnonzero(exemplar_plan.plant >= 0)
+    if not len(chosen) or population.modules is None:
+        return {}
+    obstacles = obstacles_of(plan.model_parameters, population)
+    rows = np.setdiff1d(exemplar_plan.plant[chosen], list(obstacles))
+    woods = dict(zip(rows.tolist(), woods_of(population, tables_at(plan, population), rows), strict=True))
+    names = population.species_names
+    requests = {}
+    for index in chosen.tolist():
+        row = int(exemplar_plan.plant[index])
+        name = names[population.species[row]]
+        box_m = obstacles[row].size_m if row in obstacles else None
+        requests[index] = ExemplarRequest(
+            species_name=name,
+            species=plan.drawn.species[name],
+            parameters=plan.generator_parameters[name] if box_m else plan.module_parameters[name],
+            radius_m=float(population.radius_m[row]),
+            seed=plan.drawn.image_seed,
+            identity=("own", int(population.plant_id[row])),
+            level=level_of_index(int(exemplar_plan.level[index])),
+            wood=woods.get(row),
+            box_m=box_m,
+            is_kept=not bool(exemplar_plan.is_unique[index]),
+        )
+    return requests
+
+
+def tables_at(plan: Plan, population: Population) -> Tables:
+    """Plant types as they are at the population's time, with the changes up to then."""
+    species = plan.drawn.species
+    types: dict[str, PlantType] = {name: one.modules for name, one in species.items() if one.modules is not None}
+    parameters, sphere_scale = plan.model_parameters, 1.0
+    if isinstance(parameters, BranchModulesParameters):
+        parameters, types = parameters_at(parameters, types, population.step)
+        sphere_scale = parameters.sphere_scale
+    of_species = [types.get(name, STAND_IN) for name in population.species_names]
+    return tables_of(load_prototypes(), of_species, sphere_scale=sphere_scale)
+
+
+def _own(plan: Plan, population: Population) -> NDArray[np.bool_]:
+    """(N,) plants of species that are clothed by modules, and have some."""
+    assert population.modules is not None
+    clothed = np.array([name in plan.module_parameters for name in population.species_names], dtype=np.bool_)
+    return np.asarray(clothed[population.species] & (np.diff(population.modules.first) > 0), dtype=np.bool_)
+
+
+def _triangles(plan: Plan, population: Population, own: NDArray[np.bool_]) -> Floats:
+    """(N,) of each plant, estimated by its modules, from a large plant of its species."""
+    assert population.modules is not None
+    modules = np.diff(population.modules.first)
+    estimate = np.zeros(len(population))
+    tables = tables_at(plan, population)
+    for index in np.unique(population.species[own]):
+        rows = np.flatnonzero(own & (population.species == index))
+        largest = rows[np.argmax(modules[rows])]
+        parameters = cast(Parameters, plan.module_parameters[population.species_names[index]])
+        [wood] = woods_of(population, tables, np.array([largest]))
+        rng = child_rng(plan.drawn.image_seed, "triangles", int(population.plant_id[largest]))
+        estimate[rows] = estimate_triangles(parameters, wood, rng) * modules[rows] / modules[largest]
+    return estimate
