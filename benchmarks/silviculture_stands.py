@@ -49,6 +49,7 @@ class Plants:
     age_yr: NDArray[np.float64]  # (N,)
     height_m: NDArray[np.float64]  # (N,)
     diameter_m: NDArray[np.float64]  # (N,) of the trunk at 1.3 m, of lower plants at the foot
+    foot_m: NDArray[np.float64]  # (N,) diameter at the foot
     wood_kg: NDArray[np.float64]  # (N,)
     leaf_kg: NDArray[np.float64]  # (N,)
     modules: NDArray[np.int64]  # (N,)
@@ -97,6 +98,7 @@ def plants_of(population: Population) -> Plants:
         age_yr=population.age_yr[alive],
         height_m=population.height_m[alive],
         diameter_m=np.asarray(column["trunk_diameter_m"][alive], dtype=np.float64),
+        foot_m=np.asarray(column["foot_diameter_m"][alive], dtype=np.float64),
         wood_kg=WOOD_KG_PER_M3 * np.asarray(column["wood_volume_m3"][alive], dtype=np.float64),
         leaf_kg=LEAF_KG_PER_M2 * np.asarray(column["leaf_area_m2"][alive], dtype=np.float64),
         modules=np.asarray(column["modules"][alive], dtype=np.int64),

@@ -192,7 +192,7 @@ def fill_sizes(  # type: ignore[no-untyped-def]
     terminal_index, most_terminals, leaf_area, kind_of_plant, plant_first, parent_of, node_of,
     prototype, age, disused, base, rotation, first, end, sizes,
 ):  # fmt: skip
-    """Fill `sizes` (P, 5) of plants `first` to `end`: height, crown radius, trunk diameter, wood volume, leaf area."""
+    """Fill `sizes` (P, 6) of plants `first` to `end`, in the order of `PlantSizes`, less the number of modules."""
     shapes, parents, counts, kinds = borrowed(shapes), borrowed(parents), borrowed(counts), borrowed(kinds)
     births, thickness, first_child = borrowed(births), borrowed(thickness), borrowed(first_child)
     terminal_index = borrowed(terminal_index)
@@ -258,8 +258,9 @@ def fill_sizes(  # type: ignore[no-untyped-def]
             shapes, parents, counts, kinds, next_sibling, first_child, terminal_index, kind,
             begin, prototype, age, base, rotation, squared, child, turned, place, metres,
         )  # fmt: skip
-        sizes[plant, 3] = volume * np.pi / 12.0
-        sizes[plant, 4] = leaves
+        sizes[plant, 3] = np.sqrt(squared[0, 0])
+        sizes[plant, 4] = volume * np.pi / 12.0
+        sizes[plant, 5] = leaves
 
 
 @compiled

@@ -3,6 +3,7 @@
 - Height: the highest node.
 - Crown radius: half the nodes' horizontal extent, the mean of those along four directions 45 degrees apart.
 - Trunk diameter: at 1.3 m, along the thickest way up; at the foot of plants that do not reach so high.
+- Foot diameter: of the root node, before any fork.
 - Wood volume: frusta along an axis, from one node's diameter to the next; a lateral's first segment is a cylinder.
 - Leaf area: a layer of leaves that takes the share `opacity` of the light has, by Beer's law for leaves of all angles
   alike (extinction 1/2), the leaf area index -2 ln(1 - opacity). So much covers the disc of a grown module's sphere.
@@ -34,6 +35,7 @@ class PlantSizes:
     height_m: NDArray[np.float32]  # (P,)
     crown_radius_m: NDArray[np.float32]  # (P,)
     trunk_diameter_m: NDArray[np.float32]  # (P,)
+    foot_diameter_m: NDArray[np.float32]  # (P,)
     wood_volume_m3: NDArray[np.float64]  # (P,)
     leaf_area_m2: NDArray[np.float64]  # (P,) one-sided
     modules: NDArray[np.int64]  # (P,) number
@@ -50,7 +52,7 @@ def _leaf_area_m2(tables: Tables) -> NDArray[np.float64]:
 def plant_sizes(tables: Tables, modules: Modules, type_of_plant: Types) -> PlantSizes:
     """Sizes of all plants; `type_of_plant` (P,) indexes the tables' plant types."""
     shapes, kinds = packed(tables)
-    sizes = np.zeros((modules.plants, 5))
+    sizes = np.zeros((modules.plants, 6))
     leaf_area = _leaf_area_m2(tables)
     kind = np.ascontiguousarray(type_of_plant, dtype=np.uint16)
 
@@ -64,5 +66,5 @@ def plant_sizes(tables: Tables, modules: Modules, type_of_plant: Types) -> Plant
         )  # fmt: skip
 
     over_plants(modules, work)
-    height, crown, trunk = sizes[:, :3].astype(np.float32).T
-    return PlantSizes(height, crown, trunk, sizes[:, 3].copy(), sizes[:, 4].copy(), np.diff(modules.first))
+    height, crown, trunk, foot = sizes[:, :4].astype(np.float32).T
+    return PlantSizes(height, crown, trunk, foot, sizes[:, 4].copy(), sizes[:, 5].copy(), np.diff(modules.first))

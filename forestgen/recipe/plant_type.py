@@ -108,6 +108,17 @@ class PlantType(Section):
             )
         return self
 
+    @model_validator(mode="after")
+    def _can_sprout(self) -> Self:
+        if self.sprouting * self.vigour_min >= 1.0:
+            raise mistake(
+                f"below {1.0 / self.vigour_min:g}, so that sprouting x vigour_min is less than the 1 of full light",
+                got=f"{self.sprouting:g}",
+                at=("sprouting",),
+                problem="no light lets a seed germinate",
+            )
+        return self
+
     @property
     def mature_form(self) -> tuple[float, float]:
         """Apical control and determinacy of a plant that flowers."""

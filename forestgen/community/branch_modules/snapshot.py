@@ -51,6 +51,7 @@ def population_of(state: State) -> Population:
         columns={
             "modules": sizes.modules.astype(np.int32),
             "trunk_diameter_m": sizes.trunk_diameter_m.astype(np.float32),
+            "foot_diameter_m": sizes.foot_diameter_m.astype(np.float32),
             "wood_volume_m3": sizes.wood_volume_m3.astype(np.float32),
             "leaf_area_m2": sizes.leaf_area_m2.astype(np.float32),
             "vigour": vigour.astype(np.float32),

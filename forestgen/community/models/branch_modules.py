@@ -31,7 +31,8 @@ Parameters are `BranchModulesParameters`, this section's keys, and `PlantType`, 
                 precipitation_mm_per_yr: 940}
 
 A plant's radius is that of its crown, its height that of its highest node; both at least 1 cm. Columns: modules,
-trunk_diameter_m, wood_volume_m3, leaf_area_m2, vigour (of the root), light (mean Q_eff), flowering, next_module.
+trunk_diameter_m, foot_diameter_m, wood_volume_m3, leaf_area_m2, vigour (of the root), light (mean Q_eff), flowering,
+next_module.
 Status: MATURE flowers, DOMINATED has a mean light below a half.
 
 Decided where the print is silent or wrong:

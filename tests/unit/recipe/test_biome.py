@@ -163,3 +163,17 @@ def test_mistakes_are_told(tmp_path: Path, written: str, says: list[str]) -> Non
         load_recipe(recipe(tmp_path, f"biome: {written}")).draw(0)
     for part in says:
         assert part in str(caught.value)
+
+
+def test_a_type_whose_seeds_could_not_germinate_in_full_light_is_refused() -> None:
+    kind = {
+        "life_span_yr": 50,
+        "root_vigour_max": 9,
+        "growth_rate_per_yr": 1,
+        "apical_control": 0.5,
+        "determinacy": 0.5,
+        "vigour_min": 0.1,
+    }
+    assert PlantType(**kind, sprouting=9.9).sprouting == 9.9
+    with pytest.raises(ValueError, match="no light lets a seed germinate"):
+        PlantType(**kind, sprouting=10)
