@@ -6,6 +6,7 @@ so v is written as 1 - v. A .usd is a binary crate as a .usdc is; a .usda is tex
 
 from __future__ import annotations
 
+import os
 import re
 import tempfile
 from pathlib import Path
@@ -14,6 +15,8 @@ from typing import Any
 import numpy as np
 
 from forestgen.geometry.export import Model, Piece, Surface, texture_files
+
+_LONG_AGO_S = 315_964_800  # 1980-01-06, which a zip file can tell in any time zone
 
 
 def usd_files(model: Model, file_name: str) -> dict[str, bytes]:
@@ -31,6 +34,8 @@ def usd_files(model: Model, file_name: str) -> dict[str, bytes]:
         layer = _stage(model, names)
         layer.Export(str(written))
         if packed:
+            for file in Path(folder).iterdir():
+                os.utime(file, (_LONG_AGO_S, _LONG_AGO_S))  # the package keeps its files' times
             package = Path(folder) / "plant.usdz"
             if not UsdUtils.CreateNewUsdzPackage(Sdf.AssetPath(str(written)), str(package)):
                 raise RuntimeError("OpenUSD could not write the .usdz package")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import struct
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -210,6 +211,13 @@ def test_the_same_model_has_the_same_bytes() -> None:
     for suffix in FORMATS:
         one, two = (model_files(model(textured=True), f"a{suffix}") for _ in range(2))
         assert one == two
+
+
+def test_a_package_knows_nothing_of_the_clock() -> None:
+    """A zip file tells its files' times to two seconds."""
+    before = model_files(model(textured=True), "a.usdz")
+    time.sleep(2.1)
+    assert model_files(model(textured=True), "a.usdz") == before
 
 
 def test_area() -> None:
