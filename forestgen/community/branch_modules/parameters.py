@@ -15,6 +15,7 @@ from forestgen.community.branch_modules.changes import Change, species_key
 from forestgen.community.disturbance import PointOnGround
 from forestgen.community.model import CommunityParameters
 from forestgen.community.placement.density_map import DensityMap
+from forestgen.recipe.biome import COLDEST_C, DRIEST_MM, WARMEST_C, WETTEST_MM
 from forestgen.recipe.fields import (
     Flag,
     Fraction,
@@ -32,9 +33,6 @@ from forestgen.recipe.sources import Keys
 BLOCKED_ABOVE = 0.5  # a soil map's values above this bar plants
 MOST_PLANTS = 1_000_000  # at the start
 
-COLDEST_C, WARMEST_C = -10.0, 33.0  # Table 3
-DRIEST_MM_PER_YR, WETTEST_MM_PER_YR = 10.0, 4300.0  # Table 3
-
 
 def _temperature(value: float) -> float:
     if not COLDEST_C <= value <= WARMEST_C:
@@ -43,9 +41,9 @@ def _temperature(value: float) -> float:
 
 
 def _precipitation(value: float) -> float:
-    if not DRIEST_MM_PER_YR <= value <= WETTEST_MM_PER_YR:
+    if not DRIEST_MM <= value <= WETTEST_MM:
         raise mistake(
-            f"{DRIEST_MM_PER_YR:g} to {WETTEST_MM_PER_YR:g} mm a year",
+            f"{DRIEST_MM:g} to {WETTEST_MM:g} mm a year",
             problem="no such climate",
             got=f"{value:g} mm a year",
         )
@@ -58,7 +56,7 @@ Temperature = Annotated[
 Precipitation = Annotated[
     Number,
     AfterValidator(_precipitation),
-    Field(json_schema_extra={"minimum": DRIEST_MM_PER_YR, "maximum": WETTEST_MM_PER_YR}),
+    Field(json_schema_extra={"minimum": DRIEST_MM, "maximum": WETTEST_MM}),
 ]
 Side = Annotated[Positive, Field(ge=0.5, le=200)]
 
