@@ -1,6 +1,7 @@
-"""The sixteen plant types of Makowski 2023, Table 1, each grown alone: the sheet plant_types.png (its Figure 6).
+"""The sixteen plant types of Makowski 2023, Table 1, each grown alone: the sheet plant_types.jpg (its Figure 6).
 
-Stems and branches only, seen from the south, each in a window of its own; run by `docs/pictures.py plant_types`.
+Each grew its own branches in the open, for so many years, and is photographed with its foliage; run by
+`docs/pictures.py plant_types`, some minutes.
 """
 
 from __future__ import annotations
@@ -9,19 +10,23 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from PIL import Image, ImageDraw, ImageFont
 
-from forestgen.architecture.geometry import node_diameters, node_positions
-from forestgen.architecture.tables import tables_of
-from forestgen.community.branch_modules.parameters import BranchModulesParameters
-from forestgen.community.branch_modules.state import State
-from forestgen.community.model import Site, SpeciesEcology
-from forestgen.community.models.branch_modules import BranchModules
+from forestgen.core.progress import Silent
+from forestgen.plants.exemplar import Exemplar
 from forestgen.recipe.biome import shipped_plant_types
-from forestgen.recipe.plant_type import PlantType
+from forestgen.recipe.load import load_recipe_data
+from forestgen.stages.community import final_population
+from forestgen.stages.plan import Plan, make_plan
+from forestgen.stages.scene import choose_exemplars, grow_planned, materials_of
+from forestgen.stages.studio import Shot, camera_of, photograph
 
 PICTURES = Path(__file__).parent / "pictures"
 SEED = 2
 COLUMNS = 4
+VIEW_PX = (240, 270)
+SAMPLES = 48
+CAPTION_PX = 22
 # Row of Table 1 -> species, and the age at which it is shown, years.
 TYPES: dict[str, tuple[str, int]] = {
     "a": ("shrub", 18),
@@ -43,64 +48,62 @@ TYPES: dict[str, tuple[str, int]] = {
 }
 
 
-def grown(name: str, years: int) -> tuple[State, PlantType]:
+def plan_of(name: str, years: int) -> Plan:
     """One plant of a shipped species, alone on its site under the climate that it likes best, without seedlings."""
-    plant_type = shipped_plant_types()[name].model_copy(update={"seeds_per_yr": 0.0})
-    ecology = SpeciesEcology(name, 0.1, 1.0, 0.5, 0.5, 0.0, 0.05, 5.0, 0.9, modules=plant_type)
-    model = BranchModules()
-    parameters = BranchModulesParameters.model_validate({"steps": years, "initial_plants": 1})
-    state = model.init(parameters, Site((100.0, 100.0)), [ecology], SEED)
-    for _ in range(years):
-        state = model.step(state)
-    return state, plant_type
+    one = shipped_plant_types()[name]
+    recipe = {
+        "forestgen": 1,
+        "seed": SEED,
+        "site": {"size_m": [100, 100]},
+        "species": {name: {"from": name, "modules": {"seeds_per_yr": 0.0}}},
+        "community": {
+            "model": "branch_modules",
+            "steps": years,
+            "initial_plants": 1,
+            "temperature_c": one.temperature_c,
+            "precipitation_mm_per_yr": one.precipitation_mm_per_yr,
+        },
+        "plants": {"unique": "all"},
+        "cameras": [{"position_m": [50, -100, 10], "look_at_m": [50, 50, 10]}],
+    }
+    return make_plan(load_recipe_data(recipe, name).draw(0))
 
 
-def segments(state: State, plant_type: PlantType) -> tuple[np.ndarray, np.ndarray]:
-    """(K, 2, 3) ends of the branch segments, metres from the foot, and (K,) their diameters, metres."""
-    tables = tables_of(state.prototypes, [plant_type])
-    types = np.zeros(len(state.plants), dtype=np.uint16)
-    nodes = node_positions(tables, state.modules, types)
-    prototype = np.repeat(state.modules.prototype, np.diff(nodes.start))
-    begin = np.repeat(nodes.start[:-1], np.diff(nodes.start))
-    parent = tables.parent[prototype, np.arange(len(begin)) - begin]
-    drawn = nodes.length_m > 0
-    ends = np.stack([nodes.position_m[(begin + np.maximum(parent, 0))[drawn]], nodes.position_m[drawn]], axis=1)
-    return ends, node_diameters(tables, state.modules, types)[drawn]
+def grown(name: str, years: int) -> tuple[Plan, Exemplar]:
+    """The plant with the branches that it grew, and its foliage."""
+    plan = plan_of(name, years)
+    population = final_population(plan, Silent())
+    chosen = choose_exemplars(plan, population, [])
+    return plan, grow_planned(plan, chosen, Silent(), population)[0]
 
 
-def plant_types(_scratch: Path | None = None) -> None:
+def picture(row: str) -> Image.Image:
+    """A type's photograph with its caption."""
+    name, years = TYPES[row]
+    plan, plant = grown(name, years)
+    camera = camera_of(plant, Shot(VIEW_PX, samples=SAMPLES))
+    seen = photograph(plant, materials_of(plan.drawn.species), camera, plan.drawn.recipe, SAMPLES, SEED, Silent())
+    tile = Image.new("RGB", (VIEW_PX[0], VIEW_PX[1] + CAPTION_PX), "white")
+    tile.paste(Image.fromarray(np.asarray(seen)), (0, CAPTION_PX))
+    text = f"{row}  {name}, {years} years: {plant.height_m:.1f} m"
+    ImageDraw.Draw(tile).text((6, 4), text, fill="#222222", font=ImageFont.load_default(12))
+    sys.stdout.write(f"{text}, {plant.triangles:,} triangles\n")
+    sys.stdout.flush()
+    return tile
+
+
+def plant_types(_scratch: Path | None = None, rows: str = "".join(TYPES)) -> None:
     """Draw the sheet."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    rows = -(-len(TYPES) // COLUMNS)
-    figure, axes = plt.subplots(rows, COLUMNS, figsize=(COLUMNS * 2.4, rows * 2.6), dpi=100)
-    figure.subplots_adjust(0.01, 0.01, 0.99, 0.96, 0.02, 0.16)
-    for place, (row, (name, years)) in zip(axes.flat, TYPES.items(), strict=True):
-        _draw(place, f"{row}  {name}, {years} years", *segments(*grown(name, years)))
+    tiles = [picture(row) for row in rows]
+    wide, tall = tiles[0].size
+    lines = -(-len(tiles) // COLUMNS)
+    sheet = Image.new("RGB", (min(COLUMNS, len(tiles)) * wide, lines * tall), "white")
+    for place, tile in enumerate(tiles):
+        sheet.paste(tile, (place % COLUMNS * wide, place // COLUMNS * tall))
     PICTURES.mkdir(exist_ok=True)
-    figure.savefig(PICTURES / "plant_types.png")
-    plt.close(figure)
-    sys.stdout.write(f"{PICTURES / 'plant_types.png'}\n")
-
-
-def _draw(place, title: str, ends: np.ndarray, diameter_m: np.ndarray) -> None:  # type: ignore[no-untyped-def]
-    from matplotlib.collections import LineCollection
-
-    height_m = float(ends[..., 2].max())
-    left, right = float(ends[..., 0].min()), float(ends[..., 0].max())
-    side = 1.05 * max(height_m, right - left)
-    place.set_xlim((left + right - side) / 2, (left + right + side) / 2)
-    place.set_ylim(0, side)
-    place.set_aspect("equal")
-    place.axis("off")
-    points_per_m = 2.3 * 72 / side
-    widths = np.maximum(diameter_m * points_per_m, 0.25)
-    place.add_collection(LineCollection(list(ends[..., [0, 2]]), linewidths=widths, colors="#3a2c20", capstyle="round"))
-    place.set_title(f"{title}: {height_m:.1f} m", fontsize=7)
+    sheet.save(PICTURES / "plant_types.jpg", quality=82, optimize=True)
+    sys.stdout.write(f"{PICTURES / 'plant_types.jpg'}\n")
 
 
 if __name__ == "__main__":
-    plant_types()
+    plant_types(rows=sys.argv[1] if len(sys.argv) > 1 else "".join(TYPES))

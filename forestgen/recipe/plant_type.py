@@ -38,7 +38,12 @@ class PlantType(Section):
         Number, Field(ge=1, le=100, description="Plants of little vigour flower at most so many times later.")
     ] = 1.2
     tropism_angle_rad: Annotated[
-        Number, Field(ge=-3.15, le=3.15, description="Angle from the vertical that modules turn to [alpha], radians.")
+        Number,
+        Field(
+            ge=-1.57,
+            le=3.15,
+            description="Angle that branches turn to [alpha], radians from the vertical; if < 0, below the level.",
+        ),
     ] = 0.52
     tropism_weight: Annotated[
         NonNegative, Field(le=1e3, description="Of that angle in a module's turning [omega_2].")
@@ -53,9 +58,9 @@ class PlantType(Section):
     tropism_decay: Annotated[
         Positive, Field(le=100, description="Physiological age at which the bend has fallen to half [g_1].")
     ] = 0.3
-    thickening_cm: Annotated[
-        Positive, Field(le=50, description="Diameter of a grown terminal segment [2 phi], cm.")
-    ] = 2.0
+    thickening_cm: Annotated[Positive, Field(le=50, description="Diameter of a grown terminal segment [phi], cm.")] = (
+        2.0
+    )
     length_per_age_m: Annotated[
         Positive, Field(le=50, description="Length of a segment per physiological age [beta], metres.")
     ] = 1.0

@@ -63,6 +63,8 @@ def traits_of(types: Sequence[PlantType | None]) -> Traits:
             value = getattr(plant_type, name)
             values.append(getattr(plant_type, name.removesuffix("_mature")) if value is None else value)
         columns[name] = np.array(values, dtype=np.float64)
+    angle_rad = columns["tropism_angle_rad"]  # below 0: below the horizontal
+    columns["tropism_angle_rad"] = np.where(angle_rad < 0.0, 0.5 * np.pi - angle_rad, angle_rad)
     # As ages are kept: a limit that float32 cannot hold would never be reached.
     columns["mature_age"] = columns["mature_age"].astype(np.float32).astype(np.float64)
     return Traits(grows=np.array([one is not None for one in types], dtype=np.bool_), **columns)

@@ -61,12 +61,14 @@ Decided where the print is silent or wrong:
 - v_min (0.08) is not given, and stands for two scales: a module's vigour, and that of one of its K terminals, which
   share it. Terminals are compared with v_min / K. `sprouting` (2) times that is wanted of a terminal that sprouts: a
   new module must grow, and what grew must not fall at once.
-- φ of Table 1 has no unit: it is read as the radius of a grown terminal segment in cm, so `thickening_cm` is 2 φ. A
-  tree of 20 to 25 m has then a trunk of 0.3 to 0.4 m in the open.
+- φ of Table 1 has no unit: it is read as Eq. 10 has it, the diameter of a grown terminal segment, in cm.
 - v_max is 1, the vigour of one module in full light.
 - l_max is not given: 0.8 m, a whole module of Table 1's trees is then 1.5 to 2 m long. a_mature is 1.
 - F_eff is limited to flowering_delay_max (1.2) times F_age: seen from v_rootmax = 600, a young stem of λ = 1 never
   flowers.
+- α of Table 1 is below 0 for hemlock, sequoia, willow and spruce, and Eq. 3 takes its cosine, which knows no sign.
+  Above 0 it is read as an angle from the vertical (cypress and eucalyptus rise steeply), below 0 as one below the
+  horizontal: so conifers have the level and drooping branches that they are known by, and brooms otherwise.
 - The tropism's angle is that of branches: modules that continue a leading (λ > 0.5) plant's main axis turn upright.
   Root modules are upright and never turn; the root's prototype is that of λ and D. A new module begins along the
   segment that bears it, rolled by a random angle of its identity; along the parent's own axis, as in the print,

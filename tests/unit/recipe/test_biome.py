@@ -60,7 +60,7 @@ def test_sixteen_types_have_the_numbers_of_table_1(name: str) -> None:
     got = (
         one.life_span_yr, one.root_vigour_max, one.growth_rate_per_yr, one.apical_control, one.apical_control_mature,
         one.determinacy, one.determinacy_mature, one.flowering_age_yr, one.tropism_angle_rad, one.tropism_weight,
-        one.tropism_strength, one.thickening_cm / 2, one.length_per_age_m,
+        one.tropism_strength, one.thickening_cm, one.length_per_age_m,
     )  # fmt: skip
     assert got == TABLE_1[name]
 

@@ -35,7 +35,7 @@ NAMES = (
 
 def plant_type(row, **more):
     keys = dict(zip(NAMES, ROWS[row], strict=True))
-    return PlantType(**{**keys, "thickening_cm": 2 * keys["thickening_cm"], **more})
+    return PlantType(**{**keys, **more})
 
 
 def ecology(name, modules):
