@@ -54,6 +54,8 @@ _SECTIONS = {
     "Wind": "wind",
     "Dataset": "dataset",
     "Licence": "dataset.licence",
+    "Sampling": "sampling",
+    "Correlation": "sampling.correlations (each)",
     "Species": "species (each)",
     "Ecology": "species: ecology",
     "Allometry": "species: allometry",
@@ -93,8 +95,9 @@ def recipe_page() -> str:
         "# Every key of a recipe\n",
         "Any number may be a distribution, drawn anew for each image: `{uniform: [a, b]}`, `{normal: [mean, sd]}`",
         "(or with bounds: `{normal: {mean: 20, sd: 4, low: 5, high: 40}}`), `{lognormal: [median, sigma]}`,",
-        "`{integers: [a, b]}`, `{choice: [a, b, c]}`; or `{sequence: [a, b, c]}`, one after another by the image's",
-        "number.\n",
+        "`{integers: [a, b]}`, `{choice: [a, b, c]}`, `{choice: {values: [a, b], weights: [3, 1]}}`; or",
+        "`{sequence: [a, b, c]}`, one after another by the image's number.",
+        "[Randomisation](randomisation.md) has more.\n",
     ]
     for name, title in _SECTIONS.items():
         definition = definitions[name]

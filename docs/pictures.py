@@ -21,7 +21,8 @@ densities.png                   densities        what `forestgen simulate` shows
 
 and, by docs/label_pictures.py, labels.jpg: a view and its labels; by docs/light_pictures.py, light.jpg: other skies,
 a season and bands; by docs/weather_pictures.py, weather_profiles.png: the air in which four clouds form; by
-docs/plant_types.py, plant_types.png: the sixteen types of branch modules.
+docs/plant_types.py, plant_types.png: the sixteen types of branch modules; by docs/report_picture.py, report.jpg: the
+page that `forestgen report` makes of a small data set.
 
 With names behind it, `uv run python docs/pictures.py self_thinning succession_maps`, it makes these alone.
 The plants' pictures, library.jpg and species/, are made by docs/species_sheet.py.
@@ -40,6 +41,7 @@ import light_pictures
 import numpy as np
 import placement_pictures
 import plant_types
+import report_picture
 import weather_pictures
 from PIL import Image
 
@@ -165,6 +167,7 @@ PICTURES_OF = {
     "labels": label_pictures.labels,
     "light": light_pictures.light,
     "plant_types": plant_types.plant_types,
+    "report": report_picture.report,
 }
 
 

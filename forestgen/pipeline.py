@@ -14,6 +14,7 @@ from forestgen.community.population import Population
 from forestgen.core.progress import Progress
 from forestgen.core.timing import Timings
 from forestgen.dataset.folder import OutputFolder
+from forestgen.dataset.frame_row import frame_row
 from forestgen.dataset.manifest import build_manifest, write_manifest
 from forestgen.dataset.maps import write_maps
 from forestgen.dataset.settings import DatasetSettings
@@ -31,6 +32,7 @@ from forestgen.stages.data_set import check_one_data_set, class_map, data_set_of
 from forestgen.stages.frames import haze_notes, noise_notes, render_frame
 from forestgen.stages.plan import Plan, check_memory, check_plan, make_plan, views_below_ground, why_barren
 from forestgen.stages.scene import BuiltScene, build_scene
+from forestgen.stages.views import ground_below
 
 _GUESSED_PLANTS = 5000  # a frame's rows at most, for the disk space to ask for
 _MOST_CHANNELS = 13  # of a sensor, at a guess
@@ -50,6 +52,7 @@ class RunSummary:
     counts: dict[str, int] = field(default_factory=dict)
     images: list[dict[str, Any]] = field(default_factory=list)  # a report of each, for the manifest
     notes: list[str] = field(default_factory=list)
+    rows: list[dict[str, Any]] = field(default_factory=list)  # of the frames, for an index: dataset/index.py
     timings_s: dict[str, float] = field(default_factory=dict)
     total_s: float = 0.0
 
@@ -84,7 +87,7 @@ def render(
                 check_memory(plan)
                 check_one_data_set(plan.drawn, settings)
                 seeds.append(plan.drawn.image_seed)
-                frames += _render_image(plan, loaded, settings, folder, summary, progress, timings)
+                frames += render_image(plan, loaded.seed, settings, folder, summary, progress, timings)
                 advance(1)
         with timings("write"):
             write_dataset(folder, frames, settings)
@@ -93,16 +96,27 @@ def render(
     return summary
 
 
-def _render_image(
+def render_image(
     plan: Plan,
-    loaded: LoadedRecipe,
+    root_seed: int,
     settings: DatasetSettings,
     folder: Path,
     summary: RunSummary,
     progress: Progress,
     timings: Timings,
 ) -> list[Path]:
-    """One drawn recipe: its community, its scene, and a frame of each camera; their folders."""
+    """One drawn recipe: its community, its scene, and a frame of each camera, each in a folder of its own.
+
+    Parameters
+    ----------
+    root_seed : of the recipe that the image was drawn from, for the frames' headers.
+    folder : that the frames' folders, and ``maps/`` beside them, are made in.
+    summary : takes the image's counts, notes, report and rows.
+
+    Returns
+    -------
+    list : the frames' folders.
+    """
     with timings("community"):
         population = final_population(plan, progress)
     check_memory(plan, plants=len(population))
@@ -116,7 +130,7 @@ def _render_image(
     for labelled in _shots(plan, built, progress, timings):
         folders.append(folder / frame_folder_name(drawn.image_index, labelled.frame.camera.name))
         with timings("write"):
-            write_frame(folders[-1], labelled, yaml, _header(plan, loaded, labelled.frame), settings)
+            write_frame(folders[-1], labelled, yaml, _header(plan, root_seed, labelled.frame), settings)
         _account(summary, labelled, folders[-1].name, built, plan, seen)
         del labelled  # before the next one is made
     summary.images.append(_image_report(plan, built))
@@ -145,11 +159,11 @@ def _shots(plan: Plan, built: BuiltScene, progress: Progress, timings: Timings) 
         del labelled  # one frame at a time in memory
 
 
-def _header(plan: Plan, loaded: LoadedRecipe, frame: Frame) -> dict[str, str]:
+def _header(plan: Plan, root_seed: int, frame: Frame) -> dict[str, str]:
     """Attributes of frame.exr. They belong to the drawn recipe, so that an image drawn alone has the same bytes."""
     return {
         "recipe_hash": recipe_hash(plan.drawn.data),
-        "seed": str(loaded.seed),
+        "seed": str(root_seed),
         "image_seed": str(plan.drawn.image_seed),
         "samples": str(frame.radiance.samples),
     }
@@ -162,6 +176,7 @@ def _image_report(plan: Plan, built: BuiltScene) -> dict[str, Any]:
         "seed": plan.drawn.image_seed,
         "view": plan.drawn.recipe.dataset.view,  # of its previews
         "counts": _counts(built.population),
+        "triangles": sum(exemplar.triangles for exemplar in built.spec.exemplars),
         "size_errors": [asdict(error) for error in built.size_errors],
     }
 
@@ -233,6 +248,7 @@ def _account(
 ) -> None:
     summary.frames += 1
     summary.plants, summary.counts = len(built.population), _counts(built.population)
+    known = len(summary.notes)
     visible = labelled.views.visible
     seen.update(visible.plant_id[visible.has_box].tolist())
     summary.visible_plants = len(seen)
@@ -245,6 +261,9 @@ def _account(
         summary.notes.append(f"{name}: the camera {'stands below the ground' if below else 'sees no plant'}")
     summary.notes += noise_notes(labelled.frame.radiance, name)
     summary.notes += haze_notes(built.spec, labelled.frame.surface, name)
+    ground_m = ground_below(plan.drawn, labelled.frame.camera)
+    notes = summary.notes[known:]
+    summary.rows.append(frame_row(name, labelled, plan.drawn, built.spec.sky, ground_m, notes))
 
 
 def _manifest(folder: Path, loaded: LoadedRecipe, seeds: list[int], summary: RunSummary) -> dict[str, Any]:

@@ -31,6 +31,7 @@ from forestgen.core.errors import AssetError
 from forestgen.recipe.assets import find_asset, list_assets
 from forestgen.recipe.fields import Fraction, Number, Positive, Section, Text, Whole, mistake
 from forestgen.recipe.messages import Explainer
+from forestgen.recipe.paths import inside
 from forestgen.recipe.sources import SourceMap
 from forestgen.recipe.yaml_source import parse_yaml, read_yaml
 
@@ -192,15 +193,15 @@ def load_prototypes(
 
 def prototype_files(name: str, folder: Path | None = None) -> list[Path]:
     """The file of a prototype's name or path, or those of a folder's path, sorted."""
-    own = (folder or Path()) / name
+    own = Path(name) if folder is None else inside(folder, name)
     try:
         is_folder = ("/" in name or "\\" in name) and own.is_dir()
-        inside = sorted(path for path in own.iterdir() if path.suffix in (".yaml", ".yml")) if is_folder else []
+        listed = sorted(path for path in own.iterdir() if path.suffix in (".yaml", ".yml")) if is_folder else []
     except (OSError, ValueError) as cause:  # no name for a file, or a folder that may not be read
         raise AssetError("the folder cannot be read", where=str(own), got=str(cause)) from cause
-    if is_folder and not inside:
+    if is_folder and not listed:
         raise AssetError("a folder without prototypes", where=str(own), expected="files such as fork.yaml")
-    return inside or [find_asset("modules", name, folder=folder)]
+    return listed or [find_asset("modules", name, folder=folder)]
 
 
 def in_order(prototypes: Sequence[Prototype]) -> tuple[Prototype, ...]:

@@ -218,9 +218,16 @@ def _three(file: Any, name: str) -> tuple[float, float, float]:
 
 def _variable(file: Any, name: str, kind: str, rank: int) -> Any:
     """A variable, not yet read, of a type and a number of dimensions; its size is for `field_checks` to judge."""
-    if not hasattr(file.get(name), "dtype"):
+    import h5py
+
+    # A link, an external or a virtual data set would read another file of whoever opens this one.
+    if not isinstance(file.get(name, getlink=True), h5py.HardLink):
         raise FieldError(f"the variable {name}", "it in the file", "none")
     variable = file[name]
+    if not isinstance(variable, h5py.Dataset):
+        raise FieldError(f"the variable {name}", "it in the file", "none")
+    if variable.is_virtual or variable.external:
+        raise FieldError(f"the variable {name}", "its values in the file itself", "a reference to another file")
     if variable.dtype != np.dtype(kind):
         raise FieldError(name, f"{np.dtype(kind)} numbers", str(variable.dtype))
     if len(variable.shape) != rank:

@@ -16,25 +16,21 @@ from __future__ import annotations
 
 import hashlib
 import math
-import platform
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, is_dataclass, replace
-from functools import cache
-from importlib.metadata import version
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-import forestgen
 from forestgen.atmosphere.fluid.air import Air, at_rest
 from forestgen.atmosphere.fluid.parameters import Physics, Surface
 from forestgen.atmosphere.presets import Conditions, Emission
 from forestgen.atmosphere.regridding import regridded
 from forestgen.atmosphere.sounding import LATENT_HEAT_J_PER_KG
 from forestgen.atmosphere.weather import AirGrid, Weather
+from forestgen.core.code_hash import code_hash
 from forestgen.core.disk_cache import DiskCache, cache_root
 from forestgen.core.packed import UnreadableError, pack, unpack
 from forestgen.core.progress import Progress
@@ -47,7 +43,8 @@ _MOST_BYTES = 4_000_000_000
 _NOISE_K = 0.1
 _CHANGES = 3.0  # times change_s, after which the mean air is left to itself
 _ONE_PATCH_SHARE = 0.25  # of the box: larger patches are moved so that the warmest lies in its middle
-_SOURCES = ("atmosphere", "core")  # layers that shape weather
+SOURCES = ("atmosphere", "core")  # layers that shape weather
+_COMPUTE_WITH = ("numpy", "scipy", "numba")
 
 
 @dataclass(frozen=True)
@@ -212,7 +209,7 @@ class _Work:
     def _key(self, stop: _Stop) -> str:
         digest = hashlib.blake2b(digest_size=20)
         told = self._scenario.chapters[: stop.chapter + 1]
-        digest.update(repr((_code_hash(), self._seed, stop.time_s, _described(told))).encode())
+        digest.update(repr((code_hash(SOURCES, _COMPUTE_WITH), self._seed, stop.time_s, _described(told))).encode())
         return digest.hexdigest()
 
     def _fresh(self, number: int) -> Weather:
@@ -317,22 +314,3 @@ def _described(value: Any) -> Any:
     if isinstance(value, np.ndarray):
         return value.shape, value.dtype.str, hashlib.blake2b(np.ascontiguousarray(value).tobytes()).hexdigest()
     return float(value) if isinstance(value, int | float) else value
-
-
-def code_files() -> list[Path]:
-    """The files of forestgen that weather depends on."""
-    root = Path(forestgen.__file__).parent
-    return [path for layer in _SOURCES for path in sorted((root / layer).rglob("*.py"))]
-
-
-@cache
-def _code_hash() -> str:
-    """Hash of forestgen's version, of the files that shape weather, and of what they compute with."""
-    root = Path(forestgen.__file__).parent
-    digest = hashlib.blake2b(digest_size=20)
-    packages = [version(name) for name in ("numpy", "scipy", "numba")]
-    digest.update(repr((forestgen.__version__, platform.machine(), platform.python_version(), packages)).encode())
-    for path in code_files():
-        digest.update(f"\n{path.relative_to(root).as_posix()}\n".encode())
-        digest.update(path.read_bytes())
-    return digest.hexdigest()

@@ -33,7 +33,7 @@ _NEEDED = ("height_m", "temperature_c")
 _HUMIDITY = ("relative_humidity", "dewpoint_c", "vapour_g_per_kg")
 _WINDS = (("wind_from_deg", "wind_m_per_s"), ("east_m_per_s", "north_m_per_s"))
 _COLUMNS = (*_NEEDED, *_HUMIDITY, *_WINDS[0], *_WINDS[1])
-_MOST_BYTES, _MOST_ROWS = 10_000_000, 100_000
+MOST_BYTES, _MOST_ROWS = 10_000_000, 100_000
 # what a fault of a sounding is called -> the columns that it may be in
 _COLUMN_OF = {
     "height": ("height_m",),
@@ -66,8 +66,8 @@ def sounding_of_table(data: bytes, ground_pressure_pa: float = 101_325.0) -> Sou
 
 def _columns(data: bytes) -> tuple[list[int], dict[str, Floats]]:
     """The rows' lines, counted from 1, and each column's numbers."""
-    if len(data) > _MOST_BYTES:
-        raise FieldError("the file", f"a table of at most {_MOST_BYTES / 1e6:g} MB", f"{len(data) / 1e6:,.1f} MB")
+    if len(data) > MOST_BYTES:
+        raise FieldError("the file", f"a table of at most {MOST_BYTES / 1e6:g} MB", "more")
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as cause:

@@ -29,7 +29,7 @@ from forestgen.atmosphere.field_checks import FieldError, check_clouds, check_we
 from forestgen.atmosphere.grid import CloudGrid
 from forestgen.atmosphere.netcdf_file import droplet_radius_of, netcdf_size, read_netcdf, write_netcdf
 from forestgen.atmosphere.sounding import Sounding
-from forestgen.atmosphere.sounding_file import sounding_of_table
+from forestgen.atmosphere.sounding_file import MOST_BYTES, sounding_of_table
 from forestgen.atmosphere.vdb_file import write_vdb
 from forestgen.atmosphere.vol_file import read_vol, write_vol
 from forestgen.atmosphere.weather import Weather
@@ -53,8 +53,8 @@ def read_sounding(path: Path, *, ground_pressure_pa: float = 101_325.0) -> Sound
     ------
     AssetError : there is no such file, or its table is not air that can be; with line and column.
     """
-    with _explained(path, AssetError, "the file cannot be used as a sounding"):
-        return sounding_of_table(path.read_bytes(), ground_pressure_pa)
+    with _explained(path, AssetError, "the file cannot be used as a sounding"), path.open("rb") as file:
+        return sounding_of_table(file.read(MOST_BYTES + 1), ground_pressure_pa)
 
 
 def write_weather(path: Path, weather: Weather, *, droplet_radius_um: float | None = None) -> None:

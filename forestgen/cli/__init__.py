@@ -8,17 +8,27 @@ from typing import Annotated, Any, Optional
 import typer
 
 from forestgen import __version__
+from forestgen.cli.batch import batch
 from forestgen.cli.calibrate import calibrate
 from forestgen.cli.console import Bars, errors_for_people
 from forestgen.cli.fit_kernel import fit_kernel
+from forestgen.cli.help_pages import show_plainly
 from forestgen.cli.labels import app as labels
 from forestgen.cli.light import PointsCommand, light
+from forestgen.cli.merge import merge
+from forestgen.cli.pack import pack
+from forestgen.cli.report import report
 from forestgen.cli.variadic import RadiiCommand
+from forestgen.cli.verify import verify
 from forestgen.cli.weather import weather
 
 
 class _Commands(typer.core.TyperGroup):
     """Runs commands inside our own error handling: typer's would meet Ctrl-C and a closed pipe first."""
+
+    def __init__(self, **arguments: Any) -> None:
+        super().__init__(**arguments)
+        show_plainly(self)
 
     def invoke(self, ctx: Any) -> Any:
         with errors_for_people():
@@ -68,8 +78,21 @@ def options(
     version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")
     ] = False,
+    allowed: Annotated[
+        Optional[list[Path]],  # noqa: UP045
+        typer.Option(
+            "--allow-folder",
+            metavar="DIR",
+            help="Let recipes read from this folder too, not only from their own. Before the command's name; may be "
+            "repeated.",
+            show_default=False,
+        ),
+    ] = None,
 ) -> None:
-    pass
+    if allowed:
+        from forestgen.recipe.paths import allow_folders
+
+        allow_folders(allowed)
 
 
 @app.command(epilog="Example: forestgen render recipes/quickstart.yaml --set render.samples=64 --images 3")
@@ -104,6 +127,19 @@ def render(
 
     extra = [f"images={images}"] if images is not None else []
     commands.render(recipe, [*(overrides or []), *extra], output, overwrite, threads, Bars())
+
+
+app.command("batch", epilog="Example: forestgen batch recipes/training_set.yaml --count 1000 --out outputs/forests")(
+    batch
+)
+
+app.command("report", epilog="Example: forestgen report outputs/forests")(report)
+
+app.command("verify", epilog="Example: forestgen verify outputs/forests --rerender 3")(verify)
+
+app.command("merge", epilog="Example: forestgen merge outputs/part-1 outputs/part-2 --out outputs/forests")(merge)
+
+app.command("pack", epilog="Example: forestgen pack outputs/forests --format webdataset --out outputs/shards")(pack)
 
 
 @app.command(epilog="Example: forestgen simulate recipes/quickstart.yaml --map-step 20 --map-step 150")

@@ -186,6 +186,8 @@ def _described(loaded: LoadedRecipe, plan: Plan) -> Iterator[tuple[str, str]]:
     yield "community", f"{drawn.community.model}, {count(plan.steps, 'step')}"
     yield "species", ", ".join(drawn.species)
     yield "drawn anew", ", ".join(dotted(keys) for keys in loaded.distributions) or "nothing but the random numbers"
+    if loaded.draws.sampler is not None:
+        yield "sampling", loaded.draws.sampler.describe()
     yield "memory", f"up to about {sum(estimate_bytes(plan).values()) / 1e9:.1f} GB"
     yield "hash", loaded.hash
 

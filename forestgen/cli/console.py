@@ -99,12 +99,14 @@ class _StoppedError(BaseException):
 
     def __init__(self, number: int) -> None:
         self.number = number
+        self.kept = "nothing was written"
+
+    @property
+    def message(self) -> str:
+        return f"{_STOPPED[signal.Signals(self.number).name]}: {self.kept}"
 
 
-_STOPPED = {
-    name: f"{word}: nothing was written"
-    for name, word in (("SIGINT", "interrupted"), ("SIGTERM", "terminated"), ("SIGHUP", "the terminal was closed"))
-}
+_STOPPED = {"SIGINT": "interrupted", "SIGTERM": "terminated", "SIGHUP": "the terminal was closed"}
 _AGAIN_S = 0.25
 
 
@@ -192,9 +194,9 @@ def errors_for_people() -> Iterator[None]:
         hint = "make images or the site smaller, or take fewer species or exemplars"
         fail(f"error: {ResourceError('memory ran out', hint=hint)}", ResourceError.exit_code)
     except _StoppedError as stopped:
-        fail(_STOPPED[signal.Signals(stopped.number).name], 128 + stopped.number)
+        fail(stopped.message, 128 + stopped.number)
     except KeyboardInterrupt:
-        fail(_STOPPED["SIGINT"], 130)
+        fail(_StoppedError(signal.SIGINT).message, 130)
     except BrokenPipeError:
         # Python would complain again when it flushes at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -205,6 +207,16 @@ def errors_for_people() -> Iterator[None]:
             "  try       the same command with FORESTGEN_DEBUG=1 shows the traceback for a report",
             INTERNAL_ERROR,
         )
+
+
+@contextmanager
+def stops_keep(what: Callable[[], str]) -> Iterator[None]:
+    """A block that leaves something behind when it is interrupted; `what` tells of it, in the message's words."""
+    try:
+        yield
+    except _StoppedError as stopped:
+        stopped.kept = what()
+        raise
 
 
 def seconds(value: float) -> str:

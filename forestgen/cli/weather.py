@@ -73,6 +73,8 @@ def weather(
         plot_weather(reports, picture)
     for one in outputs:
         _save(one, reports[-1])
+    if all(report.statistics.cover == 0 for report in reports):
+        output().print("there are no clouds at this time; a larger sky.clouds.time_s may have some", markup=False)
     output().print(f"simulated in {seconds(timings.seconds['weather'])}", markup=False)
     for one in [*outputs, *([picture] if picture else [])]:
         output().print(f"file: {one}", markup=False)
@@ -120,6 +122,6 @@ def _print(reports: list[Report]) -> None:
         output().print(line, markup=False)
     output().print(
         "base, top: above the ground, where droplets are 0.01 g/kg and more; depth: optical, straight up, of cloudy "
-        "columns; cloud, rain: mean water of a column",
+        "columns; cloud, rain: mean water of a column; fallen: rain on the ground so far; up: the strongest updraught",
         markup=False,
     )

@@ -27,7 +27,8 @@ import pyarrow.parquet as pq
 
 from forestgen.community.module_history import NAME, ModuleWriter, read_modules
 from forestgen.community.population import Population
-from forestgen.core.errors import AssetError, OutputError
+from forestgen.core.errors import AssetError, OutputError, ResourceError
+from forestgen.core.memory import free_bytes
 
 _OWN = "model."
 _KEY = b"forestgen.community"
@@ -196,6 +197,7 @@ class History:
             needed = [name for name in file.schema_arrow.names if name not in _FOR_PEOPLE]
             nobody = file.schema_arrow.empty_table().select(needed)
             for index in indices:
+                _check_rows(file, group[index], plants[index])
                 table = file.read_row_group(group[index], columns=needed) if plants[index] else nobody
                 yield self._population(table, index)
 
@@ -215,6 +217,28 @@ class History:
             columns={name.removeprefix(_OWN): values for name, values in columns.items() if name.startswith(_OWN)},
             step=step,
             state=state,
+        )
+
+
+def _check_rows(file: Any, group: int, plants: int) -> None:
+    """Refuse a group that has not as many rows as the history tells, or more than memory holds: a few bytes may say so.
+
+    Raises
+    ------
+    ValueError : it has another number of rows.
+    ResourceError : they do not fit into memory.
+    """
+    if not plants:
+        return
+    rows = file.metadata.row_group(group).num_rows if 0 <= group < file.metadata.num_row_groups else 0
+    if rows != plants:
+        raise ValueError(f"{rows:,} rows where the history tells of {plants:,} plants")
+    need, free = 16 * rows * file.metadata.num_columns, free_bytes()  # of 8 bytes at most, twice
+    if need > free / 2:
+        raise ResourceError(
+            "the history's plants do not fit into memory",
+            expected=f"at most half of the {free / 1e9:.1f} GB that are free",
+            got=f"{need / 1e9:,.1f} GB",
         )
 
 

@@ -39,5 +39,10 @@ class BoundedCache(Generic[T]):
                 total -= self._bytes_of(self._kept.popitem(last=False)[1])
         return value
 
+    def clear(self) -> None:
+        """Keep nothing of what there is."""
+        with self._lock:
+            self._kept.clear()
+
     def __len__(self) -> int:
         return len(self._kept)

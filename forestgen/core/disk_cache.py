@@ -1,16 +1,25 @@
 """A folder of results that can be made again: bounded, shared by processes, and never in the way.
 
-An entry's name is the hash of all that it depends on, so an entry never goes stale. Whatever fails here (a folder that
-cannot be written to, a full disk, an entry cut short) costs the time of making the result again, and no more.
+An entry's name is the hash of all that it depends on, so an entry never goes stale. It begins with the hash of its name
+and the checksum of its content: what is cut short, changed or misplaced is not there. Whatever fails here (a folder
+that cannot be written to, a full disk, another's file) costs the time of making the result again, and no more.
+
+Any number of processes may read, write and trim one folder. An entry is written under a name of its own and renamed
+when it is whole, so a reader finds the old, the new, or none; on a network file system too, as far as that renames
+files at once.
 """
 
 from __future__ import annotations
 
+import hashlib
 import os
 import shutil
+import stat
+import struct
 import sys
 import tempfile
 import time
+import zlib
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +32,8 @@ _SUFFIX, _PARTIAL = ".entry", ".partial"
 _ABANDONED_S = 3600.0  # a partial entry this old belongs to a process that died
 _SHARE_KEPT = 0.9  # of the most bytes, when the oldest entries go
 _LEAST_FREE_BYTES = 1_000_000_000  # of the disk
+_MAGIC = b"fgentry1"
+_HEAD = struct.Struct("<8s32sQI12x")  # magic, hash of the key, bytes of content, their CRC-32; 64 bytes, for alignment
 
 
 def cache_root() -> Path | None:
@@ -50,15 +61,19 @@ class DiskCache:
     most_bytes: int  # the entries used longest ago go beyond this
 
     def read(self, key: str) -> NDArray[np.uint8] | None:
-        """The entry's bytes in memory of their own, None if there is no such entry."""
+        """The entry's bytes in memory of their own, None if there is no such entry, or none that is whole."""
         path = self._path(key)
         try:
-            data = np.fromfile(path, dtype=np.uint8)
+            data = _file_bytes(path)
         except (OSError, MemoryError):
+            return None
+        content = data[_HEAD.size :]
+        if data[: _HEAD.size].tobytes() != _head(key, content):
+            self.drop(key)
             return None
         with suppress(OSError):
             os.utime(path)  # just used
-        return data
+        return content
 
     def write(self, key: str, data: bytes) -> bool:
         """Keep an entry, complete or not at all; False if that is not possible."""
@@ -69,6 +84,7 @@ class DiskCache:
             number, name = tempfile.mkstemp(dir=self.folder, suffix=_PARTIAL)
             try:
                 with os.fdopen(number, "wb") as file:
+                    file.write(_head(key, data))
                     file.write(data)
                 Path(name).replace(self._path(key))
             except BaseException:
@@ -100,7 +116,7 @@ class DiskCache:
                     path.unlink(missing_ok=True)
 
     def size_bytes(self) -> tuple[int, int]:
-        """Number of entries and their bytes."""
+        """Number of entries and their bytes on disk."""
         entries = self._entries()
         return len(entries), sum(size for _, size, _ in entries)
 
@@ -120,3 +136,19 @@ class DiskCache:
         except OSError:
             return []
         return found
+
+
+def _file_bytes(path: Path) -> NDArray[np.uint8]:
+    """A plain file's bytes; a pipe or a device in its place is refused, and not waited for."""
+    number = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+    with os.fdopen(number, "rb") as file:
+        if not stat.S_ISREG(os.fstat(number).st_mode):
+            raise OSError("not a plain file")
+        return np.fromfile(file, dtype=np.uint8)
+
+
+def _head(key: str, content: bytes | NDArray[np.uint8]) -> bytes:
+    """What an entry of this key and content begins with."""
+    name = hashlib.blake2b(key.encode(), digest_size=32).digest()
+    checksum = zlib.crc32(memoryview(content))  # type: ignore[arg-type]  # NumPy's types do not tell of buffers
+    return _HEAD.pack(_MAGIC, name, len(content), checksum)

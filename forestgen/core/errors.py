@@ -15,6 +15,17 @@ ours: the command line turns it into exit code 130.
 
 from __future__ import annotations
 
+import unicodedata
+
+
+def plain(text: str) -> str:
+    """Text that a terminal shows and does not obey: control characters as \\x1b and the like, lines kept."""
+    if text.isprintable():
+        return text
+    return "".join(
+        ascii(one)[1:-1] if one != "\n" and unicodedata.category(one) in ("Cc", "Cf", "Cs") else one for one in text
+    )
+
 
 class ForestgenError(Exception):
     """Base of all errors that a user can cause and mend.
@@ -48,7 +59,7 @@ class ForestgenError(Exception):
     def __str__(self) -> str:
         head = f"{self.where}: {self.problem}" if self.where else self.problem
         rows = [("expected", self.expected), ("got", self.got), ("try", self.hint)]
-        return "\n".join([head, *(f"  {name:<9} {text}" for name, text in rows if text)])
+        return plain("\n".join([head, *(f"  {name:<9} {text}" for name, text in rows if text)]))
 
 
 class RecipeError(ForestgenError):

@@ -27,7 +27,7 @@ class UnreadableError(ValueError):
 
 
 def pack(value: Any) -> bytes:
-    """Bytes of a dataclass, whose fields are dataclasses, tuples, arrays, enums, numbers, text or None.
+    """Bytes of a dataclass; its fields are dataclasses, tuples, lists, mappings, arrays, enums, numbers, text or None.
 
     Raises
     ------
@@ -84,6 +84,8 @@ def _tree(value: Any, arrays: list[NDArray[Any]]) -> Any:
         return {"class": type(value).__name__, "fields": parts}
     if isinstance(value, tuple):
         return [_tree(one, arrays) for one in value]
+    if isinstance(value, list):
+        return {"list": [_tree(one, arrays) for one in value]}
     if isinstance(value, Mapping):
         if not all(isinstance(key, str) for key in value):
             raise TypeError("a mapping needs keys of text")
@@ -109,6 +111,8 @@ def _value(tree: Any, arrays: Sequence[NDArray[Any]], classes: Mapping[str, type
         return arrays[tree["array"]]
     if "enum" in tree:
         return classes[tree["enum"]][tree["name"]]  # type: ignore[index]
+    if "list" in tree:
+        return [_value(one, arrays, classes) for one in tree["list"]]
     if "mapping" in tree:
         return {key: _value(one, arrays, classes) for key, one in tree["mapping"].items()}
     return classes[tree["class"]](**{key: _value(one, arrays, classes) for key, one in tree["fields"].items()})

@@ -15,9 +15,18 @@ T = TypeVar("T")
 _LEAST_PER_THREAD = 10_000
 
 
+_limit: list[int] = []  # of this process, once it is set
+
+
+def limit_cores(most: int) -> None:
+    """Let this process use at most so many cores: one of several workers. No result depends on it."""
+    _limit[:] = [max(1, most)]
+
+
 def cores() -> int:
     """Number of cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    there = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return min([there, *_limit])
 
 
 class _Pool:

@@ -12,6 +12,7 @@ import os
 import platform
 import secrets
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
 
@@ -30,6 +31,7 @@ class OutputFolder:
     target : the run's folder, absent, empty, or a previous run's.
     overwrite : replace a previous run's folder. No other folder is ever replaced.
     required_bytes : an estimate of what will be written, checked against the disk's free space.
+    is_ours : tells a previous output, which may be replaced, from any other folder.
 
     Raises
     ------
@@ -37,8 +39,16 @@ class OutputFolder:
         On entry, before anything is computed, when the target cannot be used; later when writing fails.
     """
 
-    def __init__(self, target: Path | str, *, overwrite: bool = False, required_bytes: int = 0) -> None:
+    def __init__(
+        self,
+        target: Path | str,
+        *,
+        overwrite: bool = False,
+        required_bytes: int = 0,
+        is_ours: Callable[[Path], bool] = is_run_folder,
+    ) -> None:
         self.target = Path(target)
+        self.is_ours = is_ours
         self.overwrite = overwrite
         self.required_bytes = required_bytes
         self._final = self.target
@@ -94,7 +104,7 @@ class OutputFolder:
             )
         if not any(target.iterdir()):
             return
-        if not is_run_folder(target):
+        if not self.is_ours(target):
             raise OutputError(
                 "the folder is not empty and holds no forestgen output",
                 where=str(self.target),

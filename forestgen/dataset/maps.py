@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import hashlib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +12,8 @@ from forestgen.core.errors import AssetError
 from forestgen.core.grey_picture import kind_of
 from forestgen.dataset.files import output_error, write_bytes
 from forestgen.recipe.map_files import map_files
+from forestgen.recipe.paths import MAPS, inside
 
-MAPS_NAME = "maps"
 _WEATHER = ("csv", "nc", "vol")
 
 
@@ -42,17 +43,23 @@ def write_maps(root: Path, data: dict[str, Any], folder: Path) -> dict[str, Any]
     """
     stored = copy.deepcopy(data)
     for one in map_files(stored):
-        source, sha256 = folder / one["file"], one["sha256"]
-        name = f"{sha256[:16]}.{_ending(source)}"
-        target = root / MAPS_NAME / name
-        if not target.exists():
-            content = source.read_bytes()
-            if hashlib.sha256(content).hexdigest() != sha256:
-                raise AssetError("this map has changed since the recipe was loaded", where=str(source))
-            try:
-                target.parent.mkdir(exist_ok=True)
-            except OSError as error:
-                raise output_error(error, target.parent) from error
-            write_bytes(target, content)
-        one["file"] = f"../{MAPS_NAME}/{name}"
+        one["file"] = f"../{MAPS}/{write_map(root, one, folder)}"
     return stored
+
+
+def write_map(root: Path, one: Mapping[str, Any], folder: Path) -> str:
+    """Write one map, a mapping of its file and SHA-256, into ``maps/`` of `root`; its name there. See `write_maps`."""
+    sha256 = one["sha256"]
+    source = inside(folder, one["file"], sha256=sha256)
+    name = f"{sha256[:16]}.{_ending(source)}"
+    target = root / MAPS / name
+    if not target.exists():
+        content = source.read_bytes()
+        if hashlib.sha256(content).hexdigest() != sha256:
+            raise AssetError("this map has changed since the recipe was loaded", where=str(source))
+        try:
+            target.parent.mkdir(exist_ok=True)
+        except OSError as error:
+            raise output_error(error, target.parent) from error
+        write_bytes(target, content)
+    return name

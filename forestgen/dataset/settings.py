@@ -5,7 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from forestgen.labels.classes import ClassMap
-from forestgen.recipe.schema import Recipe, View
+from forestgen.recipe.dataset import View
+from forestgen.recipe.schema import Recipe
+
+DRAW = "draw."  # begins the index's columns of what the recipe's distributions gave, as draw.sky.turbidity
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 
 from forestgen.core.spectrum import LUMINANCE
 from forestgen.dataset.bands import picture_bands
-from forestgen.recipe.schema import View
+from forestgen.recipe.dataset import View
 from forestgen.render.frame import Radiance
 
 MIDDLE_GREY = 0.18

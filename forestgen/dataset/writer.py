@@ -83,8 +83,8 @@ def write_frame(
         _format(name).write_frame(folder, labelled, settings)
 
 
-def write_dataset(root: Path, folders: Iterable[Path], settings: DatasetSettings) -> None:
-    """Write classes.json, and join the shards of all frames; `folders` are the frames', in any order."""
+def write_dataset(root: Path, folders: Iterable[Path | str], settings: DatasetSettings) -> None:
+    """Write classes.json, and join the shards of all frames; `folders` are the frames' or their names, in any order."""
     known = list(folders)
     write_legend(root, settings, png.class_palette(len(settings.class_names)))
     for name in settings.formats:

@@ -9,14 +9,10 @@ from __future__ import annotations
 
 import hashlib
 import json
-import platform
 from dataclasses import asdict, dataclass
-from functools import cache
-from importlib.metadata import version
-from pathlib import Path
 from typing import Any
 
-import forestgen
+from forestgen.core.code_hash import code_hash
 from forestgen.core.disk_cache import DiskCache, cache_root
 from forestgen.core.packed import UnreadableError, pack, unpack
 from forestgen.core.parts import Part
@@ -27,8 +23,8 @@ from forestgen.plants.grown.wood import ModuleWood, wood_key
 from forestgen.plants.levels import FULL, Level
 
 MOST_BYTES = 4_000_000_000
-_SOURCES = ("core", "geometry", "lsystem", "plants")  # layers whose code shapes a plant
-_SUFFIXES = (".py", ".lark")
+LIBRARY_BYTES = 12_000_000_000  # where images share a library: a thousand plants and more
+_SOURCES = ("architecture", "core", "geometry", "lsystem", "plants", "recipe")  # layers whose code shapes a plant
 _COMPUTE_WITH = ("numpy", "numba", "scipy", "pymeshlab")
 _CLASSES = (Exemplar, OrganMesh, Mesh, Part)
 
@@ -47,6 +43,7 @@ class ExemplarRequest:
     wood: ModuleWood | None = None  # branches that its community grew; None: the generator grows it by the radius
     box_m: tuple[float, float, float] | None = None  # width, depth, height of what is built, as a house
     is_kept: bool = True  # on disk: other runs may ask for the same
+    is_shared: bool = False  # in memory: this process' next images may ask for the same
 
     def key(self) -> str:
         """Hash of everything that the exemplar depends on, hexadecimal."""
@@ -62,30 +59,20 @@ class ExemplarRequest:
             "level": asdict(self.level),
             **({} if self.wood is None else {"wood": wood_key(self.wood)}),
             **({} if self.box_m is None else {"box_m": [repr(float(side)) for side in self.box_m]}),
-            "code": code_hash(),
+            "code": _code_hash(),
         }
         text = json.dumps(content, sort_keys=True, separators=(",", ":"))
         return hashlib.blake2b(text.encode(), digest_size=20).hexdigest()
 
 
-@cache
-def code_hash() -> str:
-    """Hash of forestgen's version, of the files that shape a plant, and of the versions that they compute with."""
-    root = Path(forestgen.__file__).parent
-    digest = hashlib.blake2b(digest_size=20)
-    packages = [version(name) for name in _COMPUTE_WITH]
-    digest.update(repr((forestgen.__version__, platform.machine(), platform.python_version(), packages)).encode())
-    for layer in _SOURCES:
-        for path in sorted(one for one in (root / layer).rglob("*") if one.suffix in _SUFFIXES):
-            digest.update(f"\n{path.relative_to(root).as_posix()}\n".encode())
-            digest.update(path.read_bytes())
-    return digest.hexdigest()
+def _code_hash() -> str:
+    return code_hash(_SOURCES, _COMPUTE_WITH)
 
 
-def exemplar_store() -> DiskCache | None:
+def exemplar_store(most_bytes: int = MOST_BYTES) -> DiskCache | None:
     """Where exemplars are kept; None if there is no place for them."""
     root = cache_root()
-    return None if root is None else DiskCache(root / "exemplars", MOST_BYTES)
+    return None if root is None else DiskCache(root / "exemplars", most_bytes)
 
 
 def load_exemplar(store: DiskCache, request: ExemplarRequest) -> Exemplar | None:

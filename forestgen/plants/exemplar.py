@@ -38,6 +38,13 @@ class Exemplar:
     def triangles(self) -> int:
         return sum(organ.mesh.triangles for organ in self.organs)
 
+    @property
+    def nbytes(self) -> int:
+        """Of its arrays."""
+        meshes = [organ.mesh for organ in self.organs]
+        arrays = [one for mesh in meshes for one in (mesh.vertices_m, mesh.faces, mesh.normals, mesh.uv)]
+        return sum(one.nbytes for one in (*arrays, *(organ.mark for organ in self.organs)) if one is not None)
+
     def marks(self) -> NDArray[np.uint32] | None:
         """(F,) marks of all triangles, the organs one after another; None if the plant has none."""
         known = [organ.mark for organ in self.organs if organ.mark is not None]

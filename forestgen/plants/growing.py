@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
+from forestgen.core.bounded_cache import BoundedCache
 from forestgen.core.disk_cache import DiskCache
 from forestgen.core.randomness import child_rng
 from forestgen.core.threads import cores
@@ -17,6 +18,14 @@ from forestgen.plants.build import build_exemplar, built
 from forestgen.plants.cache import ExemplarRequest, keep_exemplar, load_exemplar
 from forestgen.plants.exemplar import Exemplar
 from forestgen.plants.grown.build import build_grown
+
+SHARED_BYTES = 400_000_000  # of shared exemplars in memory, at most
+_shared: BoundedCache[Exemplar] = BoundedCache(SHARED_BYTES, lambda exemplar: exemplar.nbytes)
+
+
+def forget_shared() -> None:
+    """Keep no exemplar in memory any longer."""
+    _shared.clear()
 
 
 def grow_exemplar(request: ExemplarRequest) -> Exemplar:
@@ -60,13 +69,19 @@ def grow_exemplars(
     """
     threads = max(1, min(workers or cores(), len(requests)))
 
-    def one(request: ExemplarRequest) -> tuple[Exemplar, bool]:
+    written: list[bool] = []  # whether each exemplar that grew is on disk now
+
+    def made(request: ExemplarRequest) -> Exemplar:
         own = store if request.is_kept else None
         found = load_exemplar(own, request) if own is not None else None
         if found is not None:
-            return found, False
+            return found
         grown = grow_exemplar(request)
-        return grown, own is not None and keep_exemplar(own, request, grown)
+        written.append(own is not None and keep_exemplar(own, request, grown))
+        return grown
+
+    def one(request: ExemplarRequest) -> Exemplar:
+        return _shared.get(request.key(), lambda: made(request)) if request.is_shared else made(request)
 
     results = []
     with ThreadPoolExecutor(threads) as pool:
@@ -78,6 +93,6 @@ def grow_exemplars(
         except BaseException:  # Ctrl-C too: only the plants that are being grown are waited for
             pool.shutdown(wait=False, cancel_futures=True)
             raise
-    if store is not None and any(kept for _, kept in results):
+    if store is not None and any(written):
         store.trim()
-    return tuple(exemplar for exemplar, _ in results)
+    return tuple(results)

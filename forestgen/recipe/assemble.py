@@ -14,9 +14,11 @@ from forestgen.recipe.assets import find_asset
 from forestgen.recipe.distributions import is_distribution
 from forestgen.recipe.own_tables import embed_sensors, embed_spectra
 from forestgen.recipe.sources import Keys, Place, SourceMap, dotted
+from forestgen.recipe.variables import is_reference
 from forestgen.recipe.yaml_source import parse_yaml, read_yaml
 
 _LARGEST_PROGRAM_BYTES = 1_000_000
+MOST_SPECIES = 1000
 
 SHORTHANDS: dict[Keys, str] = {("site", "terrain"): "kind", ("sky", "clouds"): "type"}
 OPTIONAL: tuple[Keys, ...] = (
@@ -28,6 +30,7 @@ OPTIONAL: tuple[Keys, ...] = (
     ("labels",),
     ("wind",),
     ("dataset",),
+    ("sampling",),
     ("sky", "sun"),
 )
 
@@ -97,6 +100,11 @@ def merge_species(data: dict[str, Any], sources: SourceMap, folder: Path) -> Non
     species = data.get("species")
     if not isinstance(species, dict) or is_distribution(species):
         return
+    if len(species) > MOST_SPECIES:
+        expected = f"at most {MOST_SPECIES} species"
+        raise RecipeError(
+            "too many species", where=sources.where(("species",)), expected=expected, got=str(len(species))
+        )
     written = _sources_by_species(sources)
     files: dict[Path, tuple[dict[str, Any], SourceMap]] = {}  # many species may be made from one
     for name, entry in species.items():
@@ -112,8 +120,8 @@ def merge_species(data: dict[str, Any], sources: SourceMap, folder: Path) -> Non
         path = find_asset("species", source, folder=folder, where=where)
         if path not in files:
             files[path] = read_yaml(path, error=AssetError)
-            _embed(files[path][0].get("plant"), files[path][1], ("plant", "program"), path.parent)
-            embed_spectra(files[path][0].get("materials"), files[path][1], ("materials",), path.parent)
+            _embed(files[path][0].get("plant"), files[path][1], ("plant", "program"), path.parent, folder)
+            embed_spectra(files[path][0].get("materials"), files[path][1], ("materials",), path.parent, root=folder)
         base, base_sources = copy.deepcopy(files[path][0]), files[path][1]
         _without_other_light(base.get("materials"), entry.get("materials"))
         recipe_sources = SourceMap(written.get(name, {}))
@@ -163,11 +171,11 @@ def embed_tables(data: dict[str, Any], sources: SourceMap, folder: Path) -> None
     embed_sensors(data.get("cameras"), sources, folder)
 
 
-def _embed(section: Any, sources: SourceMap, keys: Keys, folder: Path) -> None:
-    """Replace the section's ``program``, whose key path is `keys`, if it is a name."""
+def _embed(section: Any, sources: SourceMap, keys: Keys, folder: Path, root: Path | None = None) -> None:
+    """Replace the section's ``program``, whose key path is `keys`, if it is a name; see `find_asset`."""
     if not isinstance(section, dict) or not isinstance(section.get("program"), str):
         return
-    path = find_asset("lsystems", section["program"], folder=folder, where=sources.where(keys))
+    path = find_asset("lsystems", section["program"], folder=folder, root=root, where=sources.where(keys))
     section["program"] = {
         "name": path.name,
         "text": read_text(path, "an L-system program", most_bytes=_LARGEST_PROGRAM_BYTES, error=AssetError),
@@ -202,9 +210,9 @@ def _without_other_light(base: Any, override: Any) -> None:
 
 
 def _merged(base: Any, override: Any, sources: SourceMap, override_sources: SourceMap, keys: Keys) -> Any:
-    """Mappings merge key by key; anything else, a distribution too, is replaced as a whole."""
+    """Mappings merge key by key; anything else, a distribution or a formula too, is replaced as a whole."""
     mergeable = isinstance(base, dict) and isinstance(override, dict)
-    if not mergeable or is_distribution(base) or is_distribution(override):
+    if not mergeable or any(is_distribution(one) or is_reference(one) for one in (base, override)):
         sources.drop(keys)
         sources.take(override_sources, keys, keys)
         return override

@@ -9,6 +9,7 @@ import difflib
 from pathlib import Path
 
 from forestgen.core.errors import AssetError
+from forestgen.recipe.paths import inside
 
 PACKAGE = Path(__file__).resolve().parents[1]
 SUFFIXES = {
@@ -62,7 +63,9 @@ def _files(kind: str) -> dict[str, Path]:
     return {p.relative_to(folder).with_suffix("").as_posix(): p for p in files}
 
 
-def find_asset(kind: str, name: str, *, folder: Path | None = None, where: str | None = None) -> Path:
+def find_asset(
+    kind: str, name: str, *, folder: Path | None = None, root: Path | None = None, where: str | None = None
+) -> Path:
     """The file of a named part.
 
     Parameters
@@ -70,16 +73,18 @@ def find_asset(kind: str, name: str, *, folder: Path | None = None, where: str |
     kind : "species", "lsystems", "spectra", "terrain", "climate" or "recipes".
     name : a shipped part's name; or, with a slash or the kind's suffix, a path relative to `folder`. A file at that
         path goes before a shipped part of the same name.
-    folder : the recipe's folder; the working directory if None.
+    folder : the recipe's folder, or that of its species file, which the path must not leave (`paths.inside`). None: the
+        name comes from the command line; any path goes, relative to the working directory.
+    root : the recipe's folder, where `folder` is a species file's.
     where : place in the recipe that names the part, for messages.
 
     Raises
     ------
-    AssetError : there is no such file; the message lists the parts that exist.
+    AssetError : there is no such file, and the message lists the parts that exist; or the path leads elsewhere.
     """
     suffixes = SUFFIXES.get(kind, (".yaml",))
     if "/" in name or "\\" in name or name.endswith((*suffixes, ".yaml", ".yml")):
-        path = (folder or Path()) / name
+        path = Path(name) if folder is None else inside(folder, name, roots=(root or folder, scenes_dir()), where=where)
         if _is_file(path):
             return path
         if _shipped(kind, name) is None:

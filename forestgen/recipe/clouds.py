@@ -326,9 +326,21 @@ class Clouds(WeatherKeys):
                     hint=_whose(key, self.type),
                     at=(key,),
                 )
-        if self.type == "file" and self.file is None:
-            raise mistake("file: sky.nc", problem="no file is named", got="type: file", at=("type",))
+        if self.type == "file":
+            self._check_file()
         return self
+
+    def _check_file(self) -> None:
+        if self.file is None:
+            raise mistake("file: sky.nc", problem="no file is named", got="type: file", at=("type",))
+        if not self.file.file.lower().endswith((".nc", ".vol")):
+            raise mistake(
+                "a state of the air, NAME.nc, or a volume of extinction, NAME.vol",
+                problem="this file holds no sky",
+                got=self.file.file,
+                hint="forestgen weather RECIPE -o sky.nc writes one",
+                at=("file",),
+            )
 
     @staticmethod
     def _of_simulation() -> set[str]:

@@ -9,22 +9,31 @@ normal         ``{normal: [mean, sd]}``,                                   Gauss
 lognormal      ``{lognormal: [median, sigma]}``,                           exp of a Gaussian of mean log(median) and
                ``{lognormal: {median:, sigma:, low:, high:}}``             standard deviation sigma
 integers       ``{integers: [a, b]}``                                      any whole number from a to b, both included
-choice         ``{choice: [x, y, ...]}``                                   one of the numbers or texts, equally likely
+choice         ``{choice: [x, y, ...]}``,                                  one of them, equally likely or as the weights
+               ``{choice: {values: [x, y, ...], weights: [3, 1, ...]}}``   say: numbers, texts, mappings or lists, in
+                                                                           which there may be distributions again
 sequence       ``{sequence: [x, y, ...]}``                                 of image 0 the first, of image 1 the second,
                                                                            and so on; after the last, the first again
 =============  ==========================================================  ===========================================
+
+Each has a quantile function, so that a value can follow from a point of [0, 1) that was placed with others in mind
+(`forestgen.recipe.sampler`); `draw` takes an independent one.
 """
 
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import accumulate
 from statistics import NormalDist
 from typing import Any, Protocol, TypeGuard
 
 import numpy as np
 
+MOST_VALUES = 10_000
 KINDS = ("uniform", "normal", "lognormal", "integers", "choice", "sequence")
 _STANDARD = NormalDist()
 Scalar = float | int | str | bool | None
@@ -35,6 +44,10 @@ class Distribution(Protocol):
 
     def draw(self, rng: np.random.Generator) -> Scalar: ...
 
+    def quantile(self, u: float) -> Scalar:
+        """The value below which a share u of all draws lies, 0 <= u < 1; of a choice, in the order written."""
+        ...
+
     def extremes(self) -> tuple[Scalar, ...]:
         """Values to try against the schema: the ends, or every choice; an unbounded side has none."""
         ...
@@ -42,6 +55,10 @@ class Distribution(Protocol):
 
 class BadDistributionError(ValueError):
     """What a distribution's parameters should be; the loader adds the place."""
+
+    def __init__(self, expected: str, hint: str | None = None) -> None:
+        super().__init__(expected)
+        self.hint = hint
 
 
 def is_distribution(value: object) -> TypeGuard[Mapping[str, Any]]:
@@ -63,6 +80,9 @@ class Uniform:
     def draw(self, rng: np.random.Generator) -> float:
         return float(rng.uniform(self.low, self.high))
 
+    def quantile(self, u: float) -> float:
+        return min(self.low + (self.high - self.low) * u, self.high)
+
     def extremes(self) -> tuple[float, ...]:
         return (self.low, self.high)
 
@@ -75,19 +95,47 @@ class Integers:
     def draw(self, rng: np.random.Generator) -> int:
         return int(rng.integers(self.low, self.high, endpoint=True))
 
+    def quantile(self, u: float) -> int:
+        return min(self.low + int((self.high - self.low + 1) * u), self.high)
+
     def extremes(self) -> tuple[int, ...]:
         return (self.low, self.high)
 
 
 @dataclass(frozen=True)
 class Choice:
-    values: tuple[Scalar, ...]
+    """One of some values. If any is a mapping or a list, `numbered`: a draw is then the number of an entry, from 0.
+
+    The loader puts that entry in place, for it may hold distributions.
+    """
+
+    values: tuple[Any, ...]
+    weights: tuple[float, ...] | None = None  # above 0; None: equally likely
+    numbered: bool = False
+
+    @cached_property
+    def _ends(self) -> tuple[float, ...]:
+        """Of each value's share of [0, 1); the last is 1."""
+        weights = self.weights or (1.0,) * len(self.values)
+        total = math.fsum(weights)
+        return (*(end / total for end in accumulate(weights[:-1])), 1.0)
 
     def draw(self, rng: np.random.Generator) -> Scalar:
-        return self.values[int(rng.integers(len(self.values)))]
+        if self.weights is None:
+            return self._value(int(rng.integers(len(self.values))))
+        return self.quantile(rng.random())
+
+    def quantile(self, u: float) -> Scalar:
+        return self._value(min(bisect_right(self._ends, u), len(self.values) - 1))
 
     def extremes(self) -> tuple[Scalar, ...]:
-        return self.values
+        return tuple(self._value(number) for number in range(len(self.values)))
+
+    def _value(self, number: int) -> Scalar:
+        if self.numbered:
+            return number
+        value: Scalar = self.values[number]
+        return value
 
 
 @dataclass(frozen=True)
@@ -102,6 +150,10 @@ class Sequence:
     def draw(self, rng: np.random.Generator) -> Scalar:
         """For whoever knows no image: the first."""
         return self.values[0]
+
+    def quantile(self, u: float) -> Scalar:
+        """Of the values as if they were drawn."""
+        return self.values[min(int(u * len(self.values)), len(self.values) - 1)]
 
     def extremes(self) -> tuple[Scalar, ...]:
         return self.values
@@ -128,11 +180,18 @@ class Normal:
         return _below(-a) - _below(-b) if a > 0 else _below(b) - _below(a)
 
     def draw(self, rng: np.random.Generator) -> float:
+        return self._at(1.0 - rng.random())
+
+    def quantile(self, u: float) -> float:
+        return self._at(1.0 - u if self._standard_bounds()[0] > 0 else u)
+
+    def _at(self, share: float) -> float:
+        """Value at a share of the mass within the bounds, counted from the longer tail: from above if low > mean."""
         a, b = self._standard_bounds()
         sign = -1.0 if a > 0 else 1.0
         lower, upper = sorted((_below(sign * a), _below(sign * b)))
-        u = lower + (upper - lower) * (1.0 - rng.random())  # (lower, upper]: never -infinity
-        z = sign * _STANDARD.inv_cdf(min(u, math.nextafter(1.0, 0.0)))
+        u = lower + (upper - lower) * share
+        z = sign * _STANDARD.inv_cdf(min(max(u, math.ulp(0.0)), math.nextafter(1.0, 0.0)))
         value = self.mean + self.sd * z
         return min(max(math.exp(min(value, 700.0)) if self.log else value, self.low), self.high)
 
@@ -183,21 +242,57 @@ def _integers(value: Any) -> Integers:
 
 
 def _choice(value: Any) -> Choice:
-    return Choice(_values(value, "choice"))
+    if isinstance(value, Mapping) and value.keys() == {"values", "weights"}:
+        values, weights = _entries(value["values"]), value["weights"]
+        if not isinstance(weights, list | tuple) or len(weights) != len(values):
+            raise BadDistributionError(f"as many weights as values: {len(values)}")
+        if not all(_is_number(weight) and 0 <= weight <= 1e100 for weight in weights) or not any(weights):
+            raise BadDistributionError("weights of 0 and more, not all of them 0")
+        # What is never drawn stays among the values of a numbered choice, whose draws are its entries' numbers.
+        if not all(weights) and _is_structured(values):
+            raise BadDistributionError("weights above 0", "leave out the mapping or list that is never to be drawn")
+        kept = [(one, float(weight)) for one, weight in zip(values, weights, strict=True) if weight > 0]
+        return Choice(tuple(one for one, _ in kept), tuple(weight for _, weight in kept), _is_structured(values))
+    if isinstance(value, Mapping):
+        raise BadDistributionError(
+            "{choice: [x, y, ...]} or {choice: {values: [x, y, ...], weights: [3, 1, ...]}}", _weights_hint(value)
+        )
+    values = _entries(value)
+    return Choice(values, None, _is_structured(values))
+
+
+def _weights_hint(value: Mapping[str, Any]) -> str | None:
+    """What a mapping of values to their weights would be here."""
+    if not value or len(value) > 9 or not all(_is_number(weight) for weight in value.values()):
+        return None
+    weights = ", ".join(f"{weight:g}" for weight in value.values())
+    return f"{{choice: {{values: [{', '.join(map(str, value))}], weights: [{weights}]}}}}"
+
+
+def _is_structured(values: tuple[Any, ...]) -> bool:
+    return any(isinstance(value, Mapping | list | tuple) for value in values)
+
+
+def _entries(value: Any) -> tuple[Any, ...]:
+    if not isinstance(value, list | tuple) or not 1 <= len(value) <= MOST_VALUES:
+        raise BadDistributionError(f"{{choice: [x, y, ...]}} with 1 to {MOST_VALUES} values")
+    if not all(_is_scalar(one) or isinstance(one, Mapping | list | tuple) for one in value):
+        raise BadDistributionError("{choice: [x, y, ...]} of finite numbers, texts, true or false, mappings or lists")
+    return tuple(value)
 
 
 def _sequence(value: Any) -> Sequence:
-    return Sequence(_values(value, "sequence"))
-
-
-def _values(value: Any, kind: str) -> tuple[Scalar, ...]:
-    if not isinstance(value, list | tuple) or not 1 <= len(value) <= 10_000:
-        raise BadDistributionError(f"{{{kind}: [x, y, ...]}} with 1 to 10000 values")
-    if not all(v is None or isinstance(v, str | bool) or _is_number(v) for v in value):
+    if not isinstance(value, list | tuple) or not 1 <= len(value) <= MOST_VALUES:
+        raise BadDistributionError(f"{{sequence: [x, y, ...]}} with 1 to {MOST_VALUES} values")
+    if not all(_is_scalar(one) for one in value):
         raise BadDistributionError(
-            f"{{{kind}: [x, y, ...]}} of finite numbers, texts, true or false, not lists or mappings"
+            "{sequence: [x, y, ...]} of finite numbers, texts, true or false, not lists or mappings"
         )
-    return tuple(value)
+    return Sequence(tuple(value))
+
+
+def _is_scalar(value: object) -> bool:
+    return value is None or isinstance(value, str | bool) or _is_number(value)
 
 
 def _gaussian(value: Any, kind: str, centre: str, spread: str) -> tuple[float, float, float, float]:

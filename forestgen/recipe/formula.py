@@ -1,9 +1,14 @@
-"""Formulas in recipes and species files: arithmetic of one variable, compiled from text, without Python's reach."""
+"""Formulas in recipes and species files: arithmetic of named numbers, compiled from text, without Python's reach.
+
+A curve's formula knows its position ``x`` (recipe/curves.py); a drawn number's knows the recipe's variables
+(recipe/variables.py).
+"""
 
 from __future__ import annotations
 
 import ast
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from typing import Any
 
@@ -11,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+Names = Mapping[str, Any]  # name -> number or array
 
 VARIABLE = "x"
 _LONGEST = 300  # characters
@@ -23,6 +29,7 @@ _FUNCTIONS: dict[str, tuple[Callable[..., Any], int]] = {  # with their number o
     "sin": (np.sin, 1),
     "cos": (np.cos, 1),
     "tan": (np.tan, 1),
+    "round": (np.rint, 1),
     "min": (np.minimum, 2),
     "max": (np.maximum, 2),
 }
@@ -34,61 +41,91 @@ _BINARY: dict[type, Callable[[Any, Any], Any]] = {
     ast.Pow: np.power,
 }
 _SIGNS: dict[type, Callable[[Any], Any]] = {ast.UAdd: np.positive, ast.USub: np.negative}
+RESERVED = frozenset([VARIABLE, *_CONSTANTS, *_FUNCTIONS])  # what no variable may be called
 
 
 def check_formula(text: str) -> None:
-    """Whether `text` is a formula.
+    """Whether `text` is a formula of x.
 
     Raises
     ------
     ValueError : it is none; says what is wrong and what there is.
     """
-    _compiled(text)
+    _compiled(text, (VARIABLE,))
 
 
 def evaluate_formula(text: str, x: Floats) -> Floats:
     """Values of a checked formula, of x's shape; what is no number (0/0, the root of -1) counts as 0."""
     with np.errstate(all="ignore"):
-        values = np.broadcast_to(_compiled(text)(x), x.shape).astype(np.float64)
+        values = np.broadcast_to(_compiled(text, (VARIABLE,))({VARIABLE: x}), x.shape).astype(np.float64)
     return np.nan_to_num(values, nan=0.0, posinf=1e9, neginf=-1e9)
 
 
-@lru_cache(maxsize=256)
-def _compiled(text: str) -> Callable[[Floats], Any]:
+def formula_names(text: str) -> frozenset[str]:
+    """The names in a formula besides those of constants and functions; raises ValueError for what is no formula."""
+    names = (node.id for node in ast.walk(_parsed(text)) if isinstance(node, ast.Name))
+    return frozenset(names) - (RESERVED - {VARIABLE})
+
+
+def is_whole(text: str) -> bool:
+    """Whether a checked formula gives whole numbers because all of it is rounded: ``round(...)``."""
+    tree = _parsed(text)
+    return isinstance(tree, ast.Call) and isinstance(tree.func, ast.Name) and tree.func.id == "round"
+
+
+def check_formula_of(text: str, names: tuple[str, ...]) -> None:
+    """Whether `text` is a formula of these names; raises ValueError as `check_formula` does."""
+    _compiled(text, names)
+
+
+def evaluate_number(text: str, values: Mapping[str, float]) -> float:
+    """Value of a checked formula of the names in `values`; it need not be finite."""
+    with np.errstate(all="ignore"):
+        numbers = {name: np.float64(value) for name, value in values.items()}
+        return float(_compiled(text, tuple(values))(numbers))
+
+
+def _parsed(text: str) -> ast.expr:
     if len(text) > _LONGEST:
         raise ValueError(f"a formula has at most {_LONGEST} characters, got {len(text)}")
     try:
-        tree = ast.parse(text.strip().replace("^", "**"), mode="eval")
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # on what is refused below
+            return ast.parse(text.strip().replace("^", "**"), mode="eval").body
     except (SyntaxError, ValueError, MemoryError, RecursionError) as error:
         raise ValueError(f"not a formula: {text!r}; write it like 'sqrt(1 - (2*x - 1)^2)'") from error
-    return _node(tree.body)
 
 
-def _node(node: ast.expr) -> Callable[[Floats], Any]:
+@lru_cache(maxsize=256)
+def _compiled(text: str, names: tuple[str, ...]) -> Callable[[Names], Any]:
+    return _node(_parsed(text), names)
+
+
+def _node(node: ast.expr, names: tuple[str, ...]) -> Callable[[Names], Any]:
     match node:
         case ast.Constant(value=bool()):
             pass
         case ast.Constant(value=int() | float() as value):
             number = float(value)
-            return lambda x: number
-        case ast.Name(id=name) if name == VARIABLE:
-            return lambda x: x
+            return lambda of: number
+        case ast.Name(id=name) if name in names:
+            return lambda of: of[name]
         case ast.Name(id=name) if name in _CONSTANTS:
             constant = _CONSTANTS[name]
-            return lambda x: constant
+            return lambda of: constant
         case ast.BinOp(left=left, op=op, right=right) if type(op) in _BINARY:
-            one, other, both = _node(left), _node(right), _BINARY[type(op)]
-            return lambda x: both(one(x), other(x))
+            one, other, both = _node(left, names), _node(right, names), _BINARY[type(op)]
+            return lambda of: both(one(of), other(of))
         case ast.UnaryOp(op=op, operand=operand) if type(op) in _SIGNS:
-            inner, sign = _node(operand), _SIGNS[type(op)]
-            return lambda x: sign(inner(x))
+            inner, sign = _node(operand, names), _SIGNS[type(op)]
+            return lambda of: sign(inner(of))
         case ast.Call(func=ast.Name(id=name), args=args, keywords=[]) if name in _FUNCTIONS:
             function, count = _FUNCTIONS[name]
             if len(args) != count:
                 raise ValueError(f"{name} takes {count} argument{'s' * (count > 1)}, got {len(args)}")
-            parts = [_node(argument) for argument in args]
-            return lambda x: function(*(part(x) for part in parts))
+            parts = [_node(argument, names) for argument in args]
+            return lambda of: function(*(part(of) for part in parts))
         case _:
             pass
-    known = ", ".join([VARIABLE, *_CONSTANTS, *_FUNCTIONS])
+    known = ", ".join([*names, *_CONSTANTS, *_FUNCTIONS])
     raise ValueError(f"a formula knows numbers, + - * / ^ ( ) and {known}; not {ast.unparse(node)!r:.60}")

@@ -19,6 +19,7 @@ from forestgen.core.errors import AssetError
 from forestgen.core.grey_picture import kind_of, read_grey
 from forestgen.recipe.fields import Number, Section, Text, mistake
 from forestgen.recipe.map_files import file_sha256
+from forestgen.recipe.paths import inside
 
 LOWEST_M, HIGHEST_M = -12_000.0, 9_000.0  # of what is believed
 _HOLES = (-9999.0, -32768.0)  # marks of those who have no tag for it
@@ -71,7 +72,7 @@ class HeightMap(Section):
             found = np.array(self.rows, dtype=np.float64).reshape(len(self.rows), -1 if self.rows else 0)
         else:
             assert self.file is not None
-            path = folder / self.file
+            path = inside(folder, self.file, sha256=self.sha256)
             if file_sha256(path, self.file) != (self.sha256 or file_sha256(path, self.file)):
                 raise AssetError(
                     "this is not the file that the recipe was made with",

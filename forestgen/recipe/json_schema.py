@@ -10,7 +10,7 @@ import copy
 from collections.abc import Mapping
 from typing import Any
 
-from forestgen.recipe.distributions import KINDS
+from forestgen.recipe.distributions import KINDS, MOST_VALUES
 from forestgen.recipe.fields import NAME_PATTERN
 from forestgen.recipe.messages import UNDRAWN
 from forestgen.recipe.schema import SCHEMA_VERSION, Recipe
@@ -18,8 +18,11 @@ from forestgen.recipe.schema import SCHEMA_VERSION, Recipe
 Json = dict[str, Any]
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 DISTRIBUTION = {"$ref": "#/$defs/Distribution"}
+ALTERNATIVES = {"$ref": "#/$defs/Alternatives"}
 _BOUNDS = {"ge": "minimum", "gt": "exclusiveMinimum", "le": "maximum", "lt": "exclusiveMaximum"}
 _SCALARS = {"number", "integer", "boolean", "string"}
+_SCALAR: Json = {"type": ["number", "string", "boolean", "null"]}
+_OF_SAMPLING = {"Sampling", "Correlation"}  # decide how the rest is drawn
 
 
 def recipe_json_schema(
@@ -39,16 +42,22 @@ def recipe_json_schema(
     if plant_parameters:
         _splice(definitions, "Plant", "generator", plant_parameters)
     _tidy(schema)
+    splits = copy.deepcopy(definitions["Dataset"]["properties"]["splits"])
     for name, definition in definitions.items():
-        definitions[name] = _drawable(definition)
-    undrawn = {str(keys[0]) for keys in UNDRAWN}
+        if name not in _OF_SAMPLING:
+            definitions[name] = _drawable(definition)
+    undrawn = {str(keys[0]) for keys in UNDRAWN if len(keys) == 1}
     properties: Json = schema["properties"]
     for name, definition in properties.items():
         if name not in undrawn:
             properties[name] = _drawable(definition)
     _admit_shorthands(schema)
+    _admit_alternatives(schema, undrawn)
     _admit_species_files(schema)
+    definitions["Dataset"]["properties"]["splits"] = splits
     definitions["Distribution"] = _distribution()
+    definitions["Alternatives"] = _alternatives()
+    definitions["Sampling"]["properties"]["variables"]["additionalProperties"] = {"anyOf": [_SCALAR, DISTRIBUTION]}
     schema["required"] = [name for name in schema["required"] if name not in ("cameras", "species")]
     head = {
         "$schema": DIALECT,
@@ -154,6 +163,23 @@ def _admit_shorthands(schema: Json) -> None:
         schema["properties"][name] = {**outer, "anyOf": [inner, {"type": "null"}]}
 
 
+def _admit_alternatives(schema: Json, undrawn: set[str]) -> None:
+    """Every mapping or list in a section, but for species, may be chosen among several."""
+    for name in schema["$defs"].keys() - _OF_SAMPLING:
+        _with_alternatives(schema["$defs"][name], schema["$defs"][name].get("properties", {}))
+    outer = {name: schema["properties"][name] for name in schema["properties"].keys() - undrawn - {"species"}}
+    _with_alternatives(schema, outer)
+
+
+def _with_alternatives(section: Json, properties: Json) -> None:
+    for name, place in properties.items():
+        arms = place.get("anyOf", [place])
+        if any(("$ref" in arm and arm != DISTRIBUTION) or arm.get("type") in ("object", "array") for arm in arms):
+            outer = {key: place[key] for key in ("description", "default") if key in place}
+            inner = {key: value for key, value in place.items() if key not in outer}
+            section["properties"][name] = {**outer, "anyOf": [*inner.get("anyOf", [inner]), ALTERNATIVES]}
+
+
 def _admit_species_files(schema: Json) -> None:
     definitions = schema["$defs"]
     # Under `from`, any key may be left out at any depth: the file has it.
@@ -191,9 +217,35 @@ def _partial(node: Any) -> Any:
     return result
 
 
+def _choice(item: Json, description: str) -> Json:
+    """A choice among such items, with or without weights."""
+    items = {"type": "array", "items": item, "minItems": 1, "maxItems": MOST_VALUES}
+    weights = {"type": "array", "items": {"type": "number", "minimum": 0}, "minItems": 1, "maxItems": MOST_VALUES}
+    weighted = {
+        "type": "object",
+        "properties": {
+            "values": {**items, "description": "What is chosen from."},
+            "weights": {**weights, "description": "How often each is chosen, in any unit."},
+        },
+        "required": ["values", "weights"],
+        "additionalProperties": False,
+    }
+    return {"anyOf": [items, weighted], "description": description}
+
+
+def _alternatives() -> Json:
+    return {
+        "type": "object",
+        "description": "One of several mappings or lists, in which there may be distributions.",
+        "properties": {"choice": _choice({}, "One of these, equally likely; or values and weights.")},
+        "required": ["choice"],
+        "additionalProperties": False,
+    }
+
+
 def _distribution() -> Json:
     number = {"type": "number"}
-    scalar = {"type": ["number", "string", "boolean", "null"]}
+    scalar = _SCALAR
 
     def pair(item: Json) -> Json:
         return {"type": "array", "items": item, "minItems": 2, "maxItems": 2}
@@ -215,10 +267,12 @@ def _distribution() -> Json:
             "description": "[median, sigma], or with low and high.",
         },
         "integers": {**pair({"type": "integer"}), "description": "[low, high]: any whole number, both included."},
-        "choice": {"type": "array", "items": scalar, "minItems": 1, "description": "One of these, equally likely."},
+        "choice": _choice({"anyOf": [scalar, DISTRIBUTION]}, "One of these, equally likely; or values and weights."),
         "sequence": {"type": "array", "items": scalar, "minItems": 1, "description": "One after another, by image."},
     }
     assert tuple(properties) == KINDS
+    properties["variable"] = {"type": "string", "description": "The value of one of sampling.variables."}
+    properties["formula"] = {"type": "string", "description": "Arithmetic of sampling.variables: 10 + 30 * wetness."}
     return {
         "type": "object",
         "description": "A value drawn anew for each image.",

@@ -14,6 +14,7 @@ from typing import Any
 
 from forestgen.core.errors import AssetError
 from forestgen.recipe.distributions import is_distribution
+from forestgen.recipe.paths import inside
 from forestgen.recipe.sources import Keys, SourceMap
 
 SECTION = "community"
@@ -156,11 +157,12 @@ def _identified(
     value: dict[str, Any], sources: SourceMap, keys: Keys, folder: Path, known: dict[Path, str]
 ) -> dict[str, Any]:
     """The mapping with the file's SHA-256."""
-    path, written = folder / value["file"], value.get("sha256")
+    written = value.get("sha256")
     if not (written is None or isinstance(written, str)):
         return value  # as in `sha256: 12`: the section's own check says what is wrong
     place = (*keys, "file")
     where = sources.where(place if place in sources.places else keys)
+    path = inside(folder, value["file"], sha256=written, where=where)
     if path not in known:
         try:
             known[path] = file_sha256(path, value["file"])

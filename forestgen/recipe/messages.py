@@ -16,7 +16,15 @@ from forestgen.recipe.fields import NAME_PATTERN
 from forestgen.recipe.sources import Keys, SourceMap
 
 MOST_SHOWN = 10
-UNDRAWN: tuple[Keys, ...] = (("forestgen",), ("seed",), ("images",), ("first_image",))
+UNDRAWN: tuple[Keys, ...] = (
+    ("forestgen",),
+    ("seed",),
+    ("images",),
+    ("first_image",),
+    ("same_stand",),
+    ("sampling",),
+    ("dataset", "splits"),
+)
 
 _SIMPLE = {
     "float_type": "a number",
@@ -227,7 +235,8 @@ class Explainer:
     def _number_hint(self, keys: Keys, value: object) -> str | None:
         if not isinstance(value, Mapping):
             return "remove the quotes" if isinstance(value, str) and _is_number(value) else None
-        if self.prefix + keys in UNDRAWN and is_distribution(value):
+        full = self.prefix + keys
+        if is_distribution(value) and any(full[:n] in UNDRAWN for n in range(1, len(full) + 1)):
             return "this key may not be a distribution"
         near = [m for key in value for m in difflib.get_close_matches(str(key), KINDS, n=1)]
         return f"did you mean {{{near[0]}: ...}}?" if near else "a distribution is {uniform: [a, b]}"
@@ -250,6 +259,8 @@ def _bound_hint(written: Mapping[str, Any], expected: str) -> str | None:
         return f"truncate the distribution: {{{kind}: {{{centre}: , {spread}: , low: , high: }}}}"
     if kind == "uniform" and "whole number" in expected:
         return "{integers: [a, b]} draws whole numbers"
+    if kind == "formula" and "whole number" in expected:
+        return "{formula: 'round(...)'} gives whole numbers"
     return None
 
 

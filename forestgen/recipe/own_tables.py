@@ -26,7 +26,9 @@ def is_shipped(path: Path) -> bool:
     return path.is_relative_to(scenes_dir()) and ".." not in path.parts
 
 
-def embed_spectra(materials: Any, sources: SourceMap, keys: Keys, folder: Path, season: str | None = None) -> None:
+def embed_spectra(
+    materials: Any, sources: SourceMap, keys: Keys, folder: Path, season: str | None = None, root: Path | None = None
+) -> None:
     """Check the spectra that a species' materials name, in place; a file of the user's own is kept as its text.
 
     ``spectrum: NAME`` becomes ``spectrum: {name: NAME}``, with the file's ``text`` unless forestgen ships it. So a
@@ -38,6 +40,7 @@ def embed_spectra(materials: Any, sources: SourceMap, keys: Keys, folder: Path, 
     keys : its key path in the recipe.
     folder : where paths start.
     season : of materials that name none; None: it is not known yet.
+    root : the recipe's folder, where `folder` is that of a species file.
 
     Raises
     ------
@@ -55,7 +58,7 @@ def embed_spectra(materials: Any, sources: SourceMap, keys: Keys, folder: Path, 
         if isinstance(text, str):
             columns = surface_columns(text, name, where)
         elif text is None:
-            path = find_asset(KIND, name, folder=folder, where=where)
+            path = find_asset(KIND, name, folder=folder, root=root, where=where)
             text = table_text(path)
             columns = surface_columns(text, str(path), where)
             if not is_shipped(path):

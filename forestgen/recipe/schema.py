@@ -10,11 +10,12 @@ import math
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, Self, get_args
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from forestgen.recipe.camera_checks import check_cameras, check_motion
 from forestgen.recipe.cameras import Camera, default_view
 from forestgen.recipe.classes import MOST_CLASSES, NO_SPECIES, check_classes
+from forestgen.recipe.dataset import Dataset
 from forestgen.recipe.fields import (
     Flag,
     Fraction,
@@ -29,10 +30,11 @@ from forestgen.recipe.fields import (
     mistake,
     spelled_out,
 )
+from forestgen.recipe.plants import Plants
 from forestgen.recipe.render import Render
+from forestgen.recipe.sampling import Sampling
 from forestgen.recipe.sky import SkySection
 from forestgen.recipe.species import Species
-from forestgen.recipe.spectra import Season
 from forestgen.recipe.terrain import Terrain
 
 SCHEMA_VERSION = 1
@@ -102,81 +104,6 @@ class Community(OpenSection):
     model: Annotated[Text, Field(min_length=1, max_length=100, description="Id of the community model.")]
 
 
-class Plants(Section):
-    """What each plant looks like."""
-
-    geometry: Annotated[
-        Literal["plants", "silhouettes"],
-        Field(
-            description="plants: stems, branches and leaves. silhouettes: solids of revolution of the crowns' forms, "
-            "for looking at a stand before its plants (Lane 2002, Figure 6.2)."
-        ),
-    ] = "plants"
-    exemplars_per_species: Annotated[
-        Whole,
-        Field(
-            ge=1,
-            le=1000,
-            description="Sizes modelled for each species: the centres of clusters of its plants' radii. Every plant is "
-            "one of these, scaled to its exact height.",
-        ),
-    ] = 10
-    variants_per_size: Annotated[
-        Whole,
-        Field(
-            ge=1,
-            le=100,
-            description="Plants modelled for each size, of different seeds; a plant's own number decides which it is. "
-            "Time and memory grow with it.",
-        ),
-    ] = 1
-    traits: Annotated[
-        tuple[Text, ...],
-        Field(
-            max_length=20,
-            description="What counts beside the radius when plants are grouped into sizes: age_yr, height_m, or a "
-            "column of the community model's own. One standard deviation of a trait counts half as much as one of the "
-            "radius' logarithm.",
-        ),
-    ] = ()
-    unique: Annotated[
-        Literal["auto", "all", "none"] | Annotated[Whole, Field(ge=0, le=100_000)],
-        Field(
-            description="Which plants that grew as branch modules are modelled with their own branches: auto, those "
-            "that are large in an image, as many as ten million triangles hold; all; none; or so many of the largest. "
-            "The others are one of `exemplars_per_species` of these, scaled and turned."
-        ),
-    ] = "auto"
-    levels: Annotated[
-        Flag,
-        Field(
-            description="Whether plants far from every camera show fewer, larger leaves and twigs, of the same area, "
-            "chosen so that they stay below a pixel."
-        ),
-    ] = False
-    season: Annotated[
-        Season,
-        Field(
-            description="Of the leaves' spectra: spring, summer, autumn, dry. It changes their light, not their number."
-        ),
-    ] = "summer"
-    cache: Annotated[
-        Flag,
-        Field(
-            description="Whether to keep the modelled plants on disk and take them from there when the same ones are "
-            "asked for again; nothing else changes. FORESTGEN_CACHE names the folder."
-        ),
-    ] = True
-
-    @field_validator("traits")
-    @classmethod
-    def _each_once(cls, value: tuple[str, ...]) -> tuple[str, ...]:
-        for index, trait in enumerate(value):
-            if trait in value[:index]:
-                raise mistake("each trait once", problem="a trait named twice", got=repr(trait), at=(index,))
-        return value
-
-
 Channel = Literal["coverage", "surface", "albedo", "sun", "cloud", "motion", "boundaries", "amodal", "module"]
 CHANNELS: tuple[Channel, ...] = tuple(one for one in get_args(Channel) if one != "module")  # if none are named
 
@@ -220,53 +147,6 @@ class Labels(Section):
         return value
 
 
-Format = Literal["coco", "panoptic", "yolo", "bop", "depth_png", "cryptomatte", "points", "nerfstudio"]
-View = Literal["filmic", "srgb", "acescct"]
-
-
-class Licence(Section):
-    """The licence of the images, as COCO lists it."""
-
-    name: Annotated[Text, Field(min_length=1, max_length=200, description="Such as CC BY 4.0.")]
-    url: Annotated[Text, Field(max_length=500, description="Where its text stands.")] = ""
-
-
-class Dataset(Section):
-    """Files for those who train and measure, besides the frames' own."""
-
-    formats: Annotated[
-        tuple[Format, ...],
-        Field(
-            description="coco (instances, amodal masks, keypoints), panoptic, yolo, bop, depth_png, cryptomatte, "
-            "points, nerfstudio."
-        ),
-    ] = ("coco",)
-    view: Annotated[
-        View,
-        Field(
-            description="View transform of preview.png: filmic bends highlights over, srgb is the plain encoding, "
-            "acescct a logarithmic one for grading."
-        ),
-    ] = "filmic"
-    description: Annotated[Text, Field(max_length=1000, description="What the data set shows.")] = "forestgen dataset"
-    contributor: Annotated[Text, Field(max_length=200, description="Who made it.")] = ""
-    licence: Annotated[Licence | None, Field(description="Of the images.")] = None
-    depth_unit_m: Annotated[
-        Positive, Field(le=1.0, description="Metres of a step of the 16-bit depth PNG, which reaches 65,534 steps.")
-    ] = 0.01
-    point_stride: Annotated[
-        Whole, Field(ge=1, le=1000, description="n: every n-th pixel of every n-th row is a point.")
-    ] = 1
-
-    @field_validator("formats")
-    @classmethod
-    def _each_once(cls, value: tuple[Format, ...]) -> tuple[Format, ...]:
-        for index, name in enumerate(value):
-            if name in value[:index]:
-                raise mistake("each format once", problem="a format named twice", got=name, at=(index,))
-        return value
-
-
 class Wind(Section):
     """Wind at each plant's top, in which it leans and sways; it blows from site.wind_from_deg, by default the west."""
 
@@ -274,6 +154,13 @@ class Wind(Section):
         0.0
     )
     gustiness: Annotated[Fraction, Field(description="Amplitude of the sway by the mean lean, 0 to 1.")] = 0.5
+
+
+def _is_same_stand(value: Any) -> Any:
+    if isinstance(value, bool) or value == "by_split":
+        return value
+    hint = "this key may not be a distribution" if isinstance(value, Mapping) else None
+    raise mistake("true, false or by_split", hint=hint)
 
 
 class Recipe(Section):
@@ -287,7 +174,12 @@ class Recipe(Section):
         Field(ge=0, le=10**12, description="Index of the first image; a stored drawn recipe keeps its own here."),
     ] = 0
     same_stand: Annotated[
-        Flag, Field(description="Whether all images show image 0's stand; distributions are still drawn by image.")
+        Flag | Literal["by_split"],
+        BeforeValidator(_is_same_stand),
+        Field(
+            description="Whether all images show image 0's stand, or by_split, all images of a split the split's own; "
+            "distributions are still drawn by image."
+        ),
     ] = False
     site: Annotated[Site, Field(description="The piece of land.")] = Site()
     species: Annotated[dict[Name, Species], Field(min_length=1, max_length=1000, description="Species by name.")]
@@ -299,6 +191,9 @@ class Recipe(Section):
     labels: Annotated[Labels, Field(description="The labels' computation.")] = Labels()
     wind: Annotated[Wind, Field(description="How plants lean and sway.")] = Wind()
     dataset: Annotated[Dataset, Field(description="Files for training and measuring.")] = Dataset()
+    sampling: Annotated[
+        Sampling | None, Field(description="How draws are spread over the images, tied together and shared.")
+    ] = None
 
     @model_validator(mode="before")
     @classmethod

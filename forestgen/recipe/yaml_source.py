@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import unicodedata
 from pathlib import Path
 from typing import Any
 
 from ruamel.yaml import YAML
-from ruamel.yaml.composer import MaxDepthExceededError
+from ruamel.yaml.composer import Composer, MaxDepthExceededError
 from ruamel.yaml.constructor import ConstructorError
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
@@ -17,10 +18,12 @@ from forestgen.recipe.sources import Keys, Place, SourceMap, dotted
 MAX_BYTES = 1_000_000  # more than any hand writes; ruamel reads some 20 kB a second
 MAX_DEPTH = 40
 LARGEST = 1e100
+MAX_NODES = 100_000  # keys and values, aliases aside
 MAX_ALIAS_NODES = 100_000  # values that aliases (*name) may add: a few lines of nested aliases can mean billions
 _TAG = "tag:yaml.org,2002:"
 _NUMBERS_AND_FLAGS = {_TAG + kind for kind in ("int", "float", "bool", "null")}
 _TEXTS = {_TAG + "str", _TAG + "timestamp", "!"}
+_SCALARS, _CONTAINERS = _NUMBERS_AND_FLAGS | _TEXTS, {_TAG + "map", _TAG + "seq", "!"}
 
 
 def read_yaml(path: Path, *, error: type[ForestgenError] = RecipeError) -> tuple[dict[str, Any], SourceMap]:
@@ -49,6 +52,9 @@ def parse_yaml(
         data = None if node is None else reader.value(node, (), 0)
     except MaxDepthExceededError as cause:
         raise reader.too_deep(origin) from cause
+    except _TooManyNodesError as cause:
+        expected = f"at most {MAX_NODES:,} keys and values; large maps and tables as files of their own"
+        raise error("the text says too much", where=origin, expected=expected, got="more") from cause
     except MarkedYAMLError as cause:
         line = None if cause.problem_mark is None else cause.problem_mark.line + 1
         where = f"{origin}:{line}" if line and lines else origin
@@ -86,10 +92,33 @@ def _read_text(path: Path) -> str:
         ) from cause
 
 
+def _is_unseen(character: str) -> bool:
+    """Whether a character would steer a terminal, or turn round what is read, and is no space between words."""
+    if character in "\t\n\r\f\u200c\u200d\xad\ufeff":  # the latter join and part letters
+        return False
+    return unicodedata.category(character) in ("Cc", "Cf", "Cs")
+
+
 def _kind(value: object) -> str:
     if isinstance(value, list):
         return "a list"
     return f"{str(value)[:60]!r}"
+
+
+class _TooManyNodesError(Exception):
+    """More keys and values than `MAX_NODES`."""
+
+
+class _Composer(Composer):
+    """Stops where a text has too many nodes, before it has read them all."""
+
+    _nodes = 0
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        self._nodes += 1
+        if self._nodes > MAX_NODES:
+            raise _TooManyNodesError
+        return super().compose_node(parent, index)
 
 
 class _Reader:
@@ -97,6 +126,7 @@ class _Reader:
 
     def __init__(self, origin: str, error: type[ForestgenError], lines: bool) -> None:
         self.yaml = YAML(typ="safe", pure=True)
+        self.yaml.Composer = _Composer
         self.yaml.max_depth = 2 * MAX_DEPTH  # counts in another way than ours; far deeper text takes minutes to read
         self.sources = SourceMap({(): self._place(origin, 1, lines)})
         self._origin, self._error, self._lines = origin, error, lines
@@ -117,12 +147,20 @@ class _Reader:
         if depth > MAX_DEPTH:
             raise self.too_deep(str(self._at(node)))
         self._count_aliases(node)
+        if node.tag not in (_SCALARS if isinstance(node, ScalarNode) else _CONTAINERS):
+            raise self._error(
+                "this YAML tag is not allowed",
+                where=self._where(node, keys),
+                expected="numbers, texts, true, false, null, lists and mappings",
+                got=str(node.tag).replace(_TAG, "!!")[:60],
+            )
         if isinstance(node, MappingNode):
             return self._mapping(node, keys, depth)
         if isinstance(node, SequenceNode):
             for i, item in enumerate(node.value):
                 self.sources.set((*keys, i), self._at(item))
             return [self.value(item, (*keys, i), depth + 1) for i, item in enumerate(node.value)]
+        assert isinstance(node, ScalarNode)  # there are no others
         return self._scalar(node, keys)
 
     def _count_aliases(self, node: Node) -> None:
@@ -179,32 +217,23 @@ class _Reader:
 
     def _text(self, node: ScalarNode, keys: Keys) -> str:
         text = str(node.value)
-        if any("\ud800" <= character <= "\udfff" for character in text):
-            got = ascii(text)[:60]
-            raise self._error("not a text", where=self._where(node, keys), expected="no half of a character", got=got)
+        if not text.isprintable() and any(_is_unseen(one) for one in text):
+            got, expected = ascii(text)[:60], "characters that are seen, and no half of one"
+            raise self._error("not a text", where=self._where(node, keys), expected=expected, got=got)
         return text
 
-    def _scalar(self, node: Node, keys: Keys) -> Any:
-        if node.tag in _TEXTS and isinstance(node, ScalarNode):
+    def _scalar(self, node: ScalarNode, keys: Keys) -> Any:
+        if node.tag in _TEXTS:
             return self._text(node, keys)
-        if node.tag in _NUMBERS_AND_FLAGS:
-            try:
-                value = self.yaml.constructor.construct_object(node)
-            except (ValueError, OverflowError, ConstructorError) as cause:
-                got = str(node.value)[:60]
-                raise self._error("not a number", where=self._where(node, keys), got=got) from cause
-            if isinstance(value, int | float) and not abs(value) <= LARGEST:
-                got = str(node.value)[:60]
-                raise self._error(
-                    "bad value", where=self._where(node, keys), expected="a finite number of reasonable size", got=got
-                )
-            return value
-        raise self._error(
-            "this YAML tag is not allowed",
-            where=self._where(node, keys),
-            expected="numbers, texts, true, false, null, lists and mappings",
-            got=str(node.tag).replace(_TAG, "!!")[:60],
-        )
+        try:
+            value = self.yaml.constructor.construct_object(node)
+        except (ValueError, OverflowError, ConstructorError) as cause:
+            got = str(node.value)[:60]
+            raise self._error("not a number", where=self._where(node, keys), got=got) from cause
+        if isinstance(value, int | float) and not abs(value) <= LARGEST:
+            got, expected = str(node.value)[:60], "a finite number of reasonable size"
+            raise self._error("bad value", where=self._where(node, keys), expected=expected, got=got)
+        return value
 
     def _where(self, node: Node, keys: Keys) -> str:
         return f"{self._at(node)}: {dotted(keys)}" if keys else str(self._at(node))

@@ -55,14 +55,28 @@ def to_mesh(
     )
     vertices = mesh.vertices_m if offset_m is None else (mesh.vertices_m - offset_m).astype(np.float32)
     parameters = mi.traverse(result)
-    parameters["vertex_positions"] = np.ascontiguousarray(vertices).ravel()
-    parameters["faces"] = np.ascontiguousarray(mesh.faces).ravel()
+    fill(parameters, "vertex_positions", vertices)
+    fill(parameters, "faces", mesh.faces)
     if normals is not None:
-        parameters["vertex_normals"] = np.ascontiguousarray(normals).ravel()
+        fill(parameters, "vertex_normals", normals)
     if uv is not None:
-        parameters["vertex_texcoords"] = np.ascontiguousarray(uv).ravel()
+        fill(parameters, "vertex_texcoords", uv)
     parameters.update()
     return result
+
+
+def fill(parameters: Any, key: str, values: NDArray[Any]) -> None:
+    """Give an array among a Mitsuba object's parameters other values, as many as it has; `update` is the caller's.
+
+    In a scalar variant its `numpy` is the renderer's own memory: an assignment goes element by element there, a
+    hundred times slower.
+    """
+    flat = np.ascontiguousarray(values).ravel()
+    if mitsuba().variant().startswith("scalar"):
+        np.copyto(parameters[key].numpy(), flat)
+        parameters.set_dirty(key)
+    else:
+        parameters[key] = flat
 
 
 def transform_of(matrix: NDArray[np.float64], shift_m: NDArray[np.float64]) -> Any:

@@ -11,18 +11,14 @@ from __future__ import annotations
 
 import hashlib
 import io
-import platform
 import time
 import zipfile
 from dataclasses import dataclass
-from functools import cache
-from importlib.metadata import version
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-import forestgen
+from forestgen.core.code_hash import code_hash
 from forestgen.core.disk_cache import DiskCache, cache_root
 from forestgen.recipe.assets import scenes_dir
 from forestgen.render.slices import SliceSum
@@ -31,7 +27,8 @@ EVERY_S = 20.0  # at least, from one writing to the next
 _MOST_BYTES = 4_000_000_000
 # Layers that shape an image.
 _SOURCES = (
-    "atmosphere", "community", "core", "geometry", "lsystem", "plants", "recipe", "render", "scene", "stages"
+    "architecture", "atmosphere", "community", "core", "geometry", "lsystem", "plants", "recipe", "render",
+    "scene", "stages",
 )  # fmt: skip
 _COMPUTE_WITH = ("numpy", "scipy", "scikit-learn", "numba", "pvlib", "mitsuba", "drjit")
 
@@ -78,22 +75,6 @@ def unfinished(*identity: str | int) -> Unfinished | None:
     root = cache_root()
     if root is None:
         return None
-    text = repr((_code_hash(), *identity))
+    code = code_hash(_SOURCES, _COMPUTE_WITH, tuple(scenes_dir() / kind for kind in ("spectra", "modules")))
+    text = repr((code, *identity))
     return Unfinished(DiskCache(root / "radiance", _MOST_BYTES), hashlib.sha256(text.encode()).hexdigest())
-
-
-@cache
-def _code_hash() -> str:
-    """Hash of forestgen's version, of the files that shape an image, and of the versions that they compute with."""
-    root, tables = Path(forestgen.__file__).parent, scenes_dir() / "spectra"
-    digest = hashlib.sha256()
-    packages = [version(name) for name in _COMPUTE_WITH]
-    digest.update(repr((forestgen.__version__, platform.machine(), platform.python_version(), packages)).encode())
-    for layer in _SOURCES:
-        for path in sorted((root / layer).rglob("*.py")):
-            digest.update(f"\n{path.relative_to(root).as_posix()}\n".encode())
-            digest.update(path.read_bytes())
-    for path in sorted(tables.rglob("*.csv")):
-        digest.update(f"\n{path.relative_to(tables).as_posix()}\n".encode())
-        digest.update(path.read_bytes())
-    return digest.hexdigest()

@@ -28,6 +28,8 @@ from numpy.typing import NDArray
 from forestgen.community.population import Population
 from forestgen.core.errors import RecipeError
 from forestgen.core.randomness import child_seed
+from forestgen.scene.exemplar_library import Library, plan_from_library
+from forestgen.scene.exemplar_plan import ExemplarPlan
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -35,23 +37,6 @@ Ints = NDArray[np.int64]
 TRAIT_WEIGHT = 0.5  # of a trait against the radius
 LEAST_SPREAD = 0.1  # standard deviation of the radius' logarithm at least, where traits are weighed against it
 _OWN_TRAITS = ("age_yr", "height_m")  # columns that every population has, beside the radius
-
-
-@dataclass(frozen=True)
-class ExemplarPlan:
-    """Which exemplars to grow, and which plant uses which. Every exemplar has plants."""
-
-    species: NDArray[np.uint16]  # (E,) index into the population's species_names
-    radius_m: Floats  # (E,) size of each exemplar
-    rank: Ints  # (E,) of its cluster among the species', by radius: 0, 1, ...
-    variant: Ints  # (E,) which of the plants of that size
-    level: Ints  # (E,) index of its level of detail, see plants/levels.py: 0 is all detail
-    exemplar_of_plant: NDArray[np.uint32]  # (N,) index into the exemplars
-    plant: Ints  # (E,) row of the plant whose own branches it has; -1: its species' generator grows it by its radius
-    is_unique: NDArray[np.bool_]  # (E,) of that plant alone, which keeps its place, size and attitude
-
-    def __len__(self) -> int:
-        return len(self.radius_m)
 
 
 @dataclass(frozen=True)
@@ -97,6 +82,7 @@ def plan_exemplars(
     traits: Sequence[str] = (),
     variants: int = 1,
     given: Mapping[int, ExemplarPlan] | None = None,
+    library: Library | None = None,
 ) -> ExemplarPlan:
     """Cluster each species' plants into at most `per_species` sizes; species without plants get none.
 
@@ -106,6 +92,7 @@ def plan_exemplars(
     variants : exemplars of each size. A plant's is its own, whatever else grows.
     given : plans of species that have one, by their index, see scene/own_exemplars.py; `exemplar_of_plant` of those
         has a species' plants alone.
+    library : sizes and variants are those that all images share, instead of clusters; `variants` of each.
     """
     columns = [np.asarray(_column(population, trait), dtype=np.float64) for trait in traits]
     own = np.array([child_seed(seed, "variant", int(i)) % variants for i in population.plant_id], dtype=np.int64)
@@ -116,6 +103,12 @@ def plan_exemplars(
             continue
         if given is not None and index in given:
             parts.append(given[index])
+            continue
+        if library is not None:
+            part, variant = plan_from_library(
+                index, name, population.radius_m[rows], own[rows], library, per_species, seed
+            )
+            parts.append(_split(part, variant, "variant"))
             continue
         features = _features(population.radius_m[rows], [column[rows] for column in columns])
         centres, labels = cluster(features, per_species, child_seed(seed, "k-means", name))

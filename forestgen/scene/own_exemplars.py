@@ -23,7 +23,8 @@ from forestgen.architecture.tables import Tables
 from forestgen.community.population import Population
 from forestgen.core.randomness import child_seed
 from forestgen.plants.grown.wood import ModuleWood
-from forestgen.scene.exemplars import ExemplarPlan, cluster
+from forestgen.scene.exemplar_plan import ExemplarPlan
+from forestgen.scene.exemplars import cluster
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

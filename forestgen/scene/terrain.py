@@ -205,14 +205,34 @@ def litter_texture(rng: np.random.Generator) -> NDArray[np.float32]:
     """(P, P, 3) reflectance of a forest floor, periodic: fallen leaves on dark humus, moss in patches."""
     upper, leaf_colour, shade = _scattered_leaves(rng)
     patches = _tile_noise(9.0, 0.25, 2.6, rng)
-    grain = _tile_noise(0.25, 0.032, 0.5, rng)[..., None]
-    humus = _HUMUS * (1 + 0.25 * grain)
-    litter = np.where(upper[..., None] >= 0, leaf_colour[upper] * shade[..., None], humus)
-    moss = _MOSS * (1 + 0.3 * grain) * (1 + 0.25 * patches[..., None])
-    # Moss spreads under the leaves first: where it is thin, leaves still lie on it.
-    cover = 1 / (1 + np.exp(-(patches - 0.55) / 0.22))[..., None]
-    bare = np.where(upper[..., None] >= 0, np.clip(2.2 * cover - 1.2, 0, 1), cover)
-    return np.clip(litter + bare * (moss - litter), 0.012, 0.6).astype(np.float32)
+    grain = _tile_noise(0.25, 0.032, 0.5, rng)
+    cover = 1 / (1 + np.exp(-(patches - 0.55) / 0.22))
+    texture = np.empty((*upper.shape, 3), dtype=np.float32)
+    _grow_moss(upper, leaf_colour, shade, patches, grain, cover, texture)
+    return texture
+
+
+@compiled
+def _grow_moss(upper, leaf_colour, shade, patches, grain, cover, texture):  # type: ignore[no-untyped-def]
+    """Write the colours of leaves, humus and moss: every image has a floor of its own, so it has to be fast.
+
+    Parameters
+    ----------
+    upper, leaf_colour, shade : of `_scattered_leaves`.
+    patches, grain : (P, P) of unit variance.
+    cover : (P, P) share of the ground that moss takes.
+    texture : (P, P, 3) written.
+    """
+    for row in range(upper.shape[0]):
+        for column in range(upper.shape[1]):
+            leaf, share = upper[row, column], cover[row, column]
+            if leaf >= 0:  # moss spreads under the leaves first: where it is thin, leaves still lie on it
+                share = min(max(2.2 * share - 1.2, 0.0), 1.0)
+            fine, coarse = grain[row, column], patches[row, column]
+            for k in range(3):
+                litter = leaf_colour[leaf, k] * shade[row, column] if leaf >= 0 else _HUMUS[k] * (1 + 0.25 * fine)
+                moss = _MOSS[k] * (1 + 0.3 * fine) * (1 + 0.25 * coarse)
+                texture[row, column, k] = min(max(litter + share * (moss - litter), 0.012), 0.6)
 
 
 _UNEVENNESS = {  # of a ground's brightness: in patches of metres, in grains of centimetres

@@ -17,6 +17,7 @@ from forestgen.core.progress import Progress
 from forestgen.core.randomness import child_rng
 from forestgen.recipe import clouds as recipe_clouds
 from forestgen.recipe.load import DrawnRecipe
+from forestgen.recipe.paths import inside
 from forestgen.stages.scenarios import droplet_radius_um_of, known_file, scenario_of, time_of
 
 MOST_OPTICAL_DEPTH = 200.0  # straight up, of noise: small cumulus
@@ -251,7 +252,10 @@ def cloud_bytes(drawn: DrawnRecipe) -> int:
         assert clouds.thickness_m is not None
         return int((clouds.extent_m / 40) ** 2 * max(8, clouds.thickness_m / 20) * _BYTES_PER_CLOUD_CELL)
     if clouds.type == "file":
-        return _file_bytes(drawn.folder / clouds.file.file, repeated=clouds.repeat is not False) if clouds.file else 0
+        if clouds.file is None:
+            return 0
+        path = inside(drawn.folder, clouds.file.file, sha256=clouds.file.sha256)
+        return _file_bytes(path, repeated=clouds.repeat is not False)
     most = 0
     for chapter in scenario_of(drawn).chapters:
         conditions = chapter.conditions

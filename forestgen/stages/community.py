@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 
 from forestgen.community.model import simulate
 from forestgen.community.population import Population
 from forestgen.core.progress import Progress
+from forestgen.stages.community_cache import (
+    WORTHWHILE_S,
+    as_kept,
+    community_key,
+    community_store,
+    keep_community,
+    load_community,
+)
 from forestgen.stages.plan import Plan
 
 
@@ -23,9 +32,18 @@ def snapshots(plan: Plan, progress: Progress, start: Population | None = None) -
 
 
 def final_population(plan: Plan, progress: Progress) -> Population:
-    """The community at the recipe's last step."""
+    """The community at the recipe's last step, from the cache if it was simulated before."""
+    store = community_store()
+    key = None if store is None else community_key(plan)
+    kept = None if store is None or key is None else load_community(store, key)
+    if kept is not None:
+        return kept
+    began = time.monotonic()
     last: Population | None = None
     for population in snapshots(plan, progress):
         last = population
     assert last is not None  # step 0 is always there
+    last = as_kept(last)
+    if store is not None and key is not None and time.monotonic() - began >= WORTHWHILE_S:
+        keep_community(store, key, last)
     return last

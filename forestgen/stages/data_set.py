@@ -7,7 +7,8 @@ from dataclasses import fields
 from forestgen.core.errors import RecipeError
 from forestgen.dataset.settings import DatasetSettings, dataset_settings
 from forestgen.labels.classes import ClassMap
-from forestgen.recipe.load import DrawnRecipe
+from forestgen.recipe.load import DrawnRecipe, LoadedRecipe
+from forestgen.stages.plan import Plan
 
 _CLASSES = ("labels", "classes")
 _KEYS = {
@@ -49,6 +50,30 @@ def check_one_data_set(drawn: DrawnRecipe, settings: DatasetSettings) -> None:
                 got=_show(mine),
                 hint="give a value, not a distribution",
             )
+
+
+def check_stands(plan: Plan, loaded: LoadedRecipe) -> None:
+    """Refuse several splits for a stand in which nothing is drawn: an inventory is the same forest in each image.
+
+    Raises
+    ------
+    RecipeError
+    """
+    community, splits = plan.drawn.recipe.community, loaded.splits
+    stands_differ = (
+        community.model != "placed"
+        or bool(plan.model_parameters.disturbances)
+        or any(keys[0] == "community" for keys in loaded.distributions)
+    )
+    nobody = plan.model.expected_plants(plan.model_parameters, plan.site, plan.ecologies) == 0
+    if len(splits) > 1 and not stands_differ and not nobody:
+        raise RecipeError(
+            "all images show the plants of one list: what is tested would have been learned",
+            where=plan.drawn.where("community", "model"),
+            expected="one split, or a stand that is drawn for each image",
+            got=f"placed, with the splits {', '.join(splits)}",
+            hint="--set 'dataset.splits={train: 1}'; merge data sets of several stands, each of its own split",
+        )
 
 
 def _show(value: object) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from forestgen.core.errors import RecipeError
 from forestgen.plants.parameters import PlantParameters
 from forestgen.recipe.load import DrawnRecipe
-from forestgen.recipe.schema import Plants
+from forestgen.recipe.plants import Plants
 from forestgen.recipe.species import Plant, Species
 from forestgen.scene.own_exemplars import MOST_TRIANGLES
 

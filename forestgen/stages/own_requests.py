@@ -20,7 +20,7 @@ from forestgen.plants.cache import ExemplarRequest
 from forestgen.plants.generators.branch_modules import Parameters
 from forestgen.plants.grown.build import estimate_triangles
 from forestgen.plants.levels import level_of_index
-from forestgen.scene.exemplars import ExemplarPlan
+from forestgen.scene.exemplar_plan import ExemplarPlan
 from forestgen.scene.own_exemplars import plan_own, unique_plants, woods_of
 from forestgen.stages.module_checks import obstacles_of
 from forestgen.stages.plan import Plan, check_own_triangles

@@ -18,6 +18,7 @@ from forestgen.core.grey_picture import read_grey
 from forestgen.recipe import clouds as recipe_clouds
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.map_files import file_sha256
+from forestgen.recipe.paths import inside
 
 _CHANGE_S = 1200.0
 _ANY = TypeVar("_ANY")
@@ -152,7 +153,7 @@ def _layers(
 
 def known_file(drawn: DrawnRecipe, named: recipe_clouds.NamedFile, where: str) -> Path:
     """The path of a file that a recipe names, still the one that the recipe was loaded with."""
-    path = drawn.folder / named.file
+    path = inside(drawn.folder, named.file, sha256=named.sha256, where=where)
     try:
         found = file_sha256(path, named.file)
     except AssetError as cause:

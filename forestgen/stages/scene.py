@@ -13,7 +13,7 @@ from forestgen.community.population import Population
 from forestgen.core.progress import Progress
 from forestgen.core.randomness import child_rng
 from forestgen.plants.build import size_m
-from forestgen.plants.cache import ExemplarRequest, exemplar_store
+from forestgen.plants.cache import LIBRARY_BYTES, MOST_BYTES, ExemplarRequest, exemplar_store
 from forestgen.plants.exemplar import Exemplar
 from forestgen.plants.growing import grow_exemplars
 from forestgen.plants.levels import level_for, level_of_index
@@ -22,8 +22,8 @@ from forestgen.plants.solids import as_solids
 from forestgen.render.transport import cloud_transport_of
 from forestgen.scene.assemble import pixel_size_m, place_instances, stand_on
 from forestgen.scene.camera_path import next_frame
+from forestgen.scene.exemplar_plan import ExemplarPlan
 from forestgen.scene.exemplars import (
-    ExemplarPlan,
     SizeError,
     check_traits,
     plan_exemplars,
@@ -35,6 +35,7 @@ from forestgen.scene.terrain import HeightField, build_terrain
 from forestgen.scene.trunks import Trunks
 from forestgen.scene.wind import Sway, spec_at, sway_in
 from forestgen.stages.clouds import clouds_of
+from forestgen.stages.exemplar_library import library_of, modelled_species, origin_of
 from forestgen.stages.ground import height_field
 from forestgen.stages.module_checks import turned_obstacles
 from forestgen.stages.own_requests import has_own, own_requests, plan_own_plants
@@ -159,6 +160,7 @@ def choose_exemplars(plan: Plan, population: Population, cameras: Sequence[Camer
         traits=section.traits,
         variants=section.variants_per_size,
         given=given,
+        library=library_of(plan),
     )
     if not section.levels or pixel_m is None:
         return chosen
@@ -166,7 +168,7 @@ def choose_exemplars(plan: Plan, population: Population, cameras: Sequence[Camer
     for index, name in enumerate(population.species_names):
         rows = population.species == index
         exemplar_radius_m = chosen.radius_m[chosen.exemplar_of_plant[rows]]
-        own_height_m[rows] = plan.drawn.species[name].allometry.height(exemplar_radius_m)
+        own_height_m[rows] = modelled_species(plan, name).allometry.height(exemplar_radius_m)
     stand_in = chosen.plant[chosen.exemplar_of_plant]
     own_height_m = np.where(stand_in < 0, own_height_m, population.height_m[np.maximum(stand_in, 0)])
     scale = population.height_m / own_height_m  # of the instance
@@ -177,14 +179,16 @@ def grow_planned(
     plan: Plan, exemplar_plan: ExemplarPlan, progress: Progress, population: Population | None = None
 ) -> tuple[Exemplar, ...]:
     """The exemplars of a plan; see `exemplar_requests`."""
-    kept = plan.drawn.recipe.plants.cache and plan.drawn.image_index < MOST_CACHED_IMAGES
+    section = plan.drawn.recipe.plants
+    kept = section.cache and (section.library is not None or plan.drawn.image_index < MOST_CACHED_IMAGES)
     with progress.stage("plants", len(exemplar_plan)) as advance:
         requests = exemplar_requests(plan, exemplar_plan, population)
-        grown = grow_exemplars(requests, store=exemplar_store() if kept else None, advance=advance)
+        store = exemplar_store(MOST_BYTES if section.library is None else LIBRARY_BYTES) if kept else None
+        grown = grow_exemplars(requests, store=store, advance=advance)
     grown = tuple(
         replace(one, is_unique=bool(unique)) for one, unique in zip(grown, exemplar_plan.is_unique, strict=True)
     )
-    if plan.drawn.recipe.plants.geometry == "silhouettes":
+    if section.geometry == "silhouettes":
         return tuple(_silhouette(request, one) for request, one in zip(requests, grown, strict=True))
     return grown
 
@@ -213,16 +217,17 @@ def exemplar_requests(
             requests.append(own[index])
             continue
         name = names[exemplar_plan.species[index]]
-        rank, variant = int(exemplar_plan.rank[index]), int(exemplar_plan.variant[index])
+        seed, identity = origin_of(plan, name, int(exemplar_plan.rank[index]), int(exemplar_plan.variant[index]))
         requests.append(
             ExemplarRequest(
                 species_name=name,
-                species=plan.drawn.species[name],
+                species=modelled_species(plan, name),
                 parameters=plan.generator_parameters[name],
                 radius_m=float(exemplar_plan.radius_m[index]),
-                seed=plan.drawn.image_seed,
-                identity=("exemplar", name, rank, variant) if variant else ("exemplar", name, rank),
+                seed=seed,
+                identity=identity,
                 level=level_of_index(int(exemplar_plan.level[index])),
+                is_shared=plan.drawn.recipe.plants.library is not None,
             )
         )
     return requests

@@ -19,6 +19,7 @@ from forestgen.plants.bark.texture import texture_images
 from forestgen.plants.build import build_exemplar, size_m
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.plants.parameters import with_detail
+from forestgen.recipe.assets import SUFFIXES
 from forestgen.recipe.load import DrawnRecipe, load_recipe_data
 from forestgen.recipe.species import TALLEST_M, Species
 from forestgen.scene.spec import Camera, Material
@@ -149,8 +150,12 @@ def default_outputs(species: str) -> tuple[Path, ...]:
 
 def drawn_of(species: str, seed: int) -> DrawnRecipe:
     """A recipe that has this species alone; the generator's own keys are not yet checked."""
-    alone = {"species": {name_of(species): {"from": species}}, "community": {"model": "multiset_lsystem"}}
-    return load_recipe_data({"forestgen": 1, "seed": seed, **alone}, "forestgen plant").draw(0)
+    path = Path(species)
+    is_file = path.suffix in SUFFIXES["species"]
+    source = f"./{path.name}" if is_file else species  # a file of the user's own may lie anywhere
+    alone = {"species": {name_of(species): {"from": source}}, "community": {"model": "multiset_lsystem"}}
+    folder = path.parent if is_file else Path()
+    return load_recipe_data({"forestgen": 1, "seed": seed, **alone}, "forestgen plant", folder).draw(0)
 
 
 def plan_of(species: str, seed: int, detail: int | None = None) -> Plan:

@@ -66,6 +66,12 @@ def below_ground(drawn: DrawnRecipe) -> list[tuple[int, Camera, float]]:
     return found
 
 
+def ground_below(drawn: DrawnRecipe, camera: Camera) -> float:
+    """Height of the ground below a camera, metres, world."""
+    x, y, _ = camera.position_m
+    return float(height_field(drawn)(np.array([x]), np.array([y]))[0])
+
+
 def check_above_ground(drawn: DrawnRecipe) -> None:
     """Refuse cameras below the ground, of entries whose `obstructed` is an error.
 

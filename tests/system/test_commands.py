@@ -21,6 +21,11 @@ from forestgen.cli import app, doctor
 SPECIES = Path(__file__).parents[2] / "scenes" / "species"
 COMMANDS = (
     "render",
+    "batch",
+    "report",
+    "verify",
+    "merge",
+    "pack",
     "simulate",
     "plant",
     "validate",
@@ -57,6 +62,7 @@ def test_help_shows_an_example_that_parses(name: str) -> None:
     words = example[1].split()
     assert words[:2] == ["forestgen", name]
     assert all(len(line) <= 80 for line in answer.out.splitlines())
+    assert not re.search(r"{[A-Z]|<[a-z]", answer.out), "an argument is shown as typer shows it"
     for option in [word for word in words if word.startswith("--")]:
         assert answer.out.count(option) >= 2, f"{option} is not explained"
 

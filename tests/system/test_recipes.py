@@ -26,11 +26,23 @@ SMALL = (
 )
 
 
-COARSE = {  # of clouds, of a walk of eight frames, and of a house on a larger site
+COARSE = {  # of clouds, of a walk of eight frames, of a house on a larger site, and of large stands
     "branch_modules": ("community.obstacles.0.position_m=[18, 20]",),
     "kernel_growth": ("sky.clouds={type: noise, extent_m: 2000}",),
+    "mixed_stand": ("sky.clouds.type={choice: [none]}", "community.cells=128"),
     "quickstart": ("sky.clouds={type: noise, extent_m: 2000}",),
+    "sapling_stand": (
+        "sky.clouds.type={choice: [none]}",
+        "cameras.1.size_px=[48, 32]",
+        "community.plants.grass.plants_per_ha=1000",
+        "plants.variants_per_size=1",
+    ),
     "training_set": ("sky.clouds.extent_m=2000",),
+    "vista": (
+        "sky.clouds.type={choice: [none]}",
+        "community.cells=128",
+        *(f"community.plants.{name}.count=8" for name in ("spruce", "beech", "pine", "birch", "shrub")),
+    ),
     "walk_in_the_wind": ("cameras.0.path.frames=3",),
     "weather_cumulus": ("sky.clouds.time_s=600", "sky.clouds.domain={cell_m: 450, cell_height_m: 200}"),
     "weather_story": ("images=1", "sky.clouds.time_s=300", "sky.clouds.story.0.domain={cell_m: 75, cell_height_m: 10}"),
@@ -41,6 +53,7 @@ COARSE = {  # of clouds, of a walk of eight frames, and of a house on a larger s
 MODULES = ("community.steps=4", "community.initial_plants=12", "plants.unique=2")
 BIOMES = [name for name in list_assets("recipes") if name.startswith("biomes/")]
 ALWAYS = "biomes/desert"  # the others with the slow tests
+LARGE = ("mixed_stand", "vista")
 
 
 def _render(recipe: Path, target: Path, *settings: str) -> Path:
@@ -69,7 +82,7 @@ def test_reproduction_simulates(name: str) -> None:
 @pytest.mark.parametrize(
     "name",
     [
-        pytest.param(name, marks=pytest.mark.slow if name in BIOMES and name != ALWAYS else ())
+        pytest.param(name, marks=pytest.mark.slow if name in (*BIOMES, *LARGE) and name != ALWAYS else ())
         for name in list_assets("recipes")
         if name not in REPRODUCTIONS
     ],

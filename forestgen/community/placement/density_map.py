@@ -41,6 +41,7 @@ from forestgen.core.errors import AssetError, RecipeError
 from forestgen.core.grey_picture import GreyPicture, read_grey
 from forestgen.recipe.fields import Flag, NonNegative, Positive, Section, Text, mistake
 from forestgen.recipe.map_files import file_sha256
+from forestgen.recipe.paths import inside
 from forestgen.recipe.sources import Keys
 
 LARGEST = 1e12  # a map's values, scaled; more would make sums over the site meaningless
@@ -94,7 +95,7 @@ class MapSection(Section):
             _check_rows(self.rows)
             self._read_picture = GreyPicture(np.array(self.rows, dtype=np.float64), 1.0)
         else:
-            self._read_picture = self._opened((info.context or {}).get("folder", Path()))
+            self._read_picture = self._opened((info.context or {}).get("folder"))
         self._check_values()
         return self
 
@@ -103,10 +104,14 @@ class MapSection(Section):
         assert self._read_picture is not None
         return self._read_picture
 
-    def _opened(self, folder: Path) -> GreyPicture:
-        """The file's picture, read once for all maps of its content."""
+    def _opened(self, folder: Path | None) -> GreyPicture:
+        """The file's picture, read once for all maps of its content; without a recipe's folder, of any path."""
         assert self.file is not None
-        path, named = folder / self.file, self.file
+        named = self.file
+        try:
+            path = Path(named) if folder is None else inside(folder, named, sha256=self.sha256)
+        except AssetError as cause:
+            raise mistake(cause.expected or "", problem=cause.problem, got=cause.got, hint=cause.hint) from cause
 
         def read() -> GreyPicture:
             if self.sha256 is not None and file_sha256(path, named) != self.sha256:

@@ -49,7 +49,7 @@ from forestgen.dataset.settings import DatasetSettings
 from forestgen.dataset.tonemap import preview_of
 from forestgen.labels.labelled import LabelledFrame
 from forestgen.labels.masks import rows_of
-from forestgen.recipe.schema import View
+from forestgen.recipe.dataset import View
 
 PLY_NAME, LAZ_NAME = "points.ply", "points.laz"
 FINEST_STEP_M = 1e-4

@@ -211,7 +211,8 @@ class SceneTracer:
         hit = self.scene.ray_intersect_preliminary(ray, coherent=True, active=active)
         valid = hit.is_valid() & active
         registry = dr.reinterpret_array(mi.UInt32, hit.instance)
-        known = valid & (registry < dr.width(self._row_of_registry))
+        # Opaque, as all that changes from scene to scene: a literal would cost each image kernels of its own.
+        known = valid & (registry < dr.opaque(mi.UInt32, dr.width(self._row_of_registry)))
         instance = dr.gather(mi.UInt32, self._row_of_registry, registry, known)
         inside = dr.select(valid & (instance > 0), hit.shape_index, 0)
         organ = dr.gather(mi.UInt32, self.first_organ, instance, valid) + inside

@@ -155,7 +155,7 @@ def test_users_bring_files_folders_and_texts(tmp_path: Path) -> None:
         (["./no.yaml"], "no such modules file"),
         (["whorled", "whorled"], "two prototypes of one name"),
         (["fork.yaml", "again.yaml"], "two prototypes at one place"),
-        (["a\0/"], "no such modules file"),
+        (["a\0/"], "not a file's name"),
         ([], "bad number of prototypes"),
     ],
 )

@@ -175,7 +175,8 @@ def test_a_mark_is_removed_only_after_a_later_one_is_written(store: DiskCache, m
 
 def test_weather_is_known_by_all_code_that_it_is_made_with() -> None:
     program = (
-        "import sys\nfrom forestgen.atmosphere.simulate import code_files\nknown = set(map(str, code_files()))\n"
+        "import sys\nfrom forestgen.core.code_hash import source_files\n"
+        "from forestgen.atmosphere.simulate import SOURCES\nknown = set(map(str, source_files(SOURCES)))\n"
         "own = {one.__file__ for name, one in sys.modules.items() if name.startswith('forestgen.')}\n"
         "print(*sorted(one for one in own - known if not one.endswith('__init__.py')))"
     )

@@ -12,7 +12,7 @@ from forestgen.core.spectrum import Band, Spectrum
 from forestgen.dataset.exr import read_exr_attributes
 from forestgen.dataset.tonemap import MIDDLE_GREY, preview_of, tone_map
 from forestgen.dataset.writer import write_frame
-from forestgen.recipe.schema import Dataset, View
+from forestgen.recipe.dataset import Dataset, View
 from forestgen.render.frame import Radiance
 
 VIEWS = get_args(View)

@@ -18,7 +18,7 @@ from forestgen.dataset.exr import read_exr
 from forestgen.dataset.files import write_bytes, write_json
 from forestgen.dataset.tables import write_plants
 from forestgen.dataset.writer import frame_bytes, frame_folder_name, write_dataset, write_frame
-from forestgen.recipe.schema import Format
+from forestgen.recipe.dataset import Format
 
 FILES = {
     "camera.json", "frame.exr", "instance.png", "overlay.png", "plants.parquet", "preview.png", "recipe.yaml",

@@ -16,7 +16,7 @@ from plant_species import read
 from forestgen.core.disk_cache import ENVIRONMENT, DiskCache
 from forestgen.core.errors import RecipeError
 from forestgen.core.packed import pack
-from forestgen.plants import cache, growing
+from forestgen.plants import growing
 from forestgen.plants.cache import ExemplarRequest, exemplar_store, keep_exemplar, load_exemplar
 from forestgen.plants.exemplar import Exemplar
 from forestgen.plants.growing import grow_exemplar, grow_exemplars
@@ -95,21 +95,6 @@ def test_every_input_is_in_the_key(change: str) -> None:
     request = request_for("fireweed")
     assert request.key() == request_for("fireweed").key()
     assert CHANGES[change](request).key() != request.key()
-
-
-def test_a_change_of_the_code_is_in_the_key(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    for layer in ("core", "geometry", "lsystem", "plants"):
-        (tmp_path / layer / "deep").mkdir(parents=True)
-        (tmp_path / layer / "deep" / "a.py").write_text("x = 1")
-    monkeypatch.setattr(cache.forestgen, "__file__", str(tmp_path / "__init__.py"))
-    seen = set()
-    for path, text in (("plants/deep/a.py", "x = 1"), ("plants/deep/a.py", "x = 2"), ("lsystem/b.lark", "y")):
-        (tmp_path / path).write_text(text)
-        seen.add(cache.code_hash.__wrapped__())
-    assert len(seen) == 3
-    (tmp_path / "plants" / "__pycache__").mkdir()
-    (tmp_path / "plants" / "__pycache__" / "kernel.nbi").write_text("compiled")
-    assert cache.code_hash.__wrapped__() in seen
 
 
 @pytest.mark.parametrize("damage", [lambda data: data[: len(data) // 2], lambda data: b"", lambda data: b"x" * 900])

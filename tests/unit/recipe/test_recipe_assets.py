@@ -22,7 +22,7 @@ def test_a_path_is_relative_to_the_recipe(tmp_path: Path) -> None:
     assert assets.find_asset("species", "./own.yaml", folder=tmp_path) == tmp_path / "./own.yaml"
     assert assets.find_asset("species", str(tmp_path / "own.yaml")) == tmp_path / "own.yaml"
     for missing in ("./other.yaml", "other.yaml", "a/b", "nul\0/x"):
-        with pytest.raises(AssetError, match="no such species file"):
+        with pytest.raises(AssetError, match=r"no such species file|not a file's name"):
             assets.find_asset("species", missing, folder=tmp_path)
 
 

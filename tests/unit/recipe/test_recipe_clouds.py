@@ -80,6 +80,12 @@ def test_mistakes_are_told_with_their_place(write: Write, clouds: str, said: Seq
         assert part in str(caught.value)
 
 
+def test_a_file_of_another_kind_holds_no_sky(write: Write) -> None:
+    recipe = write()
+    with pytest.raises(RecipeError, match="this file holds no sky"):
+        load_recipe(recipe, [f"sky.clouds={{type: file, file: {recipe.name}}}"])
+
+
 def test_a_sequence_gives_each_image_its_own(write: Write) -> None:
     loaded = load_recipe(write(), ["sky.clouds={type: fog, time_s: {sequence: [1, 2, 5]}}"])
     assert [loaded.draw(index).recipe.sky.clouds.time_s for index in range(4)] == [1, 2, 5, 1]

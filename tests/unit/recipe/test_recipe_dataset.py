@@ -4,8 +4,8 @@ import pytest
 from pydantic import ValidationError
 
 from forestgen.core.errors import RecipeError
+from forestgen.recipe.dataset import Dataset
 from forestgen.recipe.load import load_recipe
-from forestgen.recipe.schema import Dataset
 
 
 def test_all_formats_and_a_licence():

@@ -154,7 +154,7 @@ def test_duplicate_keys_name_both_lines(tmp_path: Path) -> None:
         ("sky.turbidity={lognormal: [-3, 1]}", ["median greater than 0"]),
         ("sky.turbidity={uniform: [4, 3]}", ["low at most high"]),
         ("sky.turbidity={choice: []}", ["1 to 10000"]),
-        ("sky.turbidity={choice: [[3]]}", ["not lists"]),
+        ("sky.turbidity={choice: [[3]]}", ["a number", "[3], from {choice: [[3]]}"]),
         ("sky={uniform: [1, 2]}", ["a mapping"]),
         ("species={choice: [1, 2]}", ["a mapping"]),
         ("seed.x=3", ["no key 'x'"]),

@@ -124,6 +124,35 @@ def test_rejects(path: tuple[str, ...], value: object) -> None:
     assert not accepts(schema, data, schema)
 
 
+@pytest.mark.parametrize(
+    ("path", "value", "good"),
+    [
+        (("sky", "turbidity"), {"choice": {"values": [1, 2], "weights": [3, 1]}}, True),
+        (("sky", "turbidity"), {"choice": {"values": [1, 2], "weight": [3, 1]}}, False),
+        (("sky", "turbidity"), {"formula": "2 + 4 * haze"}, True),
+        (("sky", "turbidity"), {"variable": "haze"}, True),
+        (("sky", "turbidity"), {"variable": 3}, False),
+        (("sky", "clouds"), {"choice": [{"type": "none"}, "noise"]}, True),
+        (("cameras",), {"choice": [[{"name": "a"}], [{"name": "b"}]]}, True),
+        (("same_stand",), "by_split", True),
+        (("same_stand",), {"choice": [True, False]}, False),
+        (("dataset",), {"splits": {"train": {"uniform": [1, 2]}}}, False),
+        (("sampling",), {"method": "sobol", "strata": {"sky.turbidity": 3, "plants.season": "all"}}, True),
+        (("sampling",), {"variables": {"haze": {"uniform": [0, 1]}, "two": 2, "x": {"formula": "2 * haze"}}}, True),
+        (("sampling",), {"method": {"choice": ["sobol", "halton"]}}, False),
+        (("sampling",), {"correlations": [{"keys": ["a", "b"], "rank": 0.5}]}, True),
+        (("sampling",), {"correlations": [{"keys": ["a"], "rank": 0.5}]}, False),
+    ],
+)
+def test_what_is_drawn(path: tuple[str, ...], value: object, good: bool) -> None:
+    schema, data = recipe_json_schema(), example()
+    inner = data
+    for key in path[:-1]:
+        inner = inner[key]
+    inner[path[-1]] = value
+    assert accepts(schema, data, schema) == good
+
+
 def test_every_key_has_a_description() -> None:
     def walk(node: Any) -> None:
         if isinstance(node, list):

@@ -110,6 +110,19 @@ def test_draws_are_independent_of_each_other_and_of_order(write: Write) -> None:
     assert load_recipe(write(), ["seed=8"]).draw(0).data["sky"] != forward[0]["sky"]
 
 
+def test_draws_of_recipes_without_sampling_stay_as_they_are(write: Write) -> None:
+    # Data sets have been made with these values.
+    loaded = load_recipe(write())
+    pinned = {
+        0: [21.58111617556858, 194, 3.4077847526849174, 45.547424250595185, 40],
+        1: [25.321324588417127, 292, 3.886671470479859, 21.725639969638287, 60],
+        9: [27.20422508489365, 246, 4.862493791682137, 42.2910478247802, 60],
+    }
+    for index, values in pinned.items():
+        assert list(loaded.draw(index).draws.values()) == values
+    assert [loaded.draw(index).image_seed for index in (0, 1)] == [3998831901039839721, 231922648405703313]
+
+
 def test_first_image_shifts_the_images(write: Write) -> None:
     loaded, later = load_recipe(write()), load_recipe(write(), ["first_image=5"])
     assert later.draw(1).data == loaded.draw(6).data

@@ -168,7 +168,7 @@ def test_a_map_of_other_content_is_refused(recipe):
     ("maps/meadow.png", "maps/medow.png", ["recipe.yaml:7: community.plants.oak.map: no such file", ": meadow.png"]),
     ("other.npy", "no/other.npy", ["recipe.yaml:9: community.plants.elm.map.file: no such file", "there is no folder"]),
     ("path.png", "maps", ["recipe.yaml:11: community.keep_out: this is a folder"]),
-    ("path.png", "/dev/zero", ["this is no plain file"]),
+    ("path.png", "/dev/zero", ["recipe.yaml:11: community.keep_out: the path leads out of the recipe's folder"]),
     ("path.png", "n" * 300, ["cannot be read"]),
     ("path.png", "{choice: [path.png, none.png]}", ["recipe.yaml:11: community.keep_out: no such file"]),
 ])  # fmt: skip

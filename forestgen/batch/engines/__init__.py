@@ -1,0 +1,1 @@
+"""Who does the jobs: processes of this machine (`local`), or a Dask cluster (`dask`)."""

@@ -1,0 +1,52 @@
+"""SHA256SUMS: a line a file, as `sha256sum -c SHA256SUMS` reads it."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+from forestgen.core.errors import DatasetError
+from forestgen.dataset.files import output_error
+
+SUMS_NAME = "SHA256SUMS"
+_LINE = re.compile(r"([0-9a-f]{64}) [ *](.+)")
+
+
+def write_sums(path: Path, sums: Iterable[tuple[str, str]]) -> None:
+    """Write path and SHA-256, hexadecimal, of each file, in the order given; a failure raises `OutputError`."""
+    try:
+        with path.open("w", encoding="utf-8", newline="\n") as stream:
+            stream.writelines(f"{digest}  {name}\n" for name, digest in sums)
+    except OSError as error:
+        raise output_error(error, path) from error
+
+
+def read_sums(path: Path) -> Iterator[tuple[str, str]]:
+    """Path and SHA-256 of each file that is listed.
+
+    Raises
+    ------
+    DatasetError : there is no such file, or a line is of another form.
+    """
+    try:
+        with path.open(encoding="utf-8") as stream:
+            for number, line in enumerate(stream, start=1):
+                match = _LINE.fullmatch(line.rstrip("\n"))
+                if match is None or not line.endswith("\n"):
+                    raise DatasetError(
+                        "this line is no checksum",
+                        where=f"{path}:{number}",
+                        expected="64 hexadecimal digits, two blanks and a path",
+                        got=repr(line[:80]),
+                    )
+                yield match[2], match[1]
+    except (OSError, ValueError) as error:  # ValueError: bytes that are no UTF-8
+        raise DatasetError("the checksums cannot be read", where=str(path), got=str(error)) from error
+
+
+def file_sum(path: Path) -> str:
+    """SHA-256, hexadecimal, of a file."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()

@@ -1,0 +1,239 @@
+"""index.parquet: a row a frame, for those who choose, weigh and count images without opening them.
+
+Metres, degrees, pixels; the world's axes are x east, y north, z up. Shares are 0 to 1. Null: unknown, or nothing there.
+
+| column | type | meaning |
+|--------|------|---------|
+| frame | string | name of the frame's folder |
+| folder | string | its path below the data set's folder: SPLIT/FRAME |
+| split, image, camera | string, int64, string | |
+| sequence, time_s | string, double | of a camera that moves: its path, and the time on it |
+| image_seed | int64 | root of the image's randomness |
+| recipe_hash | string | SHA-256 of the drawn recipe |
+| width_px, height_px | int32 | |
+| camera_kind | string | perspective, fisheye, orthographic, panorama |
+| hfov_deg | double | across the width; null: orthographic, panorama |
+| camera_x_m, camera_y_m, camera_z_m | double | where it stands |
+| camera_height_m | double | above the ground below it |
+| camera_pitch_deg, camera_azimuth_deg | double | of its axis: above the horizon, clockwise from north |
+| sky_kind, clouds | string, string | clear or overcast; the recipe's sky.clouds.type |
+| cloud_cover | double | the recipe's, of clouds of type noise |
+| cloud_share | double | mean opacity of the clouds over the sky's pixels |
+| sun_elevation_deg, sun_azimuth_deg | double | |
+| turbidity, visibility_m | double, double | null: no haze between camera and scene |
+| season, wind_m_per_s | string, double | |
+| channels | list of string | of radiance: R, G, B or the bands |
+| samples, stopped_by | int64, string | of the rendering |
+| relative_error, relative_error_p95 | double | its noise: standard error over value, mean and 95th percentile |
+| sky_share | double | of the pixels, those whose centre sees the sky |
+| sunlit_share | double | of the other pixels, those whose centre the sun shines on |
+| depth_min_m, depth_median_m, depth_max_m | double | without the sky |
+| plants | int64 | of the whole stand |
+| plants_in_view, plants_truncated | int64 | those that win a pixel; of these, those that touch the border |
+| visible_fraction_median | double | of the plants in view; needs amodal labels |
+| instance_pixels_median | double | of the plants in view |
+| instance_pixels_histogram | list of int64 | how many plants in view win 1, 2-3, 4-7, 8-15, ... pixels |
+| class_pixels | map | pixels by name of the semantic class |
+| part_pixels | map | pixels by part of the plant |
+| category_instances | map | plants in view by category, as in coco.json |
+| species_instances, species_pixels | map | plants in view, and the pixels that they win, by species |
+| notes | list of string | what people should know of the frame |
+| draw.KEY | as drawn | what the recipe's distribution at KEY gave, such as draw.sky.turbidity |
+
+Maps leave out what is not there. A draw's column has one type in all rows: where draws are both numbers and texts,
+JSON.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator, Mapping
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+from forestgen.core.errors import DatasetError
+from forestgen.dataset.files import make_folder, output_error
+from forestgen.dataset.settings import DRAW
+
+INDEX_NAME = "index.parquet"
+_TEXT, _WHOLE, _SMALL, _NUMBER = "string", "int64", "int32", "double"
+_TEXTS, _COUNTS, _BY_NAME, _JSON = "list of string", "list of int64", "map", "JSON"
+COLUMNS: dict[str, str] = {
+    **dict.fromkeys(("frame", "folder", "split"), _TEXT),
+    "image": _WHOLE,
+    **dict.fromkeys(("camera", "sequence"), _TEXT),
+    "time_s": _NUMBER,
+    "image_seed": _WHOLE,
+    "recipe_hash": _TEXT,
+    **dict.fromkeys(("width_px", "height_px"), _SMALL),
+    "camera_kind": _TEXT,
+    **dict.fromkeys(("hfov_deg", "camera_x_m", "camera_y_m", "camera_z_m"), _NUMBER),
+    **dict.fromkeys(("camera_height_m", "camera_pitch_deg", "camera_azimuth_deg"), _NUMBER),
+    **dict.fromkeys(("sky_kind", "clouds"), _TEXT),
+    **dict.fromkeys(("cloud_cover", "cloud_share", "sun_elevation_deg", "sun_azimuth_deg"), _NUMBER),
+    **dict.fromkeys(("turbidity", "visibility_m"), _NUMBER),
+    "season": _TEXT,
+    "wind_m_per_s": _NUMBER,
+    "channels": _TEXTS,
+    "samples": _WHOLE,
+    **dict.fromkeys(("relative_error", "relative_error_p95"), _NUMBER),
+    "stopped_by": _TEXT,
+    **dict.fromkeys(("sky_share", "sunlit_share", "depth_min_m", "depth_median_m", "depth_max_m"), _NUMBER),
+    **dict.fromkeys(("plants", "plants_in_view", "plants_truncated"), _WHOLE),
+    **dict.fromkeys(("visible_fraction_median", "instance_pixels_median"), _NUMBER),
+    "instance_pixels_histogram": _COUNTS,
+    **dict.fromkeys(("class_pixels", "part_pixels"), _BY_NAME),
+    **dict.fromkeys(("category_instances", "species_instances", "species_pixels"), _BY_NAME),
+    "notes": _TEXTS,
+}
+_ROWS_A_GROUP = 500
+
+
+class DrawTypes:
+    """Types of the draws' columns, gathered row by row: no schema is known before all rows are."""
+
+    def __init__(self) -> None:
+        self._kinds: dict[str, set[str]] = {}
+
+    def add(self, row: Mapping[str, Any]) -> None:
+        """Take a row of `frame_row` into account."""
+        for name, value in row.items():
+            if name.startswith(DRAW):
+                self._kinds.setdefault(name, set()).add(_kind(value))
+
+    @property
+    def columns(self) -> dict[str, str]:
+        """Column -> type, by name: boolean, int64, double, string or JSON."""
+        return {name: _common(self._kinds[name] - {"null"}) for name in sorted(self._kinds)}
+
+
+def _kind(value: Any) -> str:
+    if value is None:
+        return "null"
+    if isinstance(value, bool):
+        return "boolean"
+    if isinstance(value, int) and -(2**63) <= value < 2**63:
+        return _WHOLE
+    if isinstance(value, int | float):
+        return _NUMBER
+    return _TEXT if isinstance(value, str) else _JSON
+
+
+def _common(kinds: set[str]) -> str:
+    if len(kinds) == 1:
+        return next(iter(kinds))
+    return _NUMBER if kinds == {_WHOLE, _NUMBER} else _JSON
+
+
+def write_index(path: Path, rows: Iterable[Mapping[str, Any]], draws: Mapping[str, str] | None = None) -> None:
+    """Write the rows of `frame_row`, a few hundred in memory at a time.
+
+    Parameters
+    ----------
+    path : the file; its folder is made if it is missing.
+    rows : in the order in which they are to lie; read twice where no `draws` are given.
+    draws : `DrawTypes.columns` of all rows.
+
+    Raises
+    ------
+    OutputError : the file cannot be written.
+    ValueError : a row has a column that the index does not know.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    if draws is None:
+        rows, types = list(rows), DrawTypes()
+        for row in rows:
+            types.add(row)
+        draws = types.columns
+    columns = {**COLUMNS, **draws}
+    schema = pa.schema([(name, _arrow_type(kind)) for name, kind in columns.items()])
+    make_folder(path.parent)
+    try:
+        with pq.ParquetWriter(path, schema, compression="zstd") as writer:
+            remaining = iter(rows)
+            while _write_group(writer, schema, columns, list(islice(remaining, _ROWS_A_GROUP))):
+                pass
+    except OSError as error:
+        raise output_error(error, path) from error
+
+
+def read_index(path: Path) -> Iterator[dict[str, Any]]:
+    """Rows as `frame_row` made them, but for draws of other rows, which are None; a group in memory at a time.
+
+    Raises
+    ------
+    DatasetError : there is no such file, or it is no index.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        with pq.ParquetFile(path) as file:
+            missing = [name for name in ("frame", "folder", "split", "image") if name not in file.schema_arrow.names]
+            if missing:
+                raise DatasetError(
+                    "this is no index of forestgen", where=str(path), expected=f"columns {', '.join(missing)}"
+                )
+            maps = {name for name, kind in COLUMNS.items() if kind == _BY_NAME}
+            for number in range(file.num_row_groups):
+                for row in file.read_row_group(number).to_pylist():
+                    yield {
+                        name: dict(value) if name in maps and value is not None else value
+                        for name, value in row.items()
+                    }
+    except FileNotFoundError as error:
+        raise DatasetError(
+            "there is no index", where=str(path), hint="forestgen batch writes it when it ends"
+        ) from error
+    except (OSError, pa.ArrowException) as error:
+        raise DatasetError(
+            "the index cannot be read", where=str(path), got=" ".join(str(error).split())[:200]
+        ) from error
+
+
+def _write_group(writer: Any, schema: Any, columns: Mapping[str, str], rows: list[Mapping[str, Any]]) -> bool:
+    """Write some rows; whether there were any."""
+    import pyarrow as pa
+
+    if rows:
+        _check_columns(rows, columns)
+        cells = [
+            pa.array([_cell(row.get(name), kind) for row in rows], _arrow_type(kind)) for name, kind in columns.items()
+        ]
+        writer.write_table(pa.Table.from_arrays(cells, schema=schema))
+    return bool(rows)
+
+
+def _check_columns(rows: Iterable[Mapping[str, Any]], columns: Mapping[str, str]) -> None:
+    strangers = {name for row in rows for name in row} - set(columns)
+    if strangers:
+        raise ValueError(f"the index has no columns {sorted(strangers)}")
+
+
+def _arrow_type(kind: str) -> Any:
+    import pyarrow as pa
+
+    return {
+        "boolean": pa.bool_(),
+        _TEXT: pa.string(),
+        _JSON: pa.string(),
+        _WHOLE: pa.int64(),
+        _SMALL: pa.int32(),
+        _NUMBER: pa.float64(),
+        _TEXTS: pa.list_(pa.string()),
+        _COUNTS: pa.list_(pa.int64()),
+        _BY_NAME: pa.map_(pa.string(), pa.int64()),
+    }[kind]
+
+
+def _cell(value: Any, kind: str) -> Any:
+    if value is None:
+        return None
+    if kind == _JSON:
+        return json.dumps(value, sort_keys=True)
+    if kind == _BY_NAME:
+        return list(value.items())
+    return float(value) if kind == _NUMBER else value

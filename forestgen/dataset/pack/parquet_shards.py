@@ -1,0 +1,132 @@
+"""A folder that Hugging Face's `datasets` opens: Parquet files with the pictures inside, and a README that lists them.
+
+Rows are written in groups of bounded size, so that a reader streams and memory stays flat.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from forestgen.dataset.formats.shards import json_text
+from forestgen.dataset.pack.columns import Column, arrow_type
+from forestgen.dataset.pack.samples import Sample, Shard
+
+FOLDER = "data"
+BYTES_A_FRAME = 16384  # beside the channels' own: what the index and the camera say
+_GROUP_BYTES, _GROUP_ROWS = 32 << 20, 100
+_CELL_BYTES = 256  # a leaf's share of the footer and of page headers, a group
+_VALUE_BYTES = 32  # what a value takes beside its own bytes: length and levels
+
+
+def write_split(
+    folder: Path, split: str, samples: Iterator[Sample], columns: Sequence[Column], shard_bytes: int
+) -> list[Shard]:
+    """Write a split's files: data/SPLIT-00000-of-00003.parquet and so on.
+
+    Parameters
+    ----------
+    shard_bytes : no file is larger, unless it holds one frame alone.
+    """
+    (folder / FOLDER).mkdir(exist_ok=True)
+    schema = _schema(columns)
+    counts: list[int] = []
+    held = next(samples, None)
+    while held is not None:
+        with _File(folder / FOLDER / _part_name(split, len(counts)), schema, columns) as file:
+            while held is not None:
+                size_bytes = _row_bytes(held, columns)
+                if file.frames and file.bytes_with(size_bytes) > shard_bytes:
+                    break
+                file.add(held, size_bytes)
+                held = next(samples, None)
+        counts.append(file.frames)
+    return [_named(folder, split, number, counts) for number in range(len(counts))]
+
+
+def _part_name(split: str, number: int) -> str:
+    return f"{split}-{number:05d}.part"
+
+
+def _named(folder: Path, split: str, number: int, counts: Sequence[int]) -> Shard:
+    """Give a file its name, which says how many there are."""
+    name = f"{FOLDER}/{split}-{number:05d}-of-{len(counts):05d}.parquet"
+    path = (folder / FOLDER / _part_name(split, number)).rename(folder / name)
+    return Shard(name, counts[number], path.stat().st_size)
+
+
+def _schema(columns: Sequence[Column]) -> Any:
+    import pyarrow as pa
+
+    features = {column.name: column.feature for column in columns}
+    text = json.dumps({"info": {"features": features}})
+    fields = [(column.name, arrow_type(column.feature)) for column in columns]
+    return pa.schema(fields, metadata={"huggingface": text})
+
+
+def _row_bytes(sample: Sample, columns: Sequence[Column]) -> int:
+    contents = sum(len(content) for content in sample.contents.values())
+    return contents + len(json_text([sample.camera, sample.row])) + len(columns) * _VALUE_BYTES
+
+
+class _File:
+    """One Parquet file that is being written; rows wait until a group is full."""
+
+    def __init__(self, path: Path, schema: Any, columns: Sequence[Column]) -> None:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        self._columns, self._schema = columns, schema
+        self._stream = path.open("wb")
+        # Of pictures no reader wants the smallest and the largest, which else go into the footer.
+        measured = [one.name for one in schema if not (pa.types.is_nested(one.type) or pa.types.is_binary(one.type))]
+        self._writer = pq.ParquetWriter(self._stream, schema, use_dictionary=False, write_statistics=measured)
+        self._group: list[Sample] = []
+        self._group_bytes = self._groups = self.frames = 0
+        self._footer_bytes = 3 * len(schema.serialize()) + 4096
+        self._leaves = _leaves(schema)
+
+    def bytes_with(self, sample_bytes: int) -> int:
+        """Size of the file, from above, if a sample of so many bytes were added."""
+        headers = (self._groups + 1) * self._leaves * _CELL_BYTES
+        return int(self._stream.tell()) + self._group_bytes + sample_bytes + self._footer_bytes + headers
+
+    def add(self, sample: Sample, sample_bytes: int) -> None:
+        self._group.append(sample)
+        self._group_bytes += sample_bytes
+        self.frames += 1
+        if self._group_bytes >= _GROUP_BYTES or len(self._group) >= _GROUP_ROWS:
+            self._flush()
+
+    def _flush(self) -> None:
+        import pyarrow as pa
+
+        arrays = [
+            pa.array([column.cell(sample) for sample in self._group], arrow_type(column.feature))
+            for column in self._columns
+        ]
+        self._writer.write_table(pa.Table.from_arrays(arrays, schema=self._schema))
+        self._group, self._group_bytes = [], 0
+        self._groups += 1
+
+    def __enter__(self) -> _File:
+        return self
+
+    def __exit__(self, kind: object, *_: object) -> None:
+        try:
+            if kind is None and self._group:
+                self._flush()
+            self._writer.close()
+        finally:
+            self._stream.close()
+
+
+def _leaves(schema: Any) -> int:
+    """How many columns the file has when lists and structs are taken apart."""
+
+    def count(kind: Any) -> int:
+        return sum(count(kind.field(i).type) for i in range(kind.num_fields)) if kind.num_fields else 1
+
+    return sum(count(one.type) for one in schema)

@@ -1,0 +1,120 @@
+"""README.md of a pack: how it is opened, what is in it, and the data set's own card."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from forestgen.dataset.pack.columns import Column, yaml_type
+from forestgen.dataset.pack.parquet_shards import FOLDER
+from forestgen.dataset.pack.samples import Shard
+
+
+def front_matter(columns: Sequence[Column], splits: Mapping[str, Sequence[Shard]], of_card: Mapping[str, Any]) -> str:
+    """What Hugging Face's library reads: where the splits lie, and the types of the columns.
+
+    Parameters
+    ----------
+    of_card : front matter of the data set's card, such as its licence, which holds for the pack too.
+    """
+    sizes = {name: sum(one.size_bytes for one in shards) for name, shards in splits.items()}
+    content = {
+        **of_card,
+        "configs": [
+            {
+                "config_name": "default",
+                "data_files": [{"split": name, "path": f"{FOLDER}/{name}-*.parquet"} for name in splits],
+            }
+        ],
+        "dataset_info": {
+            "features": [{"name": column.name, **yaml_type(column.feature)} for column in columns],
+            "splits": [
+                {"name": name, "num_bytes": sizes[name], "num_examples": sum(one.frames for one in shards)}
+                for name, shards in splits.items()
+            ],
+            "download_size": sum(sizes.values()),
+            "dataset_size": sum(sizes.values()),
+        },
+    }
+    return f"---\n{_yaml(content)}---\n\n"
+
+
+def _yaml(content: Any) -> str:
+    from ruamel.yaml import YAML
+
+    yaml = YAML(typ="safe", pure=True)
+    yaml.default_flow_style = False
+    yaml.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
+    yaml.width = 4096
+    stream = io.StringIO()
+    yaml.dump(content, stream)
+    return stream.getvalue()
+
+
+def body(title: str, code: Sequence[str], splits: Mapping[str, Sequence[Shard]], classes: Mapping[str, Any]) -> str:
+    """What people read.
+
+    Parameters
+    ----------
+    code : lines that open the pack.
+    """
+    rows = [
+        f"| {name} | {sum(one.frames for one in shards):,} | {len(shards):,} | "
+        f"{sum(one.size_bytes for one in shards):,} |"
+        for name, shards in splits.items()
+    ]
+    semantic = ", ".join(f"{number} {name}" for number, name in classes["semantic"].items())
+    categories = ", ".join(f"{number} {name}" for number, name in classes["categories"].items())
+    lines = [
+        f"# {title}",
+        "",
+        "```python",
+        *code,
+        "```",
+        "",
+        "| split | frames | files | bytes |",
+        "|---|---|---|---|",
+        *rows,
+        "",
+        f"- `semantic`, classes: {semantic}",
+        "- `instance`: plant_id = R + 256 G + 65536 B; 0 is no plant",
+        f"- Categories of the plants: {categories}",
+        "- `depth`: steps of `depth_unit_m` along the camera's axis; 0 is sky, 65535 is beyond the range",
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def card_of(root: Path) -> tuple[dict[str, Any], str]:
+    """The data set's own README.md: its front matter, and its text as a chapter; empty where there is none."""
+    try:
+        text = (root / "README.md").read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError):
+        return {}, ""
+    head = ""
+    if text.startswith("---\n"):
+        head, _, text = text.removeprefix("---\n").partition("\n---\n")
+    return _plain(head), "\n## The data set that was packed\n\n" + _lower_headings(text.strip()) + "\n"
+
+
+def _plain(head: str) -> dict[str, Any]:
+    """Front matter; nothing where people have made something else of it."""
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import YAMLError
+
+    try:
+        content = YAML(typ="safe", pure=True).load(head)
+    except YAMLError:
+        return {}
+    return content if isinstance(content, dict) else {}
+
+
+def _lower_headings(text: str) -> str:
+    """Headings two levels down; lines in fences are left alone."""
+    lines, fenced = [], False
+    for line in text.split("\n"):
+        fenced ^= line.startswith("```")
+        lines.append(f"##{line}" if line.startswith("#") and not fenced else line)
+    return "\n".join(lines)

@@ -1,0 +1,71 @@
+"""Frames on their way into a pack, one in memory at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from forestgen.core.randomness import child_rng
+from forestgen.dataset.formats.depth_png import SCALE_NAME
+from forestgen.dataset.pack.channels import CAMERA_FILE, Channel, measure_frame, read_channels, read_json
+from forestgen.dataset.pack.source import Source, Split
+
+
+@dataclass(frozen=True)
+class Sample:
+    """A frame."""
+
+    name: str
+    contents: Mapping[str, bytes]  # by channel
+    row: Mapping[str, Any]  # of the index
+    camera: Mapping[str, Any]  # camera.json
+    depth_unit_m: float | None  # metres of a step of the channel depth; None where it is not packed
+
+
+@dataclass(frozen=True)
+class Shard:
+    """A file of a pack."""
+
+    name: str
+    frames: int
+    size_bytes: int
+
+
+def in_order(split: Split, seed: int | None) -> Sequence[str]:
+    """The split's frames in a random order of that seed, or by name where there is none.
+
+    A shard is read from front to back: in order of names it would hold the cameras of one scene after another.
+    """
+    if seed is None:
+        return split.frames
+    order = child_rng(seed, "pack", split.name).permutation(len(split.frames))
+    return [split.frames[number] for number in order.tolist()]
+
+
+def measure(source: Source, channels: Sequence[Channel], advance: Callable[[int], None]) -> int:
+    """Bytes of all frames' channels; a file that is missing raises `DatasetError`, before anything is written."""
+    total = 0
+    for split in source.splits:
+        for frame in split.frames:
+            total += measure_frame(split.folder / frame, channels)
+            advance(1)
+    return total
+
+
+def read_samples(
+    source: Source, split: Split, frames: Sequence[str], channels: Sequence[Channel], advance: Callable[[int], None]
+) -> Iterator[Sample]:
+    """The frames, in that order; what is missing or damaged raises `DatasetError`."""
+    has_depth = any(channel.name == "depth" for channel in channels)
+    for frame in frames:
+        folder = split.folder / frame
+        contents = read_channels(folder, channels)
+        unit_m = _depth_unit_m(folder) if has_depth else None
+        yield Sample(frame, contents, source.row(split, frame), read_json(folder / CAMERA_FILE), unit_m)
+        advance(1)
+
+
+def _depth_unit_m(folder: Path) -> float:
+    return float(read_json(folder / SCALE_NAME)["unit_m"])

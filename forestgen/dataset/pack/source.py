@@ -1,0 +1,137 @@
+"""The data set to pack: a batch's folder, or one that `forestgen render` made.
+
+A batch's frames are those of its index.parquet; a rendered folder has one split, and its frames are the folders in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from forestgen.core.errors import DatasetError, RecipeError
+from forestgen.dataset.index import INDEX_NAME
+from forestgen.dataset.legend import FILE_NAME as CLASSES_FILE
+from forestgen.dataset.pack.channels import CAMERA_FILE, read_json
+
+LAST_FILE = "dataset.json"  # that a batch writes
+ONE_SPLIT = "train"  # of a rendered folder, if no name is given
+
+
+@dataclass(frozen=True)
+class Split:
+    """A part of the data set."""
+
+    name: str
+    folder: Path
+    frames: tuple[str, ...]  # names of the frames' folders, sorted
+
+
+@dataclass(frozen=True)
+class Source:
+    """A data set that was found to be one."""
+
+    root: Path
+    splits: tuple[Split, ...]
+    classes: Mapping[str, Any]  # classes.json, the same in all splits
+    index: Any = None  # pyarrow.Table of index.parquet, a few hundred bytes a frame; None: a rendered folder
+    row_numbers: Mapping[str, int] = field(default_factory=dict)  # frame -> row of the index
+
+    @property
+    def frames(self) -> int:
+        return sum(len(split.frames) for split in self.splits)
+
+    def row(self, split: Split, frame: str) -> dict[str, Any]:
+        """What is known of a frame: its row of the index, or what its name tells."""
+        if self.index is None:
+            image, _, camera = frame.partition("-")
+            return {"frame": frame, "split": split.name, "image": int(image), "camera": camera}
+        rows = self.index.slice(self.row_numbers[frame], 1).to_pylist(maps_as_pydicts="strict")
+        return dict(rows[0])
+
+
+def open_source(root: Path, splits: Sequence[str] = ()) -> Source:
+    """Look at a data set before it is packed.
+
+    Parameters
+    ----------
+    root : its folder.
+    splits : of a batch, those to pack, by default all; of a rendered folder, the one name that it shall have.
+
+    Raises
+    ------
+    DatasetError : the folder is no data set, is not finished, or is damaged.
+    RecipeError : the data set has no such split.
+    """
+    if (root / INDEX_NAME).is_file() and (root / LAST_FILE).is_file():
+        return _batch(root, splits)
+    if (root / CLASSES_FILE).is_file():
+        return _rendered(root, splits)
+    raise _no_data_set(root)
+
+
+def _no_data_set(root: Path) -> DatasetError:
+    if not root.is_dir():
+        hint = "packs are made of folders of this machine: copy the data set here first" if ":/" in str(root) else None
+        return DatasetError("there is no such folder", where=str(root), hint=hint)
+    if (root / INDEX_NAME).exists() or (root / ".forestgen").is_dir():
+        missing = LAST_FILE if (root / INDEX_NAME).is_file() else INDEX_NAME
+        hint = "forestgen batch RECIPE --count N --out DIR --resume goes on with it"
+        return DatasetError(f"the batch is not finished: it has no {missing} yet", where=str(root), hint=hint)
+    expected = "a folder that forestgen batch or forestgen render made"
+    return DatasetError("this is no data set", where=str(root), expected=expected)
+
+
+def _batch(root: Path, wanted: Sequence[str]) -> Source:
+    index = _read_index(root / INDEX_NAME)
+    frames: dict[str, list[str]] = {}
+    for split, frame in zip(index["split"].to_pylist(), index["frame"].to_pylist(), strict=True):
+        frames.setdefault(split, []).append(frame)
+    for name in wanted:
+        if name not in frames:
+            raise RecipeError(
+                "the data set has no such split", where="--split", expected="of " + ", ".join(sorted(frames)), got=name
+            )
+    chosen = sorted(set(wanted) or frames)
+    splits = tuple(Split(name, root / name, tuple(sorted(frames[name]))) for name in chosen)
+    if not splits:
+        raise DatasetError("the data set has no frame", where=str(root))
+    numbers = {frame: number for number, frame in enumerate(index["frame"].to_pylist())}
+    return Source(root, splits, _common_classes(splits), index, numbers)
+
+
+def _read_index(path: Path) -> Any:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        index = pq.ParquetFile(path).read()
+    except (OSError, pa.ArrowException) as error:
+        raise DatasetError("the index cannot be read", where=str(path), got=str(error).partition("\n")[0]) from error
+    if not {"split", "frame"} <= set(index.column_names):
+        raise DatasetError("the index lacks a column", where=str(path), expected="split and frame")
+    return index
+
+
+def _common_classes(splits: Sequence[Split]) -> dict[str, Any]:
+    classes = read_json(splits[0].folder / CLASSES_FILE)
+    for split in splits[1:]:
+        if read_json(split.folder / CLASSES_FILE) != classes:
+            raise DatasetError(
+                "splits differ in the numbers of their classes",
+                where=str(split.folder / CLASSES_FILE),
+                expected=f"the same as in {splits[0].name}",
+                hint="pack them one by one, with --split",
+            )
+    return classes
+
+
+def _rendered(root: Path, wanted: Sequence[str]) -> Source:
+    if len(wanted) > 1:
+        raise RecipeError("this data set has one split", where="--split", expected="one name", got=", ".join(wanted))
+    name = wanted[0] if wanted else ONE_SPLIT
+    frames = sorted(path.parent.name for path in root.glob(f"*/{CAMERA_FILE}"))
+    if not frames:
+        raise DatasetError("the data set has no frame", where=str(root))
+    return Source(root, (Split(name, root, tuple(frames)),), read_json(root / CLASSES_FILE))

@@ -1,0 +1,96 @@
+"""Shards of WebDataset: tar files in which files of one stem are a sample.
+
+A frame's files are named FRAME.EXTENSION: a file a channel, and FRAME.json with what is known of the frame::
+
+    {"frame": ..., "camera": camera.json, "classes": {"0": "nothing", ...}, "index": its row of index.parquet,
+     "depth_unit_m": metres of a step of FRAME.depth.png}
+
+Beside the shards SPLIT.json lists them, with frames and bytes, in the form that WebDataset's indexed reader takes.
+Nothing in the files tells when, where and by whom they were made.
+"""
+
+from __future__ import annotations
+
+import io
+import tarfile
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from forestgen.dataset.files import write_json
+from forestgen.dataset.formats.shards import json_text
+from forestgen.dataset.pack.channels import Channel
+from forestgen.dataset.pack.samples import Sample, Shard
+
+_BLOCK, _END = tarfile.BLOCKSIZE, 2 * tarfile.BLOCKSIZE
+
+
+def bytes_a_frame(channels: Sequence[Channel]) -> int:
+    """Beside the channels' own: headers, rests of blocks, the .json."""
+    return len(channels) * 2 * _BLOCK + 8192
+
+
+def write_split(
+    folder: Path,
+    split: str,
+    samples: Iterator[Sample],
+    channels: Sequence[Channel],
+    classes: Mapping[str, Any],
+    shard_bytes: int,
+) -> list[Shard]:
+    """Write a split's shards, and their list.
+
+    Parameters
+    ----------
+    shard_bytes : no shard is larger, unless it holds one frame alone.
+    """
+    shards: list[Shard] = []
+    held = next(samples, None)
+    while held is not None:
+        name = f"{split}-{len(shards):06d}.tar"
+        frames = 0
+        with tarfile.open(folder / name, "w", format=tarfile.PAX_FORMAT) as tar:
+            while held is not None:
+                members = _members(held, channels, classes["semantic"])
+                if frames and _file_bytes(tar.offset, members) > shard_bytes:
+                    break
+                for member, content in members:
+                    tar.addfile(member, io.BytesIO(content))
+                frames += 1
+                held = next(samples, None)
+        shards.append(Shard(name, frames, (folder / name).stat().st_size))
+    _write_list(folder, split, shards)
+    return shards
+
+
+def _members(
+    sample: Sample, channels: Sequence[Channel], class_names: Mapping[str, str]
+) -> list[tuple[tarfile.TarInfo, bytes]]:
+    files = {channel.extension: sample.contents[channel.name] for channel in channels}
+    about = {
+        "frame": sample.name,
+        "camera": sample.camera,
+        "classes": class_names,
+        "index": sample.row,
+        **({} if sample.depth_unit_m is None else {"depth_unit_m": sample.depth_unit_m}),
+    }
+    files["json"] = json_text(about).encode()
+    members = []
+    for extension, content in files.items():
+        member = tarfile.TarInfo(f"{sample.name}.{extension}")  # of 1970, root's, and readable by all
+        member.size = len(content)
+        members.append((member, content))
+    return members
+
+
+def _file_bytes(offset: int, members: Sequence[tuple[tarfile.TarInfo, bytes]]) -> int:
+    """Size of the file if the members were added to what ends at `offset`."""
+    for member, content in members:
+        offset += len(member.tobuf(tarfile.PAX_FORMAT)) + -(-len(content) // _BLOCK) * _BLOCK
+    return -(-(offset + _END) // tarfile.RECORDSIZE) * tarfile.RECORDSIZE
+
+
+def _write_list(folder: Path, split: str, shards: Sequence[Shard]) -> None:
+    listed = [{"url": one.name, "nsamples": one.frames, "filesize": one.size_bytes} for one in shards]
+    content = {"__kind__": "wids-shard-index-v1", "wids_version": 1, "name": split, "shardlist": listed}
+    write_json(folder / f"{split}.json", content)

@@ -1,0 +1,1 @@
+"""report.html: a data set at a glance, in one file."""

@@ -1,0 +1,193 @@
+"""A sample of the frames, spread over splits, seasons, skies, suns and cameras, as small pictures inside the page."""
+
+from __future__ import annotations
+
+import base64
+import io
+import math
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
+
+import numpy as np
+
+from forestgen.dataset.report.charts import percent
+from forestgen.dataset.report.frames import Frames
+from forestgen.dataset.thumbnails import thumbnail_name
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+T = TypeVar("T")
+MOST_FRAMES = 60
+SHOWN_AT_ONCE = 24  # the others behind "more"
+BUDGET_BYTES = 3_200_000  # of all pictures; base64 makes a third more of it
+LONG_SIDE_PX, _LEAST_SIDE_PX = 640, 32
+_ELEVATION_STEP_DEG = 20.0
+_MOST_CLASSES = 6  # told in a frame's caption
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A view of a frame."""
+
+    kind: str  # picture, plants or classes
+    alt: str
+    uri: str
+
+
+@dataclass(frozen=True)
+class Exhibit:
+    """A frame in the gallery."""
+
+    frame: str
+    split: str  # "" where the data set has none
+    caption: str  # sun, sky, camera
+    content: str  # largest classes, with their shares
+    pictures: tuple[Picture, ...]
+
+
+def choose(frames: Frames, splits: Sequence[str], most: int = MOST_FRAMES) -> list[int]:
+    """Rows to show: turn by turn one of each split, and within a split one of each stratum."""
+    queues = {split: _stratified(rows) for split, rows in _by_split(frames).items()}
+    order = [split for split in splits if split in queues]
+    turns = max((len(rows) for rows in queues.values()), default=0)
+    dealt = [queues[split][turn] for turn in range(min(turns, most)) for split in order if turn < len(queues[split])]
+    return dealt[:most]
+
+
+def _by_split(frames: Frames) -> dict[str, dict[str, list[int]]]:
+    """Split -> stratum -> rows."""
+    elevation = frames.numbers("sun_elevation_deg") // _ELEVATION_STEP_DEG
+    strata = zip(*(frames.texts(name) for name in ("season", "clouds", "camera")), elevation, strict=True)
+    found: dict[str, dict[str, list[int]]] = {}
+    for row, (split, stratum) in enumerate(zip(frames.split, strata, strict=True)):
+        found.setdefault(split, {}).setdefault(repr(stratum), []).append(row)
+    return found
+
+
+def _stratified(strata: dict[str, list[int]]) -> list[int]:
+    """Rows of a split: the strata's first ones, their second ones, ...; a stratum's rows spread over its length."""
+    spread = [_spread(strata[name]) for name in _spread(sorted(strata))]
+    turns = min(max(map(len, spread)), MOST_FRAMES)
+    return [rows[turn] for turn in range(turns) for rows in spread if turn < len(rows)]
+
+
+def _spread(things: Sequence[T]) -> list[T]:
+    """At most `MOST_FRAMES` of them, at equal distances, so ordered that each lies far from those before it."""
+    at = np.unique(np.linspace(0, len(things) - 1, MOST_FRAMES).round().astype(int))
+    order = sorted(range(len(at)), key=lambda k: f"{k:b}"[::-1])
+    return [things[at[k]] for k in order]
+
+
+def gallery(folder: Path, frames: Frames, splits: Sequence[str]) -> tuple[Exhibit, ...]:
+    """The chosen frames with their pictures; a frame none of whose pictures can be read is shown without."""
+    rows = choose(frames, splits)
+    quota = BUDGET_BYTES // max(1, 3 * len(rows))
+    names, folders, splits_of = (frames.texts(column) for column in ("frame", "folder", "split"))
+    captions, shares = _Captions(frames), frames.counts("class_pixels")
+    root = folder.resolve()
+    return tuple(
+        Exhibit(
+            names[row],
+            splits_of[row],
+            captions.of(row),
+            _content(shares[row]),
+            _pictures(root, folders[row] or f"{frames.split[row]}/{names[row]}", names[row], quota),
+        )
+        for row in rows
+    )
+
+
+class _Captions:
+    """What is told of a frame in a line."""
+
+    def __init__(self, frames: Frames) -> None:
+        self._numbers = {name: frames.numbers(name) for name in ("sun_elevation_deg", "plants_in_view")}
+        self._texts = {name: frames.texts(name) for name in ("season", "clouds", "camera")}
+
+    def of(self, row: int) -> str:
+        sun, plants = (float(column[row]) for column in self._numbers.values())
+        season, clouds, camera = (column[row] for column in self._texts.values())
+        words = [
+            f"camera {camera}" if camera else "",
+            season,
+            f"sun at {sun:.0f}°" if np.isfinite(sun) else "",
+            {"": "", "none": "no clouds"}.get(clouds, f"clouds: {clouds}"),
+            ("1 plant" if plants == 1 else f"{plants:,.0f} plants") if np.isfinite(plants) else "",
+        ]
+        return ", ".join(filter(None, words))
+
+
+def _content(pixels: dict[str, int] | None) -> str:
+    total = sum((pixels or {}).values())
+    largest = sorted((pixels or {}).items(), key=lambda one: (-one[1], one[0]))[:_MOST_CLASSES]
+    return ", ".join(f"{name} {percent(count / total)}" for name, count in largest if count)
+
+
+def _pictures(root: Path, folder: str, frame: str, quota: int) -> tuple[Picture, ...]:
+    """Picture, overlay and semantic mask of a frame: those that can be read."""
+    wanted: tuple[tuple[str, str, tuple[str, ...], Callable[[Image, int], bytes]], ...] = (
+        ("picture", f"Rendered picture of {frame}", (f"{folder}/preview.png", thumbnail_name(frame)), _photo),
+        ("plants", f"{frame} with each plant tinted in its own colour", (f"{folder}/overlay.png",), _photo),
+        ("classes", f"Semantic mask of {frame}", (f"{folder}/semantic.png",), _mask),
+    )
+    found = []
+    for kind, alt, paths, encode in wanted:
+        content = next(filter(None, (_encoded(root, path, encode, quota) for path in paths)), None)
+        if content is not None:
+            found.append(Picture(kind, alt, f"data:image/webp;base64,{base64.b64encode(content).decode()}"))
+    return tuple(found)
+
+
+def _encoded(root: Path, path: str, encode: Callable[[Image, int], bytes], quota: int) -> bytes | None:
+    """A picture file made small; None if it is not there, lies outside the data set, or is no picture."""
+    from PIL import Image
+
+    try:
+        inside = (root / path).resolve()
+        if not inside.is_relative_to(root) or not inside.is_file():
+            return None
+        with warnings.catch_warnings(action="error"), Image.open(inside, formats=("PNG", "JPEG")) as image:
+            return encode(image.convert("RGB"), quota)
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError, Warning):
+        return None
+
+
+def _photo(image: Image, quota: int) -> bytes:
+    """WebP of at most `quota` bytes: less quality first, then fewer pixels."""
+    content = _webp(_scaled(image, LONG_SIDE_PX, resample=1), quality=80, method=4)
+    if len(content) <= quota:
+        return content
+    return _fitting(image, quota, lambda side_px: _webp(_scaled(image, side_px, resample=1), quality=60, method=4))
+
+
+def _mask(image: Image, quota: int) -> bytes:
+    """Lossless WebP of at most `quota` bytes, pixels picked and never mixed: every colour is a class's."""
+    settings = {"lossless": True, "quality": 40, "method": 3}
+    return _fitting(image, quota, lambda side_px: _webp(_scaled(image, side_px, resample=0), **settings))
+
+
+def _fitting(image: Image, quota: int, encode: Callable[[int], bytes]) -> bytes:
+    """The picture at the largest side that keeps within `quota` bytes, about."""
+    side_px = min(LONG_SIDE_PX, max(image.size))
+    content = encode(side_px)
+    while len(content) > quota and side_px > _LEAST_SIDE_PX:
+        side_px = int(side_px * min(0.9, max(0.5, 0.95 * math.sqrt(quota / len(content)))))
+        content = encode(side_px)
+    return content
+
+
+def _scaled(image: Image, long_side_px: int, *, resample: int) -> Image:
+    """At most so long; never enlarged. `resample` is Pillow's: 0 nearest, 1 Lanczos."""
+    factor = min(1.0, long_side_px / max(image.size))
+    size = max(1, round(image.width * factor)), max(1, round(image.height * factor))
+    return image if size == image.size else image.resize(size, resample)
+
+
+def _webp(image: Image, **settings: int | bool) -> bytes:
+    buffer = io.BytesIO()
+    image.save(buffer, "WEBP", **settings)
+    return buffer.getvalue()

@@ -1,0 +1,163 @@
+"""Sections of the page on how it was made: failures, time and memory, where it comes from."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from forestgen.dataset.report.charts import Chart, bars, histogram, nice_step, shares
+from forestgen.dataset.report.layout import Cell, Fact, Row, Section, ShareList, Table, figures_in
+from forestgen.dataset.report.run_log import Failure, RunLog, named_images
+from forestgen.dataset.report.source import Source
+from forestgen.dataset.report.told import RecipeTold, gaps_text
+
+_MOST_STAGES, _MOST_WINDOWS = 16, 48
+
+
+def failure_section(source: Source) -> Section:
+    """What went wrong, by message, and what became of it."""
+    run = source.run
+    if run is None or not run.lines:
+        return Section("failures", "Failures", absent="There is no log of a run: merged and plain folders have none.")
+    given_up = run.given_up
+    facts = (
+        Fact(f"{run.failed_attempts:,}", "failed attempts"),
+        Fact(f"{len(given_up):,}", "images given up"),
+        Fact(f"{run.workers_lost:,}", "workers lost"),
+    )
+    rows = tuple(_failure_row(one, set(given_up)) for one in run.failures)
+    note = (
+        f"{run.unlisted_attempts:,} attempts with other messages are in run/log.jsonl." if run.unlisted_attempts else ""
+    )
+    heads = ("kind", "message", "attempts", "images")
+    tables = (Table("By message", heads, rows, note, words=True),) if rows else ()
+    lead = "An attempt that failed leaves nothing in the data set; what may pass is tried again."
+    if not rows:
+        lead = "No attempt failed."
+    if run.damaged_lines:
+        lead += f" {run.damaged_lines:,} of the log's lines cannot be read; a kill may cut one short."
+    return Section("failures", "Failures", lead, facts=facts, tables=tables)
+
+
+def _failure_row(failure: Failure, given_up: set[int]) -> Row:
+    images, more = named_images(failure)
+    named = ", ".join(
+        f"{image} (attempt {failure.images[image]}{', given up' if image in given_up else ''})" for image in images
+    )
+    lost = len(given_up.intersection(failure.images))
+    cells = (
+        Cell(failure.message),
+        Cell(f"{failure.attempts:,}"),
+        Cell(
+            named + (f" and {more:,} more" if more else ""), soft="" if lost else "all made in the end", warn=lost > 0
+        ),
+    )
+    return Row(failure.kind, cells)
+
+
+def timing_section(source: Source) -> Section:
+    """Where the time went."""
+    run = source.run
+    if run is None:
+        return Section("timings", "Time and memory", absent="There is no log of a run: merged folders have none.")
+    memory_mib = [one / 2**20 for one in run.peak_memory_bytes]
+    parts = (
+        _stages(run),
+        histogram(run.job_s, "Time of an image", "seconds", log=True, y_title="images"),
+        _pace(run),
+        histogram(memory_mib, "Peak memory of a worker", "MiB", y_title="images") if len(memory_mib) > 1 else None,
+    )
+    facts, absent = _timing_facts(run), "The log tells no times."
+    return Section("timings", "Time and memory", "", facts, figures_in(parts), absent=absent)
+
+
+def _stages(run: RunLog) -> ShareList | None:
+    """Time by stage, those of less than a hundredth together."""
+    whole = sum(run.stage_s.values())
+    stages = sorted(run.stage_s.items(), key=lambda one: (-one[1], one[0]))
+    large = [one for one in stages if one[1] >= 0.01 * whole][:_MOST_STAGES]
+    if len(rest := stages[len(large) :]) > 1:
+        stages = [*large, (f"{len(rest)} others", sum(seconds for _, seconds in rest))]
+    rows = shares([name for name, _ in stages], [seconds for _, seconds in stages], of=whole)
+    note = "share of the workers' time · seconds"
+    return ShareList("Where the time goes, by stage", rows, note) if rows else None
+
+
+def _timing_facts(run: RunLog) -> tuple[Fact, ...]:
+    facts = []
+    if run.images_per_hour is not None:
+        facts.append(Fact(_few_digits(run.images_per_hour), "images per hour"))
+    if run.job_s:
+        facts.append(Fact(duration(float(np.median(run.job_s))), "an image, by the median"))
+    if run.running_s > 0:
+        facts.append(Fact(duration(run.running_s), "in all" if run.runs < 2 else f"in all, over {run.runs} runs"))
+    if run.workers:
+        facts.append(Fact(f"{len(run.workers):,}", "worker processes, over all runs"))
+    if any(run.peak_memory_bytes):
+        facts.append(Fact(f"{max(run.peak_memory_bytes) / 2**20:,.0f} MiB", "peak memory of a worker"))
+    return tuple(facts)
+
+
+def _pace(run: RunLog) -> Chart | None:
+    """Images per hour over the run, in windows of equal length."""
+    if len(run.finished_s) < 2 or run.running_s <= 0 or max(run.finished_s) <= min(run.finished_s):
+        return None
+    scale, unit = (
+        (3600.0, "hours") if run.running_s > 7200 else (60.0, "minutes") if run.running_s > 180 else (1.0, "seconds")
+    )
+    span = run.running_s / scale
+    step = nice_step(span, min(_MOST_WINDOWS, max(2, len(run.finished_s) // 4)))
+    edges = np.arange(int(np.ceil(span / step - 1e-9)) + 1) * step
+    counts, _ = np.histogram(np.asarray(run.finished_s) / scale, edges)
+    width_h = np.minimum(np.diff(edges), span - edges[:-1]) * scale / 3600.0  # the last window ends with the run
+    rate = counts / np.maximum(width_h, 1e-9)
+    summary = f"Images per hour over the run: least {rate.min():.3g}, most {rate.max():.3g}"
+    return bars(
+        rate, edges, "Images per hour over the run", f"running time, {unit}", y_title="images/h", summary=summary
+    )
+
+
+def provenance_section(source: Source) -> Section:
+    """What the data set was made from, and with."""
+    told = source.told
+    values = [
+        ("description", told.description),
+        ("contributor", told.contributor),
+        ("licence", told.licence or "none stated"),
+        ("size on disk", size_text(told.bytes) if told.bytes else ""),
+        *((one.file or "recipe", _recipe_text(one)) for one in told.recipes),
+        *(("made with", versions) for versions in told.made_with),
+        ("missing images", gaps_text(told.missing, 100) or "none"),
+    ]
+    rows = tuple(Row(name, (Cell(text),)) for name, text in values if text)
+    return Section(
+        "provenance", "Provenance", tables=(Table("Where it comes from", ("what", "value"), rows, words=True),)
+    )
+
+
+def _recipe_text(recipe: RecipeTold) -> str:
+    parts = [("recipe hash", recipe.hash), ("seed", recipe.root_seed), ("images asked for", f"{recipe.images:,}")]
+    return ", ".join(f"{name} {value}" for name, value in parts if value)
+
+
+def size_text(size_bytes: int) -> str:
+    """Bytes for people: 1.4 GB."""
+    for scale, unit in ((1e12, "TB"), (1e9, "GB"), (1e6, "MB"), (1e3, "kB")):
+        if size_bytes >= scale:
+            return f"{size_bytes / scale:.3g} {unit}"
+    return f"{size_bytes} bytes"
+
+
+def duration(seconds: float) -> str:
+    """A time for people: 0.41 s, 12 s, 3 min 05 s, 7 h 12 min."""
+    if seconds < 10:
+        return f"{seconds:.2g} s"
+    whole = round(seconds)
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60:02d} s"
+    return f"{whole // 3600:,} h {whole % 3600 // 60:02d} min"
+
+
+def _few_digits(value: float) -> str:
+    return f"{value:,.0f}" if value >= 100 else f"{value:.3g}"

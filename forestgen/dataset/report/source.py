@@ -1,0 +1,131 @@
+"""All that a report is made from, opened: the data set's own files, and how its runs went."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from forestgen.core.errors import DatasetError
+from forestgen.dataset.index import INDEX_NAME
+from forestgen.dataset.legend import FILE_NAME as LEGEND_NAME
+from forestgen.dataset.manifest import MANIFEST_NAME, is_run_folder
+from forestgen.dataset.png import class_palette
+from forestgen.dataset.report.frames import Frames, frames_of, read_frames
+from forestgen.dataset.report.plain_folder import plain_frames
+from forestgen.dataset.report.run_log import RunLog, read_run
+from forestgen.dataset.report.told import Told, told_by_card, told_by_manifest
+
+CARD_NAME, RUN_NAME = "dataset.json", "run"
+
+
+@dataclass(frozen=True)
+class Legend:
+    """Names and colours of the masks' classes."""
+
+    classes: tuple[str, ...] = ()  # by number
+    colours: dict[str, str] = field(default_factory=dict)  # class -> #rrggbb
+    categories: tuple[str, ...] = ()  # of instances
+
+    def colour(self, name: str) -> str:
+        """Of a class, or of a species that is one; "" for others: the page's own."""
+        return self.colours.get(name, "")
+
+
+@dataclass(frozen=True)
+class Source:
+    """A data set's folder, read."""
+
+    folder: Path
+    frames: Frames
+    legend: Legend
+    splits: tuple[str, ...]  # in the data set's order
+    told: Told  # of itself
+    run: RunLog | None
+    notes: tuple[str, ...] = ()  # of what could not be read
+
+
+def open_source(folder: Path) -> Source:
+    """Read a data set that `forestgen batch` or `forestgen merge` made, or a folder of `forestgen render`.
+
+    Raises
+    ------
+    DatasetError : the folder is neither, or its index is damaged.
+    """
+    if not folder.is_dir():
+        raise DatasetError("there is no such folder", where=str(folder), hint="name a data set's folder")
+    notes: list[str] = []
+    card = _read_json(folder / CARD_NAME, notes)
+    if (folder / INDEX_NAME).is_file():
+        frames = read_frames(folder / INDEX_NAME)
+    elif not card and is_run_folder(folder) and not (folder / RUN_NAME).is_dir():
+        return _plain_source(folder, notes)
+    elif card or (folder / RUN_NAME).is_dir():
+        frames = frames_of([])
+        notes.append(
+            "index.parquet is missing: the batch has not ended. `forestgen batch ... --resume` goes on with it."
+        )
+    else:
+        hint = "name a folder that forestgen batch, merge or render wrote"
+        raise DatasetError("this is no data set of forestgen", where=str(folder), hint=hint)
+    told = told_by_card(card)
+    splits = tuple(dict.fromkeys([*told.splits, *sorted(set(frames.split))]))
+    return Source(folder, frames, read_legend(folder, splits, notes), splits, told, read_run(folder), tuple(notes))
+
+
+def _plain_source(folder: Path, notes: list[str]) -> Source:
+    """A folder of `forestgen render`: one split, and the manifest in the card's place."""
+    legend = read_legend(folder, ("",), notes)
+    frames = plain_frames(folder, dict(enumerate(legend.classes)))
+    manifest = _read_json(folder / MANIFEST_NAME, notes)
+    run = RunLog(stage_s={str(k): float(v) for k, v in (manifest.get("timings_s") or {}).items()})
+    run.running_s = float((manifest.get("run") or {}).get("total_s") or 0.0)
+    run.peak_memory_bytes = [float(manifest.get("peak_memory_bytes") or 0.0)]
+    run.finished_s = [run.running_s] * frames.images
+    return Source(
+        folder, frames, legend, ("all",) if len(frames) else (), told_by_manifest(manifest), run, tuple(notes)
+    )
+
+
+def read_legend(folder: Path, splits: tuple[str, ...], notes: list[str]) -> Legend:
+    """classes.json of the first split that has one: all splits have the same."""
+    for split in splits:
+        path = folder / ("" if split == "all" else split) / LEGEND_NAME
+        if path.is_file():
+            return _legend(_read_json(path, notes))
+    return Legend()
+
+
+def _legend(content: dict[str, Any]) -> Legend:
+    names = _in_order(content.get("semantic"))
+    colours = {}
+    for number, rgb in (content.get("semantic_colours") or {}).items():
+        if str(number).isdecimal() and int(number) < len(names) and _is_colour(rgb):
+            colours[names[int(number)]] = "#{:02x}{:02x}{:02x}".format(*rgb)
+    for name, rgb in zip(names, class_palette(len(names)).tolist(), strict=True):
+        colours.setdefault(name, "#{:02x}{:02x}{:02x}".format(*rgb))
+    return Legend(names, colours, _in_order(content.get("categories")))
+
+
+def _in_order(numbered: Any) -> tuple[str, ...]:
+    if not isinstance(numbered, dict) or not all(str(key).isdecimal() for key in numbered):
+        return ()
+    return tuple(str(numbered[key]) for key in sorted(numbered, key=int))
+
+
+def _is_colour(value: Any) -> bool:
+    return isinstance(value, list) and len(value) == 3 and all(isinstance(v, int) and 0 <= v < 256 for v in value)
+
+
+def _read_json(path: Path, notes: list[str]) -> dict[str, Any]:
+    if not path.is_file():
+        return {}
+    try:
+        content = json.loads(path.read_bytes())
+    except (OSError, ValueError, RecursionError):
+        content = None
+    if not isinstance(content, dict):
+        notes.append(f"{path.name} cannot be read.")
+        return {}
+    return content

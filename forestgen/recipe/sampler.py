@@ -1,0 +1,269 @@
+"""Where each image's draws lie in their distributions, where the recipe's section ``sampling`` says so.
+
+A drawn value is its distribution's quantile at a number u in (0, 1). Of an image, all u follow from the root seed, the
+name of its split and its rank there: a batch that grows changes none, nor does the order in which images are made. The
+splits need points of their own, for images are dealt to them by a sequence of base 2 too.
+
+Strata come first: a key's range is cut into bins of equal probability, and every block of as many images of a split as
+the bins of all keys have combinations has each combination once. Other keys have the method's points. What neither
+places is independent. Correlations then act on u, those of strata staying as they are.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.core.errors import RecipeError
+from forestgen.core.randomness import child_rng
+from forestgen.recipe.correlation import InfeasibleError, Pair, cholesky_factor, correlated
+from forestgen.recipe.distributions import Choice, Distribution, Integers
+from forestgen.recipe.distributions import Sequence as InOrder
+from forestgen.recipe.points import MOST_KEYS, Method, cell_of, point
+from forestgen.recipe.sampling import MOST_CELLS, Sampling
+from forestgen.recipe.sources import Keys, SourceMap, dotted
+from forestgen.recipe.splits import place_in_splits
+from forestgen.recipe.variables import SECTION as VARIABLES
+
+_EDGE = 2.0**-32  # how near to a bin's edge a value comes: nearer, rounding might put it beyond
+
+
+@dataclass(frozen=True, eq=False)
+class Sampler:
+    """The section ``sampling``, checked against what is drawn."""
+
+    seed: int  # the recipe's
+    splits: Mapping[str, float]
+    method: Method
+    block: int  # images of a Latin hypercube
+    spread: tuple[Keys, ...]  # what the method places
+    strata: tuple[tuple[Keys, int], ...]  # number of bins by key
+    correlated: tuple[Keys, ...]  # those of strata first
+    factor: NDArray[np.float64]  # (k, k) Cholesky factor of the k correlated keys
+
+    def quantiles(self, image: int) -> dict[Keys, float]:
+        """u by key path of all that the section places, of the image of this number."""
+        split, rank = place_in_splits(self.splits, image)
+        found: dict[Keys, float] = {}
+        if self.spread:
+            points = point(self.method, len(self.spread), self.block, self.seed, split, rank)
+            found.update(zip(self.spread, points.tolist(), strict=True))
+        if self.strata:
+            found.update(self._stratified(image, split, rank))
+        if self.correlated:
+            found.update(self._correlated(found, image))
+        return found
+
+    def describe(self) -> str:
+        """The section in a few words."""
+        parts = [f"{self.method}, {len(self.spread)} keys" if self.spread else "independent"]
+        if self.strata:
+            parts.append(f"{self.cells} cells of strata: {' x '.join(_name(keys) for keys, _ in self.strata)}")
+        if self.correlated:
+            parts.append(f"correlated: {', '.join(_name(keys) for keys in self.correlated)}")
+        return "; ".join(parts)
+
+    def _stratified(self, image: int, split: str, rank: int) -> dict[Keys, float]:
+        cell = cell_of(self.cells, self.seed, split, rank)
+        found = {}
+        for keys, bins in self.strata:
+            cell, number = divmod(cell, bins)
+            found[keys] = (number + min(max(self._independent(keys, image), _EDGE), 1.0 - _EDGE)) / bins
+        return found
+
+    def _correlated(self, found: Mapping[Keys, float], image: int) -> dict[Keys, float]:
+        given = [found[keys] if keys in found else self._independent(keys, image) for keys in self.correlated]
+        values = correlated(np.array(given), self.factor).tolist()
+        return {keys: u for keys, u in zip(self.correlated, values, strict=True) if keys not in self._in_strata}
+
+    def _independent(self, keys: Keys, image: int) -> float:
+        return min(max(child_rng(self.seed, "sampling", image, dotted(keys)).random(), _EDGE), 1.0 - _EDGE)
+
+    @cached_property
+    def cells(self) -> int:
+        """Combinations of the strata's bins."""
+        return math.prod(bins for _, bins in self.strata)
+
+    @cached_property
+    def _in_strata(self) -> frozenset[Keys]:
+        return frozenset(keys for keys, _ in self.strata)
+
+
+def make_sampler(
+    section: Sampling,
+    distributions: Mapping[Keys, Distribution],
+    references: Mapping[Keys, Any],
+    sources: SourceMap,
+    seed: int,
+    splits: Mapping[str, float],
+) -> Sampler:
+    """Check the section against what is drawn.
+
+    Parameters
+    ----------
+    distributions, references : by key path; references are what follows from variables.
+    seed, splits : of the recipe.
+
+    Raises
+    ------
+    RecipeError : a key that is not drawn, strata that cannot be cut or are too many, correlations that cannot be.
+    """
+    keys_of = _Keys(distributions, references, sources)
+    strata = tuple(
+        (keys, _bins(distributions[keys], wanted, sources.where(("sampling", "strata", name))))
+        for name, wanted in section.strata.items()
+        for keys in [keys_of.find(name, ("sampling", "strata", name))]
+    )
+    _check_cells(section, strata, sources)
+    correlated, factor = _correlations(section, keys_of, [keys for keys, _ in strata], sources)
+    spread = _spread(section, keys_of, {keys for keys, _ in strata})
+    return Sampler(seed, splits, section.method, section.block, spread, strata, correlated, factor)
+
+
+@dataclass(frozen=True)
+class _Keys:
+    """Finds what a name of the section means."""
+
+    distributions: Mapping[Keys, Distribution]
+    references: Mapping[Keys, Any]
+    sources: SourceMap
+
+    @cached_property
+    def names(self) -> dict[str, Keys]:
+        """Of all that is drawn at random: key paths, and variables by their name."""
+        return {_name(keys): keys for keys, one in self.distributions.items() if not isinstance(one, InOrder)}
+
+    def find(self, name: str, at: Keys) -> Keys:
+        if name in self.names:
+            return self.names[name]
+        where = self.sources.where(at)
+        expected = f"one of {_some(list(self.names))}" if self.names else "a distribution; this recipe has none"
+        for keys in self.distributions:
+            if _name(keys) == name:
+                got, hint = "a sequence, which is not random", "use {choice: [...]}"
+                raise RecipeError("this key is not drawn at random", where=where, expected=expected, got=got, hint=hint)
+        for keys in self.references:
+            if _name(keys) == name:
+                raise RecipeError("this key follows from variables", where=where, expected="the variables' names")
+        written = [keys for keys in self.sources.places if dotted(keys) == name]
+        near = difflib.get_close_matches(name, self.names, n=1, cutoff=0.6)
+        problem, advice = "no such key is drawn", f"did you mean {near[0]}?" if near else None
+        if written:
+            problem, advice = "this key is no distribution", f"make it one: {written[0][-1]}: {{uniform: [a, b]}}"
+        raise RecipeError(problem, where=where, expected=expected, got=name, hint=advice)
+
+
+def _name(keys: Keys) -> str:
+    return str(keys[-1]) if keys[: len(VARIABLES)] == VARIABLES and len(keys) == 3 else dotted(keys)
+
+
+def _some(names: Sequence[str]) -> str:
+    return ", ".join(names[:12]) + (f" and {len(names) - 12} more" if len(names) > 12 else "")
+
+
+def _bins(distribution: Distribution, wanted: Any, where: str) -> int:
+    """Number of bins that a key of the strata has."""
+    if isinstance(wanted, int):
+        return wanted
+    if isinstance(distribution, Integers) and wanted == "all":
+        count = distribution.high - distribution.low + 1
+        if count <= MOST_CELLS:
+            return count
+    if not isinstance(distribution, Choice):
+        expected = "a number of bins, for what is no choice"
+        raise RecipeError("bad strata", where=where, expected=expected, got=f"{wanted!r:.60}", hint="3")
+    if distribution.weights is not None and len(set(distribution.weights)) > 1:
+        total = sum(distribution.weights)
+        bins = total / min(distribution.weights)
+        hint = f"{bins:g} bins have each value as often as its weight says" if bins == int(bins) else None
+        expected = "a number of bins, for a choice with weights"
+        raise RecipeError("strata would undo the weights", where=where, expected=expected, got="all", hint=hint)
+    if wanted != "all":
+        _check_levels(distribution, wanted, where)
+    return len(distribution.values)
+
+
+def _check_levels(distribution: Choice, wanted: Sequence[Any], where: str) -> None:
+    if distribution.numbered:
+        raise RecipeError("bad strata", where=where, expected="all, where mappings or lists are chosen")
+    if len(wanted) != len(distribution.values) or any(value not in wanted for value in distribution.values):
+        expected = f"all, or every value of the choice: {_some([str(value) for value in distribution.values])}"
+        raise RecipeError("bad strata", where=where, expected=expected, got=_some([str(value) for value in wanted]))
+
+
+def _check_cells(section: Sampling, strata: Sequence[tuple[Keys, int]], sources: SourceMap) -> None:
+    cells = math.prod(bins for _, bins in strata)
+    if cells > MOST_CELLS:
+        raise RecipeError(
+            "too many strata",
+            where=sources.where(("sampling", "strata")),
+            expected=f"at most {MOST_CELLS:,} combinations of bins",
+            got=f"{' x '.join(str(bins) for _, bins in strata)} = {cells:,}",
+            hint="fewer bins, or leave some of these keys to the method",
+        )
+    if len({keys for keys, _ in strata}) < len(section.strata):
+        raise RecipeError("a key twice", where=sources.where(("sampling", "strata")), expected="each key once")
+
+
+def _spread(section: Sampling, keys_of: _Keys, in_strata: set[Keys]) -> tuple[Keys, ...]:
+    """What the method places, in the order that it is listed or written."""
+    if section.method == "independent":
+        return ()
+    names = list(keys_of.names) if section.keys is None else list(section.keys)
+    found = [keys_of.find(name, ("sampling", "keys", n)) for n, name in enumerate(names)]
+    for n, keys in enumerate(found):
+        if keys in found[:n]:
+            where = keys_of.sources.where(("sampling", "keys", n))
+            raise RecipeError("a key twice", where=where, expected="each key once", got=names[n])
+    spread = tuple(keys for keys in found if keys not in in_strata)
+    if len(spread) > MOST_KEYS:
+        where = keys_of.sources.where(("sampling", "method"))
+        hint = "sampling.keys names those that matter"
+        raise RecipeError(
+            "too many keys for a method", where=where, expected=f"at most {MOST_KEYS}", got=f"{len(spread)}", hint=hint
+        )
+    return spread
+
+
+def _correlations(
+    section: Sampling, keys_of: _Keys, in_strata: Sequence[Keys], sources: SourceMap
+) -> tuple[tuple[Keys, ...], NDArray[np.float64]]:
+    """The correlated keys, those of strata first so that these stay as they are, and the factor of their matrix."""
+    pairs: list[tuple[Keys, Keys]] = []
+    for n, entry in enumerate(section.correlations):
+        one, other = (
+            keys_of.find(name, ("sampling", "correlations", n, "keys", k)) for k, name in enumerate(entry.keys)
+        )
+        where = sources.where(("sampling", "correlations", n))
+        if (one, other) in pairs or (other, one) in pairs or one == other:
+            raise RecipeError("a pair twice", where=where, expected="each pair once", got=" and ".join(entry.keys))
+        if one in in_strata and other in in_strata:
+            expected = "at most one key of a pair among sampling.strata, for all their combinations are equally often"
+            raise RecipeError(
+                "strata that are correlated", where=where, expected=expected, got=" and ".join(entry.keys)
+            )
+        pairs.append((one, other))
+    found = dict.fromkeys(keys for pair in pairs for keys in pair)
+    ordered = [keys for keys in found if keys in in_strata] + [keys for keys in found if keys not in in_strata]
+    numbered: list[Pair] = [
+        (ordered.index(one), ordered.index(other), entry.rank)
+        for (one, other), entry in zip(pairs, section.correlations, strict=True)
+    ]
+    try:
+        return tuple(ordered), cholesky_factor(len(ordered), numbered)
+    except InfeasibleError as cause:
+        entry = section.correlations[cause.pair]
+        raise RecipeError(
+            "these correlations cannot be at the same time",
+            where=sources.where(("sampling", "correlations", cause.pair)),
+            expected=f"rank: {cause.nearest:g} at the nearest, for {' and '.join(entry.keys)}, beside the other pairs",
+            got=f"{entry.rank:g}",
+            hint="pairs that are not named have no correlation; name them too if they should have one",
+        ) from cause

@@ -1,0 +1,69 @@
+"""A data set to pack: frames of drawn masks, written by the real writers and laid out as a batch leaves them."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from forestgen.dataset.index import write_index
+from forestgen.dataset.writer import write_dataset, write_frame
+
+sys.path.append(str(Path(__file__).parents[1] / "unit" / "dataset"))
+from dataset_shots import HEIGHT, SETTINGS, WIDTH, make_shot
+
+SPLITS = {"train": (0, 2, 3, 5, 6), "val": (1, 4)}  # numbers of the images
+CLASSES = ("nothing", "ground", "poplar", "spruce", "oak")
+PIXELS = WIDTH * HEIGHT
+CARD = "---\nlicense: cc-by-4.0\n---\n\n# Weeds\n\nThree species.\n"
+_SETTINGS = replace(SETTINGS, formats=("coco", "depth_png"))
+
+
+def batch(root: Path) -> Path:
+    """Seven frames in two splits."""
+    rows = []
+    for split, images in SPLITS.items():
+        folders = [_frame(root / split, image) for image in images]
+        write_dataset(root / split, folders, _SETTINGS)
+        rows += [_row(split, folder, image) for folder, image in zip(folders, images, strict=True)]
+    write_index(root / "index.parquet", sorted(rows, key=lambda row: row["image"]))
+    (root / "dataset.json").write_text("{}\n", encoding="utf-8")
+    (root / "README.md").write_text(CARD, encoding="utf-8")
+    return root
+
+
+def _frame(split: Path, image: int) -> Path:
+    folder = split / f"{image:06d}-camera0"
+    shot = make_shot([*range(1, 5 + image), 70_000 + image, 999_999], seed=image)
+    write_frame(folder, shot.labelled, f"seed: {image}\n", {"seed": "7"}, _SETTINGS)
+    return folder
+
+
+def _row(split: str, folder: Path, image: int) -> dict:
+    counts = Counter(np.asarray(Image.open(folder / "semantic.png")).ravel().tolist())
+    return {
+        "frame": folder.name,
+        "folder": f"{split}/{folder.name}",
+        "split": split,
+        "image": image,
+        "camera": "camera0",
+        "sun_elevation_deg": 30.0 + image,
+        "instance_pixels_histogram": [image, 2],
+        "class_pixels": {CLASSES[number]: pixels for number, pixels in counts.items()},
+        "notes": ["a note"] * (image % 2),
+        "draw.sky.turbidity": 2.5,
+    }
+
+
+def frames(root: Path, split: str) -> dict[str, Path]:
+    """Name -> folder, of a split."""
+    return {path.name: path for path in sorted((root / split).iterdir()) if path.is_dir()}
+
+
+def annotations(folder: Path) -> list[dict]:
+    return json.loads((folder / "annotations.json").read_bytes())["annotations"]

@@ -1,0 +1,323 @@
+"""Data sets in bulk: the same bytes however they come about, and only what is missing is made."""
+
+from __future__ import annotations
+
+import json
+import random
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from batch_runs import RECIPE, WITH_LABELS, assert_records_hold, assert_same, faults_folder, recipe, serial, shown
+from command_line import run
+from pretend_jobs import FAULTS, begun, make
+
+from forestgen.batch.work import make_job
+from forestgen.core.errors import DatasetError, OutputError, RecipeError
+from forestgen.recipe.load import load_recipe
+
+
+@pytest.fixture
+def faults(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv(FAULTS, "")
+    return faults_folder(tmp_path)
+
+
+def test_two_workers_and_one_process_in_reverse_make_the_same_bytes(tmp_path: Path) -> None:
+    """The command with its workers, against the same jobs in another order and in this process."""
+    path = recipe(tmp_path, WITH_LABELS)
+    answer = run("batch", path, "--count", "2", "--out", tmp_path / "two", "--workers", "2", "--threads", "1")
+    assert answer.code == 0, answer.err
+    assert "2 of 2 images" in answer.out
+    serial(path, tmp_path / "one", 2, make_job, hold=2, order=lambda jobs: len(jobs) - 1)
+    assert_same(tmp_path / "one", tmp_path / "two")
+    assert assert_records_hold(tmp_path / "two") == {0, 1}
+    assert {path.name for path in (tmp_path / "two").iterdir()} == {
+        *(".forestgen", "README.md", "SHA256SUMS", "dataset.json", "index.parquet", "recipe.yaml", "report.html"),
+        *("run", "thumbnails", "train", "val"),
+    }
+    events = [json.loads(line) for line in (tmp_path / "two/run/log.jsonl").read_text().splitlines()]
+    assert [event["event"] for event in events].count("job_done") == 2
+    assert {events[0]["event"], events[-1]["event"]} == {"start", "finish"}
+
+
+def test_a_batch_is_the_images_that_render_makes(tmp_path: Path) -> None:
+    """An image of a batch has the bytes of the folder that `forestgen render` writes of it."""
+    path = recipe(tmp_path, WITH_LABELS.replace("splits: {train: 1, val: 1}", "splits: {train: 1}"))
+    serial(path, tmp_path / "batch", 1, make_job)
+    assert run("render", path, "--images", "1", "-o", tmp_path / "rendered").code == 0
+    rendered = {name: content for name, content in shown(tmp_path / "rendered").items() if name[0] == "0"}
+    batch = {name.removeprefix("train/"): content for name, content in shown(tmp_path / "batch").items()}
+    assert rendered
+    assert [name for name in rendered if rendered[name] != batch[name]] == []
+
+
+def test_orders_and_interruptions_change_no_byte(tmp_path: Path, faults: Path) -> None:
+    """A batch of six, interrupted early and late, resumed in a random order."""
+    path = recipe(tmp_path)
+    serial(path, tmp_path / "whole", 6, make)
+    for point in (0, 1, 4):
+        target = tmp_path / f"stopped{point}"
+        with pytest.raises(KeyboardInterrupt):
+            serial(path, target, 6, make, stop_after=point)
+        done = assert_records_hold(target)
+        assert len(done) == point
+        assert not (target / "dataset.json").exists()
+        before = begun(faults)
+        rng = random.Random(point)
+        summary = serial(
+            path, target, 6, make, resume=True, hold=3, order=lambda jobs, rng=rng: rng.randrange(len(jobs))
+        )
+        assert (summary.already, summary.made) == (point, 6 - point)
+        assert sorted(begun(faults)[len(before) :]) == sorted(set(range(6)) - done)
+        assert_same(target, tmp_path / "whole")
+
+
+def test_a_batch_that_grows_makes_only_the_new_images(tmp_path: Path, faults: Path) -> None:
+    path = recipe(tmp_path)
+    serial(path, tmp_path / "grown", 3, make)
+    serial(path, tmp_path / "grown", 7, make, resume=True)
+    assert sorted(begun(faults)) == list(range(7))
+    serial(path, tmp_path / "whole", 7, make)
+    assert_same(tmp_path / "grown", tmp_path / "whole")
+
+
+def test_a_batch_that_shrinks_loses_what_is_too_much(tmp_path: Path, faults: Path) -> None:
+    path = recipe(tmp_path)
+    serial(path, tmp_path / "shrunk", 7, make)
+    serial(path, tmp_path / "shrunk", 3, make, resume=True, discard=True)
+    serial(path, tmp_path / "whole", 3, make)
+    assert_same(tmp_path / "shrunk", tmp_path / "whole")
+
+
+def test_of_a_changed_recipe_only_what_changes_is_made_again(tmp_path: Path, faults: Path) -> None:
+    """A story of which the second half changes: the images of the first half stay."""
+    path = recipe(tmp_path, RECIPE.replace("steps: 12", "steps: {sequence: [5, 6, 7, 8, 9, 10]}"))
+    target = tmp_path / "changed"
+    serial(path, target, 6, make)
+    before = begun(faults)
+    changed = recipe(tmp_path, RECIPE.replace("steps: 12", "steps: {sequence: [5, 6, 7, 11, 12, 13]}"))
+    summary = serial(changed, target, 6, make, resume=True, discard=True)
+    assert (summary.already, summary.made) == (3, 3)
+    assert sorted(begun(faults)[len(before) :]) == [3, 4, 5]
+    serial(changed, tmp_path / "whole", 6, make)
+    assert_same(target, tmp_path / "whole")
+
+
+def test_a_change_that_is_interrupted_leaves_no_mixture(tmp_path: Path, faults: Path) -> None:
+    """Changed, interrupted, changed back: what was made of the other recipe is made again.
+
+    Two images were made of it, and the next two were handed out, so that their old frames were gone.
+    """
+    path, target = recipe(tmp_path), tmp_path / "mixed"
+    serial(path, target, 5, make)
+    with pytest.raises(KeyboardInterrupt):
+        serial(path, target, 5, make, "seed=6", resume=True, discard=True, stop_after=2)
+    with pytest.raises(RecipeError, match="2 of 3 finished images"):
+        serial(path, target, 5, make, resume=True)
+    assert serial(path, target, 5, make, resume=True, discard=True).made == 4
+    serial(path, tmp_path / "whole", 5, make)
+    assert_same(target, tmp_path / "whole")
+
+
+def test_other_splits_leave_no_old_folder(tmp_path: Path, faults: Path) -> None:
+    path, target = recipe(tmp_path), tmp_path / "split"
+    serial(path, target, 5, make)
+    serial(path, target, 5, make, "dataset.splits={train: 1, test: 1}", resume=True, discard=True)
+    assert not (target / "val").exists()
+    serial(path, tmp_path / "whole", 5, make, "dataset.splits={train: 1, test: 1}")
+    assert_same(target, tmp_path / "whole")
+
+
+def test_frames_that_were_deleted_or_doubled_by_hand_are_mended(tmp_path: Path, faults: Path) -> None:
+    import shutil
+
+    path, target = recipe(tmp_path), tmp_path / "data"
+    serial(path, target, 4, make)
+    whole = shown(target)
+    shutil.rmtree(target / "train/000000-left")
+    shutil.copytree(target / "train/000000-right", target / "val/000000-right")
+    (next((target / ".forestgen/jobs").glob("000002-*"))).write_text("{")
+    assert serial(path, target, 4, make, resume=True).made == 2
+    assert shown(target) == whole
+
+
+def test_two_records_of_one_image_vouch_for_nothing(tmp_path: Path, faults: Path) -> None:
+    """A worker that was thought dead has written, too: the frames may be either's, and are made again."""
+    from forestgen.batch.records import read_record, record_bytes
+
+    path, target = recipe(tmp_path), tmp_path / "data"
+    serial(path, target, 3, make)
+    whole = shown(target)
+    (one,) = (target / ".forestgen/jobs").glob("000001-*")
+    for letter in "0f":
+        key = f"000001-{letter * 40}"
+        other = replace(read_record(one.read_bytes(), ""), key=key)
+        one.with_name(f"{key}.json").write_bytes(record_bytes(other))
+        assert serial(path, target, 3, make, resume=True).made == 1
+        assert shown(target) == whole
+
+
+def test_numbers_can_begin_elsewhere(tmp_path: Path, faults: Path) -> None:
+    path = recipe(tmp_path)
+    serial(path, tmp_path / "part", 2, make, "first_image=40")
+    assert {name.split("/")[1][:6] for name in shown(tmp_path / "part") if name.endswith(".bin")} == {
+        "000040",
+        "000041",
+    }
+
+
+def test_a_batch_is_not_gone_on_with_unasked(tmp_path: Path, faults: Path) -> None:
+    path = recipe(tmp_path)
+    serial(path, tmp_path / "data", 2, make)
+    before = shown(tmp_path / "data")
+    with pytest.raises(OutputError, match="--resume"):
+        serial(path, tmp_path / "data", 3, make)
+    assert shown(tmp_path / "data") == before
+
+
+def test_what_a_run_notes_down_may_be_damaged(tmp_path: Path, faults: Path) -> None:
+    """Its own file, by a disk or by a stranger, and lines of the log: no image is lost, nothing else is removed."""
+    path, target = recipe(tmp_path), tmp_path / "data"
+    serial(path, target, 3, make)
+    whole, marks = shown(target), target / ".forestgen/batch.json"
+    said = json.loads(marks.read_text())
+    texts = [json.dumps({**said, "splits": names}) for names in (["", "."], ["run", ".."], [3, None], "x")]
+    for text in ("", "{", "[" * 100_000, *texts):
+        marks.write_text(text)
+        (target / "run/mine.txt").touch()
+        with (target / "run/log.jsonl").open("ab") as log:
+            log.write(b'{"event": "job_done", "image": "3", "time": 1}\n\xff\xfe\n[]\n')
+            log.write(b'{"event":"job_done","image":1,"split":3,"attempt":"x","seconds":"s","timings_s":[],')
+            log.write(b'"peak_memory_bytes":"a","worker":1,"frames":null,"time":3}\n')
+        with pytest.raises(OutputError, match="already holds a batch"):
+            serial(path, target, 3, make)
+        assert serial(path, target, 3, make, resume=True).made == 0
+        assert shown(target) == whole
+        assert (target / "run/mine.txt").exists()
+
+
+def test_a_split_that_is_a_link_is_refused(tmp_path: Path, faults: Path) -> None:
+    """A run would remove what no record vouches for, and that would be somebody's own folder."""
+    path, target, own = recipe(tmp_path), tmp_path / "data", tmp_path / "home"
+    serial(path, target, 2, make)
+    own.mkdir()
+    (own / "000001-letter").write_text("mine")
+    (target / "train").rename(tmp_path / "moved")
+    (target / "train").symlink_to(own)
+    with pytest.raises(OutputError, match="a link to elsewhere"):
+        serial(path, target, 2, make, resume=True)
+    assert (own / "000001-letter").read_text() == "mine"
+    (tmp_path / "link").symlink_to(tmp_path / "far", target_is_directory=True)
+    (tmp_path / "far").mkdir()
+    serial(path, tmp_path / "link", 2, make)  # the whole folder may be one
+    assert (tmp_path / "far/dataset.json").exists()
+
+
+def test_finished_images_are_thrown_away_only_if_asked(tmp_path: Path, faults: Path) -> None:
+    """A smaller count, other numbers, another recipe, other splits: said with how many, and nothing lost."""
+    path, target = recipe(tmp_path), tmp_path / "data"
+    serial(path, target, 6, make)
+    before = shown(target)
+    for count, overrides, problem, reason in (
+        (2, (), "4 of 6 finished images", "4 beyond the images"),
+        (6, ("first_image=4",), "4 of 6 finished images", "4 beyond the images"),
+        (6, ("seed=6",), "6 of 6 finished images", "6 made from another recipe"),
+        (4, ("dataset.splits={train: 1, test: 1}",), "finished images", "2 beyond the images that are asked for now; "),
+    ):
+        with pytest.raises(RecipeError, match=problem) as refused:
+            serial(path, target, count, make, *overrides, resume=True)
+        assert reason in str(refused.value)
+        assert "--discard" in str(refused.value)
+        assert shown(target) == before
+    assert serial(path, target, 6, make, resume=True).made == 0
+    answer = run("batch", path, "--count", "2", "--out", target, "--resume")
+    assert answer.code == 2  # a script that tries again and again ends here
+    assert "--discard agrees" in answer.err
+    assert shown(target) == before
+
+
+def test_a_folder_of_somebody_else_is_never_touched(tmp_path: Path, faults: Path) -> None:
+    path, target = recipe(tmp_path), tmp_path / "thesis"
+    target.mkdir()
+    (target / "chapter1.tex").write_text("mine")
+    for resume in (False, True):
+        with pytest.raises(OutputError, match="holds no batch"):
+            serial(path, target, 2, make, resume=resume)
+    assert [one.name for one in target.iterdir()] == ["chapter1.tex"]
+
+
+def test_images_that_fail_are_named_and_left_out(tmp_path: Path, faults: Path) -> None:
+    path, target = recipe(tmp_path), tmp_path / "data"
+    (faults / "fail-1").write_text("renderer no light")
+    (faults / "fail-2").write_text("memory too much")
+    summary = serial(path, target, 4, make)
+    assert [(failed.job.image, failed.kind, failed.attempt) for failed in summary.failed] == [
+        (1, "renderer", 1),  # it would fail again
+        (2, "memory", 3),  # it may pass: tried again twice
+    ]
+    assert assert_records_hold(target) == {0, 3}
+    for one in faults.glob("fail-*"):
+        one.unlink()
+    assert serial(path, target, 4, make, resume=True).failed == ()
+    serial(path, tmp_path / "whole", 4, make)
+    assert_same(target, tmp_path / "whole")
+
+
+def test_a_batch_without_hope_is_stopped(tmp_path: Path, faults: Path) -> None:
+    for image in range(40):
+        (faults / f"fail-{image}").write_text("bug it is broken")
+    with pytest.raises(DatasetError, match="it is broken"):
+        serial(recipe(tmp_path), tmp_path / "data", 40, make)
+    assert len(begun(faults)) < 15
+
+
+def test_an_image_that_cannot_be_drawn_fails_alone(tmp_path: Path, faults: Path) -> None:
+    """Draws that each are valid and together are not: no extreme shows it."""
+    path = recipe(tmp_path)
+    loaded = load_recipe(path)
+    draw = type(loaded).draw
+
+    def draws(self, index):
+        if index == 1:
+            raise RecipeError("a drawn value is wrong", where="sun", got="-3")
+        return draw(self, index)
+
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(type(loaded), "draw", draws)
+        summary = serial(path, tmp_path / "data", 3, make)
+    assert [(failed.job.image, failed.kind) for failed in summary.failed] == [(1, "recipe")]
+    assert "a drawn value is wrong" in summary.failed[0].message
+    assert assert_records_hold(tmp_path / "data") == {0, 2}
+
+
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        ("same_stand=true", "several splits"),
+        ("dataset.splits={run: 1, train: 1}", "cannot have this name"),
+        (
+            "community={model: placed, plants: [{species: fireweed, position_m: [3, 3]}]}",
+            "all images show the plants of one list",
+        ),
+    ],
+)
+def test_recipes_that_make_no_data_set_are_refused(tmp_path: Path, faults: Path, override: str, words: str) -> None:
+    with pytest.raises(RecipeError, match=words):
+        serial(recipe(tmp_path), tmp_path / "data", 3, make, override)
+    assert not (tmp_path / "data").exists()
+
+
+def test_the_map_of_a_resumed_recipe_may_have_changed_meanwhile(tmp_path: Path, faults: Path) -> None:
+    """A file that changes between the run's draw and the worker's is no silent mixture: the job fails, and says why."""
+    path = recipe(tmp_path)
+    loaded = load_recipe(path)
+    from forestgen.batch.contract import Job, Work
+    from forestgen.batch.places import LocalPlace
+    from forestgen.stages.data_set import data_set_of
+
+    work = Work(loaded, data_set_of(loaded.draw(0)), LocalPlace(tmp_path / "data"), "versions")
+    failed = make_job(work, Job(0, 0, "train", "000000-" + "0" * 40), 1)
+    assert failed.kind == "recipe"  # type: ignore[union-attr]
+    assert "changed since the batch was started" in failed.message  # type: ignore[union-attr]
+    assert not (tmp_path / "data/train").exists()

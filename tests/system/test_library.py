@@ -1,0 +1,64 @@
+"""Images that share a library of plants have the same bytes however they are made: together, apart, or alone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from forestgen import pipeline
+from forestgen.batch.contract import RUN_DEPENDENT, Engine, Work
+from forestgen.batch.engines.local import LocalEngine
+from forestgen.batch.run import run_batch
+from forestgen.batch.work import make_job
+from forestgen.core.progress import Silent
+from forestgen.core.timing import Timings
+from forestgen.recipe.load import load_recipe
+
+RECIPE = """
+forestgen: 1
+seed: 8
+site: {size_m: [8, 8], terrain: flat, ground: grass}
+species:
+  fireweed: {from: fireweed, height_m: {uniform: [1.2, 1.9]}}
+  grass:
+community: {model: uniform, plants: {fireweed: {count: 8}, grass: {count: 8}}}
+plants: {library: 2, variants_per_size: 2, exemplars_per_species: 3, levels: true}
+cameras: [{name: eye, position_m: [4, -2, 1.5], look_at_m: [4, 4, 0.5], size_px: [32, 24]}]
+render: {samples: 1}
+labels: {samples: 1}
+"""
+
+
+def _batch(recipe: Path, target: Path, workers: int) -> dict[str, bytes]:
+    def engine(work: Work) -> Engine:
+        return LocalEngine(work, workers, make_job)
+
+    summary = run_batch(load_recipe(recipe), str(target), count=6, engine=engine, threads=1)
+    assert not summary.failed
+    files = (path for path in sorted(target.rglob("*")) if path.is_file())
+    return {
+        name: path.read_bytes()
+        for path in files
+        if (name := path.relative_to(target).as_posix()).split("/")[0] not in RUN_DEPENDENT
+    }
+
+
+@pytest.mark.slow
+def test_neither_workers_nor_the_cache_nor_other_images_change_a_byte(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recipe = tmp_path / "recipe.yaml"
+    recipe.write_text(RECIPE)
+    monkeypatch.setenv("FORESTGEN_CACHE", str(tmp_path / "cache"))
+    cold = _batch(recipe, tmp_path / "cold", 2)
+    assert _batch(recipe, tmp_path / "warm", 1) == cold
+    monkeypatch.setenv("FORESTGEN_CACHE", "")
+    assert _batch(recipe, tmp_path / "none", 1) == cold
+    frame = next(name for name in cold if name.endswith("-eye/recipe.yaml") and "/000005-" in name).rpartition("/")[0]
+    stored = load_recipe(tmp_path / "cold" / frame / "recipe.yaml")
+    pipeline.render(stored, tmp_path / "alone", progress=Silent(), timings=Timings())
+    alone = tmp_path / "alone" / Path(frame).name
+    assert {path.name: path.read_bytes() for path in alone.iterdir()} == {
+        Path(name).name: content for name, content in cold.items() if name.startswith(f"{frame}/")
+    }

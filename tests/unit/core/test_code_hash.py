@@ -1,0 +1,124 @@
+"""What a kept result depends on besides its inputs."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+from forestgen.core import code_hash as module
+
+PARTS = ("core", "plants", "pipeline.py")
+
+
+@pytest.fixture
+def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    for layer in ("core", "plants", "labels"):
+        (tmp_path / layer / "deep").mkdir(parents=True)
+        (tmp_path / layer / "deep" / "a.py").write_text("x = 1")
+    (tmp_path / "pipeline.py").write_text("x = 1")
+    monkeypatch.setattr(module.forestgen, "__file__", str(tmp_path / "__init__.py"))
+    return tmp_path
+
+
+def now(*tables: Path) -> str:
+    return module.code_hash.__wrapped__(PARTS, ("numpy",), tables)
+
+
+def test_every_change_of_the_code_counts(package: Path) -> None:
+    seen = {now()}
+    for path, text in (
+        ("plants/deep/a.py", "x = 2"),
+        ("core/b.lark", "y"),
+        ("pipeline.py", "x = 2"),
+        ("core/c.py", ""),
+    ):
+        (package / path).write_text(text)
+        seen.add(now())
+    (package / "core" / "c.py").rename(package / "core" / "d.py")
+    seen.add(now())
+    (package / "core" / "d.py").unlink()
+    assert len(seen) == 6
+    assert now() in seen
+
+
+def test_other_layers_and_what_is_compiled_do_not(package: Path) -> None:
+    before = now()
+    (package / "labels" / "deep" / "a.py").write_text("x = 2")
+    (package / "plants" / "__pycache__").mkdir()
+    (package / "plants" / "__pycache__" / "kernel.nbi").write_text("compiled")
+    assert now() == before
+
+
+def test_what_is_left_out_does_not_count(package: Path) -> None:
+    def hashed() -> str:
+        return module.code_hash.__wrapped__(PARTS, (), (), ("plants/deep", "core/a.py"))
+
+    (package / "core" / "a.py").write_text("x = 1")
+    before = hashed()
+    (package / "core" / "a.py").write_text("x = 2")
+    (package / "plants" / "deep" / "a.py").write_text("x = 2")
+    assert hashed() == before
+    (package / "core" / "ab.py").write_text("x = 2")
+    assert hashed() != before
+
+
+def test_text_that_moves_between_files_counts(package: Path) -> None:
+    (package / "core" / "deep" / "a.py").write_text("x = 1\ny = 2")
+    before = now()
+    (package / "core" / "deep" / "a.py").write_text("x = 1")
+    (package / "core" / "deep" / "b.py").write_text("y = 2")
+    assert now() != before
+
+
+def test_tables_and_versions_count(package: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    tables = package / "tables"
+    tables.mkdir()
+    (tables / "leaf.csv").write_text("400,0.1")
+    seen = {now(), now(tables)}
+    (tables / "leaf.csv").write_text("400,0.2")
+    seen.add(now(tables))
+    monkeypatch.setattr(module, "version", lambda name: "99")
+    seen.add(now(tables))
+    assert len(seen) == 4
+
+
+def test_every_user_of_it_names_parts_that_exist() -> None:
+    from forestgen.atmosphere import simulate
+    from forestgen.batch import keys
+    from forestgen.plants import cache
+    from forestgen.render import unfinished
+    from forestgen.stages import community_cache
+
+    root = Path(module.forestgen.__file__).parent
+    for parts in (simulate.SOURCES, *(one._SOURCES for one in (keys, cache, unfinished, community_cache))):
+        assert all((root / part).exists() for part in parts)
+        assert module.source_files(parts)
+
+
+def test_jobs_are_known_by_all_code_that_makes_their_files() -> None:
+    """What a batch's key counts, and what a worker calls, imports nothing of forestgen's that it does not count."""
+    from forestgen.batch import keys
+
+    root = Path(module.forestgen.__file__).parent
+    counted = set(module.source_files(keys._SOURCES, keys._WITHOUT))
+    left_out = set(module.source_files(keys._SOURCES)) - counted
+    assert {one.partition("/")[0] for one in keys._WITHOUT} == {"dataset"}
+    assert all((root / one).exists() for one in keys._WITHOUT)
+    for path in (root / "batch" / "work.py", *(one for one in counted if one.suffix == ".py")):
+        for imported in imports_of(path, root) - counted:
+            assert path.name == "work.py", (path, imported)
+            assert imported not in left_out
+            assert imported.parent == root / "batch"
+
+
+def imports_of(path: Path, root: Path) -> set[Path]:
+    """Files of forestgen's modules that a file imports, at its top or inside functions."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.partition(".")[0] == "forestgen":
+            for name in (node.module, *(f"{node.module}.{one.name}" for one in node.names)):
+                place = root.joinpath(*name.split(".")[1:])
+                found |= {one for one in (place.with_suffix(".py"), place / "__init__.py") if one.exists()}
+    return found
