@@ -29,7 +29,13 @@ from forestgen.recipe.load import LoadedRecipe, load_recipe
 ROOT = Path(__file__).resolve().parents[1]
 IMAGES = {"sapling_stand": 10, "mixed_stand": 8, "vista": 6}
 QUICK_IMAGES, ROUNDS = 4, 2
-QUICK = ("render.samples=4", "labels.samples=1", "site.size_m=[20, 20]", "sky.clouds.type={choice: [none]}")
+QUICK = ("render.samples=4", "labels.samples=1", "sky.clouds.type={choice: [none]}")
+QUICK_OF = {
+    "sapling_stand": ("cameras.0.size_px=[160, 120]", "cameras.1.size_px=[160, 120]"),
+    "mixed_stand": ("cameras.0.size_px=[192, 144]", "community.cells=256"),
+    "vista": ("cameras.0.size_px=[256, 144]", "community.cells=512"),
+}
+LONG = 10_000  # images of the batch that is estimated
 BOUND = 1.8
 MOST_STAGES = 5
 
@@ -134,13 +140,13 @@ def row(name: str, expected: Estimate, ones: list[Pass], twos: list[Pass], ratio
 
 
 def measure(name: str, *, quick: bool) -> tuple[str, float]:
-    loaded = load_recipe(ROOT / "recipes" / f"{name}.yaml", QUICK if quick else ())
+    loaded = load_recipe(ROOT / "recipes" / f"{name}.yaml", (*QUICK, *QUICK_OF[name]) if quick else ())
     images, rounds = (QUICK_IMAGES, 1) if quick else (IMAGES[name], ROUNDS)
     settings, _ = check_recipe(loaded)
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
         os.environ["FORESTGEN_CACHE"] = str(folder / "cache")
-        expected = estimate(loaded, settings, count=images, workers=1, threads=1, progress=Silent(), probe=True)
+        expected = estimate(loaded, settings, count=LONG, workers=1, threads=1, progress=Silent(), probe=True)
         batch(loaded, folder, images, 2)  # plants
         ones, twos = [], []
         for _ in range(rounds):
@@ -152,7 +158,7 @@ def measure(name: str, *, quick: bool) -> tuple[str, float]:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help=f"{QUICK_IMAGES} images of small sites with little light")
+    parser.add_argument("--quick", action="store_true", help=f"{QUICK_IMAGES} small images with little light")
     parser.add_argument("--write", type=Path, metavar="FILE", help="write the table there, too")
     parser.add_argument("recipes", nargs="*", default=list(IMAGES), help="by default all three")
     asked = parser.parse_args()
