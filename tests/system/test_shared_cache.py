@@ -51,14 +51,17 @@ def damage(path: Path, chance: random.Random) -> None:
     """Cut the file, flip one of its bits, or take another's content, as a broken disk or a careless person would."""
     with suppress(OSError), path.open("r+b") as file:
         size = os.fstat(file.fileno()).st_size
+        if size == 0:  # another writer cut it to nothing
+            return
         if chance.random() < 0.5:
             file.truncate(chance.randrange(size))
         else:
             at = chance.randrange(size)
             file.seek(at)
-            byte = file.read(1)[0]
-            file.seek(at)
-            file.write(bytes([byte ^ 1 << chance.randrange(8)]))
+            byte = file.read(1)
+            if byte:  # else another cut the file here since
+                file.seek(at)
+                file.write(bytes([byte[0] ^ 1 << chance.randrange(8)]))
 
 
 def run(folder: Path, seconds: float) -> list[tuple[int, int]]:
