@@ -20,8 +20,12 @@ Decisions
   spreads over the sky: the share by direction is baked at six wavelengths and goes in straight lines between. The plain
   has the colour of the terrain, most of it that of the distance; a baked sky holds the light by how often the plain
   reflected it.
-- Baked skies are kept in memory by their content; the random numbers come from it too. All cameras of a scene, and
-  later images under the same sky, share one.
+- The ratio's own noise is some 4%, and it lies on every pixel alike: at the map's place, where the ratio is known to
+  be 1, the nodes miss it by that. So what they miss is taken from the nodes around as well, by as much as smoothing
+  made their noise one with it.
+- Baked skies are kept in memory by their content. All cameras of a scene, and later images under the same sky, share
+  one. The random numbers are the same for all skies: a content is told by floats, whose last digits differ from machine
+  to machine and with the threads of linear algebra.
 """
 
 from __future__ import annotations
@@ -176,7 +180,7 @@ class SkyLight:
 
 @dataclass(frozen=True, eq=False)
 class Overland:
-    """Level irradiance under the clouds by place, without the sun's disc."""
+    """Level irradiance under the clouds by place, without the sun's disc; its nodes are square to its middle."""
 
     here: SkyLight  # in the middle
     east_m: Floats  # (N,) world, of the nodes: near one another in the middle
@@ -187,6 +191,8 @@ class Overland:
         """(..., 3) irradiance at (..., 3) world positions over that in the middle; 1 where a position is not finite."""
         total = self.baked.of(self.here.clouds, channels)
         middle = level_irradiance(self.here.radiance(channels))
+        half = _NODES // 2
+        total = total + _noise_in_common()[..., None] * (middle - total[half, half])
         known = np.isfinite(position_m).all(axis=-1)
         result = np.ones((*known.shape, 3))
         i, u = _between(self.east_m, position_m[known][:, 0].astype(np.float64))
@@ -238,7 +244,7 @@ def _all_channels(sky: Sky) -> NDArray[np.float32]:
 def _bake(clouds: TracedClouds, place_m: Floats) -> Baked:
     """Each pixel of the map is the mean over its own part of the sky."""
     light = clouds.under(_all_channels(clouds.sky))
-    rng, seed = child_rng(0, "sky", clouds.key), child_seed(0, "sky", clouds.key)
+    rng, seed = child_rng(0, "sky"), child_seed(0, "sky")
     step = np.pi / (MAP_ROWS - 1)
     parts = np.zeros((ORDERS, 10, MAP_ROWS, MAP_COLUMNS), dtype=np.float32)
     for row in range(MAP_ROWS // 2 + 1):
@@ -258,7 +264,7 @@ def _bake_land(clouds: TracedClouds, place_m: Floats, offset_m: Floats) -> Baked
     from scipy.ndimage import gaussian_filter
 
     light = clouds.under(_all_channels(clouds.sky))
-    rng, seed = child_rng(0, "land", clouds.key), child_seed(0, "land", clouds.key)
+    rng, seed = child_rng(0, "land"), child_seed(0, "land")
     north, east = np.meshgrid(offset_m, offset_m, indexing="ij")
     nodes = np.stack([east, north, np.zeros_like(east)], axis=-1).reshape(-1, 3) + place_m
     total = np.zeros((len(nodes), ORDERS, 10))
@@ -270,6 +276,12 @@ def _bake_land(clouds: TracedClouds, place_m: Floats, offset_m: Floats) -> Baked
     parts = np.moveaxis((np.pi / _NODE_PATHS * total).reshape(_NODES, _NODES, ORDERS, 10), (0, 1), (2, 3))
     smooth = gaussian_filter(parts, (0, 0, _BLUR_NODES, _BLUR_NODES), mode="nearest")
     return Baked(smooth.astype(np.float32))
+
+
+def _noise_in_common() -> Floats:
+    """(_NODES, _NODES) correlation of a smoothed node's noise with that of the one in the middle."""
+    from_middle = (np.arange(_NODES) - _NODES // 2) / (2.0 * _BLUR_NODES)
+    return np.exp(-(from_middle[:, None] ** 2) - from_middle**2)
 
 
 def _joined(found: Gathered) -> Floats:
