@@ -16,7 +16,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from forestgen.batch.contract import Done, Failed, Job, JobRecord, JobRun, Outcome, Work
+from forestgen.batch.contract import Done, Failed, Job, JobRecord, JobRun, Notice, Outcome, Work
 from forestgen.batch.engines.local import LocalEngine
 from forestgen.batch.records import record_bytes, record_path
 from forestgen.batch.run import run_batch
@@ -94,7 +94,7 @@ def main() -> int:
     jobs = QUICK_JOBS if asked.quick else JOBS
     engines: list[WatchedEngine] = []
 
-    def engine(work: Work) -> WatchedEngine:
+    def engine(work: Work, notice: Notice) -> WatchedEngine:
         engines.append(WatchedEngine(work, make_job if asked.real else empty_job))
         return engines[-1]
 

@@ -17,11 +17,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from statistics import fmean, median
 
-from forestgen.batch.contract import Done, Engine, Work
+from forestgen.batch.contract import Done, Engine, Notice, Work
 from forestgen.batch.engines.local import LocalEngine
-from forestgen.batch.estimate import Estimate, estimate, show_bytes
+from forestgen.batch.estimate import Estimate, estimate
 from forestgen.batch.run import check_recipe, run_batch
 from forestgen.batch.work import make_job
+from forestgen.core.figures import show_bytes
 from forestgen.core.progress import Silent
 from forestgen.core.threads import cores
 from forestgen.recipe.load import LoadedRecipe, load_recipe
@@ -68,7 +69,7 @@ class NotingEngine(LocalEngine):
 def batch(loaded: LoadedRecipe, folder: Path, images: int, workers: int) -> Pass:
     engines: list[NotingEngine] = []
 
-    def engine(work: Work) -> Engine:
+    def engine(work: Work, notice: Notice) -> Engine:
         engines.append(NotingEngine(work, workers))
         return engines[-1]
 

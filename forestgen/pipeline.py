@@ -104,6 +104,7 @@ def render_image(
     summary: RunSummary,
     progress: Progress,
     timings: Timings,
+    room_bytes: int | None = None,
 ) -> list[Path]:
     """One drawn recipe: its community, its scene, and a frame of each camera, each in a folder of its own.
 
@@ -112,6 +113,7 @@ def render_image(
     root_seed : of the recipe that the image was drawn from, for the frames' headers.
     folder : that the frames' folders, and ``maps/`` beside them, are made in.
     summary : takes the image's counts, notes, report and rows.
+    room_bytes : memory that the image may take; None: what is free now.
 
     Returns
     -------
@@ -119,7 +121,7 @@ def render_image(
     """
     with timings("community"):
         population = final_population(plan, progress)
-    check_memory(plan, plants=len(population))
+    check_memory(plan, plants=len(population), room_bytes=room_bytes)
     summary.notes += [f"image {plan.drawn.image_index}: {note}" for note in population.notes]
     built = build_scene(plan, population, progress, timings)
     summary.notes += [note for note in built.notes if note not in summary.notes]

@@ -83,9 +83,11 @@ class Done:
     run: JobRun
 
 
-FailureKind = Literal["recipe", "memory", "output", "renderer", "worker", "bug"]
+FailureKind = Literal["recipe", "memory", "output", "renderer", "worker", "time", "bug"]
 # A failure of these kinds may pass: the job is tried again. The others would fail again.
-TRANSIENT: tuple[FailureKind, ...] = ("memory", "output", "worker")
+TRANSIENT: tuple[FailureKind, ...] = ("memory", "output", "worker", "time")
+
+Notice = Callable[[str, Mapping[str, str]], None]  # told an event of the log and its fields: worker, message
 
 
 @dataclass(frozen=True)

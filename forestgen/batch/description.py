@@ -33,6 +33,7 @@ class RecipePart:
     hash: str  # of all that it says, but for `images` and `first_image`: pieces of a data set share it
     root_seed: int
     asked: tuple[Range, ...]
+    splits: Mapping[str, float] = field(default_factory=dict)  # name -> share, in the recipe's order
     draws: Mapping[str, Any] = field(default_factory=dict)  # key -> its distribution as written
     yaml: str = field(default="", repr=False)
     maps: Mapping[str, bytes] = field(default_factory=dict, repr=False)  # maps/NAME -> content
@@ -82,6 +83,7 @@ def describe(
     ledger : with all records, and the files over all images of each split.
     made_with : `this_version` of all machines that made images, each once.
     """
+    splits = _in_order(ledger.splits, parts)
     licence = {"name": settings.licence_name, "url": settings.licence_url}
     return {
         "schema": SCHEMA,
@@ -89,16 +91,22 @@ def describe(
         "contributor": settings.contributor,
         "licence": licence if settings.licence_name else None,
         "recipes": [_recipe(part, number, ledger.images()) for number, part in enumerate(parts, start=1)],
-        "images": sum(ledger.image_count(split) for split in ledger.splits),
-        "frames": sum(ledger.frame_count(split) for split in ledger.splits),
+        "images": sum(ledger.image_count(split) for split in splits),
+        "frames": sum(ledger.frame_count(split) for split in splits),
         "splits": {
-            split: {"images": ledger.image_count(split), "frames": ledger.frame_count(split)} for split in ledger.splits
+            split: {"images": ledger.image_count(split), "frames": ledger.frame_count(split)} for split in splits
         },
         "image_seeds_sha256": _digest(ledger.seeds()),
         "settings": asdict(settings),
         "made_with": [dict(one) for one in made_with],
         "files": _groups(ledger.files()),
     }
+
+
+def _in_order(splits: Sequence[str], parts: Sequence[RecipePart]) -> list[str]:
+    """Splits as the recipes name them, such as train, val, test."""
+    named = list(dict.fromkeys(name for part in parts for name in part.splits))
+    return sorted(splits, key=lambda split: (named.index(split) if split in named else len(named), split))
 
 
 def recipe_file(number: int) -> str:
@@ -115,6 +123,7 @@ def _recipe(part: RecipePart, number: int, made: Iterator[int]) -> dict[str, Any
         "images": sum(last - first + 1 for first, last in part.asked),
         "asked": [list(one) for one in part.asked],
         "missing": [list(one) for one in ranges_of(_without(numbers_in(part.asked), made))],
+        "splits": dict(part.splits),
         "draws": dict(part.draws),
     }
 
@@ -177,7 +186,7 @@ def read_description(content: bytes | None, where: str) -> dict[str, Any]:
         if data["schema"] != SCHEMA:
             raise ValueError(f"schema {data['schema']!r:.40}")
         for one in data["recipes"]:
-            _ = one["hash"], one["file"], int(one["root_seed"]), dict(one["draws"])
+            _ = one["hash"], one["file"], int(one["root_seed"]), dict(one["splits"]), dict(one["draws"])
             if any(not 0 <= first <= last for first, last in one["asked"]):
                 raise ValueError("a range of images ends before it begins")
             if sum(last - first + 1 for first, last in one["asked"]) > MOST_IMAGES:

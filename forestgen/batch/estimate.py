@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from statistics import fmean, stdev
 
@@ -17,6 +17,7 @@ from forestgen.batch.contract import Place
 from forestgen.batch.places import LocalPlace
 from forestgen.batch.probes import Probe, Probed, probe_images
 from forestgen.core.errors import ResourceError
+from forestgen.core.figures import show_bytes
 from forestgen.core.memory import free_bytes
 from forestgen.core.progress import Progress
 from forestgen.core.threads import cores
@@ -60,7 +61,7 @@ class Counts:
 
 @dataclass(frozen=True)
 class Estimate:
-    """What a batch will take, and how that is known."""
+    """What a batch will take, and how that is known; `estimate_text.lines` tells it to people."""
 
     counts: Counts
     workers: int
@@ -97,12 +98,6 @@ class Estimate:
     @property
     def total_disk_bytes(self) -> int:
         return round(self.counts.images * self.disk_bytes.mean)
-
-    def lines(self) -> Iterator[str]:
-        """For people, a line each."""
-        from forestgen.batch.estimate_text import lines
-
-        return lines(self)
 
 
 def estimate(
@@ -285,11 +280,3 @@ def _check_disk(expected: Estimate, place: LocalPlace) -> None:
             got=f"about {show_bytes(need)} for {expected.counts.images:,} images",
             hint=f"another disk, or --count {fits}" if fits else "another disk",
         )
-
-
-def show_bytes(count: float) -> str:
-    """Such as 3.2 GB."""
-    for unit, size in (("TB", 1e12), ("GB", 1e9), ("MB", 1e6)):
-        if count >= size:
-            return f"{count / size:,.3g} {unit}"
-    return f"{count / 1e3:,.3g} kB"

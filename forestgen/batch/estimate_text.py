@@ -4,12 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from statistics import fmean
-from typing import TYPE_CHECKING
 
-from forestgen.batch.estimate import LEAST_IMAGES, Range, show_bytes
-
-if TYPE_CHECKING:
-    from forestgen.batch.estimate import Estimate
+from forestgen.batch.estimate import LEAST_IMAGES, Estimate, Range
+from forestgen.core.figures import show_bytes, three_digits
 
 _MOST_STAGES = 6
 _WIDTH = 16
@@ -29,7 +26,7 @@ def _rows(expected: Estimate) -> Iterator[tuple[str, str]]:
     yield (
         "images",
         f"{counts.images:,}; {counts.frames:,.0f} frames, {_large(counts.pixels)} pixels, "
-        + (f"{_large(counts.paths)} light paths{about}"),
+        f"{_large(counts.paths)} light paths{about}",
     )
     probes = expected.probed.probes
     if probes:
@@ -50,11 +47,11 @@ def _rows(expected: Estimate) -> Iterator[tuple[str, str]]:
 
 def _time(expected: Estimate) -> Iterator[tuple[str, str]]:
     total, each = expected.seconds, expected.image_s
-    if total is None or each is None:
+    if total is None or each is None or expected.images_per_hour is None:
         yield "time", "not measured"
         return
     yield "time", f"{_between(total, span)}; {_between(each, span)} an image and worker"
-    yield "images an hour", f"{expected.images_per_hour:,.3g}"
+    yield "images an hour", three_digits(expected.images_per_hour)
     shares = list(expected.stages.items())[:_MOST_STAGES]
     yield "time goes to", ", ".join(f"{name} {100 * share:.0f} %" for name, share in shares)
 
@@ -76,8 +73,8 @@ def _source(expected: Estimate) -> str:
 def _less(expected: Estimate) -> str:
     """How the probes were lighter than their images."""
     lighter = expected.probed.lighter
-    samples = f" with 1/{lighter.samples:.3g} of the light paths" if lighter.samples > 1 else ""
-    pixels = f" of 1/{lighter.pixels:.3g} of the pixels" if lighter.pixels > 1 else ""
+    samples = f" with 1/{three_digits(lighter.samples)} of the light paths" if lighter.samples > 1 else ""
+    pixels = f" of 1/{three_digits(lighter.pixels)} of the pixels" if lighter.pixels > 1 else ""
     return f", made{pixels}{samples}" if samples or pixels else ""
 
 
@@ -89,14 +86,14 @@ def _between(value: Range, show: Callable[[float], str]) -> str:
 
 def span(seconds: float) -> str:
     """Such as 3.5 h."""
-    for unit, size in (("days", 2 * 86400.0), ("h", 2 * 3600.0), ("min", 120.0)):
-        if seconds >= size:
-            return f"{seconds / {'days': 86400.0, 'h': 3600.0, 'min': 60.0}[unit]:,.3g} {unit}"
-    return f"{seconds:.3g} s"
+    for unit, size in (("days", 86400.0), ("h", 3600.0), ("min", 60.0)):
+        if seconds >= 2 * size:
+            return f"{three_digits(seconds / size)} {unit}"
+    return f"{three_digits(seconds)} s"
 
 
 def _large(count: float) -> str:
     for unit, size in (("billion", 1e9), ("million", 1e6)):
         if count >= size:
-            return f"{count / size:,.3g} {unit}"
+            return f"{three_digits(count / size)} {unit}"
     return f"{count:,.0f}"

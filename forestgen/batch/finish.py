@@ -36,6 +36,7 @@ from forestgen.batch.split_files import write_split
 from forestgen.core.errors import DatasetError
 from forestgen.dataset.card import CARD_NAME, CardCounts, card_text
 from forestgen.dataset.checksums import SUMS_NAME, file_sum, write_sums
+from forestgen.dataset.files import disk_errors
 from forestgen.dataset.index import INDEX_NAME, DrawTypes, write_index
 from forestgen.dataset.maps import write_map
 from forestgen.dataset.settings import DatasetSettings
@@ -87,6 +88,7 @@ def finish(
         return write_data_set(place, ledger, [part], settings, [this_version()], splits, Path(scratch))
 
 
+@disk_errors()
 def write_data_set(
     place: Place,
     ledger: Ledger,
@@ -118,7 +120,8 @@ def write_data_set(
     _write_whole(place, ledger, kept, description, scratch)
     missing = tuple(image for one in description["recipes"] for image in numbers_in(one["missing"]))
     if missing:
-        notes.append(f"{len(missing)} images are missing: {_named(missing)}")
+        are = "image is" if len(missing) == 1 else "images are"
+        notes.append(f"{len(missing)} {are} missing: {_named(missing)}")
     total = sum(file.bytes for file in ledger.files())
     return Finished(int(description["frames"]), total, missing, tuple(notes))
 
@@ -137,7 +140,7 @@ def recipe_part(loaded: LoadedRecipe, asked: Sequence[Range]) -> RecipePart:
         found = sorted(Path(folder, MAPS).glob("*"))
         maps = {f"{MAPS}/{path.name}": path.read_bytes() for path in found}
     draws = {dotted(keys): written for keys, written in loaded.written.items()}
-    return RecipePart(identity, loaded.seed, tuple(asked), draws, yaml_text(data), maps)
+    return RecipePart(identity, loaded.seed, tuple(asked), dict(loaded.splits), draws, yaml_text(data), maps)
 
 
 def _store_maps(value: Any, home: Path, folder: Path) -> None:

@@ -15,7 +15,7 @@ from types import TracebackType
 from typing import Any
 
 from forestgen.batch.contract import JobRecord
-from forestgen.core.errors import DatasetError
+from forestgen.core.errors import DatasetError, OutputError
 
 _TABLES = """
 CREATE TABLE images (image INTEGER PRIMARY KEY, key TEXT, split TEXT, seed INTEGER, report TEXT, notes TEXT);
@@ -36,7 +36,7 @@ class FileSum:
 
 
 class Ledger:
-    """A context manager.
+    """A context manager; a failure of the disk that the file lies on leaves its block as an `OutputError`.
 
     Parameters
     ----------
@@ -45,11 +45,18 @@ class Ledger:
 
     def __init__(self, folder: Path | None = None) -> None:
         self._path = None if folder is None else folder / "ledger.sqlite"
-        self._base = sqlite3.connect(":memory:" if self._path is None else self._path, isolation_level=None)
-        for pragma in ("journal_mode=OFF", "synchronous=OFF", "cache_size=-8000"):  # kB; nobody reads it after a crash
-            self._base.execute(f"PRAGMA {pragma}")
-        self._base.executescript(_TABLES)
-        self._base.execute("BEGIN")
+        try:
+            self._base = sqlite3.connect(":memory:" if self._path is None else self._path, isolation_level=None)
+            for pragma in (
+                "journal_mode=OFF",
+                "synchronous=OFF",
+                "cache_size=-8000",
+            ):  # kB; a crash leaves none to read
+                self._base.execute(f"PRAGMA {pragma}")
+            self._base.executescript(_TABLES)
+            self._base.execute("BEGIN")
+        except sqlite3.OperationalError as error:
+            raise self._failed(error) from error
 
     def __enter__(self) -> Ledger:
         return self
@@ -60,6 +67,15 @@ class Ledger:
         self._base.close()
         if self._path is not None:
             self._path.unlink(missing_ok=True)
+        if isinstance(error, sqlite3.OperationalError):
+            raise self._failed(error) from error
+
+    def _failed(self, error: sqlite3.OperationalError) -> OutputError:
+        return OutputError(
+            f"cannot write the table of all files: {error}",
+            where="memory" if self._path is None else str(self._path.parent),
+            hint="free some space there, or name a folder on another disk in TMPDIR",
+        )
 
     # -- writing
 

@@ -187,7 +187,7 @@ def _part(piece: Piece, said: dict[str, Any]) -> RecipePart:
         raise DatasetError("the data set has lost its recipe", where=str(piece.root / said["file"]))
     maps = {f"{MAPS}/{name}": piece.place.read(f"{MAPS}/{name}") or b"" for name in piece.place.names(MAPS)}
     asked = tuple((int(first), int(last)) for first, last in said["asked"])
-    return RecipePart(said["hash"], int(said["root_seed"]), asked, said["draws"], yaml.decode(), maps)
+    return RecipePart(said["hash"], int(said["root_seed"]), asked, said["splits"], said["draws"], yaml.decode(), maps)
 
 
 def _check_numbers(parts: Sequence[RecipePart], pieces: Sequence[Piece]) -> None:

@@ -95,7 +95,7 @@ def probe_images(
 
     Two are made unless they take very long: the first one's time is that of a worker that has just started.
     """
-    light, lighter = _lightened(loaded)
+    light, lighter = lightened(loaded)
     probes: list[Probe] = []
     notes: list[str] = []
     start = time.monotonic()
@@ -148,7 +148,7 @@ def _note(outcome: Outcome | None, drawn: DrawnRecipe, budget_s: float) -> list[
     return []
 
 
-def _lightened(loaded: LoadedRecipe) -> tuple[LoadedRecipe, Lighter]:
+def lightened(loaded: LoadedRecipe) -> tuple[LoadedRecipe, Lighter]:
     """The recipe with fewer samples and pixels, as far as it says how many there are."""
     drawn, data = loaded.draw(0), deepcopy(loaded.data)
     samples, pixels = _fewer_samples(loaded, drawn, data), _smaller_images(loaded, drawn, data)

@@ -22,6 +22,7 @@ _SHA256 = re.compile(r"[0-9a-f]{64}")
 _FRAME = re.compile(r"\d{6,}-[^/\\\x00-\x1f]+")
 _SPLIT = re.compile(r"[a-z][a-z0-9_-]{0,31}")
 _READERS = 8
+_AGAIN = "`forestgen batch ... --resume` makes the image again"
 
 
 def record_path(key: str) -> str:
@@ -48,13 +49,13 @@ def record_bytes(record: JobRecord) -> bytes:
 
 
 def read_record(content: bytes, where: str) -> JobRecord:
-    """A record from its bytes; `where` names it in the `DatasetError` of a damaged one."""
+    """A record from its bytes; `where` names it in the `DatasetError` of one that is damaged or of another version."""
     try:
         data = json.loads(content)
-        if data["schema"] != _SCHEMA:
-            raise ValueError(f"schema {data['schema']!r}")
         if hashlib.sha256(content.rpartition(_SUM)[0]).hexdigest() != data["sha256"]:
             raise ValueError("its content has not its own SHA-256")
+        if data["schema"] != _SCHEMA:
+            raise _of_another_version(data["schema"], where)
         record = JobRecord(
             key=_text(data["key"]),
             image=_number(data["image"]),
@@ -75,8 +76,19 @@ def read_record(content: bytes, where: str) -> JobRecord:
             where=where,
             expected=f"JSON, {_SCHEMA}",
             got=f"{type(error).__name__}: {error}",
-            hint="`forestgen batch ... --resume` makes the image again",
+            hint=_AGAIN,
         ) from error
+
+
+def _of_another_version(schema: Any, where: str) -> DatasetError:
+    """What is told of a record that is whole, and not of this format."""
+    return DatasetError(
+        "this record of a finished image is of another version of forestgen",
+        where=where,
+        expected=_SCHEMA,
+        got=f"{schema!r:.40}",
+        hint=_AGAIN + "; or take the version that made it",
+    )
 
 
 def _text(value: Any) -> str:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
-from forestgen.batch.contract import TRANSIENT, Done, Engine, Failed, Lock, Outcome, Place, Work
+from forestgen.batch.contract import TRANSIENT, Done, Engine, Failed, Lock, Notice, Outcome, Place, Work
 from forestgen.batch.discards import check_discards, standing
 from forestgen.batch.finish import Finished, finish
 from forestgen.batch.folder import TAKEN, check_ours, check_resume, fingerprint, open_batch, settle_batch
@@ -46,13 +46,18 @@ class _Run:
     failed: list[Failed] = field(default_factory=list)
     logged_s: float = 0.0
 
+    def notice(self, event: str, fields: Mapping[str, str]) -> None:
+        """What an engine tells of its workers."""
+        self.log.event(event, **fields)
+        self.listener.say(fields["message"])
+
 
 def run_batch(
     loaded: LoadedRecipe,
     target: str,
     *,
     count: int,
-    engine: Callable[[Work], Engine],
+    engine: Callable[[Work, Notice], Engine],
     resume: bool = False,
     discard: bool = False,
     retries: int = 2,
@@ -65,7 +70,7 @@ def run_batch(
     Parameters
     ----------
     target : a folder, or the address of an object store.
-    engine : makes what does the jobs, given what they need.
+    engine : makes what does the jobs, given what they need, and whom to tell which workers come and go.
     resume : go on in a data set that is there; without it, one that is there is refused.
     discard : whether finished images may be thrown away that are too many, or that would be made otherwise now.
     retries : attempts after the first, of jobs whose failure may pass.
@@ -97,7 +102,7 @@ def run_batch(
             run = _Run(work, lock, log, Meter(count, already=queue.done), queue, listener, retries)
             log.event("start", target=target, recipe=str(loaded.path), images=count, done=queue.done, threads=threads)
             try:
-                _make_all(run, engine(work))
+                _make_all(run, engine(work, run.notice))
                 settle_batch(work.place, used, mark)
                 return _finish(run, images)
             except BaseException as error:
@@ -220,27 +225,27 @@ def _finish(run: _Run, images: range) -> BatchSummary:
     run.log.event("finish", images=meter.total, frames=whole.frames, bytes=whole.bytes, missing=list(whole.missing))
     run.log.upload()
     write_jobs_table(place, run.log.lines(), images)
-    notes = (*whole.notes, *_write_report(place))
-    return _summary(run, whole, notes)
+    report, why = _write_report(place)
+    return _summary(run, whole, report, (*whole.notes, *why))
 
 
-def _write_report(place: Place) -> list[str]:
-    """report.html, of a data set in a folder; its failure is a note, as nothing depends on it."""
+def _write_report(place: Place) -> tuple[str | None, list[str]]:
+    """Path of report.html, of a data set in a folder. Its failure is a note, as nothing depends on it."""
     from forestgen.dataset.report.page import write_report  # loads the template engine
 
     if not isinstance(place, LocalPlace):
-        return ["no report was written: `forestgen report` makes it of a copy in a folder"]
+        return None, ["no report was written: `forestgen report` makes it of a copy in a folder"]
     try:
         staging = place.staging()  # a run that is killed leaves no half of it beside the data set
         write_report(place.root, staging / _REPORT)
         place.put_file(staging / _REPORT, _REPORT)
         place.discard(staging)
     except ForestgenError as error:
-        return [f"no report was written: {error}"]
-    return []
+        return None, [f"no report was written: {error}"]
+    return f"{place.name}/{_REPORT}", []
 
 
-def _summary(run: _Run, whole: Finished, notes: tuple[str, ...]) -> BatchSummary:
+def _summary(run: _Run, whole: Finished, report: str | None, notes: tuple[str, ...]) -> BatchSummary:
     meter = run.meter
     return BatchSummary(
         target=run.work.place.name,
@@ -250,6 +255,7 @@ def _summary(run: _Run, whole: Finished, notes: tuple[str, ...]) -> BatchSummary
         failed=tuple(sorted(run.failed, key=lambda failed: failed.job.image)),
         frames=whole.frames,
         bytes=whole.bytes,
+        report=report,
         seconds=time.monotonic() - meter.started_s,
         images_per_hour=meter.images_per_hour,
         stage_shares=meter.shares(),

@@ -29,6 +29,7 @@ class BatchSummary:
     failed: tuple[Failed, ...]  # given up: not in the data set
     frames: int  # in the data set
     bytes: int  # of the data set
+    report: str | None  # its path
     seconds: float
     images_per_hour: float | None = None  # of this run; None if it made none
     stage_shares: Mapping[str, float] = field(default_factory=dict)  # of the workers' time

@@ -24,6 +24,7 @@ from forestgen.core.errors import (
     RenderError,
     ResourceError,
 )
+from forestgen.core.memory import whole_bytes
 from forestgen.core.progress import Silent
 from forestgen.core.threads import limit_cores
 from forestgen.core.timing import Timings
@@ -107,13 +108,17 @@ def _make(work: Work, job: Job, timings: Timings) -> JobRecord:
         _check_unchanged(drawn, job, work)
         check_one_data_set(drawn, work.settings)
         plan = make_plan(drawn)
-        check_memory(plan)
+        # What is free now says nothing: the estimate is an upper one, and the other workers hold their part already.
+        room_bytes = whole_bytes()
+        check_memory(plan, room_bytes=room_bytes)
     staging = work.place.staging()
     try:
         frames = staging / _FRAMES
         frames.mkdir()
         summary = RunSummary(frames)
-        folders = render_image(plan, work.loaded.seed, work.settings, frames, summary, Silent(), timings)
+        folders = render_image(
+            plan, work.loaded.seed, work.settings, frames, summary, Silent(), timings, room_bytes=room_bytes
+        )
         with timings("write"):
             _add_thumbnails(staging, folders)
             record = _record_of(job, drawn, summary, _staged_files(staging, job.split))

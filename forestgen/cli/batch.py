@@ -73,9 +73,24 @@ def batch(
             show_default=False,
         ),
     ] = None,
+    timeout: Annotated[
+        Optional[str],  # noqa: UP045
+        typer.Option(
+            "--timeout",
+            metavar="TIME",
+            help="What an image may take, such as 30min; one that takes longer is stopped, and tried again.",
+            show_default=False,
+        ),
+    ] = None,
     retries: Annotated[
         int,
-        typer.Option("--retries", metavar="R", min=0, max=100, help="Further attempts at an image whose worker died."),
+        typer.Option(
+            "--retries",
+            metavar="R",
+            min=0,
+            max=100,
+            help="Further attempts at an image that failed for a reason that may pass.",
+        ),
     ] = 2,
     first: Annotated[
         Optional[int],  # noqa: UP045
@@ -114,6 +129,8 @@ def batch(
         raise typer.BadParameter("--scheduler and --resource belong to --engine dask", param_hint="--engine")
     if engine == "dask" and workers is not None:
         raise typer.BadParameter("the cluster has its own workers", param_hint="--workers")
+    if engine == "dask" and timeout is not None:
+        raise typer.BadParameter("only workers of this machine can be stopped", param_hint="--timeout")
     if discard and not resume:
         raise typer.BadParameter("it belongs to --resume", param_hint="--discard")
     asked = batch_command.Asked(
@@ -126,6 +143,7 @@ def batch(
         workers=workers,
         threads=threads,
         memory_bytes=None if worker_memory is None else batch_command.bytes_of(worker_memory, "--worker-memory"),
+        timeout_s=None if timeout is None else batch_command.seconds_of(timeout, "--timeout"),
         retries=retries,
         engine=engine,
         scheduler=scheduler,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,20 +11,21 @@ from pathlib import Path
 import typer
 from rich.text import Text
 
-from forestgen.batch.contract import Engine, Failed, Place, Work
+from forestgen.batch.contract import TRANSIENT, Engine, Failed, Notice, Place, Work
 from forestgen.batch.discards import Standing, check_discards, standing
 from forestgen.batch.engines.local import LocalEngine
-from forestgen.batch.estimate import Estimate, check_fits, estimate
+from forestgen.batch.estimate import BUDGET_S, LEAST_IMAGES, Estimate, check_fits, estimate
+from forestgen.batch.estimate_text import lines
 from forestgen.batch.folder import check_ours, check_resume, fingerprint
 from forestgen.batch.keys import versions_hash
 from forestgen.batch.places import place_of
 from forestgen.batch.run import check_recipe, run_batch
 from forestgen.batch.summary import BatchSummary
 from forestgen.batch.work import make_job
-from forestgen.cli.batch_display import Display, span
+from forestgen.cli.batch_display import Display, span, tell
 from forestgen.cli.console import Bars, count, output, stops_keep
 from forestgen.core.errors import DatasetError
-from forestgen.core.threads import cores
+from forestgen.core.figures import show_bytes, three_digits
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.recipe.load import LoadedRecipe, load_recipe
 
@@ -46,6 +48,7 @@ class Asked:
     workers: int | None
     threads: int | None
     memory_bytes: int | None
+    timeout_s: float | None
     retries: int
     engine: str
     scheduler: str | None
@@ -62,6 +65,14 @@ def bytes_of(text: str, option: str) -> int:
     if size < _LEAST_BYTES:
         raise typer.BadParameter(f"{text!r} is too little for a worker; such as 4GB", param_hint=option)
     return size
+
+
+def seconds_of(text: str, option: str) -> float:
+    """A duration such as 90s, 30min or 1.5h, in seconds."""
+    found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*(s|min|h)\s*", text)
+    if found is None or not float(found[1]):
+        raise typer.BadParameter(f"{text!r} is no duration such as 90s, 30min or 2h", param_hint=option)
+    return float(found[1]) * {"s": 1, "min": 60, "h": 3600}[found[2]]
 
 
 def amounts(texts: Sequence[str]) -> dict[str, float]:
@@ -86,7 +97,7 @@ def dry_run(asked: Asked) -> None:
     settings, _ = check_recipe(loaded)
     before = _before(asked, loaded, place)
     expected = _expect(asked, loaded, settings, before, probe=True)
-    for text in expected.lines():
+    for text in lines(expected):
         _say(text)
     if before.discarded:
         _say(f"--resume --discard would throw away {count(before.discarded, 'finished image')}: {before.reasons()}")
@@ -106,14 +117,14 @@ def batch(asked: Asked) -> None:
     expected = _expect(asked, loaded, settings, before, probe=False)
     check_fits(expected, place, workers_here=asked.engine == "local")
     display = Display()
-    for text in expected.lines():
+    for text in lines(expected):
         display.say(text)
     with stops_keep(display.kept), display.running():
         summary = run_batch(
             loaded,
             asked.target,
             count=asked.count,
-            engine=_engine(asked, expected, display.say),
+            engine=_engine(asked, expected),
             resume=asked.resume,
             discard=asked.discard,
             retries=asked.retries,
@@ -138,34 +149,37 @@ def _expect(
 ) -> Estimate:
     """What the images that are not made yet will take, with as many workers as cores and memory allow."""
     left = asked.count - before.kept
-    threads = asked.threads or max(1, cores() // (asked.workers or cores()))
+    if left and (probe or left >= LEAST_IMAGES) and not sys.stderr.isatty():  # no bar tells it there
+        tell(f"making some images to measure them: about {BUDGET_S:.0f} s, and longer for large ones")
     with Bars().running() as bars:
         return estimate(
-            loaded, settings, count=left, workers=asked.workers, threads=threads, progress=bars, probe=probe
+            loaded, settings, count=left, workers=asked.workers, threads=asked.threads, progress=bars, probe=probe
         )
 
 
-def _engine(asked: Asked, expected: Estimate, say: Callable[[str], None]) -> Callable[[Work], Engine]:
+def _engine(asked: Asked, expected: Estimate) -> Callable[[Work, Notice], Engine]:
     if asked.engine == "local":
-        return lambda work: LocalEngine(work, expected.workers, make_job)
+        return lambda work, _: LocalEngine(work, expected.workers, make_job, timeout_s=asked.timeout_s)
     from forestgen.batch.engines.dask import DaskEngine  # loads Dask
 
-    return lambda work: DaskEngine(
+    return lambda work, notice: DaskEngine(
         work,
         asked.scheduler,
         resources=asked.resources,
         job_memory_bytes=int(expected.memory_bytes.mean),
-        notice=lambda _, fields: say(fields["message"]),
+        notice=notice,
     )
 
 
 def _tell(summary: BatchSummary) -> None:
     before = f", {summary.already:,} of them before" if summary.already else ""
     _say(f"{summary.already + summary.made:,} of {count(summary.images, 'image')} are done{before}")
-    _say(f"{count(summary.frames, 'frame')}, {_size(summary.bytes)}: {summary.target}")
+    _say(f"{count(summary.frames, 'frame')}, {show_bytes(summary.bytes)}: {summary.target}")
+    if summary.report:
+        _say(f"to look at: {summary.report}")
     if summary.images_per_hour is not None:
         stages = ", ".join(f"{name} {100 * share:.0f} %" for name, share in list(summary.stage_shares.items())[:5])
-        _say(f"{span(summary.seconds)}, {summary.images_per_hour:,.3g} images an hour; time: {stages}")
+        _say(f"{span(summary.seconds)}, {three_digits(summary.images_per_hour)} images an hour; time: {stages}")
     for note in summary.notes[:_MOST_NOTES]:
         _say(f"note: {note}")
     if len(summary.notes) > _MOST_NOTES:
@@ -180,20 +194,15 @@ def _incomplete(summary: BatchSummary) -> DatasetError:
         f"{len(summary.failed):,} of {count(summary.images, 'image')} could not be made",
         where=summary.target,
         got="\n".join(shown),
-        hint="the same command with --resume tries them again",
+        hint="the same command with --resume tries them again"
+        if any(failed.kind in TRANSIENT for failed in summary.failed)
+        else "they would fail again in the same way; the data set is finished without them",
     )
 
 
 def _failure(failed: Failed) -> str:
     tries = count(failed.attempt, "attempt")
     return f"image {failed.job.image} ({failed.job.split}), {tries}, {failed.kind}: {failed.message}"
-
-
-def _size(count_bytes: int) -> str:
-    for unit, size in (("TB", 1e12), ("GB", 1e9), ("MB", 1e6)):
-        if count_bytes >= size:
-            return f"{count_bytes / size:,.1f} {unit}"
-    return f"{count_bytes / 1e3:,.1f} kB"
 
 
 def _say(text: str) -> None:

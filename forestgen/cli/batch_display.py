@@ -10,6 +10,7 @@ from typing import Any
 
 from forestgen.batch.meter import Meter
 from forestgen.cli.console import count
+from forestgen.core.figures import three_digits
 
 _LINE_EVERY_S = 60.0
 _MOST_STAGES = 4
@@ -43,7 +44,7 @@ class Display:
         if self._live is not None:
             self._live.console.print(text, markup=False, highlight=False)
         else:
-            _write(text)
+            tell(text)
 
     def show(self, meter: Meter) -> None:
         """The counts as they are now."""
@@ -52,7 +53,7 @@ class Display:
             self._live.update(_bars(meter))
         elif time.monotonic() - self._line_s >= _LINE_EVERY_S:
             self._line_s = time.monotonic()
-            _write(line(meter))
+            tell(line(meter))
 
     def kept(self) -> str:
         """What an interrupted run leaves behind."""
@@ -67,7 +68,7 @@ def line(meter: Meter) -> str:
     """The counts in a line: 120 of 1,000 images, 240 an hour, 3 h 40 min left, 2 failed; render 61 %, ..."""
     parts = [f"{meter.done:,} of {count(meter.total, 'image')}"]
     if meter.images_per_hour is not None and meter.seconds_left is not None:
-        parts += [f"{meter.images_per_hour:,.3g} an hour", f"{span(meter.seconds_left)} left"]
+        parts += [f"{three_digits(meter.images_per_hour)} an hour", f"{span(meter.seconds_left)} left"]
     else:
         parts.append(f"{span(time.monotonic() - meter.started_s)} so far")
     if meter.failed:
@@ -106,6 +107,7 @@ def _bars(meter: Meter) -> Any:
     return Group(bar, Text(line(meter)), Text(f"{workers}; Ctrl-C stops, --resume goes on"))
 
 
-def _write(text: str) -> None:
+def tell(text: str) -> None:
+    """A line on standard error."""
     sys.stderr.write(text + "\n")
     sys.stderr.flush()

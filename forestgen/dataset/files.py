@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import errno
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -27,12 +29,23 @@ STORAGE_ERRNOS = frozenset(_REMEDIES)
 
 def output_error(error: OSError, path: Path | None = None) -> OutputError:
     """`error` as an `OutputError` that names the path, the reason and what to do."""
-    where = error.filename if path is None else path
+    where = (error.filename2 or error.filename) if path is None else path  # of a copy, where it should have gone
     return OutputError(
         f"cannot write: {error.strerror or error}",
         where=None if where is None else str(where),
         hint=_REMEDIES.get(error.errno or 0, "check the folder, or choose another"),
     )
+
+
+@contextmanager
+def disk_errors() -> Iterator[None]:
+    """In this block, an `OSError` of a disk that is full or failing becomes an `OutputError`."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno not in STORAGE_ERRNOS:
+            raise
+        raise output_error(error) from error
 
 
 def make_folder(folder: Path) -> None:

@@ -103,7 +103,10 @@ class LoadedRecipe:
     sources: SourceMap = field(repr=False)
     draws: Draws = field(repr=False)
     file_sha256: dict[Path, str] = field(default_factory=dict, repr=False, compare=False)  # of the files it names
-    _templates: dict[tuple[Scalar, ...], dict[str, Any]] = field(default_factory=dict, repr=False, compare=False)
+    # Of this `data`, so that `dataclasses.replace` begins with none.
+    _templates: dict[tuple[Scalar, ...], dict[str, Any]] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
 
     @property
     def seed(self) -> int:

@@ -42,7 +42,9 @@ def rungs_of(radius_m: Floats, most: int) -> Ints:
     ----------
     radius_m : (N,) of a species' plants, at least one.
     """
-    own = np.rint(np.log(radius_m) / np.log(SIZE_STEP)).astype(np.int64)
+    own: Ints = np.rint(np.log(radius_m) / np.log(SIZE_STEP)).astype(np.int64)
+    if len(np.unique(own)) <= most:
+        return own
     low, high = int(own.min()), int(own.max())
     count = min(most, high - low + 1)
     chosen = np.rint(low - 0.5 + (np.arange(count) + 0.5) * (high - low + 1) / count).astype(np.int64)

@@ -20,6 +20,7 @@ from forestgen.community.placement.density_map import check_maps
 from forestgen.community.placement.stands import PlacementParameters
 from forestgen.community.registry import COMMUNITY_MODELS
 from forestgen.core.errors import RecipeError, ResourceError
+from forestgen.core.figures import show_bytes
 from forestgen.core.memory import free_bytes
 from forestgen.plants.bark.texture import with_bark_tiles
 from forestgen.plants.parameters import PlantParameters
@@ -285,9 +286,14 @@ def _check_traits(plan: Plan) -> None:
     check_traits(traits, plan.model.population(state), plan.drawn.where("plants", "traits"))
 
 
-def check_memory(plan: Plan, *, simulate_only: bool = False, plants: int = 0) -> None:
-    """Raise `ResourceError` if the estimate does not fit into the memory that is free now; see `estimate_bytes`."""
-    free = int(free_bytes() * _SHARE_OF_MEMORY)
+def check_memory(plan: Plan, *, simulate_only: bool = False, plants: int = 0, room_bytes: int | None = None) -> None:
+    """Raise `ResourceError` if the estimate does not fit into memory; see `estimate_bytes`.
+
+    Parameters
+    ----------
+    room_bytes : memory that there is for it; None: what is free now.
+    """
+    free = int((free_bytes() if room_bytes is None else room_bytes) * _SHARE_OF_MEMORY)
     parts = estimate_bytes(plan, simulate_only=simulate_only, plants=plants)
     need = sum(parts.values())
     if need <= free:
@@ -302,11 +308,12 @@ def check_memory(plan: Plan, *, simulate_only: bool = False, plants: int = 0) ->
         "clouds": (("sky", "clouds"), "make the clouds' extent_m smaller, or their cells larger"),
         "libraries": ((), "close other programs"),
     }[largest]
+    there = "is free" if room_bytes is None else "there is"
     raise ResourceError(
-        f"this would need more memory than is free, most of it for the {largest}",
+        f"this would need more memory than {there}, most of it for the {largest}",
         where=plan.drawn.where(*where),
-        expected=f"at most {_show_bytes(free)}",
-        got=f"about {_show_bytes(need)} ({largest}: {_show_bytes(parts[largest])})",
+        expected=f"at most {show_bytes(free)}",
+        got=f"about {show_bytes(need)} ({largest}: {show_bytes(parts[largest])})",
         hint=hint,
     )
 
@@ -318,8 +325,8 @@ def check_own_triangles(plan: Plan, triangles: float) -> None:
         raise ResourceError(
             "plants with branches of their own would need more memory than is free",
             where=plan.drawn.where("plants", "unique"),
-            expected=f"at most {_show_bytes(free)}",
-            got=f"about {_show_bytes(need)} for {triangles / 1e6:,.0f} million triangles",
+            expected=f"at most {show_bytes(free)}",
+            got=f"about {show_bytes(need)} for {triangles / 1e6:,.0f} million triangles",
             hint="set plants.unique to auto, or to a smaller number",
         )
 
@@ -332,10 +339,3 @@ def _hint_of(parameters: CommunityParameters) -> str:
     if isinstance(parameters, BranchModulesParameters):
         return "make the site smaller, or lower community.most_modules"
     return "make the site smaller, or lower species' seedlings_per_ha_per_yr"
-
-
-def _show_bytes(count: int) -> str:
-    for unit, size in (("TB", 1e12), ("GB", 1e9)):
-        if count >= size:
-            return f"{count / size:,.1f} {unit}"
-    return f"{count / 1e6:,.0f} MB"

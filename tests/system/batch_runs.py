@@ -103,7 +103,7 @@ def serial(
         resume=resume,
         discard=discard,
         retries=retries,
-        engine=lambda work: SerialEngine(work, make, **engine),  # type: ignore[arg-type]
+        engine=lambda work, notice: SerialEngine(work, make, **engine),  # type: ignore[arg-type]
     )
 
 
@@ -117,6 +117,7 @@ def local(
     resume: bool = True,
     retries: int = 2,
     memory_bytes: int | None = None,
+    timeout_s: float | None = None,
 ) -> BatchSummary:
     """A batch with worker processes."""
     return run_batch(
@@ -126,7 +127,7 @@ def local(
         resume=resume,
         retries=retries,
         memory_bytes=memory_bytes,
-        engine=lambda work: LocalEngine(work, workers, make),
+        engine=lambda work, notice: LocalEngine(work, workers, make, timeout_s=timeout_s),
     )
 
 

@@ -56,6 +56,10 @@ def _die_or_hoard(faults: Path, job: Job) -> None:
     if once.exists():
         once.unlink()
         os.kill(os.getpid(), signal.SIGKILL)
+    stops = faults / f"stop-{job.image}"
+    if stops.exists():
+        stops.unlink()
+        os.kill(os.getpid(), signal.SIGSTOP)
     if (faults / f"hoard-{job.image}").exists():
         hoard = []
         for _ in range(100):

@@ -8,10 +8,23 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from batch_runs import RECIPE, WITH_LABELS, assert_records_hold, assert_same, faults_folder, recipe, serial, shown
+from batch_runs import (
+    RECIPE,
+    WITH_LABELS,
+    SerialEngine,
+    assert_records_hold,
+    assert_same,
+    faults_folder,
+    recipe,
+    serial,
+    shown,
+)
 from command_line import run
 from pretend_jobs import FAULTS, begun, make
 
+from forestgen.batch.contract import Job, Notice, Outcome, Work
+from forestgen.batch.meter import SilentListener
+from forestgen.batch.run import run_batch
 from forestgen.batch.work import make_job
 from forestgen.core.errors import DatasetError, OutputError, RecipeError
 from forestgen.recipe.load import load_recipe
@@ -29,6 +42,7 @@ def test_two_workers_and_one_process_in_reverse_make_the_same_bytes(tmp_path: Pa
     answer = run("batch", path, "--count", "2", "--out", tmp_path / "two", "--workers", "2", "--threads", "1")
     assert answer.code == 0, answer.err
     assert "2 of 2 images" in answer.out
+    assert f"to look at: {tmp_path / 'two'}/report.html" in answer.out
     serial(path, tmp_path / "one", 2, make_job, hold=2, order=lambda jobs: len(jobs) - 1)
     assert_same(tmp_path / "one", tmp_path / "two")
     assert assert_records_hold(tmp_path / "two") == {0, 1}
@@ -235,6 +249,50 @@ def test_finished_images_are_thrown_away_only_if_asked(tmp_path: Path, faults: P
     assert answer.code == 2  # a script that tries again and again ends here
     assert "--discard agrees" in answer.err
     assert shown(target) == before
+
+
+def test_splits_are_told_in_the_recipes_order(tmp_path: Path, faults: Path) -> None:
+    from forestgen.dataset.pack.source import open_source
+
+    path, target = recipe(tmp_path), tmp_path / "data"
+    summary = serial(path, target, 12, make, "dataset.splits={train: 2, val: 1, test: 1}")
+    said = json.loads((target / "dataset.json").read_text())
+    assert list(said["splits"]) == ["train", "val", "test"]
+    assert said["recipes"][0]["splits"] == {"train": 2.0, "val": 1.0, "test": 1.0}
+    assert [split.name for split in open_source(target).splits] == ["train", "val", "test"]
+    assert summary.report == str(target / "report.html")
+    pages = [(target / name).read_text() for name in ("README.md", "report.html")]
+    for page in pages:
+        assert page.index("train") < page.index("val") < page.index("test")
+
+
+def test_what_an_engine_tells_of_its_workers_is_in_the_log(tmp_path: Path, faults: Path) -> None:
+    target, told = tmp_path / "data", SilentListener()
+    said: list[str] = []
+    told.say = said.append  # type: ignore[method-assign]
+
+    def engine(work: Work, notice: Notice) -> SerialEngine:
+        notice("worker_refused", {"worker": "far", "message": "worker far is refused: other versions"})
+        return SerialEngine(work, make)
+
+    run_batch(load_recipe(recipe(tmp_path)), str(target), count=1, engine=engine, listener=told)
+    assert any("far is refused" in text for text in said)
+    events = [json.loads(line) for line in (target / "run/log.jsonl").read_text().splitlines()]
+    refused = next(event for event in events if event["event"] == "worker_refused")
+    assert refused["worker"] == "far"
+
+
+def test_the_other_workers_memory_counts_for_no_image(
+    tmp_path: Path, faults: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The estimate of an image is an upper one: held against what all workers leave free, it would fail most."""
+
+    def busy(work: Work, job: Job, attempt: int) -> Outcome:
+        with monkeypatch.context() as later:
+            later.setattr("forestgen.stages.plan.free_bytes", lambda: 10**8)
+            return make_job(work, job, attempt)
+
+    assert serial(recipe(tmp_path), tmp_path / "data", 1, busy).failed == ()
 
 
 def test_a_folder_of_somebody_else_is_never_touched(tmp_path: Path, faults: Path) -> None:

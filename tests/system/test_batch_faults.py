@@ -152,6 +152,17 @@ def test_a_worker_that_takes_too_much_memory_is_stopped(tmp_path: Path, faults: 
     assert_same(target, tmp_path / "whole")
 
 
+def test_a_worker_that_hangs_is_stopped_and_its_image_tried_again(tmp_path: Path, faults: Path) -> None:
+    (faults / "stop-1").touch()  # the first attempt at it
+    path, target = recipe(tmp_path), tmp_path / "data"
+    summary = local(str(path), str(target), 3, make, timeout_s=30.0)
+    assert summary.failed == ()
+    again = [event for event in log_of(target) if event["event"] == "job_failed"]
+    assert [(event["image"], event["kind"], event["will_retry"]) for event in again] == [(1, "time", True)]
+    assert "--timeout" in again[0]["message"]
+    assert assert_records_hold(target) == {0, 1, 2}
+
+
 def test_of_two_runs_on_one_folder_the_second_is_refused(tmp_path: Path, faults: Path) -> None:
     (faults / "seconds").write_text("0.5")
     path, target = recipe(tmp_path), tmp_path / "data"
@@ -196,7 +207,7 @@ def test_a_full_disk_stops_the_run_and_loses_nothing(tmp_path: Path, faults: Pat
 
 
 def two_frames(
-    plan: Any, seed: int, settings: Any, folder: Path, summary: RunSummary, progress: Any, timings: Any
+    plan: Any, seed: int, settings: Any, folder: Path, summary: RunSummary, progress: Any, timings: Any, **_: Any
 ) -> list[Path]:
     """In place of `pipeline.render_image`: frames that take no time."""
     from PIL import Image

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 import random
 import shutil
 import subprocess
@@ -13,6 +15,7 @@ import pyarrow.parquet as pq
 import pytest
 from batch_pieces import copied, finished, jobs_of, recipe, shown
 
+from forestgen.batch import ledger
 from forestgen.batch.contract import Job, JobRecord
 from forestgen.batch.finish import finish
 from forestgen.batch.places import LocalPlace
@@ -153,6 +156,29 @@ def test_a_damaged_share_is_named_and_nothing_changes(whole, loaded, tmp_path):
         finished(loaded, known_jobs(root, loaded), root)
     assert shown(root) == before
     assert not list((root / ".forestgen" / "staging").iterdir())
+
+
+def test_a_disk_that_fills_meanwhile_is_told(whole, loaded, tmp_path, monkeypatch):
+    root = copied(whole, tmp_path / "set")
+    full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "/tmp/SHA256SUMS", None, str(root / "SHA256SUMS"))
+
+    def copyfile(source, target):
+        raise full
+
+    with monkeypatch.context() as patched:
+        patched.setattr("forestgen.batch.finish.shutil.copyfile", copyfile)
+        with pytest.raises(OutputError, match=r"set/SHA256SUMS: cannot write[\s\S]*free some space"):
+            finished(loaded, known_jobs(root, loaded), root)
+    assert not (root / "dataset.json").exists() or shown(root) == shown(whole)
+    finished(loaded, known_jobs(root, loaded), root)
+    assert shown(root) == shown(whole)
+
+
+def test_a_full_temporary_folder_is_told(whole, loaded, tmp_path, monkeypatch):
+    """By the table of all files, which SQLite keeps there."""
+    monkeypatch.setattr("forestgen.batch.ledger._TABLES", ledger._TABLES + "PRAGMA max_page_count = 12;")
+    with pytest.raises(OutputError, match=r"forestgen-finish-[\s\S]*full[\s\S]*TMPDIR"):
+        finished(loaded, known_jobs(whole, loaded), copied(whole, tmp_path / "set"))
 
 
 def test_no_images_at_all(loaded, tmp_path):

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from forestgen import pipeline
-from forestgen.batch.contract import RUN_DEPENDENT, Engine, Work
+from forestgen.batch.contract import RUN_DEPENDENT, Engine, Notice, Work
 from forestgen.batch.engines.local import LocalEngine
 from forestgen.batch.run import run_batch
 from forestgen.batch.work import make_job
@@ -31,7 +31,7 @@ labels: {samples: 1}
 
 
 def _batch(recipe: Path, target: Path, workers: int) -> dict[str, bytes]:
-    def engine(work: Work) -> Engine:
+    def engine(work: Work, notice: Notice) -> Engine:
         return LocalEngine(work, workers, make_job)
 
     summary = run_batch(load_recipe(recipe), str(target), count=6, engine=engine, threads=1)

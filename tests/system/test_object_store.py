@@ -13,7 +13,7 @@ import batch_pieces
 import pytest
 
 from forestgen.batch import remote_lock, remote_store
-from forestgen.batch.contract import Done, Job, JobRun, Outcome, Place, Work
+from forestgen.batch.contract import Done, Job, JobRun, Notice, Outcome, Place, Work
 from forestgen.batch.places import LocalPlace, place_of
 from forestgen.batch.records import records_of
 from forestgen.batch.remote_lock import RemoteLock
@@ -329,10 +329,10 @@ def test_a_batch_in_s3_has_the_bytes_of_one_in_a_folder(whole: Path, bucket: str
 
     loaded, target = load_recipe(whole.parent / "fireweed.yaml"), f"{bucket}/batch"
     with pytest.raises(KeyboardInterrupt):
-        run_batch(loaded, target, count=4, engine=lambda work: HereEngine(work, make, stop_before=3))
+        run_batch(loaded, target, count=4, engine=lambda work, notice: HereEngine(work, make, stop_before=3))
     engines: list[HereEngine] = []
 
-    def resumed(work: Work) -> HereEngine:
+    def resumed(work: Work, notice: Notice) -> HereEngine:
         engines.append(HereEngine(work, make))
         return engines[-1]
 

@@ -24,8 +24,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from forestgen.batch.contract import Failed, Job, Outcome, Work
-from forestgen.batch.engines.dask_crew import LOOK_EVERY_S, Crew, Notice
+from forestgen.batch.contract import Failed, Job, Notice, Outcome, Work
+from forestgen.batch.engines.dask_crew import LOOK_EVERY_S, Crew
 from forestgen.batch.engines.dask_worker import Make, do_job, versions
 from forestgen.core.errors import ResourceError
 

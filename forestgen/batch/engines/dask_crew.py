@@ -7,15 +7,14 @@ threads, so that a slow worker, or one that hangs, keeps no other waiting.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from typing import Any
 
+from forestgen.batch.contract import Notice
 from forestgen.batch.engines.dask_worker import dismiss, settle
 from forestgen.core.errors import ResourceError
-
-Notice = Callable[[str, Mapping[str, str]], None]  # event, and its fields: worker, message
 
 LOOK_EVERY_S = 3.0
 SAY_EVERY_S = 60.0  # that there is nobody to work

@@ -24,7 +24,7 @@ from typing import Any
 from forestgen.batch.contract import Failed, FailureKind, Job, Outcome, Work
 from forestgen.batch.engines.worker_process import serve
 
-_LOOK_EVERY_S = 0.2  # how often the memory of workers is measured, where it is bounded
+_LOOK_EVERY_S = 0.2  # how often workers are looked at, where their memory or time is bounded
 _LEAVES_WITHIN_S = 10.0  # a process whose pipe has closed
 
 
@@ -48,10 +48,18 @@ class LocalEngine:
     work : sent to each worker once.
     workers : processes.
     make : what does a job, `batch.work.make_job`; must be importable by name, as workers are processes of their own.
+    timeout_s : that a job may take; its worker is killed then, stopped or hung though it may be. None: no bound.
     """
 
-    def __init__(self, work: Work, workers: int, make: Callable[[Work, Job, int], Outcome]) -> None:
-        self._work = work
+    def __init__(
+        self,
+        work: Work,
+        workers: int,
+        make: Callable[[Work, Job, int], Outcome],
+        *,
+        timeout_s: float | None = None,
+    ) -> None:
+        self._work, self._timeout_s = work, timeout_s
         self._count = max(1, workers)
         self._packed = pickle.dumps((make, work))
         self._workers: list[_Worker] = []
@@ -81,8 +89,10 @@ class LocalEngine:
     def wait(self, timeout_s: float) -> list[Outcome]:
         end = time.monotonic() + timeout_s
         while not self._outcomes and (left := end - time.monotonic()) > 0:
-            self._listen(min(left, _LOOK_EVERY_S) if self._work.memory_bytes is not None else left)
+            bounded = self._work.memory_bytes is not None or self._timeout_s is not None
+            self._listen(min(left, _LOOK_EVERY_S) if bounded else left)
             self._check_memory()
+            self._check_time()
             self._hand_out()
         outcomes, self._outcomes = self._outcomes, []
         return outcomes
@@ -143,6 +153,20 @@ class LocalEngine:
                     "memory",
                     f"the worker took {used / 1e9:.2f} GB of memory, more than the {bound / 1e9:.2f} GB it may have\n"
                     "  try       a larger --worker-memory with fewer workers, smaller images or a smaller site",
+                )
+
+    def _check_time(self) -> None:
+        bound = self._timeout_s
+        if bound is None:
+            return
+        for worker in list(self._workers):
+            taken_s = time.monotonic() - worker.since_s
+            if worker.task is not None and taken_s > bound and not worker.pipe.poll():
+                self._fail(
+                    worker,
+                    "time",
+                    f"the image was not done after {taken_s:.0f} s\n"
+                    "  try       a larger --timeout, if the image is only slow; a worker's first image takes longest",
                 )
 
     def _fail(self, worker: _Worker, kind: FailureKind, message: str) -> None:

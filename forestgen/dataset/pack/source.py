@@ -85,6 +85,8 @@ def _no_data_set(root: Path) -> DatasetError:
 
 def _batch(root: Path, wanted: Sequence[str]) -> Source:
     index = _read_index(root / INDEX_NAME)
+    told = read_json(root / LAST_FILE).get("splits")
+    order = list(told) if isinstance(told, dict) else []  # the recipe's
     frames: dict[str, list[str]] = {}
     for split, frame in zip(index["split"].to_pylist(), index["frame"].to_pylist(), strict=True):
         frames.setdefault(split, []).append(frame)
@@ -93,7 +95,7 @@ def _batch(root: Path, wanted: Sequence[str]) -> Source:
             raise RecipeError(
                 "the data set has no such split", where="--split", expected="of " + ", ".join(sorted(frames)), got=name
             )
-    chosen = sorted(set(wanted) or frames)
+    chosen = sorted(set(wanted) or frames, key=lambda name: (order.index(name) if name in order else len(order), name))
     splits = tuple(Split(name, root / name, tuple(sorted(frames[name]))) for name in chosen)
     if not splits:
         raise DatasetError("the data set has no frame", where=str(root))

@@ -14,11 +14,12 @@ from types import SimpleNamespace
 import pytest
 
 from forestgen.batch import estimate as module
-from forestgen.batch.contract import Engine, Work
+from forestgen.batch.contract import Engine, Notice, Work
 from forestgen.batch.engines.local import LocalEngine
 from forestgen.batch.estimate import Estimate, check_fits, count_images, estimate
+from forestgen.batch.estimate_text import lines
 from forestgen.batch.places import LocalPlace
-from forestgen.batch.probes import Lighter, Probe, Probed, full_stages, probe_images
+from forestgen.batch.probes import Lighter, Probe, Probed, full_stages, lightened, probe_images
 from forestgen.batch.run import check_recipe, run_batch
 from forestgen.batch.work import make_job
 from forestgen.core.errors import ResourceError
@@ -72,7 +73,11 @@ def expected(
     monkeypatch.setattr(module, "free_bytes", lambda: 10**10)
 
     def make(
-        *probes: Probe, count: int = 100, workers: int | None = None, threads: int = 1, overrides: tuple[str, ...] = ()
+        *probes: Probe,
+        count: int = 100,
+        workers: int | None = None,
+        threads: int | None = 1,
+        overrides: tuple[str, ...] = (),
     ) -> Estimate:
         monkeypatch.setattr(module, "probe_images", lambda *_, **__: Probed(probes))
         return estimate(recipe(*overrides), settings, count=count, workers=workers, threads=threads, progress=Silent())
@@ -107,6 +112,20 @@ def test_a_probe_is_scaled_to_its_image() -> None:
     assert full_stages(stages, Lighter(pixels=3)) == {"mitsuba": 3.0, "identity: guides": 3.0, "community": 1.0}
     totals = [sum(full_stages(stages, Lighter(s, p)).values()) for s, p in ((1, 1), (2, 1), (2, 2), (4, 2))]
     assert totals == sorted(set(totals))
+
+
+def test_probes_are_lighter_than_their_images(recipe: Callable[..., LoadedRecipe]) -> None:
+    """And not only said to be: an estimate multiplies by what is left out."""
+    loaded = recipe("render.samples=8192", "cameras.0.size_px=[1280, 960]")
+    full = loaded.draw(0).recipe
+    light, lighter = lightened(loaded)
+    made = light.draw(0).recipe
+    assert full.render.samples / made.render.samples == lighter.samples == 16
+    pixels = [sum(math.prod(camera.size_px) for camera in one.cameras) for one in (full, made)]
+    assert pixels[0] / pixels[1] == pytest.approx(lighter.pixels)
+    assert lighter.pixels > 4
+    assert loaded.draw(1).recipe.render.samples == 8192
+    assert lightened(recipe()) == (recipe(), Lighter())
 
 
 def test_time_is_that_of_warm_images_shared_among_workers(expected: Callable[..., Estimate]) -> None:
@@ -172,13 +191,20 @@ def test_workers_are_as_many_as_cores_and_memory_allow(expected: Callable[..., E
     assert expected(probe(memory=10**8), count=51, workers=3).workers == 3
 
 
+def test_cores_that_memory_leaves_idle_become_threads(expected: Callable[..., Estimate]) -> None:
+    made = expected(probe(memory=3 * 10**9), threads=None)
+    assert (made.workers, made.threads) == (2, 4)
+    made = expected(probe(memory=10**8), threads=None)
+    assert (made.workers, made.threads) == (8, 1)
+
+
 def test_a_small_batch_is_not_probed(
     recipe: Callable[..., LoadedRecipe], settings: DatasetSettings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(module, "probe_images", None)  # would fail
     made = estimate(recipe(), settings, count=3, workers=1, threads=1, progress=Silent())
     assert made.seconds is None
-    text = "\n".join(made.lines())
+    text = "\n".join(lines(made))
     assert "not measured" in text
     assert "upper bounds" in text
     larger = estimate(
@@ -189,7 +215,7 @@ def test_a_small_batch_is_not_probed(
 
 
 def test_the_table_tells_what_and_how(expected: Callable[..., Estimate]) -> None:
-    text = "\n".join(expected(probe(70, first=True), probe(10), workers=2).lines())
+    text = "\n".join(lines(expected(probe(70, first=True), probe(10), workers=2)))
     for word in ("200 frames", "14 plants", "2, of 1 thread", "images an hour", "mitsuba 60 %", "disk", "100 MB"):
         assert word in text, text
 
@@ -255,7 +281,7 @@ def test_what_comes_is_within_a_factor_of_two(
     made = estimate(loaded, settings, count=8, workers=1, threads=1, progress=Silent(), probe=True, budget_s=200)
     assert made.seconds is not None
 
-    def engine(work: Work) -> Engine:
+    def engine(work: Work, notice: Notice) -> Engine:
         return LocalEngine(work, 1, make_job)
 
     target = tmp_path / "set"

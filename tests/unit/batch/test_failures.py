@@ -9,7 +9,7 @@ import pytest
 
 from forestgen.batch.contract import TRANSIENT
 from forestgen.batch.work import explained, failure_kind
-from forestgen.cli.batch_command import amounts, bytes_of
+from forestgen.cli.batch_command import amounts, bytes_of, seconds_of
 from forestgen.core.errors import AssetError, OutputError, RecipeError, RenderError, ResourceError
 from forestgen.dataset.files import output_error
 
@@ -45,7 +45,7 @@ def test_kinds(error: Exception, kind: str) -> None:
 
 
 def test_what_may_pass_is_tried_again_and_the_rest_is_not() -> None:
-    assert set(TRANSIENT) == {"memory", "output", "worker"}
+    assert set(TRANSIENT) == {"memory", "output", "worker", "time"}
 
 
 def test_a_bug_is_told_with_its_place() -> None:
@@ -70,6 +70,19 @@ def test_what_is_no_size(text: str) -> None:
 
     with pytest.raises(typer.BadParameter):
         bytes_of(text, "--worker-memory")
+
+
+@pytest.mark.parametrize(("text", "seconds"), [("90s", 90.0), ("30 min", 1800.0), ("1.5h", 5400.0)])
+def test_durations(text: str, seconds: float) -> None:
+    assert seconds_of(text, "--timeout") == seconds
+
+
+@pytest.mark.parametrize("text", ["", "90", "0s", "-1h", "2 days", "min"])
+def test_what_is_no_duration(text: str) -> None:
+    import typer
+
+    with pytest.raises(typer.BadParameter, match="30min"):
+        seconds_of(text, "--timeout")
 
 
 def test_resources() -> None:

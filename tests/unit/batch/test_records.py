@@ -76,6 +76,14 @@ def test_what_a_stranger_writes_into_a_record_is_refused(change: dict[str, objec
         read_record(record_bytes(replace(RECORD, **change)), "here")
 
 
+def test_a_whole_record_of_another_version_is_not_called_damaged(monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as older:
+        older.setattr("forestgen.batch.records._SCHEMA", "forestgen-job/0")
+        content = record_bytes(RECORD)
+    with pytest.raises(DatasetError, match=r"another version[\s\S]*expected +forestgen-job/1[\s\S]*forestgen-job/0"):
+        read_record(content, "here")
+
+
 def test_json_without_end_is_damaged() -> None:
     with pytest.raises(DatasetError, match="damaged"):
         read_record(b"[" * 200_000, "here")

@@ -19,6 +19,7 @@ def test_a_containers_limit_counts(limit: str, free: int, tmp_path: Path, monkey
     _group(tmp_path, limit)
     monkeypatch.setattr(memory, "_CGROUP", tmp_path)
     assert memory.free_bytes() == free
+    assert memory.whole_bytes() == int(limit)
 
 
 @pytest.mark.parametrize("limit", ["max", str(10**18), None])
@@ -29,3 +30,4 @@ def test_without_a_limit_the_machine_counts(limit: str | None, tmp_path: Path, m
     machine = psutil.virtual_memory()
     monkeypatch.setattr(psutil, "virtual_memory", lambda: machine)
     assert memory.free_bytes() == machine.available
+    assert memory.whole_bytes() == machine.total

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -129,6 +130,14 @@ def test_first_image_shifts_the_images(write: Write) -> None:
     assert later.draw(1).image_seed == loaded.draw(6).image_seed
     with pytest.raises(RecipeError, match="no such image"):
         loaded.draw(-1)
+
+
+def test_a_recipe_with_other_data_draws_from_these(write: Write) -> None:
+    loaded = load_recipe(write())
+    before = loaded.draw(0).recipe.render.samples
+    other = replace(loaded, data={**loaded.data, "render": {"samples": before + 1}})
+    assert other.draw(0).recipe.render.samples == before + 1
+    assert loaded.draw(0).recipe.render.samples == before
 
 
 def test_probes_cover_the_ends(write: Write) -> None:

@@ -35,6 +35,12 @@ def test_with_rungs_enough_each_plant_has_its_own_whatever_else_grows() -> None:
     assert np.abs(np.log(SIZE_STEP**rungs / radius)).max() <= np.log(SIZE_STEP) / 2 + 1e-12
 
 
+def test_rungs_that_lie_apart_need_no_neighbours() -> None:
+    """A species of seedlings and old trees: two sizes, however many rungs are between them."""
+    radius = np.array([0.1, 0.1, 5.0])
+    np.testing.assert_array_equal(rungs_of(radius, 2), rungs_of(radius, 100))
+
+
 @pytest.mark.parametrize("shown", [1, 3])
 def test_an_image_shows_so_many_variants_of_a_size_and_images_show_all(shown: int) -> None:
     radius, library = radii(300), Library(5, shown)
