@@ -120,7 +120,8 @@ def _far_share(terrain: Terrain, low_m: Floats, high_m: Floats) -> float:
     middle = (a + b + c) / 3.0
     area = area * np.all((middle >= low_m[:2]) & (middle <= high_m[:2]), axis=1)
     share = terrain.far_share[faces].mean(axis=1, dtype=np.float64)
-    return float((area @ share) / area.sum()) if area.sum() > 0 else float(terrain.far_share.max(initial=0.0))
+    # No `@`: the last digits of its long sums depend on the threads of linear algebra.
+    return float(np.sum(area * share) / area.sum()) if area.sum() > 0 else float(terrain.far_share.max(initial=0.0))
 
 
 def site_middle(spec: SceneSpec) -> Floats:

@@ -124,7 +124,7 @@ def crown_centre(exemplar: Exemplar) -> Floats:
             normal = np.cross(b - a, c - a)
             area = np.sqrt(np.einsum("fk,fk->f", normal, normal))
             total += area.sum()
-            moment += area @ (a + b + c) / 3.0
+            moment += np.sum(area[:, None] * (a + b + c), axis=0) / 3.0
         if total > 0.0:
             return np.asarray(moment / total)
     return np.zeros(3)

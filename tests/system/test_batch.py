@@ -55,6 +55,19 @@ def test_two_workers_and_one_process_in_reverse_make_the_same_bytes(tmp_path: Pa
     assert {events[0]["event"], events[-1]["event"]} == {"start", "finish"}
 
 
+@pytest.mark.slow
+def test_the_threads_of_a_worker_change_no_byte_under_clouds(tmp_path: Path) -> None:
+    """One worker has both cores, two have one each: so do renderer, compiled loops and linear algebra."""
+    sky = "{sun: {elevation_deg: {uniform: [20, 60]}}, clouds: {type: noise, cover: 0.6}}"
+    text = WITH_LABELS.replace("{sun: {elevation_deg: {uniform: [20, 60]}}}", sky).replace("flat", "rolling")
+    path = recipe(tmp_path, text.replace("denoise: false", "denoise: true"))
+    for workers, threads in ((1, 2), (2, 1)):
+        more = ("--workers", str(workers), "--threads", str(threads))
+        answer = run("batch", path, "--count", "3", "--out", tmp_path / f"by{workers}", *more)
+        assert answer.code == 0, answer.err
+    assert_same(tmp_path / "by1", tmp_path / "by2")
+
+
 def test_a_batch_is_the_images_that_render_makes(tmp_path: Path) -> None:
     """An image of a batch has the bytes of the folder that `forestgen render` writes of it."""
     path = recipe(tmp_path, WITH_LABELS.replace("splits: {train: 1, val: 1}", "splits: {train: 1}"))

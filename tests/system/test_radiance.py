@@ -217,9 +217,8 @@ def test_a_last_digit_leaves_the_baked_sky_as_it_is():
     spec = replace(stand(), clouds=patchy_clouds())
     other = replace(spec, sky=replace(spec.sky, turbidity=float(np.nextafter(spec.sky.turbidity, 9.0))))
     with using(SCALAR):
-        first, second = (
-            sky.baked_sky(sky.traced_clouds_of(one), np.array([15.0, 15.0, 10.0])).radiance(RGB) for one in (spec, other)
-        )
+        place = np.array([15.0, 15.0, 10.0])
+        first, second = (sky.baked_sky(sky.traced_clouds_of(one), place).radiance(RGB) for one in (spec, other))
     near = np.isclose(first, second, rtol=1e-4)
     assert near.mean() > 0.999  # a path or two may turn at a surface
 
