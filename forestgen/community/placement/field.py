@@ -180,23 +180,28 @@ class _Fields:
         from forestgen.community.placement.field_trees import Trees
 
         rows, cols = shape
-        strips = -(-cols // LANES)
-        node_level, node_count = _levels(strips)
+        strips, groups = -(-cols // LANES), -(-rows // LANES)
+        panels = -(-strips // LANES)
+        upper_level, upper_lines, upper_stride = _upper_levels(panels, groups)
         sum_level, sum_stride = _levels(rows)
-        cell_stride, node_stride = strips * rows * LANES, node_count * rows
+        cell_stride, node_stride = strips * rows * LANES, panels * rows * LANES
         trees = Trees(
             _aligned(count * cell_stride),
             _aligned(count * node_stride),
+            _aligned(count * upper_stride),
             _aligned(count * sum_stride),
-            node_level * rows,
+            upper_level,
+            upper_lines,
             sum_level,
-            len(node_level),
+            len(upper_level),
             len(sum_level),
             rows,
             cols,
             strips,
+            groups,
             cell_stride,
             node_stride,
+            upper_stride,
             sum_stride,
             size_m[0] / cols,
             size_m[1] / rows,
@@ -232,9 +237,14 @@ class _Fields:
         size_m = (t.width_m * t.cols, t.height_m * t.rows)
         new = _Fields.empty(len(which), (t.rows, t.cols), size_m, t.periodic)
         trees = new.trees._replace(width_m=t.width_m, height_m=t.height_m)
-        for ours, theirs in ((t.cells, trees.cells), (t.nodes, trees.nodes), (t.sums, trees.sums)):
+        for ours, theirs in zip(_memories(t), _memories(trees), strict=True):
             theirs.reshape(len(which), -1)[...] = ours.reshape(count, -1)[list(which)]
         return _Fields(trees, self.exponents[list(which)])
+
+
+def _memories(trees: Trees) -> tuple[NDArray[np.float64], ...]:
+    """What each field has a part of."""
+    return trees.cells, trees.nodes, trees.upper, trees.sums
 
 
 def _together(fields: Sequence[DensityField]) -> _Fields:
@@ -249,7 +259,7 @@ def _together(fields: Sequence[DensityField]) -> _Fields:
     new = _Fields.empty(len(fields), fields[0].shape, fields[0].size_m, fields[0].periodic)
     for index, field in enumerate(fields):
         old, at, t = field._fields.trees, field._index, new.trees
-        for ours, theirs in ((old.cells, t.cells), (old.nodes, t.nodes), (old.sums, t.sums)):
+        for ours, theirs in zip(_memories(old), _memories(t), strict=True):
             theirs.reshape(len(fields), -1)[index] = ours.reshape(len(field._fields.exponents), -1)[at]
         new.exponents[index] = field._fields.exponents[at]
         field._fields, field._index = new, index
@@ -276,6 +286,20 @@ def _levels(leaves: int) -> tuple[NDArray[np.int64], int]:
         if nodes == 1:
             return np.array(starts, dtype=np.int64), length
         leaves = nodes
+
+
+def _upper_levels(panels: int, groups: int) -> tuple[NDArray[np.int64], NDArray[np.int64], int]:
+    """Where each level of sums of panels begins, how many lines its blocks have, and the length of all.
+
+    Whoever reads eight lines of a block of four reads on: a block of eight is left free at the end.
+    """
+    starts, lines, length = [], [], 0
+    while panels > 1:
+        starts.append(length)
+        lines.append(4 if panels <= 4 else LANES)
+        panels = -(-panels // LANES)
+        length += panels * groups * lines[-1] * LANES
+    return np.array(starts, dtype=np.int64), np.array(lines, dtype=np.int64), length + LANES * LANES
 
 
 def _effects(kernels: Sequence[Sequence[KernelTable]]) -> Effects:

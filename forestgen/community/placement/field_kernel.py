@@ -1,7 +1,10 @@
 """Compiled loops that place plants: the field's deformation, and requests for memory ahead of it.
 
 The field's cells and sums are those of `field_trees`. Small functions become part of `place_all`, and the lines of
-memory that a plant needs are asked for in three steps while plants before it are placed.
+memory that a plant needs are asked for in four steps while plants before it are placed. The steps leave a guess: the
+plant's place, and the rows and strips in its reach. When its turn comes, its x is right if no plant since has changed
+its row; its y is drawn anew, and mostly lies in the row that was guessed. Then nothing waits for an address. Else it is
+drawn, or deforms, as if there had been no guess. Results are the same to the bit.
 """
 
 from __future__ import annotations
@@ -29,21 +32,28 @@ from forestgen.community.placement.field_lanes import (
 from forestgen.community.placement.field_trees import (
     GREATEST_TOTAL,
     SMALLEST_TOTAL,
+    block_of,
     draw,
+    inside,
     kept,
+    panel_of,
     pick,
     pointed,
     put,
-    renew_row,
+    put_row,
+    renew_groups,
     renew_rows,
+    row_as_guessed,
     row_of,
-    strip_of,
     total_of_pointed,
 )
 from forestgen.core.compiled import contracted, inlined
 
-AHEAD = 2  # plants between one request for a plant's memory and the next; there are three before it is placed
-RING = 4 * AHEAD  # plants that are remembered meanwhile
+REVISION = 2  # raise it when field_trees.py or field_lanes.py change: machine code on disk is known by this file's text
+AHEAD = 1  # plants between one request for a plant's memory and the next; there are four before it is placed
+MARGIN = 0.03  # cells: a plant will seldom stand farther from where it would when it was asked for
+GUESSES = LANES  # numbers of `_Plan.guesses` for a plant
+RING = 8 * AHEAD  # plants that are remembered meanwhile
 FAR = 64  # lines: a kernel that reaches more is not asked for ahead
 LEAST_LEFT = 1e-200  # of the sum within reach: a balanced kernel that leaves less bars all of it
 
@@ -60,14 +70,20 @@ class Effects(NamedTuple):
 
 
 class _Plan(NamedTuple):
-    """What requests for memory look at: pointers."""
+    """What requests for memory look at, and remember: pointers."""
 
-    memory: Any  # (RING, 4) float64 of plants asked for: y in cells, or -1; panel, later strip; what of v is left
+    guesses: Any  # (RING, 8) int64 of plants asked for, see below
+    memory: Any  # (RING, 2) float64 of the same plants: y in cells; what of v is left, later x in cells
     totals: Any  # (F,) of the fields
     species: Any  # (N,)
     reach: Any  # (N, 2) columns and rows
     uniform: Any  # (N, 2)
     plants: int  # N; 0: nothing is asked for
+
+
+# A guess: -1 in ROW for none, in FIRST_STRIP for none of the strips; AT is a node, then a panel, then a strip.
+ROW, AT, FIRST_ROW, LAST_ROW, FIRST_STRIP, LAST_STRIP = range(6)
+FIRST_CHANGED, LAST_CHANGED = 6, 7  # rows that the plant has changed, once it is placed
 
 
 @inlined
@@ -98,8 +114,11 @@ def _patch(t, f, r_m, table, last, factor, window, x, y):  # type: ignore[no-unt
             store_line(t.cells, at, eight)
             total = put(t.nodes, node + i * LANES, b % LANES, sum_of(eight))
             if last_of_panel:
-                renew_row(t, f, i, b // LANES, total)
-    return near if factor < 0.0 else renew_rows(t, f, i0, i1)
+                put_row(t, f, i, b // LANES, total)
+    if factor < 0.0:
+        return near
+    renew_groups(t, f, i0 // LANES, i1 // LANES, b0 // LANES, b1 // LANES)
+    return renew_rows(t, f, i0, i1)
 
 
 @inlined
@@ -147,12 +166,39 @@ def _balanced(t, f, table, last, first_value, r_m, x, y):  # type: ignore[no-unt
 
 
 @inlined
-def _deform(t, f, total, table, last, first_value, balanced, r_m, x, y):  # type: ignore[no-untyped-def]
+def _changes(plan, slot, first, last):  # type: ignore[no-untyped-def]
+    store(plan.guesses, slot + FIRST_CHANGED, min(load(plan.guesses, slot + FIRST_CHANGED), first))
+    store(plan.guesses, slot + LAST_CHANGED, max(load(plan.guesses, slot + LAST_CHANGED), last))
+
+
+@inlined
+def _patch_as_guessed(t, f, r_m, table, last, factor, x, y, plan, slot):  # type: ignore[no-untyped-def]
+    """`_patch` of the rows and strips that were guessed, if they are enough; else, and without a guess, `_patches`.
+
+    A cell out of reach stays as it is.
+    """
+    guesses = plan.guesses
+    i0, i1 = load(guesses, slot + FIRST_ROW), load(guesses, slot + LAST_ROW)
+    b0, b1 = load(guesses, slot + FIRST_STRIP), load(guesses, slot + LAST_STRIP)
+    if b0 >= 0:
+        top, bottom = _reached(y, r_m / t.height_m, t.rows, t.periodic)
+        left, right = _reached(x, r_m / t.width_m, t.cols, t.periodic)
+        j0, j1 = b0 * LANES, min(b1 * LANES + LANES, t.cols) - 1
+        if (i0 <= top) & (bottom <= i1) & (j0 <= left) & (right <= j1):
+            _changes(plan, slot, i0, i1)
+            return _patch(t, f, r_m, table, last, factor, (i0, i1, j0, j1), x, y)
+    _changes(plan, slot, 0, t.rows)
+    return _patches(t, f, r_m, table, last, factor, x, y)
+
+
+@inlined
+def _deform(t, f, total, table, last, first_value, balanced, r_m, x, y, plan, slot):  # type: ignore[no-untyped-def]
     """The field after a plant at (x, y); returns its total. `last` is 0 if κ is `first_value` all over."""
     if balanced:
+        _changes(plan, slot, 0, t.rows)
         new = _balanced(t, f, table, last, first_value, r_m, x, y)
     else:
-        new = _patches(t, f, r_m, table, last, first_value, x, y)
+        new = _patch_as_guessed(t, f, r_m, table, last, first_value, x, y, plan, slot)
     return total if new < 0.0 else new  # < 0: no cell's middle is in reach
 
 
@@ -163,50 +209,108 @@ def _ask_for_rows(memory, start, first, last):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _ask(t, plan, step, n):  # type: ignore[no-untyped-def]
-    """Ask for memory of plant n, where it would stand in the field as it is now; it changes no result.
+def _ask_for_panels(t, plan, n):  # type: ignore[no-untyped-def]
+    """Ask for memory of plant n, where it would stand in the field as it is now: the sums of its panel and of others.
 
-    In three steps, each of which looks at what the one before has asked for: the sums of its strip and seven others,
-    the rows in its strip, and those in the next strip. Few plants will stand far from there: one plant moves the next
-    by a small fraction of a cell. Few requests at a time, with work between them: the processor waits where there are
-    too many.
+    The first of four steps, each of which looks at what the one before has asked for. Few plants will stand far from
+    there: one plant moves the next by a small fraction of a cell. Few requests at a time, with work between them: the
+    processor waits where there are too many.
     """
     if n >= plan.plants:
         return
-    f, memory, slot = load(plan.species, n), plan.memory, n % RING * 4
-    nodes, columns, rows = f * t.node_stride, load(plan.reach, 2 * n), load(plan.reach, 2 * n + 1)
-    if step == 0:
-        store(memory, slot, -1.0)
-        total = load(plan.totals, f)
-        if not total > 0.0:
-            return
-        row, u = row_of(t, f, load(plan.uniform, 2 * n) * total)
-        of_row = load(t.sums, f * t.sum_stride + row)
-        y = row + min(u / of_row, 1.0)
-        panel, v = strip_of(t, f, row, load(plan.uniform, 2 * n + 1) * of_row, 1)
-        store(memory, slot, y), store(memory, slot + 1, float(panel)), store(memory, slot + 2, v)
-        first, last = _reached(y, rows, t.rows, False)
-        _ask_for_rows(t.nodes, nodes + panel * t.rows * LANES, first, last)
-        _ask_for_rows(t.nodes, nodes + load(t.node_level, 1) + panel // LANES * t.rows * LANES, first, last)
+    f, guesses, slot, ring = load(plan.species, n), plan.guesses, n % RING * GUESSES, n % RING * 2
+    total = load(plan.totals, f)
+    if not total > 0.0:
+        store(guesses, slot + ROW, -1)
         return
-    y, strip = load(memory, slot), int(load(memory, slot + 1))
-    if y < 0.0:
+    row, u = row_of(t, f, load(plan.uniform, 2 * n) * total)
+    of_row = load(t.sums, f * t.sum_stride + row)
+    y = row + min(u / of_row, 1.0)
+    node, v = panel_of(t, f, row, load(plan.uniform, 2 * n + 1) * of_row, 0, t.upper_levels, 1)
+    first, last = _reached(y, load(plan.reach, 2 * n + 1) + MARGIN, t.rows, False)
+    store(guesses, slot + ROW, row), store(guesses, slot + AT, node), store(guesses, slot + FIRST_STRIP, -1)
+    store(guesses, slot + FIRST_ROW, first), store(guesses, slot + LAST_ROW, last)
+    store(plan.memory, ring, y), store(plan.memory, ring + 1, v)
+    for g in range(first // LANES, last // LANES + 1):
+        _ask_for_rows(t.upper, block_of(t, f, 0, node, g), 0, load(t.upper_lines, 0) - 1)
+
+
+@inlined
+def _ask_for_strips(t, plan, n):  # type: ignore[no-untyped-def]
+    """The second step: the sums of its strip and seven others."""
+    guesses, slot, ring = plan.guesses, n % RING * GUESSES, n % RING * 2
+    if n >= plan.plants or load(guesses, slot + ROW) < 0:
         return
-    row = min(int(y), t.rows - 1)
-    first, last = _reached(y, rows, t.rows, False)
-    if step == 1:
-        k, v = pick(t.nodes, nodes + (strip * t.rows + row) * LANES, load(memory, slot + 2))
-        strip = strip * LANES + k
-        store(memory, slot + 1, float(strip)), store(memory, slot + 2, v)
-        _ask_for_rows(t.cells, f * t.cell_stride + strip * t.rows * LANES, first, last)
+    f, row, node = load(plan.species, n), load(guesses, slot + ROW), load(guesses, slot + AT)
+    panel, v = panel_of(t, f, row, load(plan.memory, ring + 1), node, 1, 0)
+    store(guesses, slot + AT, panel), store(plan.memory, ring + 1, v)
+    start = f * t.node_stride + panel * t.rows * LANES
+    _ask_for_rows(t.nodes, start, load(guesses, slot + FIRST_ROW), load(guesses, slot + LAST_ROW))
+
+
+@inlined
+def _ask_for_cells(t, plan, n):  # type: ignore[no-untyped-def]
+    """The third step: the rows in its strip."""
+    guesses, slot, ring = plan.guesses, n % RING * GUESSES, n % RING * 2
+    if n >= plan.plants or load(guesses, slot + ROW) < 0:
         return
-    k, v = pick(t.cells, f * t.cell_stride + (strip * t.rows + row) * LANES, load(memory, slot + 2))
-    left, right = _reached(strip * LANES + k + 0.5, columns, t.cols, False)
+    f, row, panel = load(plan.species, n), load(guesses, slot + ROW), load(guesses, slot + AT)
+    line = f * t.node_stride + (panel * t.rows + row) * LANES
+    k, v = pick(t.nodes, line, load(plan.memory, ring + 1))
+    strip = panel * LANES + k
+    store(guesses, slot + AT, strip), store(plan.memory, ring + 1, v)
+    start = f * t.cell_stride + strip * t.rows * LANES
+    _ask_for_rows(t.cells, start, load(guesses, slot + FIRST_ROW), load(guesses, slot + LAST_ROW))
+
+
+@inlined
+def _ask_for_cells_beside(t, plan, n):  # type: ignore[no-untyped-def]
+    """The fourth step: the rows in the strips beside; now there is a guess of all that the plant will change."""
+    guesses, slot, ring = plan.guesses, n % RING * GUESSES, n % RING * 2
+    if n >= plan.plants or load(guesses, slot + ROW) < 0:
+        return
+    f, row, strip = load(plan.species, n), load(guesses, slot + ROW), load(guesses, slot + AT)
+    line = f * t.cell_stride + (strip * t.rows + row) * LANES
+    k, v = pick(t.cells, line, load(plan.memory, ring + 1))
+    value = load(t.cells, line + k)
+    if not value > 0.0:  # a plant has changed the row meanwhile
+        store(guesses, slot + ROW, -1)
+        return
+    x, y = strip * LANES + k + inside(v, value), load(plan.memory, ring)
+    store(plan.memory, ring + 1, x)
+    columns, rows = load(plan.reach, 2 * n), load(plan.reach, 2 * n + 1)
+    left, right = _reached(x, columns + MARGIN, t.cols, False)
+    if (rows > 0.0) & (abs(y - t.rows / 2) < t.rows / 2 - rows - 1) & (abs(x - t.cols / 2) < t.cols / 2 - columns - 1):
+        store(guesses, slot + FIRST_STRIP, left // LANES), store(guesses, slot + LAST_STRIP, right // LANES)
+    first, last = load(guesses, slot + FIRST_ROW), load(guesses, slot + LAST_ROW)
     for b in range(left // LANES, right // LANES + 1):
         if b != strip:
             _ask_for_rows(t.cells, f * t.cell_stride + b * t.rows * LANES, first, last)
             if b // LANES != strip // LANES:
-                _ask_for_rows(t.nodes, nodes + b // LANES * t.rows * LANES, first, last)
+                _ask_for_rows(t.nodes, f * t.node_stride + b // LANES * t.rows * LANES, first, last)
+
+
+@inlined
+def _is_as_asked(plan, n, row):  # type: ignore[no-untyped-def]
+    """Whether no plant has changed a row since memory of plant n was first asked for."""
+    same = True
+    for before in range(1, 4 * AHEAD + 1):
+        slot = (n - before) % RING * GUESSES
+        first, last = load(plan.guesses, slot + FIRST_CHANGED), load(plan.guesses, slot + LAST_CHANGED)
+        same &= (row < first) | (row > last)
+    return same
+
+
+@inlined
+def _draw(t, plan, f, n):  # type: ignore[no-untyped-def]
+    """x, y in cells of plant n: `draw`, or the same by the guess."""
+    total, u, v = load(plan.totals, f), load(plan.uniform, 2 * n), load(plan.uniform, 2 * n + 1)
+    row = load(plan.guesses, n % RING * GUESSES + ROW)
+    if row >= 0 and _is_as_asked(plan, n, row):
+        same, left = row_as_guessed(t, f, u * total, row)
+        if same:
+            return load(plan.memory, n % RING * 2 + 1), row + inside(left, load(t.sums, f * t.sum_stride + row))
+    return draw(t, f, total, u, v)
 
 
 @contracted
@@ -230,32 +334,36 @@ def place_all(trees, exponents, effects, species, radius_m, uniform, places):  #
     """
     t, totals, powers = pointed(trees), np.empty(len(exponents)), pointer(exponents)
     tables, length, to_draw = effects.tables, effects.tables.shape[1], len(uniform) > 0
-    reach, memory = _reaches(t, effects, species, radius_m), np.full((RING, 4), -1.0)
-    asked = len(species) if to_draw and t.node_levels > 1 else 0
-    plan = _Plan(pointer(memory), pointer(totals), pointer(species), pointer(reach), pointer(uniform), asked)
+    reach, memory = _reaches(t, effects, species, radius_m), np.zeros((RING, 2))
+    guesses = np.full((RING, GUESSES), -1)
+    asked = len(species) if to_draw and t.upper_levels > 0 else 0
+    ring = pointer(guesses), pointer(memory)
+    plan = _Plan(ring[0], ring[1], pointer(totals), pointer(species), pointer(reach), pointer(uniform), asked)
     for f in range(len(exponents)):
         totals[f] = total_of_pointed(t, f)
     for n in range(len(species)):
-        f = species[n]
+        f, slot = species[n], n % RING * GUESSES
+        stands = totals[f] > 0.0 or not to_draw
+        store(plan.guesses, slot + FIRST_CHANGED, t.rows), store(plan.guesses, slot + LAST_CHANGED, -1)
         if to_draw:
-            _ask(t, plan, 0, n + 3 * AHEAD)
-            if totals[f] > 0.0:
-                places[n, 0], places[n, 1] = draw(t, f, totals[f], uniform[n, 0], uniform[n, 1])
-            _ask(t, plan, 1, n + 2 * AHEAD)
-            if not totals[f] > 0.0:
-                continue
+            _ask_for_panels(t, plan, n + 4 * AHEAD)
+            if stands:
+                places[n, 0], places[n, 1] = _draw(t, plan, f, n)
+            _ask_for_cells(t, plan, n + 2 * AHEAD)
+            _ask_for_strips(t, plan, n + 3 * AHEAD)
         for g in range(len(exponents)):
             k = effects.which[g, f]
-            if k < 0:
+            if k < 0 or not stands:
                 continue
             r_m = effects.reach[k] * (radius_m[n] if effects.in_radii[k] else 1.0)
             if r_m > 0.0 and totals[g] > 0.0:
                 last = 0.0 if effects.constant[k] else float(length - 2)
-                table, balanced = pointer(tables[k]), effects.balanced[k]
+                table, balanced, value = pointer(tables[k]), effects.balanced[k], tables[k, 0]
                 x, y = places[n, 0], places[n, 1]
-                new = _deform(t, g, totals[g], table, last, tables[k, 0], balanced, r_m, x, y)
+                new = _deform(t, g, totals[g], table, last, value, balanced, r_m, x, y, plan, slot)
                 if new != 0.0 and not SMALLEST_TOTAL <= new <= GREATEST_TOTAL:
                     new = kept(t, g, new, powers)
+                    _changes(plan, slot, 0, t.rows)
                 totals[g] = new
-        _ask(t, plan, 2, n + AHEAD)
-    return totals[0] + exponents[0] + memory[0, 0] + len(reach)  # held until here
+        _ask_for_cells_beside(t, plan, n + AHEAD)
+    return totals[0] + exponents[0] + memory[0, 0] + guesses[0, 0] + len(reach)  # held until here

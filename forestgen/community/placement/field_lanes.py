@@ -2,7 +2,8 @@
 
 Numba compiles loops over eight numbers into single steps where it cannot know that arrays do not overlap. These
 operations say it: eight numbers are loaded into a register, worked on, and stored. `core.compiled` keeps kernels on
-disk and notices changes of a kernel's own file only: after a change here touch field_kernel.py.
+disk and notices changes of the text of a kernel's own file only: after a change here empty `__pycache__`, and raise
+REVISION in field_kernel.py.
 """
 
 from __future__ import annotations
@@ -121,23 +122,59 @@ def sum_of(typing_context, eight):  # type: ignore[no-untyped-def]
 
 
 @intrinsic
+def plus(typing_context, eight, other):  # type: ignore[no-untyped-def]
+    """Eight numbers and eight others, one by one."""
+
+    def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.fadd(arguments[0], arguments[1])
+
+    return EIGHT(EIGHT, EIGHT), code
+
+
+@intrinsic
+def load_across(typing_context, memory, index, count):  # type: ignore[no-untyped-def]
+    """The same number of eight lines that follow one another; 0 for lines from `count` on, whatever is there."""
+
+    def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        memory, index, count = arguments
+        eight = ir.Constant(_VECTOR, ir.Undefined)
+        first = builder.gep(memory, [index])
+        for lane in range(LANES):
+            number = builder.load(builder.gep(first, [_INDEX(lane * LANES)]))
+            eight = builder.insert_element(eight, number, _INDEX(lane))
+        there = builder.icmp_signed("<", _WHOLE(list(range(LANES))), _all(builder, builder.trunc(count, _INDEX)))
+        return builder.select(there, eight, _all(builder, 0.0))
+
+    return EIGHT(memory, types.int64, types.int64), code
+
+
+@intrinsic
 def passed(typing_context, eight, u):  # type: ignore[no-untyped-def]
     """How many of the first seven partial sums are at most u, and what the numbers before leave of u."""
 
     def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        sums, u = arguments
-        zero = ir.Constant(_VECTOR, [0.0] * LANES)
-        for lanes in ([8, 0, 8, 2, 8, 4, 8, 6], [8, 8, 1, 1, 8, 8, 5, 5], [8, 8, 8, 8, 3, 3, 3, 3]):
-            chosen = ir.Constant(ir.VectorType(_INDEX, LANES), lanes)
-            sums = builder.fadd(sums, builder.shuffle_vector(sums, zero, chosen))
-        below = builder.fcmp_ordered("<=", sums, _all(builder, u))
-        bits = builder.and_(builder.bitcast(below, ir.IntType(8)), ir.IntType(8)(127))
-        k = builder.zext(builder.ctpop(bits), ir.IntType(64))
-        chosen = ir.Constant(ir.VectorType(_INDEX, LANES), [8, 0, 1, 2, 3, 4, 5, 6])
-        left = builder.fsub(_all(builder, u), builder.shuffle_vector(sums, zero, chosen))
-        return context.make_tuple(builder, signature.return_type, [k, builder.extract_element(left, k)])
+        k, before = _passed(builder, *arguments)
+        left = builder.fsub(arguments[1], builder.extract_element(before, k))
+        return context.make_tuple(builder, signature.return_type, [k, left])
 
     return types.Tuple((types.int64, types.float64))(EIGHT, types.float64), code  # type: ignore[attr-defined]
+
+
+@intrinsic
+def passed_as_guessed(typing_context, eight, u, guess):  # type: ignore[no-untyped-def]
+    """Whether `passed` finds k to be `guess`, and what the numbers before leave of u if so.
+
+    Which numbers are before is known without u: steps that follow one another need not wait to choose.
+    """
+
+    def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        eight, u, guess = arguments
+        k, before = _passed(builder, eight, u)
+        left = builder.fsub(u, builder.extract_element(before, guess))
+        return context.make_tuple(builder, signature.return_type, [builder.icmp_signed("==", k, guess), left])
+
+    pair = types.Tuple((types.boolean, types.float64))  # type: ignore[attr-defined]
+    return pair(EIGHT, types.float64, types.int64), code
 
 
 @intrinsic
@@ -227,6 +264,19 @@ def times_table(typing_context, eight, squares, dy2, r2, scale, last, table):  #
 
     number = types.float64
     return EIGHT(EIGHT, EIGHT, number, number, number, number, table), code
+
+
+def _passed(builder: Any, sums: Any, u: Any) -> tuple[Any, Any]:
+    """How many of the first seven partial sums are at most u, and what the numbers before each leave of u."""
+    zero = ir.Constant(_VECTOR, [0.0] * LANES)
+    for lanes in ([8, 0, 8, 2, 8, 4, 8, 6], [8, 8, 1, 1, 8, 8, 5, 5], [8, 8, 8, 8, 3, 3, 3, 3]):
+        chosen = ir.Constant(ir.VectorType(_INDEX, LANES), lanes)
+        sums = builder.fadd(sums, builder.shuffle_vector(sums, zero, chosen))
+    below = builder.fcmp_ordered("<=", sums, _all(builder, u))
+    bits = builder.and_(builder.bitcast(below, ir.IntType(8)), ir.IntType(8)(127))
+    chosen = ir.Constant(ir.VectorType(_INDEX, LANES), [8, 0, 1, 2, 3, 4, 5, 6])
+    before = builder.shuffle_vector(sums, zero, chosen)
+    return builder.zext(builder.ctpop(bits), ir.IntType(64)), before
 
 
 def _line(builder: Any, arguments: Any) -> Any:

@@ -2,12 +2,14 @@
 
 Cells stand in strips of eight columns, one row of a strip after another: a row of a strip is one line of the
 processor's memory, and the rows that a plant reaches are neighbours in memory. Above the cells each row has a tree of
-sums: of its strips, of eight strips, of 64 ...; eight sums that have one parent are again one line. The sums of whole
-rows have such a tree too. A plant changes some rows, and one or two nodes on each level of each of them and above them.
+sums: of its strips, of eight strips (a panel), of 64 ... Sums of strips stand like cells: a row's eight that have one
+parent are a line. Above them a line has one node's sums of eight rows, and the lines of nodes that have one parent are
+a block: their sum, number by number, is that of eight rows at once. The sums of whole rows have a tree too, eight
+numbers of one parent a line. A plant changes some rows, and one or two nodes on each level of each of them and above.
 Each node is the sum of its children, taken anew, so that no rounding error grows with the number of plants. A draw
 walks down both trees. What a plant costs grows with the kernel's reach, and with the logarithm of the field's size.
 
-A change here reaches the machine code kept on disk for field_kernel.py when that file is touched (`core.compiled`).
+A change here reaches the machine code kept on disk for field_kernel.py when REVISION is raised there (`core.compiled`).
 """
 
 from __future__ import annotations
@@ -19,8 +21,11 @@ from forestgen.community.placement.field import LANES
 from forestgen.community.placement.field_lanes import (
     SMALLEST,
     load,
+    load_across,
     load_line,
     passed,
+    passed_as_guessed,
+    plus,
     pointer,
     store,
     store_line,
@@ -37,17 +42,21 @@ class Trees(NamedTuple):
     """Cells and sums of one or more fields of the same shape, one after another; inside kernels, pointers to them."""
 
     cells: Any  # (F, strips, rows, 8) float64; what lies beyond a row's last cell is 0
-    nodes: Any  # (F, panels of all levels, rows, 8) float64: sums of strips, of eight strips, ...
+    nodes: Any  # (F, panels, rows, 8) float64: sums of strips
+    upper: Any  # (F, upper_stride) float64: sums of panels, of eight panels, ...; see `block_of`
     sums: Any  # (F, sum_stride) float64: of the rows, of eight rows, ...
-    node_level: Any  # (levels,) int64: where each level begins
+    upper_level: Any  # (levels,) int64: where each level begins
+    upper_lines: Any  # (levels,) int64: lines of a block, 4 or 8
     sum_level: Any  # (levels,) int64
-    node_levels: int
+    upper_levels: int
     sum_levels: int
     rows: int
     cols: int
     strips: int
+    groups: int  # of eight rows
     cell_stride: int  # numbers of a field
     node_stride: int
+    upper_stride: int
     sum_stride: int
     width_m: float  # of a cell
     height_m: float
@@ -60,21 +69,32 @@ def pointed(t):  # type: ignore[no-untyped-def]
     return Trees(
         pointer(t.cells),
         pointer(t.nodes),
+        pointer(t.upper),
         pointer(t.sums),
-        pointer(t.node_level),
+        pointer(t.upper_level),
+        pointer(t.upper_lines),
         pointer(t.sum_level),
-        t.node_levels,
+        t.upper_levels,
         t.sum_levels,
         t.rows,
         t.cols,
         t.strips,
+        t.groups,
         t.cell_stride,
         t.node_stride,
+        t.upper_stride,
         t.sum_stride,
         t.width_m,
         t.height_m,
         t.periodic,
     )
+
+
+@inlined
+def block_of(t, f, level, q, g):  # type: ignore[no-untyped-def]
+    """Where the block of node q's children begins, for the rows of group g: a line for each child, its rows in it."""
+    lines = load(t.upper_lines, level)
+    return f * t.upper_stride + load(t.upper_level, level) + (q * t.groups + g) * lines * LANES
 
 
 @inlined
@@ -91,6 +111,20 @@ def pick(line, i, u):  # type: ignore[no-untyped-def]
 
 
 @inlined
+def pick_across(line, i, lines, u):  # type: ignore[no-untyped-def]
+    """The same among numbers at one place of lines that follow one another."""
+    k, u = passed(load_across(line, i, lines), u)
+    k = min(k, lines - 1)
+    value = load(line, i + k * LANES)
+    if u < value:
+        return k, u
+    while k > 0 and not value > 0.0:
+        k -= 1
+        value = load(line, i + k * LANES)
+    return k, value
+
+
+@inlined
 def row_of(t, f, u):  # type: ignore[no-untyped-def]
     """The row in which the partial sums of the rows pass u, and what of u is left."""
     at, base = 0, f * t.sum_stride
@@ -101,17 +135,26 @@ def row_of(t, f, u):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def strip_of(t, f, row, v, least):  # type: ignore[no-untyped-def]
-    """The same along a row: the node of level `least`, where the strips are level 0."""
-    at, base = 0, f * t.node_stride
-    for level in range(t.node_levels - 1, least - 1, -1):
-        k, v = pick(t.nodes, base + load(t.node_level, level) + (at * t.rows + row) * LANES, v)
+def panel_of(t, f, row, v, at, top, least):  # type: ignore[no-untyped-def]
+    """The same along a row, from node `at` of level `top` down to one of level `least`; the panels are level 0."""
+    for level in range(top - 1, least - 1, -1):
+        line = block_of(t, f, level, at, row // LANES) + row % LANES
+        k, v = pick_across(t.upper, line, load(t.upper_lines, level), v)
         at = at * LANES + k
     return at, v
 
 
 @inlined
-def _inside(u, value):  # type: ignore[no-untyped-def]
+def strip_of(t, f, row, v):  # type: ignore[no-untyped-def]
+    """The same among its strips."""
+    panel, v = panel_of(t, f, row, v, 0, t.upper_levels, 0)
+    k, v = pick(t.nodes, f * t.node_stride + (panel * t.rows + row) * LANES, v)
+    return panel * LANES + k, v
+
+
+@inlined
+def inside(u, value):  # type: ignore[no-untyped-def]
+    """How far into a cell of `value`, or a row, u lies."""
     return min(max(u / value, EDGE), 1.0 - EDGE)
 
 
@@ -120,10 +163,25 @@ def draw(t, f, total, u, v):  # type: ignore[no-untyped-def]
     """x, y in cells, of two numbers in [0, 1)."""
     row, u = row_of(t, f, u * total)
     of_row = load(t.sums, f * t.sum_stride + row)
-    strip, v = strip_of(t, f, row, v * of_row, 0)
+    strip, v = strip_of(t, f, row, v * of_row)
     line = f * t.cell_stride + (strip * t.rows + row) * LANES
     k, v = pick(t.cells, line, v)
-    return strip * LANES + k + _inside(v, load(t.cells, line + k)), row + _inside(u, of_row)
+    return strip * LANES + k + inside(v, load(t.cells, line + k)), row + inside(u, of_row)
+
+
+@inlined
+def row_as_guessed(t, f, u, row):  # type: ignore[no-untyped-def]
+    """Whether `row_of` comes to a row that was guessed, and what of u is left if so; in a fraction of the time.
+
+    A walk waits at each node to know the next one. Here all are known, and u only confirms them.
+    """
+    same = True
+    for level in range(t.sum_levels - 1, -1, -1):
+        at = row >> (3 * level)
+        line, k = f * t.sum_stride + load(t.sum_level, level) + at // LANES * LANES, at % LANES
+        here, u = passed_as_guessed(load_line(t.sums, line), u, k)
+        same &= here & (u < load(t.sums, line + k))
+    return same, u
 
 
 @inlined
@@ -140,14 +198,40 @@ def _sum(memory, line):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def renew_row(t, f, i, panel, total):  # type: ignore[no-untyped-def]
-    """The sums of row i above a panel, whose own sum is `total`, up to that of the row."""
-    base = f * t.node_stride + i * LANES
-    for level in range(1, t.node_levels):
-        line = base + load(t.node_level, level) + panel // LANES * t.rows * LANES
-        total = put(t.nodes, line, panel % LANES, total)
-        panel //= LANES
-    put(t.sums, f * t.sum_stride + i // LANES * LANES, i % LANES, total)
+def put_row(t, f, i, panel, total):  # type: ignore[no-untyped-def]
+    """Write the sum of a panel of row i among the sums of panels, or of rows if there is but one."""
+    if t.upper_levels > 0:
+        at = block_of(t, f, 0, panel // LANES, i // LANES) + panel % LANES * LANES
+        store_line(t.upper, at, with_number(load_line(t.upper, at), i % LANES, total))
+    else:
+        at = f * t.sum_stride + i // LANES * LANES
+        store_line(t.sums, at, with_number(load_line(t.sums, at), i % LANES, total))
+
+
+@inlined
+def _sum_lines(memory, at, lines):  # type: ignore[no-untyped-def]
+    """Sum of four or eight lines, number by number, in the order of `sum_of`."""
+    a, b = load_line(memory, at), load_line(memory, at + LANES)
+    c, d = load_line(memory, at + 2 * LANES), load_line(memory, at + 3 * LANES)
+    if lines > 4:
+        a, b = plus(a, load_line(memory, at + 4 * LANES)), plus(b, load_line(memory, at + 5 * LANES))
+        c, d = plus(c, load_line(memory, at + 6 * LANES)), plus(d, load_line(memory, at + 7 * LANES))
+    return plus(plus(a, c), plus(b, d))
+
+
+@inlined
+def renew_groups(t, f, g0, g1, p0, p1):  # type: ignore[no-untyped-def]
+    """The sums above those of panels p0 .. p1, of the rows of groups g0 .. g1, up to those of whole rows."""
+    for level in range(t.upper_levels):
+        lines = load(t.upper_lines, level)
+        p0, p1 = p0 // LANES, p1 // LANES
+        for q in range(p0, p1 + 1):
+            for g in range(g0, g1 + 1):
+                total = _sum_lines(t.upper, block_of(t, f, level, q, g), lines)
+                if level + 1 < t.upper_levels:
+                    store_line(t.upper, block_of(t, f, level + 1, q // LANES, g) + q % LANES * LANES, total)
+                else:
+                    store_line(t.sums, f * t.sum_stride + g * LANES, total)
 
 
 @inlined
@@ -172,20 +256,17 @@ def total_of_pointed(t, f):  # type: ignore[no-untyped-def]
 @contracted
 def _build(t, f):  # type: ignore[no-untyped-def]
     """All sums of a field; its total."""
-    memory, start, strips = t.cells, f * t.cell_stride, t.strips
-    for level in range(t.node_levels):
-        nodes = f * t.node_stride + load(t.node_level, level)
-        for panel in range(-(-strips // LANES)):
-            first, last = panel * LANES, min(panel * LANES + LANES, strips)
-            for i in range(t.rows):
-                line = nodes + (panel * t.rows + i) * LANES
-                eight = load_line(t.nodes, line)
-                for b in range(first, last):
-                    eight = with_number(eight, b - first, _sum(memory, start + (b * t.rows + i) * LANES))
-                store_line(t.nodes, line, eight)
-        memory, start, strips = t.nodes, nodes, -(-strips // LANES)
-    for i in range(t.rows):
-        put(t.sums, f * t.sum_stride + i // LANES * LANES, i % LANES, _sum(t.nodes, start + i * LANES))
+    start, nodes, panels = f * t.cell_stride, f * t.node_stride, -(-t.strips // LANES)
+    for panel in range(panels):
+        first, last = panel * LANES, min(panel * LANES + LANES, t.strips)
+        for i in range(t.rows):
+            line = nodes + (panel * t.rows + i) * LANES
+            eight = load_line(t.nodes, line)
+            for b in range(first, last):
+                eight = with_number(eight, b - first, _sum(t.cells, start + (b * t.rows + i) * LANES))
+            store_line(t.nodes, line, eight)
+            put_row(t, f, i, panel, sum_of(eight))
+    renew_groups(t, f, 0, t.groups - 1, 0, panels - 1)
     return renew_rows(t, f, 0, t.rows - 1)
 
 

@@ -277,6 +277,25 @@ class TestSeveralSpecies:
         for a, b in zip(fields, byhand, strict=True):
             np.testing.assert_allclose(a.cells, b.cells, rtol=1e-9)
 
+    @pytest.mark.parametrize("periodic", [False, True])
+    @pytest.mark.parametrize("shape", [(90, 700), (333, 101), (40, 250)])
+    def test_plants_that_are_looked_up_ahead_stand_where_they_would_one_by_one(self, shape, periodic):
+        rng = np.random.default_rng(13)
+        size_m, n = (shape[1] * 0.5, shape[0] * 0.5), 2500
+        densities = [rough(shape, rng), rough(shape, rng)]
+        densities[1][:, 100:] = 0.0  # soon full
+        kernels = [[HARD, WEAK], [kernel([0, 2], [0, 2], balanced=True), SOFT]]
+        species, radius, uniform = rng.integers(0, 2, n), rng.uniform(0.3, 0.9, n), rng.random((n, 2))
+        radius[::100] *= 20.0
+        fields, single = ([DensityField(f, size_m, periodic=periodic) for f in densities] for _ in range(2))
+        together = place(fields, species, radius, kernels, uniform)
+        for k in range(n):
+            alone = place(single, species[k : k + 1], radius[k : k + 1], kernels, uniform[k : k + 1])
+            assert alone.position_m.tobytes() == together.position_m[k : k + 1].tobytes()
+        assert np.count_nonzero(together.placed) > 100
+        for a, b in zip(fields, single, strict=True):
+            assert a.cells.tobytes() == b.cells.tobytes()
+
     def test_fields_that_were_placed_together_go_on_apart_and_in_another_order(self):
         rng = np.random.default_rng(12)
         made = [rough((16, 16), rng) for _ in range(2)]
