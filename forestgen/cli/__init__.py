@@ -8,6 +8,7 @@ from typing import Annotated, Any, Optional
 import typer
 
 from forestgen import __version__
+from forestgen.cli.arguments import Overrides, RecipePath
 from forestgen.cli.batch import batch
 from forestgen.cli.calibrate import calibrate
 from forestgen.cli.console import Bars, errors_for_people
@@ -47,13 +48,6 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )
 
-RecipePath = Annotated[Path, typer.Argument(metavar="RECIPE", help="The recipe, a YAML file.", show_default=False)]
-Overrides = Annotated[
-    Optional[list[str]],  # noqa: UP045 - typer reads annotations at run time
-    typer.Option(
-        "--set", metavar="KEY=VALUE", help="Override a value of the recipe, such as sky.turbidity=5. May be repeated."
-    ),
-]
 Output = Annotated[
     Optional[Path],  # noqa: UP045
     typer.Option(

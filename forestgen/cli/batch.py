@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated, Optional
 
 import typer
+
+from forestgen.cli.arguments import Overrides, RecipePath
 
 _ENGINES = ("local", "dask")
 
 
 def batch(
-    recipe: Annotated[Path, typer.Argument(metavar="RECIPE", help="The recipe, a YAML file.", show_default=False)],
+    recipe: RecipePath,
     count: Annotated[
         int, typer.Option("--count", metavar="N", min=1, max=100_000_000, help="Images of the data set, in all.")
     ],
@@ -24,10 +25,7 @@ def batch(
             help="The data set's folder, or its address in an object store: s3://bucket/forests.",
         ),
     ],
-    overrides: Annotated[
-        Optional[list[str]],  # noqa: UP045 - typer reads annotations at run time
-        typer.Option("--set", metavar="KEY=VALUE", help="Override a value of the recipe. May be repeated."),
-    ] = None,
+    overrides: Overrides = None,
     resume: Annotated[
         bool, typer.Option("--resume", help="Go on in a data set that is there: make what is missing or has changed.")
     ] = False,

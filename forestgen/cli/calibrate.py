@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Optional
 
 import typer
 
+from forestgen.cli.arguments import Overrides, RecipePath
 from forestgen.cli.console import Bars, output, seconds
 from forestgen.cli.light import normal_of, point_of
 
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def calibrate(
-    recipe: Annotated[Path, typer.Argument(metavar="RECIPE", help="The recipe, a YAML file.", show_default=False)],
+    recipe: RecipePath,
     target: Annotated[
         Optional[Path],  # noqa: UP045 - typer reads annotations at run time
         typer.Option(
@@ -53,10 +54,7 @@ def calibrate(
     absolute_z: Annotated[
         bool, typer.Option("--absolute-z", help="Count z from z = 0, not from the ground below.")
     ] = False,
-    overrides: Annotated[
-        Optional[list[str]],  # noqa: UP045
-        typer.Option("--set", metavar="KEY=VALUE", help="Override a value of the recipe. May be repeated."),
-    ] = None,
+    overrides: Overrides = None,
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Replace a previous forestgen output in that folder.")
     ] = False,

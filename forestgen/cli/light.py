@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Optional
 
 import typer
 
+from forestgen.cli.arguments import Overrides, RecipePath
 from forestgen.cli.console import Bars, output, seconds
 
 if TYPE_CHECKING:
@@ -89,7 +90,7 @@ def normal_of(text: str) -> Point:
 
 
 def light(
-    recipe: Annotated[Path, typer.Argument(metavar="RECIPE", help="The recipe, a YAML file.", show_default=False)],
+    recipe: RecipePath,
     at: Annotated[
         Optional[list[str]],  # noqa: UP045 - typer reads annotations at run time
         typer.Option(
@@ -129,10 +130,7 @@ def light(
     absolute_z: Annotated[
         bool, typer.Option("--absolute-z", help="Count z from z = 0, not from the ground below.")
     ] = False,
-    overrides: Annotated[
-        Optional[list[str]],  # noqa: UP045
-        typer.Option("--set", metavar="KEY=VALUE", help="Override a value of the recipe. May be repeated."),
-    ] = None,
+    overrides: Overrides = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an existing file.")] = False,
 ) -> None:
     """Measure light at points: lux, sun and sky, colour temperature, PAR, W/m², spectrum.

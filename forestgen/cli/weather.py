@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Optional
 
 import typer
 
+from forestgen.cli.arguments import Overrides, RecipePath
 from forestgen.cli.console import Bars, output, seconds
 
 if TYPE_CHECKING:
@@ -16,7 +17,7 @@ _FIELDS = (".nc", ".vol", ".vdb")
 
 
 def weather(
-    recipe: Annotated[Path, typer.Argument(metavar="RECIPE", help="The recipe, a YAML file.", show_default=False)],
+    recipe: RecipePath,
     images: Annotated[
         Optional[int],  # noqa: UP045 - typer reads annotations at run time
         typer.Option(
@@ -43,10 +44,7 @@ def weather(
             show_default=False,
         ),
     ] = None,
-    overrides: Annotated[
-        Optional[list[str]],  # noqa: UP045
-        typer.Option("--set", metavar="KEY=VALUE", help="Override a value, such as sky.clouds=fog. May be repeated."),
-    ] = None,
+    overrides: Overrides = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace existing files.")] = False,
 ) -> None:
     """Simulate a recipe's weather only: base, top and cover of its clouds, their water, rain."""

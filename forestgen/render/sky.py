@@ -20,9 +20,9 @@ Decisions
   spreads over the sky: the share by direction is baked at six wavelengths and goes in straight lines between. The plain
   has the colour of the terrain, most of it that of the distance; a baked sky holds the light by how often the plain
   reflected it.
-- The ratio's own noise is some 4%, and it lies on every pixel alike: at the map's place, where the ratio is known to
-  be 1, the nodes miss it by that. So what they miss is taken from the nodes around as well, by as much as smoothing
-  made their noise one with it.
+- The nodes are noisy, by 4% in the two bakes that were looked at, and near the map's place that noise lies on every
+  pixel alike. There the ratio is known to be 1. So what the middle node misses is added to the nodes around as well, by
+  as much as smoothing made their noise one with its own. The measurements above are from before that.
 - Baked skies are kept in memory by their content. All cameras of a scene, and later images under the same sky, share
   one. The random numbers are the same for all skies: a content is told by floats, whose last digits differ from machine
   to machine and with the threads of linear algebra.
@@ -181,7 +181,7 @@ class SkyLight:
 
 @dataclass(frozen=True, eq=False)
 class Overland:
-    """Level irradiance under the clouds by place, without the sun's disc; its nodes are square to its middle."""
+    """Level irradiance under the clouds by place, without the sun's disc; the middle node is the map's place."""
 
     here: SkyLight  # in the middle
     east_m: Floats  # (N,) world, of the nodes: near one another in the middle
