@@ -1,10 +1,10 @@
 """The clouds' shadow: a partly transparent sheet at their base, which the sun's disc shines through.
 
-The sheet holds the share of the sun's light that comes down to each place of the base, mean over the disc and over the
-place's own area, by exact integrals of the field above it (atmosphere/optical_depth.py). It reaches as far as the field
-and, away from the sun, as far as the shadow of its tops: land beyond the site sends its light to it, and shadows on it
-are seen. Between sheet and ground the renderer's own sun makes the penumbra, so shadows soften as they should and the
-disc under the canopy stays what it is.
+Where rain falls beside the site the sheet lies lower (render/cloud_heights.py). It holds the share of the sun's light
+that comes down to each place of it, mean over the disc and over the place's own area, by exact integrals of the field
+above it (atmosphere/optical_depth.py). It reaches as far as the field and, away from the sun, as far as the shadow of
+its tops: land beyond the site sends its light to it, and shadows on it are seen. Between sheet and ground the
+renderer's own sun makes the penumbra, so shadows soften as they should and the disc under the canopy stays what it is.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from forestgen.atmosphere.grid import CloudGrid
 from forestgen.atmosphere.optical_depth import optical_depth
 from forestgen.core.bounded_cache import BoundedCache
+from forestgen.render.cloud_heights import sheet_height_m
 from forestgen.render.sky_radiance import SUN_RADIUS_DEG
 from forestgen.render.variant import mitsuba
 from forestgen.scene.spec import SceneSpec
@@ -25,7 +26,6 @@ from forestgen.scene.spec import SceneSpec
 _RAYS = 8  # of a cell of the sheet
 _MOST_CELLS = 640  # along its side
 _LOWEST_SUN = 0.05  # sine of elevation below which shadows reach no further
-_CLEAR = 0.01  # optical depth of all layers together that count as empty
 _CALL_ROWS = 64
 _KEPT_BYTES = 50_000_000
 Floats = NDArray[np.float64]
@@ -38,20 +38,6 @@ def content_key(clouds: CloudGrid) -> str:
     shape = clouds.extinction_per_m.shape
     digest.update(repr((shape, clouds.low_m, clouds.high_m, clouds.albedo, clouds.phase)).encode())
     return digest.hexdigest()
-
-
-def base_of(clouds: CloudGrid) -> float | None:
-    """World height of the clouds' base in metres, None if there are none.
-
-    Layers whose largest optical depths add up to less than a hundredth count as empty: they would not be seen.
-    """
-    cell_m = clouds.cell_m[2]
-    depth = np.cumsum(clouds.extinction_per_m.max(axis=(1, 2)).astype(np.float64)) * cell_m
-    full = np.nonzero(depth > _CLEAR)[0]
-    if not len(full):
-        return None
-    # Values stand at the layers' middles, and the field between two of them is not 0.
-    return clouds.low_m[2] + max(float(full[0]) - 0.5, 0.0) * cell_m
 
 
 def sheet_edges(clouds: CloudGrid, to_sun: Floats, base_m: float) -> tuple[Floats, Floats]:
@@ -100,7 +86,7 @@ def shadow_of(clouds: CloudGrid, to_sun: Floats, base_m: float) -> tuple[Floats,
 def sun_sheet(spec: SceneSpec, origin_m: Floats) -> dict[str, Any] | None:
     """The sheet as a dictionary of the renderer's, in its frame; None where no cloud is."""
     assert spec.clouds is not None
-    base_m, to_sun = base_of(spec.clouds), spec.sky.to_sun
+    base_m, to_sun = sheet_height_m(spec, float(origin_m[2])), spec.sky.to_sun
     if base_m is None or to_sun[2] <= 0.0:
         return None
     transmittance, low, high = shadow_of(spec.clouds, to_sun, base_m)

@@ -18,7 +18,8 @@ from forestgen.core.randomness import child_seed
 from forestgen.render import sky
 from forestgen.render.assembled import share_inside
 from forestgen.render.build import load, origin_of, scene_dict
-from forestgen.render.cloud_shadow import base_of, sun_sheet
+from forestgen.render.cloud_heights import base_of
+from forestgen.render.cloud_shadow import sun_sheet
 from forestgen.render.light import has_sun, sun_disc
 from forestgen.render.painted import Painted, path_tracer
 from forestgen.render.sensors import FilmWindow, capture

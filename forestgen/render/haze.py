@@ -48,7 +48,8 @@ from forestgen.atmosphere.haze import Haze, aerosol_phase, molecular_phase
 from forestgen.atmosphere.optical_depth import distance_into, optical_depth
 from forestgen.core.randomness import child_rng
 from forestgen.core.spectrum import Spectrum
-from forestgen.render.cloud_shadow import base_of, shadow_of
+from forestgen.render.cloud_heights import base_of
+from forestgen.render.cloud_shadow import shadow_of
 from forestgen.render.frame import Radiance
 from forestgen.render.identity.tracer import SceneTracer, sample_offsets
 from forestgen.render.sky import SkyLight, baked_sky, level_irradiance, site_middle, traced_clouds_of

@@ -41,6 +41,7 @@ from numpy.typing import NDArray
 from forestgen.atmosphere.grid import Phase
 from forestgen.core.bounded_cache import BoundedCache
 from forestgen.core.randomness import child_rng, child_seed
+from forestgen.render.cloud_heights import LEAST_GAP_M
 from forestgen.render.cloud_paths import ORDERS, CloudField, CloudLight, Gathered, field_of, gather
 from forestgen.render.cloud_shadow import content_key
 from forestgen.render.light import envmap
@@ -215,7 +216,7 @@ def baked_sky(clouds: TracedClouds, place_m: Floats) -> SkyLight:
 
 def overland(here: SkyLight, place_m: Floats, base_m: float) -> Overland:
     """Irradiance around a place, of clouds with their base at a height. Call it in the scalar variant."""
-    field, height_m = here.clouds.field, max(base_m - float(place_m[2]), 1.0)
+    field, height_m = here.clouds.field, max(base_m - float(place_m[2]), LEAST_GAP_M)
     size_m = (np.array(field.value.shape[::-1]) - 2) / field.per_m
     edges = np.stack([field.low_m, field.low_m + size_m])[:, :2] - place_m[:2]
     offset = _spread(max(float(np.abs(edges).max()), height_m) + 2 * height_m, _NEAREST_NODE * height_m)

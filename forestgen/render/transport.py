@@ -3,8 +3,10 @@
 `farfield` renders the clouds once, as seen from one place, and has their light and shadow fall on the scene from
 outside. That holds where the clouds are high above all that the cameras see near them: nothing of the scene stands in
 or above them, and light from one cloud reaches all parts of the site from about the same direction. The condition is a
-gap between the highest plant, ground or camera and the clouds' lowest layer: of at least `LEAST_GAP_M`, and of at least
-`GAP_OF_SITE` of the site's diagonal. `exact` has no condition, and costs more for each camera.
+gap between the highest plant, ground or camera and the clouds' lowest layer: of at least 100 m, and of at least half of
+the site's diagonal; rain counts within as much of the site (render/cloud_heights.py). `exact` has no condition, and
+costs more for each camera. Of rain farther off `farfield` shows what stands before the sky, and its shadow, but not
+that it veils the ground behind it.
 
 The condition is on the safe side of what was measured: above a stand of 100 x 100 m under broken clouds from 60 m on, a
 gap of a third of the diagonal, the forest's mean radiance differed from `exact` by 0.1 +- 0.7% and parts of the image
@@ -18,15 +20,15 @@ from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from forestgen.core.errors import RecipeError
 from forestgen.render.build import ray_corners_m
-from forestgen.render.cloud_shadow import base_of
+from forestgen.render.cloud_heights import far_base_of, highest, least_gap_m, near_base_of, tops_of
 from forestgen.render.views import CloudTransport
 from forestgen.scene.spec import Camera, SceneSpec
 
-LEAST_GAP_M = 100.0
-GAP_OF_SITE = 0.5
+Floats = NDArray[np.float64]
 
 
 def cloud_transport_of(
@@ -48,7 +50,7 @@ def cloud_transport_of(
     """
     if asked == "exact":
         return "exact"
-    near = _too_near(spec, _tops(cameras))
+    near = _too_near(spec, tops_of(cameras), [ray_corners_m(one) for one in cameras])
     if near is None:
         return "farfield"
     if asked == "auto":
@@ -70,7 +72,7 @@ def check_far_clouds(spec: SceneSpec, point_m: Sequence[float]) -> None:
     ------
     RecipeError : the clouds are too near. The sheet of their shadow would lie among the plants, or below the point.
     """
-    near = _too_near(spec, [("the point", float(point_m[2]))])
+    near = _too_near(spec, [("the point", float(point_m[2]))], [np.asarray(point_m)])
     if near is not None:
         raise RecipeError(
             "light at a point cannot be measured in clouds or fog, or close below them",
@@ -81,44 +83,17 @@ def check_far_clouds(spec: SceneSpec, point_m: Sequence[float]) -> None:
         )
 
 
-def _too_near(spec: SceneSpec, tops: Sequence[tuple[str, float]]) -> tuple[str, str] | None:
-    """What was expected of the clouds and what they are, in words; None if they are far above all."""
-    base_m = None if spec.clouds is None else base_of(spec.clouds)
-    if base_m is None:
-        return None
-    name, top_m = highest(spec, tops)
-    gap_m, least_m = base_m - top_m, least_gap_m(spec)
-    if gap_m >= least_m:
-        return None
-    said = f"{gap_m:.0f} m above it" if gap_m >= 0 else f"{-gap_m:.0f} m below it"
-    return (
-        f"clouds from {least_m:.0f} m above {name} on, which reaches up to {top_m:.1f} m",
-        f"clouds from {base_m:.0f} m on, {said}",
-    )
-
-
-def _tops(cameras: Sequence[Camera]) -> list[tuple[str, float]]:
-    """Names, and where the highest rays start."""
-    return [(f"camera {one.name!r}", float(ray_corners_m(one)[:, 2].max())) for one in cameras]
-
-
-def highest(spec: SceneSpec, others: Sequence[tuple[str, float]]) -> tuple[str, float]:
-    """What reaches highest of ground below the clouds, plants and `others`, in words, and its world height."""
-    assert spec.clouds is not None
-    vertices = spec.terrain.mesh.vertices_m
-    low, high = spec.clouds.low_m, spec.clouds.high_m
-    under = np.all((vertices[:, :2] >= low[:2]) & (vertices[:, :2] <= high[:2]), axis=1)
-    found = [("the ground", float(vertices[under, 2].max()))] if under.any() else []
-    if len(spec.instances):
-        height = np.array([one.height_m for one in spec.exemplars])[spec.instances.exemplar]
-        top = spec.instances.transform[:, 2, 3] + height * spec.instances.transform[:, 2, 2]
-        found.append(("the highest plant", float(top.max())))
-    return max([*found, *others], key=lambda one: one[1], default=("the ground", 0.0))
-
-
-def least_gap_m(spec: SceneSpec) -> float:
-    """Gap below the clouds from which on farfield holds."""
-    if not len(spec.instances):
-        return LEAST_GAP_M
-    place = spec.instances.transform[:, :2, 3]
-    return max(LEAST_GAP_M, GAP_OF_SITE * float(np.linalg.norm(np.ptp(place, axis=0))))
+def _too_near(spec: SceneSpec, tops: Sequence[tuple[str, float]], points_m: Sequence[Floats]) -> tuple[str, str] | None:
+    """What was expected of the clouds and what they are, in words; None if they are far from all."""
+    for what, base_m in (("clouds", far_base_of(spec)), ("clouds or rain near it", near_base_of(spec, points_m))):
+        if base_m is None:
+            continue
+        name, top_m = highest(spec, tops)
+        gap_m, least_m = base_m - top_m, least_gap_m(spec)
+        if gap_m < least_m:
+            said = f"{gap_m:.0f} m above it" if gap_m >= 0 else f"{-gap_m:.0f} m below it"
+            return (
+                f"clouds from {least_m:.0f} m above {name} on, which reaches up to {top_m:.1f} m",
+                f"{what} from {base_m:.0f} m on, {said}",
+            )
+    return None

@@ -17,7 +17,7 @@ from forestgen.core.spectrum import Spectrum
 from forestgen.core.timing import Timings
 from forestgen.recipe.load import LoadedRecipe
 from forestgen.render.chart_pass import WAVELENGTHS_NM, ChartImages, render_chart
-from forestgen.render.cloud_shadow import base_of
+from forestgen.render.cloud_heights import near_base_of
 from forestgen.render.identity import SceneTracer, trace_identity
 from forestgen.render.irradiance import Source, measure
 from forestgen.render.transport import check_far_clouds
@@ -314,7 +314,7 @@ def _over_the_plants(plan: Plan, spec: SceneSpec) -> Point:
         corners = np.array(np.meshgrid(*np.stack([low, high], axis=1))).reshape(3, -1)
         rows = spec.instances.transform[spec.instances.exemplar == index][:, 2]
         top = max(top, float((rows[:, :3] @ corners + rows[:, 3:]).max()))
-    base_m = None if spec.clouds is None else base_of(spec.clouds)
+    base_m = near_base_of(spec)
     if base_m is not None:
         top = min(top, max(base_m - 2 * _ABOVE_PLANTS_M, 0.0))
     return width / 2, depth / 2, top + _ABOVE_PLANTS_M

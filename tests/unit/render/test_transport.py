@@ -9,7 +9,9 @@ import pytest
 
 from forestgen.atmosphere.grid import CloudGrid
 from forestgen.core.errors import RecipeError
-from forestgen.render.transport import check_far_clouds, cloud_transport_of, highest, least_gap_m
+from forestgen.render.cloud_heights import base_of, highest, least_gap_m, sheet_height_m
+from forestgen.render.cloud_shadow import shadow_of
+from forestgen.render.transport import check_far_clouds, cloud_transport_of
 from forestgen.scene.spec import SceneSpec
 from forestgen.testing.scenes import camera_at, plain_ground, scattered_scene
 
@@ -95,3 +97,55 @@ def test_light_at_a_point_is_refused_in_fog_and_close_below_clouds() -> None:
             check_far_clouds(stand(base_m), (0.0, 0.0, height_m))
         assert "sky.clouds" in str(caught.value)
         assert "render.clouds" not in str(caught.value)
+
+
+RAIN_PER_M = 0.002
+
+
+def shower(west_m: float, east_m: float, extinction_per_m: float = RAIN_PER_M) -> CloudGrid:
+    """Clouds from 800 m to 1000 m, and what falls from them to the ground between two places."""
+    extinction = np.zeros((50, 40, 200), np.float32)
+    extinction[40:] = 0.02
+    columns = slice(round((west_m + 2000.0) / 20.0), round((east_m + 2000.0) / 20.0))
+    extinction[:40, :, columns] = extinction_per_m
+    return CloudGrid(extinction, (-2000, -400, 0), (2000, 400, 1000.0))
+
+
+@pytest.mark.parametrize(
+    ("place", "expected"),
+    [((400, 800), "farfield"), ((-900, -160), "farfield"), ((60, 400), "exact"), ((-200, 200), "exact")],
+)
+def test_rain_beside_the_site_is_far_and_rain_on_it_is_not(place, expected) -> None:
+    spec = replace(stand(800.0), clouds=shower(*place))
+    assert cloud_transport_of("auto", spec, spec.cameras) == expected
+    camera = camera_at((sum(place) / 2, 0.0, 2.0), (0.0, 10.0, 2.0), (8, 8))  # in the rain
+    assert cloud_transport_of("auto", spec, (camera,)) == "exact"
+    with pytest.raises(RecipeError, match="clouds or rain near it from 0 m on"):
+        check_far_clouds(spec, (sum(place) / 2, 0.0, 2.0))
+
+
+def test_fog_beside_the_site_is_too_near() -> None:
+    spec = replace(stand(800.0), clouds=shower(400, 800, 0.03))
+    assert cloud_transport_of("auto", spec, spec.cameras) == "exact"
+
+
+def test_a_shower_between_the_sun_and_the_site_casts_its_shadow() -> None:
+    """Of 400 m of rain across the way of a sun at 45 degrees in the east."""
+    to_sun = np.array([1.0, 0.0, 1.0]) / 2**0.5
+    spec = replace(stand(800.0), clouds=shower(200, 600))
+    clouds = spec.clouds
+    assert clouds is not None
+    thin = clouds.extinction_per_m.copy()
+    thin[40:] = 0.0  # the shower alone
+    clouds = replace(clouds, extinction_per_m=thin)
+    spec = replace(spec, clouds=clouds)
+    height = sheet_height_m(spec, 2.0)
+    assert base_of(clouds) == 0.0
+    assert height is not None
+    assert highest(spec, [])[1] < height < 40.0
+    transmittance, low, high = shadow_of(clouds, to_sun, height)
+    rows, columns = transmittance.shape
+    at = round((0.0 - low[0]) / (high[0] - low[0]) * columns), rows // 2
+    assert transmittance[at[1], at[0]] == pytest.approx(np.exp(-RAIN_PER_M * 400 * 2**0.5), rel=0.02)
+    far = round((-1500.0 - low[0]) / (high[0] - low[0]) * columns)
+    assert transmittance[at[1], far] == pytest.approx(1.0, abs=1e-6)

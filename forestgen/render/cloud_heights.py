@@ -1,0 +1,125 @@
+"""How high the clouds of a scene are above what stands below them, and where their shadow's sheet lies.
+
+A thunderhead two kilometres off rains to the ground. Its rain is far from the site, as its cloud is: light from it
+comes to all parts of the site from about the same direction. So rain counts within a distance of the site and the
+cameras, and is left out beyond. Clouds and fog count all over the field: ground out there would stand in them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.atmosphere.grid import CloudGrid
+from forestgen.render.build import ray_corners_m
+from forestgen.scene.spec import Camera, SceneSpec
+
+LEAST_GAP_M = 100.0
+GAP_OF_SITE = 0.5
+THICKEST_RAIN_PER_M = 0.01  # heavy rain, of 4 to 5 g/m^3; in the thinnest fog one sees as far
+_CLEAR = 0.01  # optical depth of all layers together that count as empty
+_ABOVE_ALL_M = 1.0
+Floats = NDArray[np.float64]
+
+
+def base_of(
+    clouds: CloudGrid, within: tuple[Floats, Floats] | None = None, *, thicker_than_per_m: float = 0.0
+) -> float | None:
+    """World height of the clouds' base in metres, None if there are none.
+
+    Layers whose largest optical depths add up to less than a hundredth count as empty: they would not be seen.
+
+    Parameters
+    ----------
+    within : (2,) lowest and highest x and y, world: other columns do not count.
+    thicker_than_per_m : cells of no more extinction do not count.
+    """
+    extinction = clouds.extinction_per_m
+    if within is not None:
+        across = [
+            _cells_between(low, high, clouds.low_m[k], clouds.cell_m[k], extinction.shape[2 - k])
+            for k, (low, high) in enumerate(zip(*within, strict=True))
+        ]
+        extinction = extinction[:, across[1], across[0]]
+    if not extinction.size:
+        return None
+    largest = extinction.max(axis=(1, 2)).astype(np.float64)
+    cell_m = clouds.cell_m[2]
+    depth = np.cumsum(np.where(largest > thicker_than_per_m, largest, 0.0)) * cell_m
+    full = np.nonzero(depth > _CLEAR)[0]
+    if not len(full):
+        return None
+    # Values stand at the layers' middles, and the field between two of them is not 0.
+    return clouds.low_m[2] + max(float(full[0]) - 0.5, 0.0) * cell_m
+
+
+def _cells_between(low: float, high: float, start: float, cell: float, count: int) -> slice:
+    """Cells along an axis whose cloud reaches between two places: half a cell farther than their own edges."""
+    first, last = np.floor((low - start) / cell - 0.5), np.ceil((high - start) / cell + 0.5)
+    return slice(int(np.clip(first, 0, count)), int(np.clip(last, 0, count)))
+
+
+def near_base_of(spec: SceneSpec, points_m: Sequence[Floats] = ()) -> float | None:
+    """Base of the clouds and rain near plants, cameras and further (3,) points; None if there are none."""
+    return None if spec.clouds is None else base_of(spec.clouds, _near(spec, points_m))
+
+
+def far_base_of(spec: SceneSpec) -> float | None:
+    """Base of the clouds and fog anywhere, without rain; None if there are none."""
+    return None if spec.clouds is None else base_of(spec.clouds, thicker_than_per_m=THICKEST_RAIN_PER_M)
+
+
+def _near(spec: SceneSpec, points_m: Sequence[Floats]) -> tuple[Floats, Floats]:
+    """(2,) lowest and highest x and y around plants, cameras and points, with the least gap all around."""
+    places = [spec.instances.transform[:, :2, 3], *(np.atleast_2d(one)[:, :2] for one in points_m)]
+    places += [ray_corners_m(camera)[:, :2] for camera in spec.cameras]
+    every, gap_m = np.concatenate(places).astype(np.float64), least_gap_m(spec)
+    if not len(every):  # ground alone, seen by nobody
+        assert spec.clouds is not None
+        return np.array(spec.clouds.low_m[:2]), np.array(spec.clouds.high_m[:2])
+    return every.min(axis=0) - gap_m, every.max(axis=0) + gap_m
+
+
+def least_gap_m(spec: SceneSpec) -> float:
+    """Gap below the clouds from which on farfield holds."""
+    if not len(spec.instances):
+        return LEAST_GAP_M
+    place = spec.instances.transform[:, :2, 3]
+    return max(LEAST_GAP_M, GAP_OF_SITE * float(np.linalg.norm(np.ptp(place, axis=0))))
+
+
+def highest(spec: SceneSpec, others: Sequence[tuple[str, float]]) -> tuple[str, float]:
+    """What reaches highest of ground below the clouds, plants and `others`, in words, and its world height."""
+    assert spec.clouds is not None
+    vertices = spec.terrain.mesh.vertices_m
+    low, high = spec.clouds.low_m, spec.clouds.high_m
+    under = np.all((vertices[:, :2] >= low[:2]) & (vertices[:, :2] <= high[:2]), axis=1)
+    found = [("the ground", float(vertices[under, 2].max()))] if under.any() else []
+    if len(spec.instances):
+        height = np.array([one.height_m for one in spec.exemplars])[spec.instances.exemplar]
+        top = spec.instances.transform[:, 2, 3] + height * spec.instances.transform[:, 2, 2]
+        found.append(("the highest plant", float(top.max())))
+    return max([*found, *others], key=lambda one: one[1], default=("the ground", 0.0))
+
+
+def tops_of(cameras: Sequence[Camera]) -> list[tuple[str, float]]:
+    """Names, and where the highest rays start."""
+    return [(f"camera {one.name!r}", float(ray_corners_m(one)[:, 2].max())) for one in cameras]
+
+
+def sheet_height_m(spec: SceneSpec, eye_m: float) -> float | None:
+    """World height of the sheet that the clouds' shadow is drawn on; None if there are no clouds.
+
+    The clouds' base; where rain falls beside the site, just above the highest of the scene and an eye at height
+    `eye_m`. Of the way to the sun the sheet holds all that is above it.
+    """
+    if spec.clouds is None:
+        return None
+    base_m = base_of(spec.clouds)
+    return (
+        None
+        if base_m is None
+        else max(base_m, highest(spec, [*tops_of(spec.cameras), ("the eye", eye_m)])[1] + _ABOVE_ALL_M)
+    )
