@@ -41,12 +41,17 @@ class PlantSizes:
     modules: NDArray[np.int64]  # (P,) number
 
 
-def _leaf_area_m2(tables: Tables) -> NDArray[np.float64]:
-    """(T, S) leaf area of a terminal of thickness 1 of a grown module, m2."""
+def full_leaf_area_m2(tables: Tables) -> NDArray[np.float64]:
+    """(T, S) one-sided leaf area of a grown module that bears no other, m2."""
     index = -2.0 * np.log1p(-np.minimum(tables.opacity, _MOST_OPACITY))
     disc = np.pi * tables.sphere_radius_m[:, :, -1] ** 2
+    return np.asarray(index[:, None] * disc)
+
+
+def _leaf_area_m2(tables: Tables) -> NDArray[np.float64]:
+    """(T, S) leaf area of a terminal of thickness 1 of a grown module, m2."""
     pipes = np.where(tables.terminal_index >= 0, tables.thickness**2, 0.0).sum(axis=1)
-    return np.asarray(index[:, None] * disc / pipes)
+    return np.asarray(full_leaf_area_m2(tables) / pipes)
 
 
 def plant_sizes(tables: Tables, modules: Modules, type_of_plant: Types) -> PlantSizes:

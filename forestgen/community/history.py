@@ -7,6 +7,8 @@ snapshot's time, number of plants (a snapshot without plants has no rows), step 
 simulation was started with, so that `forestgen.stages.resume` can tell whether a recipe continues it. A snapshot is one
 row group, and is read alone. The same snapshots give the same bytes.
 
+Maps of the ground, where a model has any, lie beside it (`community.map_history`); the metadata then names them.
+
 Of plants that grow by branch modules, the modules may lie in a second table beside it (`community.module_history`); the
 metadata then has their number in every snapshot, and null where they were left out.
 """
@@ -25,6 +27,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from forestgen.community.map_history import NAME as MAPS
+from forestgen.community.map_history import MapWriter, read_maps
 from forestgen.community.module_history import NAME, ModuleWriter, read_modules
 from forestgen.community.population import Population
 from forestgen.core.errors import AssetError, OutputError, ResourceError
@@ -80,7 +84,11 @@ def _table(population: Population) -> Any:
 
 
 def _write(
-    path: Path, populations: Iterable[Population], origin: Mapping[str, Any], modules: ModuleWriter | None
+    path: Path,
+    populations: Iterable[Population],
+    origin: Mapping[str, Any],
+    modules: ModuleWriter | None,
+    maps: MapWriter,
 ) -> None:
     writer, names, snapshots, has_modules = None, None, [], False
     try:
@@ -97,6 +105,7 @@ def _write(
             has_modules = has_modules or population.modules is not None
             if modules is not None:
                 modules.add(population)
+            maps.add(population)
         if writer is None:
             raise ValueError("a history needs at least one snapshot")
         about: dict[str, Any] = {
@@ -107,6 +116,8 @@ def _write(
         }
         if has_modules:
             about["modules"] = None if modules is None else modules.counts
+        if maps.names:
+            about["maps"] = maps.names
         writer.add_key_value_metadata({_KEY: json.dumps(about).encode()})
     finally:
         if writer is not None:
@@ -119,6 +130,7 @@ def write_history(
     origin: Mapping[str, Any] | None = None,
     *,
     modules: bool = False,
+    size_m: tuple[float, float] | None = None,
 ) -> None:
     """Write snapshots as they come; only one is held in memory. The file appears when it is complete.
 
@@ -126,6 +138,7 @@ def write_history(
     ----------
     origin : what the simulation was started with, plain as in JSON.
     modules : whether the plants' modules are written too, into a table beside it.
+    size_m : of the site, for the places of maps; None: a cell is a metre.
 
     Raises
     ------
@@ -134,8 +147,11 @@ def write_history(
     """
     partial = path.with_name(path.name + ".partial")
     try:
-        with ModuleWriter(path.with_name(NAME)) if modules else nullcontext() as writer:
-            _write(partial, populations, origin or {}, writer)
+        with (
+            ModuleWriter(path.with_name(NAME)) if modules else nullcontext() as writer,
+            MapWriter(path.with_name(MAPS), size_m) as maps,
+        ):
+            _write(partial, populations, origin or {}, writer, maps)
         partial.replace(path)
     except OSError as error:
         raise OutputError(
@@ -155,6 +171,7 @@ class History:
     _snapshots: Sequence[tuple[float, int, int, Mapping[str, Any]]]  # time_yr, plants, step, state
     grows_by_modules: bool = False  # whether its plants had modules, which may have been left out
     _modules: Sequence[int] | None = None  # of each snapshot; None: there are none, or they were left out
+    maps: Sequence[str] = ()  # names of the maps that were written with it
 
     @property
     def steps(self) -> list[int]:
@@ -175,17 +192,20 @@ class History:
         """Whether the plants' modules were written too."""
         return self._modules is not None
 
-    def with_modules(self, step: int) -> Population:
-        """The snapshot of a step of `steps` with its plants' modules, of a history that has them.
+    def whole(self, step: int) -> Population:
+        """The snapshot of a step of `steps` with its plants' modules and its maps, as far as they were written.
 
         Raises
         ------
-        AssetError : the modules' table is not there, or not of this history.
+        AssetError : the modules' table or the maps are not there, or not of this history.
         """
-        if self._modules is None:
-            raise ValueError("this history has no modules")
         population, index = self.snapshot(step), self.steps.index(step)
-        return replace(population, modules=read_modules(self.path.with_name(NAME), population, self._modules, index))
+        if self._modules is not None:
+            modules = read_modules(self.path.with_name(NAME), population, self._modules, index)
+            population = replace(population, modules=modules)
+        if self.maps:
+            population = replace(population, maps=read_maps(self.path.with_name(MAPS), step, self.maps))
+        return population
 
     def __iter__(self) -> Iterator[Population]:
         return self._read(range(len(self._snapshots)))
@@ -270,7 +290,8 @@ def open_history(path: Path) -> History:
             raise ValueError(f"version {about['version']} of the format, not {_VERSION}")
         snapshots = [(float(time_yr), int(n), int(step), state) for time_yr, n, step, state in about["snapshots"]]
         names, modules = tuple(about["species_names"]), about.get("modules")
-        return History(path, names, about["origin"], snapshots, "modules" in about, modules)
+        maps = tuple(about.get("maps", ()))
+        return History(path, names, about["origin"], snapshots, "modules" in about, modules, maps)
 
 
 def read_history(path: Path) -> list[Population]:

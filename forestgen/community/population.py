@@ -42,6 +42,9 @@ class Population:
     columns: Mapping[str, NDArray[Any]] = field(default_factory=dict)  # (N,) each, a model's own
     step: int = 0  # of the simulation
     state: Mapping[str, Any] = field(default_factory=dict)  # what a model knows besides its plants, plain as in JSON
+    maps: Mapping[str, NDArray[np.float64]] = field(
+        default_factory=dict
+    )  # (rows, cols) each, row 0 at y = 0: of the ground
     modules: Modules | None = None  # of plants that grow by branch modules; None: a model of whole plants
 
     def __post_init__(self) -> None:

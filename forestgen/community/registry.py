@@ -15,6 +15,10 @@ COMMUNITY_MODELS = Registry(
             "forestgen.community.models.deformation_kernel:MODEL",
             "plants drawn one by one from a density that each of them deforms (Lane 2002, chapter 5)",
         ),
+        "ecoclimate": (
+            "forestgen.community.models.ecoclimate:MODEL",
+            "branch modules that live by soil water and shade, and shape them (Makowski 2023, chapter 4)",
+        ),
         "forest_footprints": (
             "forestgen.community.models.forest_footprints:MODEL",
             "saplings whose vigour decides who dominates, and whose health tells (Randleff-Rasmussen 2004)",

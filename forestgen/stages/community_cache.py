@@ -96,6 +96,7 @@ def as_kept(one: Kept) -> Kept:
     }
     if isinstance(one, Population):
         ordered["columns"] = {name: np.ascontiguousarray(value) for name, value in one.columns.items()}
+        ordered["maps"] = {name: np.ascontiguousarray(value) for name, value in one.maps.items()}
         ordered["modules"] = None if one.modules is None else as_kept(one.modules)
     return replace(one, **ordered)
 

@@ -58,7 +58,7 @@ def write_community(folder: Path, plan: Plan, snapshots: Iterator[Population], m
     """
     told: list[_Told] = []
     watched, modules = _watched(folder, plan, snapshots, map_steps, told), keeps_modules(plan)
-    write_history(folder / "history.parquet", watched, origin(plan), modules=modules)
+    write_history(folder / "history.parquet", watched, origin(plan), modules=modules, size_m=plan.site.size_m)
     (end,) = told
     thinning = _write_course(folder, plan, end) if plan.steps else None
     plot_sizes(end.last, map_colours(plan), folder / "sizes.png")

@@ -92,9 +92,7 @@ def snapshot_to_resume(plan: Plan, path: Path, step: int | None) -> Population:
             got=str(plan.steps),
             hint=f"--set community.steps={chosen + 100}, or --from-step with an earlier step",
         )
-    if not history.grows_by_modules:
-        return history.snapshot(chosen)
-    if not history.has_modules:
+    if history.grows_by_modules and not history.has_modules:
         raise RecipeError(
             f"{path} has no modules, from which alone its plants can go on",
             where="--resume",
@@ -102,7 +100,7 @@ def snapshot_to_resume(plan: Plan, path: Path, step: int | None) -> Population:
             got="one row a plant",
             hint="simulate it again with --set community.history_modules=true, and resume that",
         )
-    return history.with_modules(chosen)
+    return history.whole(chosen)
 
 
 def _check_same_simulation(theirs: Mapping[str, Any], ours: Mapping[str, Any], step: int, path: Path) -> None:

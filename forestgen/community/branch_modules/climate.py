@@ -1,7 +1,11 @@
-"""How well a climate suits a species (Makowski 2023, Eq. 13): a Gaussian of temperature times one of precipitation."""
+"""How well a climate suits a species (Makowski 2023, Eq. 13): a Gaussian of temperature times one of precipitation.
+
+The climate is one for the whole site, colder with elevation; or it differs by place (`LocalClimate`, Eq. 38).
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -9,10 +13,34 @@ from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from forestgen.community.branch_modules.parameters import BranchModulesParameters
+    from forestgen.community.branch_modules.surroundings import Surroundings
     from forestgen.community.branch_modules.traits import Traits
 
+Floats = NDArray[np.float64]
 
-def temperature_at(parameters: BranchModulesParameters, elevation_m: NDArray[np.float64]) -> NDArray[np.float64]:
+
+@dataclass(frozen=True)
+class LocalClimate:
+    """The climate by place: maps over the site, row 0 at y = 0."""
+
+    size_m: tuple[float, float]
+    temperature_c: Floats  # (rows, cols) mean at the ground in the open; elevation is in it
+    precipitation_mm_per_yr: Floats  # (rows, cols) rain that would keep the soil as wet as it is
+    shade_cooling_k: float = 0.0  # by which complete shade is cooler
+
+    def at(self, position_m: Floats, light: Floats) -> tuple[Floats, Floats]:
+        """(N,) temperature and precipitation at (N, 2) world x and y on the site, in so much light, 0 to 1."""
+        cells = []
+        for axis, count in ((1, self.temperature_c.shape[0]), (0, self.temperature_c.shape[1])):
+            at = (position_m[:, axis] / self.size_m[axis] * count).astype(np.int64)
+            cells.append(np.clip(at, 0, count - 1))
+        row, col = cells
+        return self.temperature_c[row, col] - self.shade_cooling_k * (1.0 - light), self.precipitation_mm_per_yr[
+            row, col
+        ]
+
+
+def temperature_at(parameters: BranchModulesParameters, elevation_m: Floats) -> Floats:
     """(N,) mean temperature, deg C, at ground of these elevations above z = 0, metres; a climate must be given."""
     if parameters.temperature_c is None:
         raise ValueError("no climate is given")
@@ -23,16 +51,35 @@ def adaptation(
     parameters: BranchModulesParameters,
     traits: Traits,
     species: NDArray[np.integer],
-    elevation_m: NDArray[np.float64],
-) -> NDArray[np.float64]:
-    """(N,) o of Eq. 13 for plants of these species at these elevations, metres; 1 where no climate is given.
+    position_m: Floats,
+    elevation_m: Floats,
+    around: Surroundings,
+    climate: LocalClimate | None,
+) -> Floats:
+    """(N,) o of Eq. 13, or of Eq. 38 in a local climate, for plants of these species; 1 where no climate is given.
+
+    Parameters
+    ----------
+    position_m : (N, 2) of their feet, world.
+    elevation_m : (N,) of the ground there.
+    """
+    if climate is not None:
+        light = around.light_at(position_m) if climate.shade_cooling_k else np.ones(len(species))
+        return suited(traits, species, *climate.at(position_m, light))
+    if parameters.temperature_c is None or parameters.precipitation_mm_per_yr is None:
+        return np.ones(len(species))
+    return suited(traits, species, temperature_at(parameters, elevation_m), parameters.precipitation_mm_per_yr)
+
+
+def suited(
+    traits: Traits, species: NDArray[np.integer], temperature_c: Floats, precipitation_mm_per_yr: Floats | float
+) -> Floats:
+    """(N,) o of species where it is so warm and so wet.
 
     The ratio of the densities at the climate and at the optimum: 1 at the optimum, whatever the widths.
     """
-    if parameters.temperature_c is None or parameters.precipitation_mm_per_yr is None:
-        return np.ones(len(species))
-    warm = temperature_at(parameters, elevation_m) - traits.temperature_c[species]
-    wet = parameters.precipitation_mm_per_yr - traits.precipitation_mm_per_yr[species]
-    warm /= traits.temperature_width_c[species]
-    wet = wet / traits.precipitation_width_mm_per_yr[species]
+    warm = (temperature_c - traits.temperature_c[species]) / traits.temperature_width_c[species]
+    wet = (precipitation_mm_per_yr - traits.precipitation_mm_per_yr[species]) / traits.precipitation_width_mm_per_yr[
+        species
+    ]
     return np.asarray(np.exp(-0.5 * (warm**2 + wet**2)))

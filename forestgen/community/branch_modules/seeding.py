@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from math import floor
 from typing import TYPE_CHECKING
 
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from forestgen.architecture.modules import Modules
 from forestgen.architecture.prototypes import choose_prototype
 from forestgen.community.arrivals import new_ids
-from forestgen.community.branch_modules.climate import adaptation
+from forestgen.community.branch_modules.climate import LocalClimate, adaptation
 from forestgen.community.branch_modules.identity import along, uniform
 from forestgen.community.branch_modules.parameters import is_blocked
 from forestgen.community.branch_modules.state import Plants, State, seedling_modules
@@ -27,28 +28,40 @@ _MOST_CELLS = 4_000_000
 _LEAST_SPACING_M = 0.01  # no two plants stand at one place
 
 
+@dataclass(frozen=True)
+class Standing:
+    """The plants of a step, those that die in it too: their last seeds fall."""
+
+    plants: Plants
+    adapted: Floats  # (P,) how well the climate suits them
+    trunk_m: Floats  # (P,) diameters of their stems at the foot, metres
+    alive: NDArray[np.bool_]  # (P,) who stays, and takes room
+
+
+@dataclass(frozen=True)
+class Arriving:
+    """Seeds from elsewhere."""
+
+    position_m: Floats  # (N, 2) on the site
+    species: NDArray[np.uint16]  # (N,)
+
+
+NOBODY = Arriving(np.empty((0, 2)), np.empty(0, np.uint16))
+
+
 def seedlings(
     state: State,
     kinds: Kinds,
     around: Surroundings,
-    plants: Plants,
-    adapted: Floats,
-    trunk_m: Floats,
-    alive: NDArray[np.bool_],
+    standing: Standing,
+    climate: LocalClimate | None,
+    arriving: Arriving,
     rng: np.random.Generator,
 ) -> tuple[Plants, Modules]:
-    """The plants that germinate in a step.
-
-    Parameters
-    ----------
-    plants : (P,) of the step, those that die in it too: their last seeds fall.
-    adapted : (P,) how well the climate suits them.
-    trunk_m : (P,) diameters of their stems at the foot, metres.
-    alive : (P,) who stays, and takes room.
-    """
-    traits, parameters = kinds.traits, kinds.parameters
+    """The plants that germinate in a step: first of the seeds that fall, then of those that arrive."""
+    traits, parameters, plants = kinds.traits, kinds.parameters, standing.plants
     sp = plants.species
-    mean = np.where(plants.flowering, traits.seeds_per_yr[sp] * adapted * parameters.step_yr, 0.0)
+    mean = np.where(plants.flowering, traits.seeds_per_yr[sp] * standing.adapted * parameters.step_yr, 0.0)
     count = rng.poisson(mean)
     mother = np.repeat(np.arange(len(plants)), count)
     place = plants.position_m[mother] + rng.normal(size=(len(mother), 2)) * traits.seeding_radius_m[sp[mother], None]
@@ -56,15 +69,21 @@ def seedlings(
     if parameters.periodic:
         place %= size
         place[place >= size] = 0.0
-    species = sp[mother]
-    fit = _germinates(place, species, state, kinds, around)
+    place, species = np.concatenate([place, arriving.position_m]), np.concatenate([sp[mother], arriving.species])
+    fit = _germinates(place, species, state, kinds, around, climate)
     place, species = place[fit], species[fit]
-    room = _with_room(place, plants.position_m[alive], 0.5 * trunk_m[alive], state, kinds)
+    alive = standing.alive
+    room = _with_room(place, plants.position_m[alive], 0.5 * standing.trunk_m[alive], state, kinds)
     return begun(place[room], species[room], state, kinds, state.step + 1)
 
 
 def _germinates(
-    place: Floats, species: NDArray[np.uint16], state: State, kinds: Kinds, around: Surroundings
+    place: Floats,
+    species: NDArray[np.uint16],
+    state: State,
+    kinds: Kinds,
+    around: Surroundings,
+    climate: LocalClimate | None,
 ) -> NDArray[np.bool_]:
     """(N,) whether ground, climate and light let a seed germinate."""
     size, traits, parameters = state.site.size_m, kinds.traits, kinds.parameters
@@ -75,7 +94,9 @@ def _germinates(
         open_soil &= ~around.boxes.cover(place[at], size if parameters.periodic else None)
     fit[at] = open_soil
     at = np.flatnonzero(fit)
-    suits = adaptation(parameters, traits, species[at], ground_at(state.site, place[at])) >= parameters.adaptation_min
+    ground = ground_at(state.site, place[at])
+    adapted = adaptation(parameters, traits, species[at], place[at], ground, around, climate)
+    suits = adapted >= parameters.adaptation_min
     tolerance = traits.shade_tolerance[species[at]]
     light = tolerance + (1 - tolerance) * around.light_at(place[at])
     point = traits.compensation[species[at]]

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from forestgen.architecture.geometry import terminal_pose
 from forestgen.architecture.modules import Modules
 from forestgen.architecture.prototypes import choose_prototype
-from forestgen.community.branch_modules.climate import adaptation
+from forestgen.community.branch_modules.climate import LocalClimate, adaptation
 from forestgen.community.branch_modules.growth import Rows, grow, on_axis, rows_after
 from forestgen.community.branch_modules.identity import along, uniform
 from forestgen.community.branch_modules.kinds import Kinds, kinds_at
-from forestgen.community.branch_modules.seeding import seedlings
+from forestgen.community.branch_modules.seeding import NOBODY, Arriving, Standing, seedlings
 from forestgen.community.branch_modules.shedding import overgrown, shed
 from forestgen.community.branch_modules.state import Plants, State, appended, rows_of_plants
 from forestgen.community.branch_modules.surroundings import Surroundings, surroundings_of, turned
@@ -34,14 +34,20 @@ class Now:
     bearer: NDArray[np.int64]  # (M,) row of the module that bears each, -1 for roots
 
 
-def advanced(state: State) -> State:
-    """The state one step later; `state` itself is left as it was."""
+def advanced(state: State, climate: LocalClimate | None = None, arriving: Arriving = NOBODY) -> State:
+    """The state one step later; `state` itself is left as it was.
+
+    Parameters
+    ----------
+    climate : by place; None: that of the parameters.
+    arriving : seeds from elsewhere, which germinate where others of their species would.
+    """
     kinds = kinds_at(state)
     plants, modules, traits = state.plants, state.modules, kinds.traits
     species = plants.species
     stature = stature_of(modules, species, kinds.tables, kinds.traits)
     around = surroundings_of(state, kinds, stature.leaves)
-    adapted = adaptation(kinds.parameters, traits, species, plants.ground_m)
+    adapted = adaptation(kinds.parameters, traits, species, plants.position_m, plants.ground_m, around, climate)
     tolerance = traits.shade_tolerance[species].astype(np.float32)
     light = np.repeat(tolerance, np.diff(modules.first))
     light += (1 - light) * around.light
@@ -62,7 +68,8 @@ def advanced(state: State) -> State:
     trunk_m = np.zeros(len(plants))
     trunk_m[np.diff(aged.first) > 0] = diameter_m[aged.first[:-1][np.diff(aged.first) > 0]]
     rng = child_rng(state.seed, "community", state.step + 1)
-    new, seeded = seedlings(state, kinds, around, plants, adapted, trunk_m, alive, rng)
+    now_alive = Standing(plants, adapted, trunk_m, alive)
+    new, seeded = seedlings(state, kinds, around, now_alive, climate, arriving, rng)
     if not alive.all():
         modules, plants = rows_of_plants(modules, alive), plants.where(alive)
     modules = appended(modules, seeded)

@@ -55,7 +55,7 @@ def test_modules_come_back_to_the_bit(tmp_path: Path) -> None:
     assert history.grows_by_modules
     assert history.has_modules
     for before in SNAPSHOTS:
-        after = history.with_modules(before.step).modules
+        after = history.whole(before.step).modules
         assert after is not None
         assert before.modules is not None
         for name, values in vars(before.modules).items():
@@ -90,10 +90,10 @@ def test_the_modules_of_another_history_are_refused(tmp_path: Path) -> None:
     history = open_history(tmp_path / "history.parquet")
     (tmp_path / NAME).write_bytes((tmp_path / "other" / NAME).read_bytes())
     with pytest.raises(AssetError, match="another history"):
-        history.with_modules(0)
+        history.whole(0)
     (tmp_path / NAME).unlink()
     with pytest.raises(AssetError, match=r"modules of this history[\s\S]*history_modules=true"):
-        history.with_modules(0)
+        history.whole(0)
 
 
 def test_a_simulation_that_fails_leaves_nothing(tmp_path: Path) -> None:

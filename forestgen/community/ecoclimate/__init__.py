@@ -1,0 +1,1 @@
+"""Vegetation, soil and climate as one system (docs/adr/0012-ecoclimates.md)."""

@@ -1,0 +1,184 @@
+"""Months of an ecoclimate (seeds 002, Algorithm 1): climate, soil, and then the plants by what they felt of both.
+
+A step has whole months. In each, rain falls by the climate, the water on and in the soil goes on by the leaves that
+stand there (Eqs. 43, 44), and what plants feel, a mean over their memory, follows. Then the plants go one step on: each
+by the soil water of its own cell and by the shade at its foot (Eq. 38).
+
+Soil water is told to plants as precipitation, since that is what their optima are given in: the rain that would keep
+the soil as wet under a stand of `reference_g_per_m2` of leaves, for ever:
+
+    P = 365.25 (r W + g W / (W + k1) B_ref)
+
+Without microclimate, every map is its mean where it is handed over: leaves to the soil, soil water and shade to plants.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+
+from forestgen.community.branch_modules.climate import LocalClimate, suited
+from forestgen.community.branch_modules.kinds import kinds_at
+from forestgen.community.branch_modules.seeding import NOBODY, Arriving
+from forestgen.community.branch_modules.state import State
+from forestgen.community.branch_modules.step import advanced
+from forestgen.community.ecoclimate.climate import DAYS_PER_MONTH, MONTHS_PER_YR, month_at
+from forestgen.community.ecoclimate.leaves import leaf_area_index
+from forestgen.community.ecoclimate.parameters import EcoclimateParameters
+from forestgen.community.ecoclimate.state import Books, Ecoclimate
+from forestgen.community.model import Site
+from forestgen.community.soil_water.ground import Floats, Ground
+from forestgen.community.soil_water.model import SoilWater, Water
+from forestgen.community.soil_water.parameters import SoilWaterParameters
+from forestgen.core.randomness import child_rng
+
+_DAYS_PER_YR = DAYS_PER_MONTH * MONTHS_PER_YR
+_SPIN_UP_YR = 3  # of the water under the plants of the start
+
+
+def begun(forest: State) -> Ecoclimate:
+    """The ecoclimate of a new forest: its soil is as wet as some years of its climate leave it in December."""
+    parameters = _parameters(forest)
+    soil = soil_of(parameters, forest.site)
+    normals, p = parameters.climate.normals(), soil.parameters
+    rain = normals.precipitation_mm_per_yr / _DAYS_PER_YR
+    wet_mm = rain / p.loss_per_day if p.loss_per_day > 0 else 0.0
+    water = Water(np.full(soil.ground.shape, wet_mm), np.zeros(soil.ground.shape))
+    state = Ecoclimate(forest, water, water.soil_mm, normals.mean_temperature_c, Books(0.0))
+    for month in range(-MONTHS_PER_YR * _SPIN_UP_YR, 0):
+        state = _month_later(state, soil, _leaves(state, soil.ground), month % MONTHS_PER_YR, at_start=True)
+    return replace(state, temperature_mean_c=normals.mean_temperature_c, books=Books(state.stored_mm))
+
+
+def advanced_ecoclimate(state: Ecoclimate) -> Ecoclimate:
+    """The state one step of the plants later."""
+    parameters = state.parameters
+    soil = soil_of(parameters, state.forest.site)
+    leaves, first = _leaves(state, soil.ground), state.forest.step * parameters.months_per_step
+    for month in range(first, first + parameters.months_per_step):
+        state = _month_later(state, soil, leaves, month)
+    climate = local_climate(state)
+    return replace(state, forest=advanced(state.forest, climate, _arriving(state.forest, parameters, climate)))
+
+
+def local_climate(state: Ecoclimate) -> LocalClimate:
+    """What plants feel of warmth and wetness by place."""
+    parameters, soil = state.parameters, soil_of(state.parameters, state.forest.site)
+    ground = soil.ground
+    height_m = _heights(_Alike(state.forest.site), parameters.soil_water.cell_m)
+    warmth = state.temperature_mean_c + parameters.lapse_rate_k_per_km * height_m / 1000.0
+    wetness = _mean_unless(parameters.microclimate, state.soil_mean_mm)
+    rain = worth_mm_per_yr(wetness, soil.parameters, parameters.soil_water.reference_g_per_m2)
+    cooling_k = parameters.shade_cooling_k if parameters.microclimate else 0.0
+    return LocalClimate(ground.size_m, warmth, rain, cooling_k)
+
+
+def worth_mm_per_yr(soil_mm: Floats, soil: SoilWaterParameters, leaves_g_per_m2: float) -> Floats:
+    """Rain that keeps soil as wet under so many leaves."""
+    drunk = soil.uptake_mm_m2_per_g_day * leaves_g_per_m2 * soil_mm / (soil_mm + soil.half_uptake_mm)
+    return np.asarray(_DAYS_PER_YR * (soil.loss_per_day * soil_mm + drunk))
+
+
+def soil_of(parameters: EcoclimateParameters, site: Site) -> SoilWater:
+    """The soil of a site; level without microclimate."""
+    section = parameters.soil_water
+    if not parameters.microclimate:
+        site = replace(site, height=None)
+    return _soil(_Alike(site), section.cell_m, parameters.periodic, section.water())
+
+
+class _Alike:
+    """A site as a key: the same object, or one of the same size without heights."""
+
+    def __init__(self, site: Site) -> None:
+        self.site = site
+        self._key = (site.size_m, None if site.height is None else id(site.height))
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Alike) and self._key == other._key
+
+
+@lru_cache(maxsize=4)
+def _soil(site: _Alike, cell_m: float, periodic: bool, water: SoilWaterParameters) -> SoilWater:
+    return SoilWater(Ground.of_site(site.site, cell_m, periodic=periodic), water)
+
+
+@lru_cache(maxsize=4)
+def _heights(site: _Alike, cell_m: float) -> Floats:
+    ground = Ground.of_site(site.site, cell_m, periodic=False)
+    return np.zeros(ground.shape) if ground.height_m is None else ground.height_m
+
+
+def _parameters(forest: State) -> EcoclimateParameters:
+    assert isinstance(forest.parameters, EcoclimateParameters)
+    return forest.parameters
+
+
+def _leaves(state: Ecoclimate, ground: Ground) -> Floats:
+    """(rows, cols) g/m2 as the soil sees them."""
+    mass = leaf_area_index(state.forest, ground) * state.parameters.soil_water.leaf_mass_g_per_m2
+    return _mean_unless(state.parameters.microclimate, mass)
+
+
+def _mean_unless(local: bool, values: Floats) -> Floats:
+    return values if local else np.full_like(values, values.mean())
+
+
+def _month_later(
+    state: Ecoclimate, soil: SoilWater, leaves: Floats, month: int, *, at_start: bool = False
+) -> Ecoclimate:
+    """The water one month later, and what plants feel."""
+    parameters = state.parameters
+    now = month_at(parameters.climate.normals(), () if at_start else parameters.turns, month)
+    passed = soil.advance(
+        state.water,
+        DAYS_PER_MONTH,
+        plants_g_per_m2=leaves,
+        rain_mm_per_day=now.rain_mm_per_day,
+        substep_days=parameters.soil_water.substep_days,
+    )
+    memory = parameters.memory_yr * MONTHS_PER_YR
+    share = 1.0 if memory == 0 else -math.expm1(-1.0 / memory)
+    felt = state.soil_mean_mm + share * (passed.water.soil_mm - state.soil_mean_mm)
+    warmth = state.temperature_mean_c + share * (now.temperature_c - state.temperature_mean_c)
+    before, budget = state.books, passed.budget
+    books = Books(
+        before.start_mm,
+        before.rain_mm + budget.rain_mm,
+        before.uptake_mm + budget.uptake_mm,
+        before.loss_mm + budget.loss_mm,
+    )
+    return replace(state, water=passed.water, soil_mean_mm=felt, temperature_mean_c=warmth, books=books)
+
+
+def _arriving(forest: State, parameters: EcoclimateParameters, climate: LocalClimate) -> Arriving:
+    """Seeds from elsewhere in this step."""
+    if not parameters.global_seeding:
+        return NOBODY
+    traits = kinds_at(forest).traits
+    growing = {one.name: k for k, one in enumerate(forest.species) if one.modules is not None}
+    places, species = [], []
+    for index, one in enumerate(parameters.global_seeding):
+        times = _times(one.from_yr, one.every_yr, forest.step * parameters.step_yr, parameters.step_yr)
+        rng = child_rng(forest.seed, "arrivals", index, forest.step)
+        for name in one.species or growing:
+            count = int(rng.poisson(times * one.seeds_per_ha * forest.site.area_ha))
+            place = rng.random((count, 2)) * forest.site.size_m
+            sp = np.full(count, growing[name], dtype=np.uint16)
+            taken = rng.random(count) < suited(traits, sp, *climate.at(place, np.ones(count)))
+            places.append(place[taken])
+            species.append(sp[taken])
+    return Arriving(np.concatenate(places), np.concatenate(species)) if places else NOBODY
+
+
+def _times(from_yr: float, every_yr: float, now_yr: float, step_yr: float) -> int:
+    """How many of the times from, from + every, ... lie in [now, now + step)."""
+    slack = 1e-9
+    before, after = ((t - from_yr) / every_yr - slack for t in (now_yr, now_yr + step_yr))
+    return max(0, math.ceil(after)) - max(0, math.ceil(before))

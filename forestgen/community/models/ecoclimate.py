@@ -1,0 +1,122 @@
+"""Ecoclimates: forests of branch modules that live by soil water and by the warmth of their place, and shape both.
+
+Reference: M. Makowski, 2023, chapter 4. Equations are numbered as there. The forest is that of `branch_modules`; soil
+and climate are described in forestgen/community/soil_water and forestgen/community/ecoclimate, decisions in
+docs/adr/0012-ecoclimates.md.
+
+A step has whole months (`step_yr`; 1/12 by default). Each month, rain and warmth follow the `climate` and its
+`climate_changes`; rain gathers on the ground, runs downhill, sinks in, the faster the more leaves stand there, and is
+drunk by them. Then the plants grow, shed, seed and die for a step, each by its adaptation
+
+    o = exp(-(T - T_A)^2 / (2 s_T^2)) exp(-(P - P_A)^2 / (2 s_P^2))        (38)
+
+to the temperature at its foot, which shade cools, and to the water in the soil there, told as the rain that would keep
+it so. ``microclimate: false`` hands over means over the site instead: the paper's ablation.
+
+Recipe::
+
+    community: {model: ecoclimate, steps: 600, initial_plants: 300, climate: {place: Juneau}}
+
+Columns are those of `branch_modules`. Maps of a snapshot: soil_water_mm, surface_water_mm, soil_mean_mm. Its state has
+``water``: what fell, was drunk, was lost and is stored since the beginning, means over the site, mm.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.community.disturbance import Planting
+from forestgen.community.ecoclimate.months import advanced_ecoclimate, begun
+from forestgen.community.ecoclimate.parameters import EcoclimateParameters
+from forestgen.community.ecoclimate.state import Books, Ecoclimate
+from forestgen.community.model import Site, SpeciesEcology
+from forestgen.community.models.branch_modules import MODEL as FOREST
+from forestgen.community.population import Population
+from forestgen.community.soil_water.model import Water
+from forestgen.core.errors import RecipeError
+
+_BYTES_PER_CELL = 400  # some fifty arrays of the water's sub-steps
+_MAPS = ("soil_water_mm", "surface_water_mm", "soil_mean_mm")
+
+
+class EcoclimateModel:
+    """The model; see the module's page."""
+
+    Parameters = EcoclimateParameters
+
+    def init(
+        self, parameters: EcoclimateParameters, site: Site, species: Sequence[SpeciesEcology], seed: int
+    ) -> Ecoclimate:
+        """The forest of the start, on soil that is as wet as its climate leaves it."""
+        return begun(FOREST.init(parameters, site, species, seed))
+
+    def step(self, state: Ecoclimate) -> Ecoclimate:
+        """Whole months of climate and soil, then a step of the forest."""
+        return advanced_ecoclimate(state)
+
+    def population(self, state: Ecoclimate) -> Population:
+        """Snapshot; z is 0."""
+        books, forest = state.books, FOREST.population(state.forest)
+        water = {**vars(books), "stored_mm": state.stored_mm}
+        maps = (state.water.soil_mm, state.water.surface_mm, state.soil_mean_mm)
+        return replace(
+            forest,
+            state={**forest.state, "water": water, "temperature_mean_c": state.temperature_mean_c},
+            maps=dict(zip(_MAPS, maps, strict=True)),
+        )
+
+    def resume(
+        self,
+        parameters: EcoclimateParameters,
+        site: Site,
+        species: Sequence[SpeciesEcology],
+        seed: int,
+        population: Population,
+    ) -> Ecoclimate:
+        """The state of a snapshot; it needs the snapshot's modules and maps."""
+        forest = FOREST.resume(parameters, site, species, seed, population)
+        if any(name not in population.maps for name in _MAPS):
+            raise RecipeError(
+                "a snapshot without its maps of water cannot go on",
+                where="community.model",
+                expected=f"the maps {', '.join(_MAPS)}",
+                got=", ".join(population.maps) or "none",
+                hint="simulate again from the start",
+            )
+        soil, surface, mean = (population.maps[name] for name in _MAPS)
+        books = _books(population.state["water"])
+        return Ecoclimate(forest, Water(soil, surface), mean, population.state["temperature_mean_c"], books)
+
+    def remove(self, state: Ecoclimate, plant_id: NDArray[np.uint32]) -> Ecoclimate:
+        """The forest without these plants."""
+        return replace(state, forest=FOREST.remove(state.forest, plant_id))
+
+    def plant(self, state: Ecoclimate, planting: Planting) -> Ecoclimate:
+        """The forest with new plants, seeds all."""
+        return replace(state, forest=FOREST.plant(state.forest, planting))
+
+    def expected_plants(self, parameters: EcoclimateParameters, site: Site, species: Sequence[SpeciesEcology]) -> float:
+        """Upper bound, as without water."""
+        return FOREST.expected_plants(parameters, site, species)
+
+    def why_barren(self, parameters: EcoclimateParameters, site: Site, species: Sequence[SpeciesEcology]) -> str | None:
+        """Why no plant can ever grow, or None if one may."""
+        return None if parameters.global_seeding else FOREST.why_barren(parameters, site, species)
+
+    def estimate_bytes(self, parameters: EcoclimateParameters, site: Site, species: Sequence[SpeciesEcology]) -> int:
+        """Of the forest and of the maps of water."""
+        cells = math.ceil(site.area_m2 / parameters.soil_water.cell_m**2)
+        return FOREST.estimate_bytes(parameters, site, species) + _BYTES_PER_CELL * cells
+
+
+def _books(water: Mapping[str, Any]) -> Books:
+    return Books(**{name: float(water[name]) for name in Books.__dataclass_fields__})
+
+
+MODEL = EcoclimateModel()
