@@ -31,7 +31,8 @@ from forestgen.core.parts import Part
 from forestgen.core.progress import Silent
 from forestgen.core.timing import Timings
 from forestgen.render import sky
-from forestgen.render.cloud_shadow import base_of, shadow_of
+from forestgen.render.cloud_heights import base_of
+from forestgen.render.cloud_shadow import shadow_of
 from forestgen.render.frame import Radiance
 from forestgen.render.identity import SceneTracer, trace_identity
 from forestgen.render.light import sky_light, sun_disc

@@ -12,8 +12,8 @@ from forestgen.atmosphere.grid import CloudGrid
 from forestgen.core.parts import Part
 from forestgen.render import sky
 from forestgen.render.build import load, origin_of, scene_dict
+from forestgen.render.cloud_heights import base_of
 from forestgen.render.cloud_paths import gather
-from forestgen.render.cloud_shadow import base_of
 from forestgen.render.light import lights, sky_light, sun_disc
 from forestgen.render.sensors import sensor_of
 from forestgen.render.sky_pixels import SkyPixels
