@@ -12,6 +12,7 @@ import importlib
 import os
 import sys
 import sysconfig
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -54,6 +55,8 @@ def mitsuba(threads: int | None = None) -> Any:
         with uninterrupted():
             module: Any = importlib.import_module("mitsuba")
             module.set_variant(SCALAR)
+        # Each change of variant transforms a few functions of Mitsuba's again: a long batch passes the limit of 1,000.
+        warnings.filterwarnings("ignore", "The AST-transforming decorator @drjit.syntax", RuntimeWarning)
         module.set_log_level(module.LogLevel.Error)
         _ready["mitsuba"] = module
     if threads is not None:
