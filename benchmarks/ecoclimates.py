@@ -2,13 +2,23 @@
 FOLDER]`.
 
 FIGURE is one of these, or `all`; numbers of figures are those of seeds 002, chapter 4. Each draws a picture
-`FIGURE.png`, prints what it measured and exits with 1 where a bound is missed. `--quick`: fewer years, larger cells.
+`FIGURE.png`, prints what it measured and exits with 1 where a bound is missed. `--quick`: fewer years, larger cells;
+of trees smaller sites and the first seed alone.
 
     patterns     46   five rainfalls: bare ground, spots, labyrinth, gaps, full cover; stripes on a hillside
     persistence  46   spots, labyrinth and gaps through 500 years
+    forests      46   the same patterns with trees: one stand, five rainfalls; bands through 500 years
+    tipping      48   rain that falls slowly or fast on trees, with and without microclimates
+    valleys      42   a pioneer and a species that likes it wet, on hills, with and without microclimate
+    edges     43, 49  four species in a patch of forest; height of the canopy by distance to the edge
+    clouds       39   the air of a summer's afternoon over four kinds of vegetation
+    clearing     41   clouds over a forest, a clearing and its regrowth
+    foehn    44, 45   a wind over a ridge: which side is warmer
+    year         -    a year of 100,000 plants on 1 km2 with their weather: cost, and where the water goes
     soil         -    a year of 1 km2 in cells of 1.5 m over a terrain: where the water goes, and the cost
 
-So far plants are a density (Rietkerk et al. 2002), without trees and weather: see docs/adr/0012-ecoclimates.md.
+In `patterns` and `persistence` plants are a density (Rietkerk et al. 2002); in all others but `soil` they grow by
+branch modules, as the recipes in recipes/ecoclimates/ have it. See docs/adr/0012-ecoclimates.md.
 """
 
 from __future__ import annotations
@@ -19,8 +29,13 @@ from collections.abc import Callable
 from pathlib import Path
 from time import perf_counter
 
+from ecoclimate_air import clearing, clouds, foehn, year
+from ecoclimate_edges import edges
+from ecoclimate_forests import forests
 from ecoclimate_patterns import patterns, persistence
+from ecoclimate_relief import valleys
 from ecoclimate_soil import soil
+from ecoclimate_tipping import tipping
 from matplotlib.figure import Figure
 from silviculture_stands import Report
 
@@ -29,6 +44,14 @@ from forestgen.community.plots import save_figure
 FIGURES: dict[str, Callable[[Report, bool, range], Figure]] = {
     "patterns": patterns,
     "persistence": persistence,
+    "forests": forests,
+    "tipping": tipping,
+    "valleys": valleys,
+    "edges": edges,
+    "clouds": clouds,
+    "clearing": clearing,
+    "foehn": foehn,
+    "year": year,
     "soil": soil,
 }
 
@@ -36,7 +59,7 @@ FIGURES: dict[str, Callable[[Report, bool, range], Figure]] = {
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("figure", choices=[*FIGURES, "all"])
-    parser.add_argument("--quick", action="store_true", help="fewer years, larger cells")
+    parser.add_argument("--quick", action="store_true", help="fewer years, larger cells; of trees one seed")
     parser.add_argument("--seeds", type=int, default=3, help="number of seeds, from 0 on")
     parser.add_argument("--out", type=Path, default=Path("out/ecoclimates"), help="folder of the pictures")
     arguments = parser.parse_args()

@@ -6,6 +6,7 @@ succession.jpg        four stages of the quickstart's succession: maps, and the 
 succession_maps.png   recipes/reproductions/succession.yaml at four steps (Lane 2002, Figure 4.5)
 propagation_maps.png  recipes/reproductions/propagation.yaml at three steps (Lane 2002, Figure 4.6)
 figures/*.jpg         the figures of plants that recipes/reproductions/*_fig*.yaml render, for docs/figures.md
+water.png             what `forestgen simulate` draws of the first recipe of docs/ecoclimates.md
 self_thinning.png     the line of recipes/reproductions/self_thinning.yaml (Lane 2002, Figure 4.4)
 
 and, by docs/placement_pictures.py, of recipes/reproductions/*_fig5_* (Lane 2002, chapter 5):
@@ -109,6 +110,14 @@ def self_thinning(scratch: Path) -> None:
     save_sheet([scratch / "thinning" / "thinning.png"], 1, "self_thinning.png", width=560)
 
 
+def water(scratch: Path) -> None:
+    recipe = scratch / "wood.yaml"
+    text = (ROOT / "docs" / "ecoclimates.md").read_text(encoding="utf-8")
+    recipe.write_text(text.split("```yaml\n")[1].split("```")[0], encoding="utf-8")
+    simulate(scratch / "water", str(recipe))
+    save_sheet([scratch / "water" / "water.png"], 1, "water.png", width=1100, colours=160)
+
+
 def figures(scratch: Path) -> None:
     """Each plant figure of docs/figures.md, as its recipe renders it with more samples."""
     for recipe in figure_recipes():
@@ -136,7 +145,9 @@ def render_recipe(recipe: Path, folder: Path, *settings: str) -> Path:
     return next(path for path in sorted(folder.iterdir()) if path.is_dir())
 
 
-def save_sheet(pictures: Sequence[Path], columns: int, name: str, width: int = MAP_WIDTH) -> None:
+def save_sheet(
+    pictures: Sequence[Path], columns: int, name: str, width: int = MAP_WIDTH, colours: int = COLOURS
+) -> None:
     """Pictures of one size side by side, scaled, as a PNG of few colours."""
     scaled = []
     for path in pictures:
@@ -145,7 +156,7 @@ def save_sheet(pictures: Sequence[Path], columns: int, name: str, width: int = M
         scaled.append(np.asarray(one.resize((width, height), Image.Resampling.LANCZOS)))
     rows = [np.concatenate(scaled[k : k + columns], axis=1) for k in range(0, len(scaled), columns)]
     sheet = Image.fromarray(np.concatenate(rows, axis=0))
-    sheet = sheet.quantize(COLOURS, kmeans=2, dither=Image.Dither.NONE)
+    sheet = sheet.quantize(colours, kmeans=2, dither=Image.Dither.NONE)
     PICTURES.mkdir(exist_ok=True)
     sheet.save(PICTURES / name, optimize=True)
     sys.stdout.write(f"{PICTURES / name}\n")
@@ -159,7 +170,8 @@ def save(picture: np.ndarray, name: str) -> None:
 
 PICTURES_OF = {
     **{
-        one.__name__: one for one in (quickstart, succession, succession_maps, propagation_maps, self_thinning, figures)
+        one.__name__: one
+        for one in (quickstart, succession, succession_maps, propagation_maps, self_thinning, water, figures)
     },
     **placement_pictures.PICTURES_OF,
     **weather_pictures.PICTURES_OF,

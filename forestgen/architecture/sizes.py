@@ -41,24 +41,19 @@ class PlantSizes:
     modules: NDArray[np.int64]  # (P,) number
 
 
-def full_leaf_area_m2(tables: Tables) -> NDArray[np.float64]:
-    """(T, S) one-sided leaf area of a grown module that bears no other, m2."""
+def terminal_leaf_area_m2(tables: Tables) -> NDArray[np.float64]:
+    """(T, S) one-sided leaf area of a terminal of thickness 1 of a grown module, m2."""
     index = -2.0 * np.log1p(-np.minimum(tables.opacity, _MOST_OPACITY))
     disc = np.pi * tables.sphere_radius_m[:, :, -1] ** 2
-    return np.asarray(index[:, None] * disc)
-
-
-def _leaf_area_m2(tables: Tables) -> NDArray[np.float64]:
-    """(T, S) leaf area of a terminal of thickness 1 of a grown module, m2."""
     pipes = np.where(tables.terminal_index >= 0, tables.thickness**2, 0.0).sum(axis=1)
-    return np.asarray(full_leaf_area_m2(tables) / pipes)
+    return np.asarray(index[:, None] * disc / pipes)
 
 
 def plant_sizes(tables: Tables, modules: Modules, type_of_plant: Types) -> PlantSizes:
     """Sizes of all plants; `type_of_plant` (P,) indexes the tables' plant types."""
     shapes, kinds = packed(tables)
     sizes = np.zeros((modules.plants, 6))
-    leaf_area = _leaf_area_m2(tables)
+    leaf_area = terminal_leaf_area_m2(tables)
     kind = np.ascontiguousarray(type_of_plant, dtype=np.uint16)
 
     def work(first: int, end: int) -> None:

@@ -117,7 +117,7 @@ def _write(
         if has_modules:
             about["modules"] = None if modules is None else modules.counts
         if maps.names:
-            about["maps"] = maps.names
+            about["maps"], about["map_sums"] = maps.names, maps.sums
         writer.add_key_value_metadata({_KEY: json.dumps(about).encode()})
     finally:
         if writer is not None:
@@ -172,6 +172,7 @@ class History:
     grows_by_modules: bool = False  # whether its plants had modules, which may have been left out
     _modules: Sequence[int] | None = None  # of each snapshot; None: there are none, or they were left out
     maps: Sequence[str] = ()  # names of the maps that were written with it
+    _map_sums: Sequence[int] = ()  # of every snapshot's
 
     @property
     def steps(self) -> list[int]:
@@ -204,7 +205,8 @@ class History:
             modules = read_modules(self.path.with_name(NAME), population, self._modules, index)
             population = replace(population, modules=modules)
         if self.maps:
-            population = replace(population, maps=read_maps(self.path.with_name(MAPS), step, self.maps))
+            maps = read_maps(self.path.with_name(MAPS), step, self.maps, self._map_sums[index])
+            population = replace(population, maps=maps)
         return population
 
     def __iter__(self) -> Iterator[Population]:
@@ -290,8 +292,8 @@ def open_history(path: Path) -> History:
             raise ValueError(f"version {about['version']} of the format, not {_VERSION}")
         snapshots = [(float(time_yr), int(n), int(step), state) for time_yr, n, step, state in about["snapshots"]]
         names, modules = tuple(about["species_names"]), about.get("modules")
-        maps = tuple(about.get("maps", ()))
-        return History(path, names, about["origin"], snapshots, "modules" in about, modules, maps)
+        maps, sums = tuple(about.get("maps", ())), tuple(about["map_sums"] if "maps" in about else ())
+        return History(path, names, about["origin"], snapshots, "modules" in about, modules, maps, sums)
 
 
 def read_history(path: Path) -> list[Population]:

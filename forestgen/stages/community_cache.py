@@ -28,7 +28,7 @@ from forestgen.stages.plan import Plan
 
 WORTHWHILE_S = 0.5
 MOST_BYTES = 2_000_000_000
-_SOURCES = ("architecture", "community", "core", "geometry", "lsystem", "recipe", "scene")
+_SOURCES = ("architecture", "atmosphere", "community", "core", "geometry", "lsystem", "recipe", "scene")
 _COMPUTE_WITH = ("numpy", "scipy", "numba", "pillow", "OpenEXR")
 
 Kept = TypeVar("Kept", Population, Modules)

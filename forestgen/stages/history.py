@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from forestgen.community.placement.asked_and_placed import describe_densities
 from forestgen.community.plot_densities import plot_densities
 from forestgen.community.plot_series import plot_curves, plot_thinning
 from forestgen.community.plot_sizes import plot_sizes
+from forestgen.community.plot_water import WaterSeries, plot_water
 from forestgen.community.plots import plot_map
 from forestgen.community.population import Population
 from forestgen.community.statistics import plant_mass
@@ -44,6 +45,7 @@ class _Told:
     described: list[dict[str, Any]]
     last: Population
     placement: dict[str, Any] | None = None  # of the plants of step 0
+    water: list[tuple[float, Mapping[str, Any]]] = field(default_factory=list)  # of every snapshot with its time
 
 
 def write_community(folder: Path, plan: Plan, snapshots: Iterator[Population], map_steps: Sequence[int]) -> Population:
@@ -51,8 +53,9 @@ def write_community(folder: Path, plan: Plan, snapshots: Iterator[Population], m
 
     history.parquet, a map for each of `map_steps` (by default the last), sizes.png of the last snapshot, and
     statistics.json; if there are steps, animation.gif, curves.png and thinning.png too; of a model that places plants
-    by densities, densities.png; on request, modules.parquet. No snapshot is held but the current one. Fellings and
-    plantings thin a stand as no crowding does: with them there is no self-thinning line.
+    by densities, densities.png; of one with water, maps.nc and water.png; on request, modules.parquet. No snapshot is
+    held but the current one. Fellings and plantings thin a stand as no crowding does: with them there is no
+    self-thinning line.
 
     `check_map_steps` tells whether the simulation reaches `map_steps`.
     """
@@ -79,6 +82,8 @@ def _write_course(folder: Path, plan: Plan, end: _Told) -> dict[str, Any] | None
     slope = None if plan.model_parameters.disturbances else thinning_slope(trajectory)
     plot_thinning(trajectory, slope, colours, folder / "thinning.png")
     end.film.write(folder / "animation.gif")
+    if end.water:
+        plot_water(WaterSeries.of(end.water), end.last, plan.site, colours, folder / "water.png")
     return describe_thinning(trajectory, slope) if slope else None
 
 
@@ -98,6 +103,8 @@ def _watched(
             if step == 0:
                 told[0].placement = _placement(folder, plan, population)
         told[0].last = population
+        if "water" in population.state:
+            told[0].water.append((population.time_yr, population.state["water"]))
         if on_curve(step):
             told[0].moments.append(moment(population, site))
         if plan.steps and in_film(step):
@@ -134,8 +141,9 @@ def _write_statistics(path: Path, plan: Plan, end: _Told, thinning: dict[str, An
     if end.placement is not None:
         hopkins = end.described[0]["hopkins"]
         document["placement"] = {name: {**one, "hopkins": hopkins[name]} for name, one in end.placement.items()}
-    if "clustering" in end.last.state:
-        document["clustering"] = end.last.state["clustering"]
+    for name in ("clustering", "water"):
+        if name in end.last.state:
+            document[name] = end.last.state[name]
     try:
         path.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n", encoding="utf-8")
     except OSError as error:

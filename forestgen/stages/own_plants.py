@@ -12,7 +12,7 @@ from forestgen.recipe.species import Plant, Species
 from forestgen.scene.own_exemplars import MOST_TRIANGLES
 
 GENERATOR = "branch_modules"
-MODEL = "branch_modules"
+MODELS = ("branch_modules", "ecoclimate")
 _TRIANGLES_OF_A_PLANT = 300_000  # of a large one, at a guess
 
 Parse = Callable[[DrawnRecipe, Species, Plant, tuple[str, ...]], PlantParameters]
@@ -42,11 +42,11 @@ def clothing_of(
             found[name] = parse(drawn, species, species.modules_plant, keys)
         elif species.plant.generator == GENERATOR:
             found[name] = generators[name]
-            if drawn.recipe.community.model != MODEL:
+            if drawn.recipe.community.model not in MODELS:
                 raise RecipeError(
                     "plants of branch modules grow in a community of that model alone",
                     where=drawn.where("species", name, "plant", "generator"),
-                    expected=f"community: {{model: {MODEL}}}",
+                    expected=f"community: {{model: {MODELS[0]}}}, or {', '.join(MODELS[1:])}",
                     got=drawn.recipe.community.model,
                     hint="give the species another generator under plant, and move this block to modules_plant",
                 )

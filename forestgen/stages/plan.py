@@ -337,5 +337,6 @@ def _hint_of(parameters: CommunityParameters) -> str:
         grids = [f", or fewer community.{name}" for name in ("cells", "pixels") if hasattr(parameters, name)]
         return "".join(["ask for fewer plants in community.plants", *grids])
     if isinstance(parameters, BranchModulesParameters):
-        return "make the site smaller, or lower community.most_modules"
+        cells = "community.soil_water.cell_m larger, " if hasattr(parameters, "soil_water") else ""
+        return f"make the site smaller, {cells}or lower community.most_modules"
     return "make the site smaller, or lower species' seedlings_per_ha_per_yr"

@@ -1,8 +1,8 @@
 """A simulation goes on from a snapshot of its history.
 
 A history tells its origin: seed, image, model with its parameters, species and site. A recipe continues it if all of
-that is the same, except the number of steps and the disturbances and changes of parameters that are still to come: a
-stand may be felled or not.
+that is the same, except the number of steps and the disturbances and changes of parameters or climate that are still to
+come: a stand may be felled or not.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from typing import Any
 from forestgen import __version__
 from forestgen.community.branch_modules.changes import Change
 from forestgen.community.disturbance import Disturbance
+from forestgen.community.ecoclimate.parameters import ClimateChange, GlobalSeeding
 from forestgen.community.history import open_history
 from forestgen.community.model import SpeciesEcology
 from forestgen.community.module_history import NAME
@@ -26,7 +27,12 @@ from forestgen.recipe.messages import show
 from forestgen.stages.plan import Plan
 
 _MOST_SHOWN = 3
-_TIMED: Mapping[str, type[Disturbance] | type[Change]] = {"disturbances": Disturbance, "changes": Change}
+_TIMED: Mapping[str, type[Disturbance | Change | ClimateChange | GlobalSeeding]] = {
+    "disturbances": Disturbance,
+    "changes": Change,
+    "climate_changes": ClimateChange,
+    "global_seeding": GlobalSeeding,
+}
 _FREE = ("steps", "history_modules")  # keys that no future depends on
 
 
@@ -113,7 +119,8 @@ def _check_same_simulation(theirs: Mapping[str, Any], ours: Mapping[str, Any], s
     if not differ:
         return
     shown, more = differ[:_MOST_SHOWN], len(differ) - _MOST_SHOWN
-    timed = " and ".join(key for key in _TIMED if key in ours["parameters"])
+    *others, last = [key for key in _TIMED if key in ours["parameters"]]
+    timed = ", ".join(others) + " and " * bool(others) + last
     raise RecipeError(
         f"{path} is the history of another simulation",
         where="--resume",

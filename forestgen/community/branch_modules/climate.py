@@ -27,6 +27,18 @@ class LocalClimate:
     temperature_c: Floats  # (rows, cols) mean at the ground in the open; elevation is in it
     precipitation_mm_per_yr: Floats  # (rows, cols) rain that would keep the soil as wet as it is
     shade_cooling_k: float = 0.0  # by which complete shade is cooler
+    even_shade: bool = False  # whether shade counts by its mean over the site
+
+    def light_at(self, position_m: Floats, around: Surroundings) -> Floats:
+        """(N,) the light at (N, 2) world x and y on the site by which shade cools, 0 to 1."""
+        if not self.shade_cooling_k:
+            return np.ones(len(position_m))
+        if not self.even_shade:
+            return around.light_at(position_m)
+        rows, cols = self.temperature_c.shape
+        x, y = ((np.arange(n) + 0.5) / n * side for n, side in zip((cols, rows), self.size_m, strict=True))
+        middles = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+        return np.full(len(position_m), around.light_at(middles).mean())
 
     def at(self, position_m: Floats, light: Floats) -> tuple[Floats, Floats]:
         """(N,) temperature and precipitation at (N, 2) world x and y on the site, in so much light, 0 to 1."""
@@ -35,9 +47,8 @@ class LocalClimate:
             at = (position_m[:, axis] / self.size_m[axis] * count).astype(np.int64)
             cells.append(np.clip(at, 0, count - 1))
         row, col = cells
-        return self.temperature_c[row, col] - self.shade_cooling_k * (1.0 - light), self.precipitation_mm_per_yr[
-            row, col
-        ]
+        temperature_c = self.temperature_c[row, col] - self.shade_cooling_k * (1.0 - light)
+        return temperature_c, self.precipitation_mm_per_yr[row, col]
 
 
 def temperature_at(parameters: BranchModulesParameters, elevation_m: Floats) -> Floats:
@@ -64,8 +75,7 @@ def adaptation(
     elevation_m : (N,) of the ground there.
     """
     if climate is not None:
-        light = around.light_at(position_m) if climate.shade_cooling_k else np.ones(len(species))
-        return suited(traits, species, *climate.at(position_m, light))
+        return suited(traits, species, *climate.at(position_m, climate.light_at(position_m, around)))
     if parameters.temperature_c is None or parameters.precipitation_mm_per_yr is None:
         return np.ones(len(species))
     return suited(traits, species, temperature_at(parameters, elevation_m), parameters.precipitation_mm_per_yr)

@@ -57,7 +57,7 @@ class Turn:
         """Share of the change that has come, 0 to 1."""
         if time_yr >= self.to_yr:
             return 1.0
-        return max(0.0, (time_yr - self.from_yr) / (self.to_yr - self.from_yr))
+        return 0.0 if time_yr <= self.from_yr else (time_yr - self.from_yr) / (self.to_yr - self.from_yr)
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,7 @@
 """Months of an ecoclimate (seeds 002, Algorithm 1): climate, soil, and then the plants by what they felt of both.
 
-A step has whole months. In each, rain falls by the climate, the water on and in the soil goes on by the leaves that
+A step has whole months. In each, rain falls by the climate, over the forest more or less of it as its own air makes
+clouds (`air`; on request), the water on and in the soil goes on by the leaves that
 stand there (Eqs. 43, 44), and what plants feel, a mean over their memory, follows. Then the plants go one step on: each
 by the soil water of its own cell and by the shade at its foot (Eq. 38).
 
@@ -25,7 +26,8 @@ from forestgen.community.branch_modules.kinds import kinds_at
 from forestgen.community.branch_modules.seeding import NOBODY, Arriving
 from forestgen.community.branch_modules.state import State
 from forestgen.community.branch_modules.step import advanced
-from forestgen.community.ecoclimate.climate import DAYS_PER_MONTH, MONTHS_PER_YR, month_at
+from forestgen.community.ecoclimate.air import Given, month_of_air
+from forestgen.community.ecoclimate.climate import DAYS_PER_MONTH, MONTHS_PER_YR, Month, month_at
 from forestgen.community.ecoclimate.leaves import leaf_area_index
 from forestgen.community.ecoclimate.parameters import EcoclimateParameters
 from forestgen.community.ecoclimate.state import Books, Ecoclimate
@@ -36,6 +38,7 @@ from forestgen.community.soil_water.parameters import SoilWaterParameters
 from forestgen.core.randomness import child_rng
 
 _DAYS_PER_YR = DAYS_PER_MONTH * MONTHS_PER_YR
+_EXTINCTION = 0.5  # of leaves at all angles alike
 _SPIN_UP_YR = 3  # of the water under the plants of the start
 
 
@@ -47,9 +50,11 @@ def begun(forest: State) -> Ecoclimate:
     rain = normals.precipitation_mm_per_yr / _DAYS_PER_YR
     wet_mm = rain / p.loss_per_day if p.loss_per_day > 0 else 0.0
     water = Water(np.full(soil.ground.shape, wet_mm), np.zeros(soil.ground.shape))
-    state = Ecoclimate(forest, water, water.soil_mm, normals.mean_temperature_c, Books(0.0))
+    nothing, even = np.zeros(soil.ground.shape), np.ones(soil.ground.shape)
+    state = Ecoclimate(forest, water, water.soil_mm, normals.mean_temperature_c, nothing, nothing, even, Books(0.0))
+    leaves = _leaves(state, soil.ground)
     for month in range(-MONTHS_PER_YR * _SPIN_UP_YR, 0):
-        state = _month_later(state, soil, _leaves(state, soil.ground), month % MONTHS_PER_YR, at_start=True)
+        state = _month_later(state, soil, leaves, month_at(normals, (), month % MONTHS_PER_YR))
     return replace(state, temperature_mean_c=normals.mean_temperature_c, books=Books(state.stored_mm))
 
 
@@ -58,8 +63,10 @@ def advanced_ecoclimate(state: Ecoclimate) -> Ecoclimate:
     parameters = state.parameters
     soil = soil_of(parameters, state.forest.site)
     leaves, first = _leaves(state, soil.ground), state.forest.step * parameters.months_per_step
+    normals = parameters.climate.normals()
     for month in range(first, first + parameters.months_per_step):
-        state = _month_later(state, soil, leaves, month)
+        now = month_at(normals, parameters.turns, month)
+        state = _month_later(_under_air(state, soil.ground, leaves, now, month), soil, leaves, now)
     climate = local_climate(state)
     return replace(state, forest=advanced(state.forest, climate, _arriving(state.forest, parameters, climate)))
 
@@ -69,11 +76,10 @@ def local_climate(state: Ecoclimate) -> LocalClimate:
     parameters, soil = state.parameters, soil_of(state.parameters, state.forest.site)
     ground = soil.ground
     height_m = _heights(_Alike(state.forest.site), parameters.soil_water.cell_m)
-    warmth = state.temperature_mean_c + parameters.lapse_rate_k_per_km * height_m / 1000.0
+    warmth = state.temperature_mean_c + state.warmth_mean_k + parameters.lapse_rate_k_per_km * height_m / 1000.0
     wetness = _mean_unless(parameters.microclimate, state.soil_mean_mm)
     rain = worth_mm_per_yr(wetness, soil.parameters, parameters.soil_water.reference_g_per_m2)
-    cooling_k = parameters.shade_cooling_k if parameters.microclimate else 0.0
-    return LocalClimate(ground.size_m, warmth, rain, cooling_k)
+    return LocalClimate(ground.size_m, warmth, rain, parameters.shade_cooling_k, even_shade=not parameters.microclimate)
 
 
 def worth_mm_per_yr(soil_mm: Floats, soil: SoilWaterParameters, leaves_g_per_m2: float) -> Floats:
@@ -116,8 +122,9 @@ def _heights(site: _Alike, cell_m: float) -> Floats:
 
 
 def _parameters(forest: State) -> EcoclimateParameters:
-    assert isinstance(forest.parameters, EcoclimateParameters)
-    return forest.parameters
+    parameters = kinds_at(forest).parameters
+    assert isinstance(parameters, EcoclimateParameters)
+    return parameters
 
 
 def _leaves(state: Ecoclimate, ground: Ground) -> Floats:
@@ -130,23 +137,42 @@ def _mean_unless(local: bool, values: Floats) -> Floats:
     return values if local else np.full_like(values, values.mean())
 
 
-def _month_later(
-    state: Ecoclimate, soil: SoilWater, leaves: Floats, month: int, *, at_start: bool = False
-) -> Ecoclimate:
+def _under_air(state: Ecoclimate, ground: Ground, leaves: Floats, now: Month, month: int) -> Ecoclimate:
+    """What the month's air makes of the rain and of the warmth; the same state if no air is simulated."""
+    parameters, site = state.parameters, state.forest.site
+    section = parameters.weather
+    if section is None:
+        return state
+    light = np.exp(-_EXTINCTION * leaves / max(parameters.soil_water.leaf_mass_g_per_m2, 1e-9))
+    height_m = _heights(_Alike(site), parameters.soil_water.cell_m)
+    given = Given(ground, height_m, state.vapour_mm_per_day, light, parameters.lapse_rate_k_per_km)
+    sky = month_of_air(section, now, month, given, site.wind_from_deg, state.forest.seed)
+    wetness = 1.0 - section.local_share + section.local_share * _mean_unless(parameters.microclimate, sky.wetness)
+    warmth = _mean_unless(parameters.microclimate, sky.warmth_k)
+    felt = state.warmth_mean_k + _share_of_month(parameters) * (warmth - state.warmth_mean_k)
+    return replace(state, wetness=wetness, warmth_mean_k=felt)
+
+
+def _share_of_month(parameters: EcoclimateParameters) -> float:
+    """Weight of a month in what plants feel."""
+    memory = parameters.memory_yr * MONTHS_PER_YR
+    return 1.0 if memory == 0 else -math.expm1(-1.0 / memory)
+
+
+def _month_later(state: Ecoclimate, soil: SoilWater, leaves: Floats, now: Month) -> Ecoclimate:
     """The water one month later, and what plants feel."""
     parameters = state.parameters
-    now = month_at(parameters.climate.normals(), () if at_start else parameters.turns, month)
     passed = soil.advance(
         state.water,
         DAYS_PER_MONTH,
         plants_g_per_m2=leaves,
-        rain_mm_per_day=now.rain_mm_per_day,
+        rain_mm_per_day=now.rain_mm_per_day * state.wetness,
         substep_days=parameters.soil_water.substep_days,
     )
-    memory = parameters.memory_yr * MONTHS_PER_YR
-    share = 1.0 if memory == 0 else -math.expm1(-1.0 / memory)
+    share = _share_of_month(parameters)
     felt = state.soil_mean_mm + share * (passed.water.soil_mm - state.soil_mean_mm)
     warmth = state.temperature_mean_c + share * (now.temperature_c - state.temperature_mean_c)
+    given = (passed.uptake_mm + parameters.soil_water.evaporating_share * passed.loss_mm) / DAYS_PER_MONTH
     before, budget = state.books, passed.budget
     books = Books(
         before.start_mm,
@@ -154,7 +180,14 @@ def _month_later(
         before.uptake_mm + budget.uptake_mm,
         before.loss_mm + budget.loss_mm,
     )
-    return replace(state, water=passed.water, soil_mean_mm=felt, temperature_mean_c=warmth, books=books)
+    return replace(
+        state,
+        water=passed.water,
+        soil_mean_mm=felt,
+        temperature_mean_c=warmth,
+        vapour_mm_per_day=given,
+        books=books,
+    )
 
 
 def _arriving(forest: State, parameters: EcoclimateParameters, climate: LocalClimate) -> Arriving:
@@ -165,7 +198,8 @@ def _arriving(forest: State, parameters: EcoclimateParameters, climate: LocalCli
     growing = {one.name: k for k, one in enumerate(forest.species) if one.modules is not None}
     places, species = [], []
     for index, one in enumerate(parameters.global_seeding):
-        times = _times(one.from_yr, one.every_yr, forest.step * parameters.step_yr, parameters.step_yr)
+        month = forest.step * parameters.months_per_step
+        times = one.times_before(month + parameters.months_per_step) - one.times_before(month)
         rng = child_rng(forest.seed, "arrivals", index, forest.step)
         for name in one.species or growing:
             count = int(rng.poisson(times * one.seeds_per_ha * forest.site.area_ha))
@@ -175,10 +209,3 @@ def _arriving(forest: State, parameters: EcoclimateParameters, climate: LocalCli
             places.append(place[taken])
             species.append(sp[taken])
     return Arriving(np.concatenate(places), np.concatenate(species)) if places else NOBODY
-
-
-def _times(from_yr: float, every_yr: float, now_yr: float, step_yr: float) -> int:
-    """How many of the times from, from + every, ... lie in [now, now + step)."""
-    slack = 1e-9
-    before, after = ((t - from_yr) / every_yr - slack for t in (now_yr, now_yr + step_yr))
-    return max(0, math.ceil(after)) - max(0, math.ceil(before))

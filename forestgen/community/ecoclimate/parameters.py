@@ -10,6 +10,7 @@ from pydantic import Field, model_validator
 
 from forestgen.community.branch_modules.parameters import BranchModulesParameters
 from forestgen.community.ecoclimate.climate import MONTHS_PER_YR, MonthlyClimate, Turn, climate_of
+from forestgen.community.ecoclimate.weather_section import WeatherSection
 from forestgen.community.soil_water.parameters import SoilWaterParameters
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.fields import Flag, Fraction, Name, NonNegative, Number, Positive, Section, Text, mistake
@@ -76,6 +77,11 @@ class Climate(Section):
         return MonthlyClimate(self.temperature_c, self.precipitation_mm)
 
 
+def _first_after(time_yr: float, step_yr: float) -> int:
+    """The first step that ends after a time."""
+    return math.floor(time_yr / step_yr * (1 + 1e-9)) + 1
+
+
 class ClimateChange(Section):
     """From one year to another the climate changes evenly, and then stays so."""
 
@@ -89,6 +95,10 @@ class ClimateChange(Section):
         if self.to_yr < self.from_yr:
             raise mistake(f"from_yr = {self.from_yr:g} or more", got=f"{self.to_yr:g}", at=("to_yr",))
         return self
+
+    def step(self, step_yr: float) -> int:
+        """The first step at whose end it has begun."""
+        return _first_after(self.from_yr, step_yr)
 
     @property
     def turn(self) -> Turn:
@@ -106,6 +116,9 @@ class SoilWaterSection(Section):
     )
     reference_g_per_m2: NonNegative = Field(
         0.0, le=1e5, description="Leaf mass of the stand in which a species' precipitation is enough; 0: of bare soil."
+    )
+    evaporating_share: Fraction = Field(
+        0.2, description="Share of what the soil loses that evaporates; the rest drains away."
     )
     uptake_mm_m2_per_g_day: NonNegative | None = Field(
         None, le=100, description="The most water a gram of leaves takes up."
@@ -148,8 +161,24 @@ class GlobalSeeding(Section):
 
     species: tuple[Name, ...] = Field((), description="Which; left out: all that grow.")
     seeds_per_ha: NonNegative = Field(10.0, le=1e5, description="Of each species, each time.")
-    every_yr: Positive = Field(1.0, le=1e5, description="Time between, years.")
+    every_yr: Positive = Field(1.0, ge=0.01, le=1e5, description="Time between, years.")
     from_yr: NonNegative = Field(0.0, le=1e6, description="When the first come, years.")
+
+    @model_validator(mode="after")
+    def _each_once(self) -> Self:
+        for index, name in enumerate(self.species):
+            if name in self.species[:index]:
+                raise mistake("each species once", got=name, at=("species", index))
+        return self
+
+    def step(self, step_yr: float) -> int:
+        """The first step at whose end seeds have come."""
+        return _first_after(self.from_yr, step_yr)
+
+    def times_before(self, month: int) -> int:
+        """How often they have come before this month since the beginning."""
+        slack = 1e-9  # a time that is that of a month is not missed by rounding
+        return max(0, math.ceil((month / MONTHS_PER_YR - self.from_yr) / self.every_yr - slack))
 
 
 class EcoclimateParameters(BranchModulesParameters):
@@ -173,6 +202,9 @@ class EcoclimateParameters(BranchModulesParameters):
         4.0, le=30, description="what complete shade is cooler than open ground [T_sh], K"
     )
     global_seeding: tuple[GlobalSeeding, ...] = Field((), max_length=100, description="seeds from elsewhere")
+    weather: WeatherSection | None = Field(
+        None, description="days of each month whose air is simulated over the forest; null: rain falls evenly"
+    )
 
     @property
     def months_per_step(self) -> int:
@@ -198,6 +230,23 @@ class EcoclimateParameters(BranchModulesParameters):
             raise mistake(
                 "a whole number of months, such as 1/12 = 0.0833333333 or 1", got=f"{self.step_yr:g}", at=("step_yr",)
             )
+        return self
+
+    @model_validator(mode="after")
+    def _one_grid(self) -> Self:
+        """Maps of water keep their cells, whatever changes."""
+        for index, one in enumerate(self.changes):
+            soil = one.set.get("soil_water")
+            if not isinstance(soil, dict):
+                continue
+            cell_m = soil.get("cell_m", SoilWaterSection.model_fields["cell_m"].default)
+            if isinstance(cell_m, int | float) and cell_m != self.soil_water.cell_m:
+                raise mistake(
+                    f"cell_m: {self.soil_water.cell_m:g}, as at the start",
+                    problem="the cells of water hold for the whole simulation",
+                    got=f"{cell_m:g}",
+                    at=("changes", index, "set", "soil_water"),
+                )
         return self
 
     def named_species(self) -> Iterator[tuple[Keys, str]]:

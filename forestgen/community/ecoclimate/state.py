@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from forestgen.community.branch_modules.kinds import kinds_at
 from forestgen.community.branch_modules.state import State
 from forestgen.community.ecoclimate.parameters import EcoclimateParameters
 from forestgen.community.soil_water.ground import Floats
@@ -32,11 +33,15 @@ class Ecoclimate:
     water: Water
     soil_mean_mm: Floats  # (rows, cols) soil water over the memory of plants
     temperature_mean_c: float  # the same of the region's temperature at z = 0
+    warmth_mean_k: Floats  # (rows, cols) the same of the place's own warmth
+    vapour_mm_per_day: Floats  # (rows, cols) what the ground gave to the air in the last month
+    wetness: Floats  # (rows, cols) last month's rain over the region's
     books: Books
 
     @property
     def parameters(self) -> EcoclimateParameters:
-        parameters = self.forest.parameters
+        """What the next step goes by: with the recipe's changes up to now."""
+        parameters = kinds_at(self.forest).parameters
         assert isinstance(parameters, EcoclimateParameters)
         return parameters
 

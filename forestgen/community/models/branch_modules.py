@@ -173,7 +173,7 @@ class BranchModules:
         total = _founders(parameters, species)
         seeding = any(one.modules is not None and one.modules.seeds_per_yr > 0 for one in species)
         if total > 0 and seeding and parameters.steps > 0:
-            total += min(site.area_m2 * _most_seedlings_per_m2(parameters), float(parameters.most_modules))
+            total += most_seedlings(parameters, site)
         return total + len(parameters.obstacles)
 
     def why_barren(
@@ -195,10 +195,10 @@ class BranchModules:
         )
 
 
-def _most_seedlings_per_m2(parameters: BranchModulesParameters) -> float:
-    """How many points lie at least a spacing apart on a square metre: discs of half of it, packed."""
+def most_seedlings(parameters: BranchModulesParameters, site: Site) -> float:
+    """How many points lie at least a spacing apart on the site, discs of half of it, packed; at most most_modules."""
     spacing = max(parameters.seedling_spacing_m, 0.01)
-    return 2 / (math.sqrt(3) * spacing**2)
+    return min(site.area_m2 * 2 / (math.sqrt(3) * spacing**2), float(parameters.most_modules))
 
 
 def _growing(species: Sequence[SpeciesEcology]) -> list[SpeciesEcology]:

@@ -17,8 +17,12 @@ Recipe::
 
     community: {model: ecoclimate, steps: 600, initial_plants: 300, climate: {place: Juneau}}
 
-Columns are those of `branch_modules`. Maps of a snapshot: soil_water_mm, surface_water_mm, soil_mean_mm. Its state has
-``water``: what fell, was drunk, was lost and is stored since the beginning, means over the site, mm.
+With ``weather: {}`` some days of each month are simulated as air over the forest: its clouds decide how much of the
+region's rain falls here, and its currents how warm it is (forestgen/community/ecoclimate/air.py).
+
+Columns are those of `branch_modules`. Maps of a snapshot: soil_water_mm, surface_water_mm, soil_mean_mm and
+warmth_mean_k (over the plants' memory), vapour_mm_per_day (given to the air), wetness (rain over the region's). Its
+state has ``water``: what fell, was drunk, was lost and is stored since the beginning, means over the site, mm.
 """
 
 from __future__ import annotations
@@ -37,12 +41,21 @@ from forestgen.community.ecoclimate.parameters import EcoclimateParameters
 from forestgen.community.ecoclimate.state import Books, Ecoclimate
 from forestgen.community.model import Site, SpeciesEcology
 from forestgen.community.models.branch_modules import MODEL as FOREST
+from forestgen.community.models.branch_modules import most_seedlings
 from forestgen.community.population import Population
 from forestgen.community.soil_water.model import Water
 from forestgen.core.errors import RecipeError
 
 _BYTES_PER_CELL = 400  # some fifty arrays of the water's sub-steps
-_MAPS = ("soil_water_mm", "surface_water_mm", "soil_mean_mm")
+_BYTES_PER_SEED = 200  # from elsewhere, of one step: places, climate and light there
+_MAPS = (
+    "soil_water_mm",
+    "surface_water_mm",
+    "soil_mean_mm",
+    "warmth_mean_k",
+    "vapour_mm_per_day",
+    "wetness",
+)
 
 
 class EcoclimateModel:
@@ -54,6 +67,7 @@ class EcoclimateModel:
         self, parameters: EcoclimateParameters, site: Site, species: Sequence[SpeciesEcology], seed: int
     ) -> Ecoclimate:
         """The forest of the start, on soil that is as wet as its climate leaves it."""
+        _refuse_strangers(parameters, species)
         return begun(FOREST.init(parameters, site, species, seed))
 
     def step(self, state: Ecoclimate) -> Ecoclimate:
@@ -64,7 +78,14 @@ class EcoclimateModel:
         """Snapshot; z is 0."""
         books, forest = state.books, FOREST.population(state.forest)
         water = {**vars(books), "stored_mm": state.stored_mm}
-        maps = (state.water.soil_mm, state.water.surface_mm, state.soil_mean_mm)
+        maps = (
+            state.water.soil_mm,
+            state.water.surface_mm,
+            state.soil_mean_mm,
+            state.warmth_mean_k,
+            state.vapour_mm_per_day,
+            state.wetness,
+        )
         return replace(
             forest,
             state={**forest.state, "water": water, "temperature_mean_c": state.temperature_mean_c},
@@ -89,9 +110,18 @@ class EcoclimateModel:
                 got=", ".join(population.maps) or "none",
                 hint="simulate again from the start",
             )
-        soil, surface, mean = (population.maps[name] for name in _MAPS)
-        books = _books(population.state["water"])
-        return Ecoclimate(forest, Water(soil, surface), mean, population.state["temperature_mean_c"], books)
+        soil, surface, mean, warmth, vapour, wetness = (population.maps[name] for name in _MAPS)
+        told = population.state
+        return Ecoclimate(
+            forest,
+            Water(soil, surface),
+            mean,
+            told["temperature_mean_c"],
+            warmth,
+            vapour,
+            wetness,
+            _books(told["water"]),
+        )
 
     def remove(self, state: Ecoclimate, plant_id: NDArray[np.uint32]) -> Ecoclimate:
         """The forest without these plants."""
@@ -102,17 +132,39 @@ class EcoclimateModel:
         return replace(state, forest=FOREST.plant(state.forest, planting))
 
     def expected_plants(self, parameters: EcoclimateParameters, site: Site, species: Sequence[SpeciesEcology]) -> float:
-        """Upper bound, as without water."""
-        return FOREST.expected_plants(parameters, site, species)
+        """Upper bound: as without water, and as many seedlings of seeds from elsewhere as find room."""
+        total = FOREST.expected_plants(parameters, site, species)
+        arrive = parameters.global_seeding and parameters.steps > 0
+        return total + most_seedlings(parameters, site) if arrive else total
 
     def why_barren(self, parameters: EcoclimateParameters, site: Site, species: Sequence[SpeciesEcology]) -> str | None:
         """Why no plant can ever grow, or None if one may."""
         return None if parameters.global_seeding else FOREST.why_barren(parameters, site, species)
 
     def estimate_bytes(self, parameters: EcoclimateParameters, site: Site, species: Sequence[SpeciesEcology]) -> int:
-        """Of the forest and of the maps of water."""
+        """Of the forest, of the maps of water, and of the seeds from elsewhere that fall in a step."""
+        _refuse_strangers(parameters, species)
         cells = math.ceil(site.area_m2 / parameters.soil_water.cell_m**2)
-        return FOREST.estimate_bytes(parameters, site, species) + _BYTES_PER_CELL * cells
+        seeds = sum(
+            math.ceil(parameters.step_yr / one.every_yr) * one.seeds_per_ha * (len(one.species) or len(species))
+            for one in parameters.global_seeding
+        )
+        water_and_seeds = _BYTES_PER_CELL * cells + _BYTES_PER_SEED * math.ceil(seeds * site.area_ha)
+        return FOREST.estimate_bytes(parameters, site, species) + water_and_seeds
+
+
+def _refuse_strangers(parameters: EcoclimateParameters, species: Sequence[SpeciesEcology]) -> None:
+    """Seeds from elsewhere must be of species that grow, which obstacles do not."""
+    growing = [one.name for one in species if one.modules is not None]
+    for index, one in enumerate(parameters.global_seeding):
+        for name in one.species:
+            if name not in growing:
+                raise RecipeError(
+                    f"{name} does not grow by branch modules",
+                    where=f"community.global_seeding.{index}.species",
+                    expected="one of " + (", ".join(growing) or "none: no species has a section modules"),
+                    got=name,
+                )
 
 
 def _books(water: Mapping[str, Any]) -> Books:

@@ -1,0 +1,194 @@
+"""Days of air over the forest: what clouds and warmth its ground makes (seeds 002, 4.5.4, 4.5.7; Algorithm 1, 2-10).
+
+A month is told by some days. Of each, some hours are simulated over the site's own ground: its heights, the vapour
+that it gave in the month before, and the region's heat and vapour (E and E_M), drawn for the day. The same day is
+simulated over level ground that gives everywhere what the region's climate takes for granted. The ratio of the two
+columns of cloud and rain tells, by place, how much of the region's normal rain falls there:
+
+    R = R_month (1 - s + s Q),    Q = water condensed over the place / the same over the region's ground
+
+s,
+s, `local_share`, is the share of rain whose clouds the place itself makes. So a month in which the forest does what is
+usual has its normal rain; a cleared place, whose ground gives less vapour, has less. In its mean over the site, Q is at
+most 3. The temperature of the lowest air over that of the region's ground, colder with elevation at the usual rate, is
+the place's own warmth: Foehn. Each year has the same drawn days.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.atmosphere.fluid.air import Air, at_rest
+from forestgen.atmosphere.fluid.diagnostics import total_water_kg
+from forestgen.atmosphere.fluid.parameters import Physics, Surface
+from forestgen.atmosphere.presets import Layers, wind_towards
+from forestgen.atmosphere.sounding import LATENT_HEAT_J_PER_KG, Sounding
+from forestgen.atmosphere.weather import AirGrid, Weather
+from forestgen.community.ecoclimate.climate import MONTHS_PER_YR, Month
+from forestgen.community.ecoclimate.grids import between
+from forestgen.community.ecoclimate.weather_section import WeatherSection
+from forestgen.community.soil_water.ground import Floats, Ground
+from forestgen.core.randomness import child_rng
+
+MOST = 3.0
+_MARK_S = 300.0  # between two looks at the clouds
+_NOISE_K = 0.1
+_RELAXATION_S = 1800.0
+_LEAST_KG_PER_M2 = 1e-3  # of condensed water: days with less over the region's ground have no clouds to compare
+_FLAT = 0.5  # of a cell's height: lower hills are no terrain to the air
+_ABOVE_KM_LAPSE = 4.0
+
+
+@dataclass(frozen=True)
+class Given:
+    """What the ground of a month gives to the air, and how it lies."""
+
+    ground: Ground
+    height_m: Floats  # (rows, cols)
+    vapour_mm_per_day: Floats  # (rows, cols) transpired and evaporated
+    light: Floats  # (rows, cols) share of the light that comes down to the ground
+    lapse_rate_k_per_km: float  # usual change of temperature with elevation, below 0
+
+
+@dataclass(frozen=True)
+class Sky:
+    """What a month's days of air did, means over them."""
+
+    wetness: Floats  # (rows, cols) Q
+    warmth_k: Floats  # (rows, cols) of the lowest air, over what is usual at its elevation
+    condensed_kg_per_m2: float  # mean over the site
+    water_error: float  # largest share of a day's water in the air that was lost or made of nothing
+
+
+@dataclass(frozen=True)
+class Day:
+    """The air of one day, and what the region's ground gives to it."""
+
+    sounding: Sounding
+    heat_w_per_m2: float
+    vapour_kg_per_m2_s: float
+    seed: int
+    name: tuple[int, int]  # month of the year and day
+
+
+@dataclass(frozen=True)
+class Hours:
+    """What the hours of a day left."""
+
+    condensed_kg_per_m2: Floats  # (Y, X) of cloud, rain and what has fallen: mean over the hours
+    warmth_k: Floats  # (Y, X) of the lowest air of each column, over air at rest on the ground of the box
+    lowest_m: Floats  # (Y, X) how much higher that air is than the box's lowest
+    water_error: float
+    weather: Weather  # at the end
+
+
+def month_of_air(
+    section: WeatherSection, month: Month, number: int, given: Given, wind_from_deg: float, seed: int
+) -> Sky:
+    """The air of month `number` since the beginning."""
+    grid = grid_of(section, given.ground)
+    maps = between(given.ground, grid)
+    height = maps.for_air(given.height_m).astype(np.float64)
+    terrain = height - height.min() if np.ptp(height) > _FLAT * grid.cell_m[2] else None
+    shaded = 1.0 - section.shade_heat_share * (1.0 - maps.for_air(given.light).astype(np.float64))
+    vapour = maps.for_air(given.vapour_mm_per_day).astype(np.float64) / (3600.0 * section.daylight_h)
+    looks: list[tuple[Floats, Floats, float, float]] = []
+    for index in range(section.days_per_month):
+        day = day_of(section, month, number % MONTHS_PER_YR, index, wind_from_deg, seed)
+        surface = Surface(
+            (day.heat_w_per_m2 * shaded).astype(np.float32),
+            (day.vapour_kg_per_m2_s + vapour).astype(np.float32),
+            terrain,
+        )
+        here = hours_of(section, grid, day, surface)
+        usual, usual_k = _usual(section, grid, month, number % MONTHS_PER_YR, index, wind_from_deg, seed)
+        ours = maps.for_ground(here.condensed_kg_per_m2)
+        warmth = here.warmth_k - usual_k - given.lapse_rate_k_per_km / 1000.0 * here.lowest_m
+        # The site's mean is bounded: a cap by cell would take from the peaks and give to none.
+        ratio = ours / max(usual, ours.mean() / MOST) if usual > _LEAST_KG_PER_M2 else np.ones_like(ours)
+        looks.append((ratio, maps.for_ground(warmth), float(ours.mean()), here.water_error))
+    wetness, warmths, condensed, errors = zip(*looks, strict=True)
+    return Sky(np.mean(wetness, axis=0), np.mean(warmths, axis=0), float(np.mean(condensed)), max(errors))
+
+
+@lru_cache(maxsize=400)
+def _usual(
+    section: WeatherSection, grid: AirGrid, month: Month, of_year: int, index: int, wind_from_deg: float, seed: int
+) -> tuple[float, float]:
+    """Of a day over the region's ground, means: condensed water, kg/m2, and the lowest air's warmth, K."""
+    day = day_of(section, month, of_year, index, wind_from_deg, seed)
+    own = section.usual_evaporation * month.rain_mm_per_day / (3600.0 * section.daylight_h)
+    heat = day.heat_w_per_m2 * (1.0 - section.shade_heat_share * section.usual_shade)
+    across = grid.shape[1:]
+    surface = Surface(np.full(across, heat, np.float32), np.full(across, day.vapour_kg_per_m2_s + own, np.float32))
+    hours = hours_of(section, grid, day, surface)
+    return float(hours.condensed_kg_per_m2.mean()), float(hours.warmth_k.mean())
+
+
+def grid_of(section: WeatherSection, ground: Ground) -> AirGrid:
+    """The box of air, whose middle is the site's: even numbers of cells, of at least `cell_m`."""
+    extent = [max(section.extent_m, side) for side in ground.size_m]
+    across = [max(8, 2 * int(side / section.cell_m / 2)) for side in extent]
+    up = max(8, 2 * round(section.height_m / section.cell_height_m / 2))
+    sides = extent[0] / across[0], extent[1] / across[1], section.height_m / up
+    low = tuple(0.5 * (side - box) for side, box in zip(ground.size_m, extent, strict=True))
+    return AirGrid((across[0], across[1], up), sides, (low[0], low[1], 0.0))
+
+
+def day_of(section: WeatherSection, month: Month, of_year: int, index: int, wind_from_deg: float, seed: int) -> Day:
+    """A day of a month, with normally distributed heat and vapour from the region (Algorithm 1, line 3)."""
+    heat, vapour = child_rng(seed, "air", of_year, index).normal(size=2)
+    layers = Layers(
+        month.temperature_c,
+        section.mixed_layer_m,
+        section.lapse_rate_k_per_km,
+        section.inversion_m,
+        section.inversion_jump_k,
+        _ABOVE_KM_LAPSE,
+        section.relative_humidity,
+        section.relative_humidity_aloft,
+        0.6 * section.relative_humidity_aloft,
+    )
+    return Day(
+        layers.sounding(section.height_m, wind_towards(section.wind_m_per_s, wind_from_deg)),
+        section.heat_w_per_m2 * max(0.0, 1.0 + section.spread * heat),
+        section.vapour_w_per_m2 * max(0.0, 1.0 + section.spread * vapour) / LATENT_HEAT_J_PER_KG,
+        seed,
+        (of_year, index),
+    )
+
+
+def hours_of(section: WeatherSection, grid: AirGrid, day: Day, surface: Surface) -> Hours:
+    """The hours of a day over a ground."""
+    air = Air(grid, day.sounding, surface, Physics(wind_relaxation_s=_RELAXATION_S))
+    unrest = child_rng(day.seed, "air", "unrest", *day.name)
+    weather = at_rest(grid, day.sounding, surface, rng=unrest, noise_k=_NOISE_K)
+    before_kg, area_m2 = total_water_kg(weather), grid.cell_m[0] * grid.cell_m[1]
+    end_s, looks = 3600.0 * section.hours, max(1, round(3600.0 * section.hours / _MARK_S))
+    rest_k = air.background.potential_temperature_k[0] * weather.temperature_ratio[0]
+    condensed, warmth = np.zeros(grid.shape[1:]), np.zeros(grid.shape[1:])
+    for look in range(1, looks + 1):
+        weather = air.run(weather, end_s * look / looks)
+        condensed += _column_kg_per_m2(weather) / looks
+        warmth += (_of_lowest(weather)[0] - rest_k) / looks
+    given_kg = area_m2 * float(surface.vapour_kg_per_m2_s.sum(dtype=np.float64)) * end_s
+    error = abs(total_water_kg(weather) - before_kg - given_kg) / before_kg
+    return Hours(condensed, warmth, _of_lowest(weather)[1], error, weather)
+
+
+def _column_kg_per_m2(weather: Weather) -> Floats:
+    water = (weather.cloud + weather.rain) * weather.density_kg_per_m3.astype(np.float32)[:, None, None]
+    return np.asarray(water.sum(axis=0, dtype=np.float64) * weather.grid.cell_m[2] + weather.fallen_kg_per_m2)
+
+
+def _of_lowest(weather: Weather) -> tuple[Floats, Floats]:
+    """(Y, X) temperature of the lowest air of each column, K, and how much higher it is than the box's lowest, m."""
+    rows, cols = weather.grid.shape[1:]
+    layer = np.zeros((rows, cols), np.int64) if weather.solid is None else weather.solid.sum(axis=0)
+    layer = np.minimum(layer, weather.grid.cells[2] - 1)
+    theta: NDArray[np.floating] = np.take_along_axis(weather.potential_temperature_k, layer[None], axis=0)[0]
+    return theta.astype(np.float64) * weather.temperature_ratio[layer], layer * weather.grid.cell_m[2]

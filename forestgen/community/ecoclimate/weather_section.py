@@ -1,0 +1,64 @@
+"""What a recipe says about the air of an ecoclimate."""
+
+from __future__ import annotations
+
+from typing import Self
+
+from pydantic import Field, model_validator
+
+from forestgen.recipe.fields import Fraction, NonNegative, Number, Positive, Section, Whole, mistake
+
+MOST_CELLS = 4_000_000
+
+
+class WeatherSection(Section):
+    """Some days of each month, whose air is simulated over the forest; of fair-weather cumulus by default."""
+
+    days_per_month: Whole = Field(1, ge=1, le=31, description="Days that stand for a month.")
+    hours: Positive = Field(2.0, le=24, description="How much of a day is simulated, hours.")
+    extent_m: Positive = Field(
+        4000.0, ge=100, le=50_000, description="Side of the box of air, metres; at least that of the site."
+    )
+    height_m: Positive = Field(3000.0, ge=200, le=20_000, description="Height of the box, metres.")
+    cell_m: Positive = Field(200.0, ge=5, le=1000, description="Width of its cells, metres.")
+    cell_height_m: Positive = Field(75.0, ge=5, le=500, description="Their height, metres.")
+    local_share: Fraction = Field(0.5, description="Share of the rain whose clouds the place itself makes.")
+    heat_w_per_m2: NonNegative = Field(150.0, le=1000, description="Heat from open ground [E], W/m2.")
+    vapour_w_per_m2: NonNegative = Field(
+        60.0, le=1000, description="Vapour that the region brings in [E_M], as its latent heat, W/m2."
+    )
+    spread: Fraction = Field(0.1, description="Standard deviation of both from day to day, by their mean.")
+    daylight_h: Positive = Field(12.0, le=24, description="Hours of a day in which ground and plants give vapour.")
+    shade_heat_share: Fraction = Field(
+        0.0,
+        description="Share of the heat that ground in complete shade keeps back; 0 as in the paper. At 0.3 clouds "
+        "gather over warm clearings.",
+    )
+    usual_evaporation: Fraction = Field(
+        0.6, description="Share of its rain that the region's ground gives back to the air, where rain is normal."
+    )
+    usual_shade: Fraction = Field(0.5, description="Share of the light that the region's plants take.")
+    relative_humidity: Fraction = Field(0.62, description="Of the air at the ground.")
+    relative_humidity_aloft: Fraction = Field(0.5, description="Of the air below the inversion.")
+    mixed_layer_m: NonNegative = Field(1000.0, le=10_000, description="Depth of the air that is stirred through, m.")
+    lapse_rate_k_per_km: Number = Field(
+        6.8, ge=-20, le=9.7, description="Cooling upwards, from the mixed layer to the inversion, K/km."
+    )
+    inversion_m: Positive = Field(2250.0, le=20_000, description="Height of the inversion, metres.")
+    inversion_jump_k: NonNegative = Field(4.0, le=30, description="Warming across it, K.")
+    wind_m_per_s: NonNegative = Field(2.0, le=30, description="Speed of the wind, from the site's wind_from_deg.")
+
+    @model_validator(mode="after")
+    def _not_too_large(self) -> Self:
+        cells = (self.extent_m / self.cell_m) ** 2 * self.height_m / self.cell_height_m
+        if cells > MOST_CELLS:
+            raise mistake(
+                f"at most {MOST_CELLS:,} cells",
+                problem="too fine an air",
+                got=f"{cells:,.0f}",
+                hint="raise cell_m or cell_height_m, or lower extent_m",
+                at=("cell_m",),
+            )
+        if self.extent_m < 8 * self.cell_m or self.height_m < 8 * self.cell_height_m:
+            raise mistake("8 cells or more along each axis", problem="too coarse an air", at=("cell_m",))
+        return self

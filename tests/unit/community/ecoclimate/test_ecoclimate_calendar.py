@@ -1,0 +1,95 @@
+"""Months, places, and how a climate changes."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from ecoclimate_cases import parameters
+
+from forestgen.community.ecoclimate.climate import DAYS_PER_MONTH, MonthlyClimate, Turn, climate_of, month_at, places
+from forestgen.community.ecoclimate.parameters import ClimateChange
+from forestgen.core.errors import RecipeError
+
+NORMALS = MonthlyClimate(tuple(float(k) for k in range(12)), tuple(10.0 * k for k in range(1, 13)))
+
+
+def test_months_follow_one_another_and_a_year_has_its_rain() -> None:
+    for month in range(40):
+        now = month_at(NORMALS, (), month)
+        assert now.temperature_c == month % 12
+        assert now.rain_mm_per_day * DAYS_PER_MONTH == pytest.approx(10.0 * (month % 12 + 1))
+    year = sum(month_at(NORMALS, (), month).rain_mm_per_day * DAYS_PER_MONTH for month in range(12))
+    assert year == pytest.approx(NORMALS.precipitation_mm_per_yr)
+    assert 12 * DAYS_PER_MONTH == 365.25
+
+
+def factor(turns: tuple[Turn, ...], month: int) -> float:
+    return month_at(NORMALS, turns, month).rain_mm_per_day / month_at(NORMALS, (), month).rain_mm_per_day
+
+
+def test_a_change_is_a_slope_between_two_ends() -> None:
+    turn = (Turn(10.0, 20.0, precipitation=0.4, temperature_k=5.0),)
+    assert factor(turn, 119) == 1.0  # the December before
+    assert factor(turn, 240) == pytest.approx(0.4)
+    assert factor(turn, 100_000) == pytest.approx(0.4)
+    steps = [factor(turn, month) - factor(turn, month + 1) for month in range(120, 239)]
+    assert steps == pytest.approx([0.6 / 120] * 119)
+    for month in (119, 150, 500):
+        share = min(1.0, max(0.0, ((month + 0.5) / 12 - 10) / 10))
+        warmer = month_at(NORMALS, turn, month).temperature_c - month_at(NORMALS, (), month).temperature_c
+        assert warmer == pytest.approx(5.0 * share)
+
+
+def test_changes_multiply_rain_and_add_warmth() -> None:
+    turns = (Turn(0.0, 1.0, 0.5, 1.0), Turn(2.0, 3.0, 0.5, -4.0))
+    assert factor(turns, 20) == pytest.approx(0.5)
+    assert factor(turns, 60) == pytest.approx(0.25)
+    assert month_at(NORMALS, turns, 60).temperature_c == pytest.approx(0.0 - 3.0)
+
+
+@pytest.mark.parametrize("at", [0.0, 1.0, 7.3])
+def test_a_change_at_once_comes_between_two_months(at: float) -> None:
+    """from_yr = to_yr is a step, and no division by zero before it."""
+    turn = (Turn(at, at, precipitation=3.0),)
+    for month in range(120):
+        assert factor(turn, month) == pytest.approx(3.0 if (month + 0.5) / 12 >= at else 1.0)
+
+
+def test_a_change_as_recipes_write_it() -> None:
+    assert ClimateChange(from_yr=3, to_yr=3, temperature_k=1).turn == Turn(3.0, 3.0, 1.0, 1.0)
+    chosen = parameters(climate_changes=[{"from_yr": 1, "to_yr": 2, "precipitation": 0.0}])
+    assert chosen.turns == (Turn(1.0, 2.0, 0.0, 0.0),)
+
+
+def test_the_places_are_those_of_the_paper_with_their_years_rain() -> None:
+    assert set(places()) == {"San Diego", "Juneau"}
+    san_diego, juneau = climate_of("San Diego"), climate_of("Juneau")
+    assert san_diego.precipitation_mm_per_yr == pytest.approx(263, abs=1)
+    assert juneau.precipitation_mm_per_yr == pytest.approx(1580, abs=5)
+    assert san_diego.mean_temperature_c == pytest.approx(17.6, abs=0.5)
+    assert juneau.mean_temperature_c == pytest.approx(5.6, abs=0.5)
+    # San Diego's rain is of the winter, and Juneau's of the autumn.
+    assert sum(san_diego.precipitation_mm[4:9]) < 0.05 * san_diego.precipitation_mm_per_yr
+    assert juneau.precipitation_mm.index(max(juneau.precipitation_mm)) in (8, 9)
+
+
+def test_places_are_found_in_any_case_and_near_names_are_told() -> None:
+    assert climate_of("san diego") is climate_of("SAN DIEGO")
+    with pytest.raises(RecipeError, match="did you mean 'San Diego'"):
+        climate_of("San Diago")
+    with pytest.raises(RecipeError, match="by month"):
+        climate_of("Xyzzy")
+
+
+def test_a_places_numbers_can_be_replaced() -> None:
+    wet = [100.0] * 12
+    normals = parameters(climate={"place": "Juneau", "precipitation_mm": wet}).climate.normals()
+    assert normals.precipitation_mm == tuple(wet)
+    assert normals.temperature_c == climate_of("Juneau").temperature_c
+
+
+@pytest.mark.parametrize("values", [(1.0,) * 11, (*(1.0,) * 11, math.nan), (*(1.0,) * 11, -1.0)])
+def test_normals_are_twelve_numbers(values: tuple[float, ...]) -> None:
+    with pytest.raises(ValueError, match="twelve finite numbers"):
+        MonthlyClimate((0.0,) * 12, values)
