@@ -1,4 +1,4 @@
-"""The forest's edge for benchmarks/ecoclimate_relief.py: Figures 43 and 49."""
+"""The forest's edge for benchmarks/ecoclimates.py: Figures 43 and 49."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Stands of recipes of coupled ecoclimates, kept every few years, for ecoclimate_relief.py and ecoclimate_edges.py."""
+"""Stands of recipes of coupled ecoclimates, kept every few years: for valleys and edges."""
 
 from __future__ import annotations
 

@@ -1,23 +1,15 @@
-"""Valleys and edges for benchmarks/ecoclimates.py: where species of a coupled ecoclimate grow, by relief and by shade.
+"""Valleys for benchmarks/ecoclimates.py (Figure 42): a pioneer of dry ground and a species that likes it wet, on hills.
 
-    valleys  42      a dry-ground pioneer and one that likes it wet, over a terrain with valleys (this file)
-    edges    43, 49  four species in a forest among fields; a strip is felled; canopies (ecoclimate_edges.py)
-
-`uv run python benchmarks/ecoclimate_relief.py FIGURE [--quick] [--seeds N] [--out FOLDER]` runs one of them by itself.
-The recipes are recipes/ecoclimates/valleys.yaml and edges.yaml. Species are weighed by their leaf area.
+The recipe is recipes/ecoclimates/valleys.yaml. Species are weighed by their leaf area.
 """
 
 from __future__ import annotations
 
-import argparse
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ecoclimate_edges import edges
 from ecoclimate_places import (
     COLOURS,
     Floats,
@@ -34,7 +26,7 @@ from ecoclimate_places import (
 from matplotlib.figure import Figure
 from silviculture_stands import Report
 
-from forestgen.community.plots import new_figure, save_figure
+from forestgen.community.plots import new_figure
 from forestgen.community.population import Population
 from forestgen.stages.plan import Plan
 
@@ -167,25 +159,3 @@ def valleys_picture(stands: dict[str, list[Stand]]) -> Figure:
         row[3].legend(frameon=False)
     figure.colorbar(shown, ax=axes[:, :3], label="soil water (mm a year)", shrink=0.5, pad=0.01)
     return figure
-
-
-FIGURES = {"valleys": valleys, "edges": edges}
-
-
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("figure", choices=list(FIGURES))
-    parser.add_argument("--quick", action="store_true", help="fewer years")
-    parser.add_argument("--seeds", type=int, default=3, help="number of seeds, from 0 on")
-    parser.add_argument("--out", type=Path, default=Path("out/ecoclimates"), help="folder of the pictures")
-    arguments = parser.parse_args()
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    report = Report()
-    path = arguments.out / f"{arguments.figure}.png"
-    save_figure(FIGURES[arguments.figure](report, arguments.quick, range(max(1, arguments.seeds))), path)
-    report.line(str(path))
-    return 1 if report.missed else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
