@@ -14,6 +14,7 @@ from time import perf_counter
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.patches import Circle
 from numpy.typing import NDArray
 from silviculture_stands import Report
 
@@ -171,9 +172,7 @@ def _show_clouds(axis, condensed: Floats) -> None:  # type: ignore[no-untyped-de
     axis.set_xlabel("km")
 
 
-def _circle():  # type: ignore[no-untyped-def]
-    from matplotlib.patches import Circle
-
+def _circle() -> Circle:
     return Circle((0, 0), CLEARING_M / 1000.0, fill=False, edgecolor="#F59E0B", linewidth=1.5)
 
 

@@ -1,4 +1,4 @@
-"""Makes the documentation's pictures: `uv run python docs/pictures.py` (some fifteen minutes on two cores).
+"""Makes the documentation's pictures: `uv run python docs/pictures.py` (hours on two cores).
 
 quickstart.jpg        the quickstart's view, larger and with more samples; the right half under its instance mask
 branch_modules.jpg    recipes/branch_modules.yaml
@@ -7,6 +7,8 @@ succession_maps.png   recipes/reproductions/succession.yaml at four steps (Lane 
 propagation_maps.png  recipes/reproductions/propagation.yaml at three steps (Lane 2002, Figure 4.6)
 figures/*.jpg         the figures of plants that recipes/reproductions/*_fig*.yaml render, for docs/figures.md
 water.png             what `forestgen simulate` draws of the first recipe of docs/ecoclimates.md
+dryland_patterns.jpg  shrubs over rainfall, as benchmarks/ecoclimates.py draws them (an hour)
+clearing.jpg          clouds over a forest, its clearing and regrowth, by the same
 self_thinning.png     the line of recipes/reproductions/self_thinning.yaml (Lane 2002, Figure 4.4)
 
 and, by docs/placement_pictures.py, of recipes/reproductions/*_fig5_* (Lane 2002, chapter 5):
@@ -118,6 +120,23 @@ def water(scratch: Path) -> None:
     save_sheet([scratch / "water" / "water.png"], 1, "water.png", width=1100, colours=160)
 
 
+def dryland_patterns(scratch: Path) -> None:
+    save_benchmark(scratch, "forests", "dryland_patterns.jpg")
+
+
+def clearing(scratch: Path) -> None:
+    save_benchmark(scratch, "clearing", "clearing.jpg")
+
+
+def save_benchmark(scratch: Path, figure: str, name: str, width: int = 1400) -> None:
+    """The figure of an ecoclimate; bounds that it misses do not keep it from being drawn."""
+    script = ROOT / "benchmarks" / "ecoclimates.py"
+    subprocess.run([sys.executable, script, figure, "--out", scratch], check=False)
+    drawn = Image.open(scratch / f"{figure}.png").convert("RGB")
+    size = width, round(drawn.height * width / drawn.width)
+    save(np.asarray(drawn.resize(size, Image.Resampling.LANCZOS)), name)
+
+
 def figures(scratch: Path) -> None:
     """Each plant figure of docs/figures.md, as its recipe renders it with more samples."""
     for recipe in figure_recipes():
@@ -171,7 +190,17 @@ def save(picture: np.ndarray, name: str) -> None:
 PICTURES_OF = {
     **{
         one.__name__: one
-        for one in (quickstart, succession, succession_maps, propagation_maps, self_thinning, water, figures)
+        for one in (
+            quickstart,
+            succession,
+            succession_maps,
+            propagation_maps,
+            self_thinning,
+            water,
+            dryland_patterns,
+            clearing,
+            figures,
+        )
     },
     **placement_pictures.PICTURES_OF,
     **weather_pictures.PICTURES_OF,

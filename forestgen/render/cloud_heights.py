@@ -118,8 +118,6 @@ def sheet_height_m(spec: SceneSpec, eye_m: float) -> float | None:
     if spec.clouds is None:
         return None
     base_m = base_of(spec.clouds)
-    return (
-        None
-        if base_m is None
-        else max(base_m, highest(spec, [*tops_of(spec.cameras), ("the eye", eye_m)])[1] + _ABOVE_ALL_M)
-    )
+    if base_m is None:
+        return None
+    return max(base_m, highest(spec, [*tops_of(spec.cameras), ("the eye", eye_m)])[1] + _ABOVE_ALL_M)

@@ -68,8 +68,8 @@ def advanced(state: State, climate: LocalClimate | None = None, arriving: Arrivi
     trunk_m = np.zeros(len(plants))
     trunk_m[np.diff(aged.first) > 0] = diameter_m[aged.first[:-1][np.diff(aged.first) > 0]]
     rng = child_rng(state.seed, "community", state.step + 1)
-    now_alive = Standing(plants, adapted, trunk_m, alive)
-    new, seeded = seedlings(state, kinds, around, now_alive, climate, arriving, rng)
+    standing = Standing(plants, adapted, trunk_m, alive)
+    new, seeded = seedlings(state, kinds, around, standing, climate, arriving, rng)
     if not alive.all():
         modules, plants = rows_of_plants(modules, alive), plants.where(alive)
     modules = appended(modules, seeded)

@@ -40,7 +40,7 @@ _NOISE_K = 0.1
 _RELAXATION_S = 1800.0
 _LEAST_KG_PER_M2 = 1e-3  # of condensed water: days with less over the region's ground have no clouds to compare
 _FLAT = 0.5  # of a cell's height: lower hills are no terrain to the air
-_ABOVE_KM_LAPSE = 4.0
+_LAPSE_ABOVE_K_PER_KM = 4.0  # cooling upwards above the inversion
 
 
 @dataclass(frozen=True)
@@ -148,7 +148,7 @@ def day_of(section: WeatherSection, month: Month, of_year: int, index: int, wind
         section.lapse_rate_k_per_km,
         section.inversion_m,
         section.inversion_jump_k,
-        _ABOVE_KM_LAPSE,
+        _LAPSE_ABOVE_K_PER_KM,
         section.relative_humidity,
         section.relative_humidity_aloft,
         0.6 * section.relative_humidity_aloft,

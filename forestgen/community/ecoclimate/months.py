@@ -1,9 +1,9 @@
 """Months of an ecoclimate (seeds 002, Algorithm 1): climate, soil, and then the plants by what they felt of both.
 
 A step has whole months. In each, rain falls by the climate, over the forest more or less of it as its own air makes
-clouds (`air`; on request), the water on and in the soil goes on by the leaves that
-stand there (Eqs. 43, 44), and what plants feel, a mean over their memory, follows. Then the plants go one step on: each
-by the soil water of its own cell and by the shade at its foot (Eq. 38).
+clouds (`air`; on request); the water on and in the soil goes on by the leaves that stand there (Eqs. 43, 44); and what
+plants feel, a mean over their memory, follows. Then the plants go one step on, each by the soil water of its own cell
+and by the shade at its foot (Eq. 38).
 
 Soil water is told to plants as precipitation, since that is what their optima are given in: the rain that would keep
 the soil as wet under a stand of `reference_g_per_m2` of leaves, for ever:
@@ -30,7 +30,7 @@ from forestgen.community.ecoclimate.air import Given, month_of_air
 from forestgen.community.ecoclimate.climate import DAYS_PER_MONTH, MONTHS_PER_YR, Month, month_at
 from forestgen.community.ecoclimate.leaves import leaf_area_index
 from forestgen.community.ecoclimate.parameters import EcoclimateParameters
-from forestgen.community.ecoclimate.state import Books, Ecoclimate
+from forestgen.community.ecoclimate.state import Books, Ecoclimate, parameters_of
 from forestgen.community.model import Site
 from forestgen.community.soil_water.ground import Floats, Ground
 from forestgen.community.soil_water.model import SoilWater, Water
@@ -44,7 +44,7 @@ _SPIN_UP_YR = 3  # of the water under the plants of the start
 
 def begun(forest: State) -> Ecoclimate:
     """The ecoclimate of a new forest: its soil is as wet as some years of its climate leave it in December."""
-    parameters = _parameters(forest)
+    parameters = parameters_of(forest)
     soil = soil_of(parameters, forest.site)
     normals, p = parameters.climate.normals(), soil.parameters
     rain = normals.precipitation_mm_per_yr / _DAYS_PER_YR
@@ -119,12 +119,6 @@ def _soil(site: _Alike, cell_m: float, periodic: bool, water: SoilWaterParameter
 def _heights(site: _Alike, cell_m: float) -> Floats:
     ground = Ground.of_site(site.site, cell_m, periodic=False)
     return np.zeros(ground.shape) if ground.height_m is None else ground.height_m
-
-
-def _parameters(forest: State) -> EcoclimateParameters:
-    parameters = kinds_at(forest).parameters
-    assert isinstance(parameters, EcoclimateParameters)
-    return parameters
 
 
 def _leaves(state: Ecoclimate, ground: Ground) -> Floats:

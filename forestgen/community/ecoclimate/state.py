@@ -41,11 +41,16 @@ class Ecoclimate:
     @property
     def parameters(self) -> EcoclimateParameters:
         """What the next step goes by: with the recipe's changes up to now."""
-        parameters = kinds_at(self.forest).parameters
-        assert isinstance(parameters, EcoclimateParameters)
-        return parameters
+        return parameters_of(self.forest)
 
     @property
     def stored_mm(self) -> float:
         """Mean water on the surface and in the soil."""
         return float(self.water.soil_mm.mean() + self.water.surface_mm.mean())
+
+
+def parameters_of(forest: State) -> EcoclimateParameters:
+    """The parameters at a forest's step, with the recipe's changes up to it."""
+    parameters = kinds_at(forest).parameters
+    assert isinstance(parameters, EcoclimateParameters)
+    return parameters
