@@ -100,7 +100,7 @@ class Subject:
         timings = Timings()
         start = process_time()
         render_radiance(Shot(self.spec, self.camera, Until(samples), seed=1), progress=Silent(), timer=timings)
-        watch.add("radiance", timings.seconds["mitsuba"], process_time() - start)
+        watch.add("radiance", timings.seconds["light paths"], process_time() - start)
 
     def labels(self, watch: Stopwatch) -> tuple[Identity, Surface, PixelLabels]:
         """Every channel but amodal."""

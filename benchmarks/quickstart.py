@@ -28,7 +28,7 @@ def main() -> int:
         total = perf_counter() - start
         manifest = json.loads((target / "manifest.json").read_text(encoding="utf-8"))
     stages = manifest["timings_s"]
-    inside = stages["mitsuba"]
+    inside = stages["light paths"]
     outside = 1 - inside / total
     print()
     for name, spent in sorted(stages.items(), key=lambda item: -item[1]):

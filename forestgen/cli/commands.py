@@ -68,7 +68,7 @@ def render(
     if summary.size_errors:
         _say_size_errors(out, summary.size_errors)
     _say_notes(out, summary.notes)
-    inside = summary.timings_s.get("mitsuba", 0.0) / summary.total_s
+    inside = summary.timings_s.get("light paths", 0.0) / summary.total_s
     frames = count(summary.frames, "frame")
     _say(out, f"{frames} in {seconds(summary.total_s)}, {100 * inside:.0f}% of it inside the renderer")
     _say(out, f"files: {summary.folder}/")

@@ -1,30 +1,27 @@
-"""A scene under a clear or overcast sky: one capture does all."""
+"""A scene under a clear or overcast sky."""
 
 from __future__ import annotations
+
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.randomness import child_seed
-from forestgen.render.build import load, origin_of, scene_dict
-from forestgen.render.light import emitters_of
-from forestgen.render.painted import Painted, path_tracer
-from forestgen.render.sensors import capture
+from forestgen.render.identity import SceneTracer
+from forestgen.render.paths.lit_scene import LitScene
+from forestgen.render.sky_radiance import sky_map
 from forestgen.render.views import Shot, Timer
 from forestgen.scene.channels import Channels
 
 
 class ClearView:
-    def __init__(self, shot: Shot, timer: Timer) -> None:
-        self._shot, self._timer = shot, timer
-        self._painted = Painted(timer)
+    def __init__(self, shot: Shot, tracer: SceneTracer, timer: Timer) -> None:
+        self._seed, self._timer = shot.seed, timer
         with timer("radiance: build"):
-            emitters = {name: self._painted.light(emitter) for name, emitter in emitters_of(shot.spec.sky).items()}
-            self._scene = load({**scene_dict(shot.spec, origin_of(shot.camera), self._painted.paints), **emitters})
-            self._integrator = path_tracer("path", shot.max_depth)
+            self._lit = LitScene(tracer, shot.camera, shot.max_depth, partial(sky_map, shot.spec.sky))
 
     def take(self, channels: Channels, samples: int, number: tuple[int, int]) -> NDArray[np.float64]:
-        self._painted.show(channels)
-        seed = child_seed(self._shot.seed, "clear", *number)
-        with self._timer("mitsuba"):
-            return capture(self._integrator, self._scene, self._shot.camera, samples=samples, seed=seed)[..., :3]
+        with self._timer("light paths"):
+            image = self._lit.take(channels, samples, child_seed(self._seed, "clear", *number))
+        return image.by_sky + image.by_sun + image.beyond

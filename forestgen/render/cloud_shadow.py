@@ -10,6 +10,7 @@ renderer's own sun makes the penumbra, so shadows soften as they should and the 
 from __future__ import annotations
 
 import hashlib
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,18 @@ _LOWEST_SUN = 0.05  # sine of elevation below which shadows reach no further
 _CALL_ROWS = 64
 _KEPT_BYTES = 50_000_000
 Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """The clouds' shadow on a level sheet above the scene, world."""
+
+    transmittance: Floats  # (Y, X) share of the sun's light that comes through to each cell
+    low_m: Floats  # (2,)
+    high_m: Floats  # (2,)
+    height_m: float
+
+
 _kept: BoundedCache[Floats] = BoundedCache(_KEPT_BYTES, lambda one: one.nbytes)
 
 
@@ -83,17 +96,24 @@ def shadow_of(clouds: CloudGrid, to_sun: Floats, base_m: float) -> tuple[Floats,
     return _kept.get(key, lambda: sun_transmittance(clouds, to_sun, base_m, low, high, (columns, rows))), low, high
 
 
+def sheet_of(spec: SceneSpec, eye_m: Floats) -> Sheet | None:
+    """The sheet above a scene and an eye at (3,) world metres; None where no cloud is."""
+    assert spec.clouds is not None
+    height_m, to_sun = sheet_height_m(spec, float(eye_m[2])), spec.sky.to_sun
+    if height_m is None or to_sun[2] <= 0.0:
+        return None
+    return Sheet(*shadow_of(spec.clouds, to_sun, height_m), height_m)
+
+
 def sun_sheet(spec: SceneSpec, origin_m: Floats) -> dict[str, Any] | None:
     """The sheet as a dictionary of the renderer's, in its frame; None where no cloud is."""
-    assert spec.clouds is not None
-    base_m, to_sun = sheet_height_m(spec, float(origin_m[2])), spec.sky.to_sun
-    if base_m is None or to_sun[2] <= 0.0:
+    sheet = sheet_of(spec, origin_m)
+    if sheet is None:
         return None
-    transmittance, low, high = shadow_of(spec.clouds, to_sun, base_m)
     mi = mitsuba()
-    centre, half = (low + high) / 2 - origin_m[:2], (high - low) / 2
-    place = mi.ScalarTransform4f().translate([centre[0], centre[1], base_m - origin_m[2]])
-    bitmap = mi.Bitmap(np.ascontiguousarray((1.0 - transmittance)[..., None].astype(np.float32)))
+    centre, half = (sheet.low_m + sheet.high_m) / 2 - origin_m[:2], (sheet.high_m - sheet.low_m) / 2
+    place = mi.ScalarTransform4f().translate([centre[0], centre[1], sheet.height_m - origin_m[2]])
+    bitmap = mi.Bitmap(np.ascontiguousarray((1.0 - sheet.transmittance)[..., None].astype(np.float32)))
     return {
         "type": "rectangle",
         "to_world": place.scale([half[0], half[1], 1.0]),

@@ -40,7 +40,7 @@ from forestgen.render.painted import Painted, path_tracer
 from forestgen.render.sensors import FilmWindow, capture, is_assembled
 from forestgen.render.settings import CLOUD_ROULETTE_DEPTH
 from forestgen.render.sky_radiance import along, sky_map, sun_radiance
-from forestgen.render.variant import mitsuba
+from forestgen.render.variant import SCALAR, mitsuba, using
 from forestgen.render.views import Shot, Timer
 from forestgen.scene.channels import Channels
 from forestgen.scene.spec import SceneSpec
@@ -83,9 +83,13 @@ class ExactView:
         return self._parts is not None
 
     def take(self, channels: Channels, samples: int, number: tuple[int, int]) -> Floats:
+        with using(SCALAR):
+            return self._take(channels, samples, number)
+
+    def _take(self, channels: Channels, samples: int, number: tuple[int, int]) -> Floats:
         self._painted.show(channels)
         if self._parts is None:
-            with self._timer("mitsuba"):
+            with self._timer("light paths"):
                 return _captured(self._tracer, self._whole, self._shot, samples, ("whole", *number))
         # In the scenes that were looked at the sun's own light was much less noisy than that of clouds and sky.
         image = self._parts.by_sun((samples + 1) // 2, number)
@@ -181,7 +185,7 @@ class _Parts:
         camera = self._shot.camera
         if self._by_sun is None:
             return np.zeros((camera.size_px[1], camera.size_px[0], 3))
-        with self._timer("mitsuba"):
+        with self._timer("light paths"):
             return _captured(self._thinned, self._by_sun, self._shot, samples, ("sun", *number))
 
     def by_clouds(self, channels: Channels, samples: int, number: tuple[int, int], followed: Any) -> Floats:
@@ -198,7 +202,7 @@ class _Parts:
             for index, (fine, window) in enumerate(_films(width, height, count)):
                 name = (kind, *number, index)
                 finer = replace(camera, size_px=(width * fine, height * fine))
-                with self._timer("mitsuba"):
+                with self._timer("light paths"):
                     paths = trace(finer, child_seed(self._shot.seed, *name), window)
                 light = np.zeros((len(paths.pixel), 3))
                 for walk in range(each):
@@ -221,7 +225,7 @@ class _Parts:
         chosen = np.flatnonzero(down & (walks.weight > 0))
         rng = child_rng(self._shot.seed, "down", *name)
         chosen = chosen[rng.random(len(chosen)) < 1.0 / _DOWN_EVERY]
-        with self._timer("mitsuba"):
+        with self._timer("light paths"):
             seed = child_seed(self._shot.seed, "followed", *name)
             met = followed(walks.leaves_m[chosen], walks.direction[chosen], seed)
         light[chosen] += _DOWN_EVERY * walks.weight[chosen, None] * met

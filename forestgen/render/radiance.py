@@ -18,32 +18,34 @@ from forestgen.atmosphere.daylight import daylight_of
 from forestgen.core.progress import Progress
 from forestgen.core.randomness import child_rng
 from forestgen.render.frame import Radiance
+from forestgen.render.identity import SceneTracer
 from forestgen.render.noise import Noise, Schedule, noise_of
 from forestgen.render.sensors import least_samples
 from forestgen.render.slices import SliceSum
 from forestgen.render.unfinished import Unfinished
-from forestgen.render.variant import SCALAR, using
-from forestgen.render.views import Shot, Timer, View, build_view, pixels_of
+from forestgen.render.views import Shot, Timer, View, build_view, is_exact, pixels_of
 from forestgen.render.wavelengths import Quadrature, quadrature_of
 
 _STEPS = 1000  # of the progress of an image
 
 
-def render_radiance(shot: Shot, *, progress: Progress, timer: Timer, kept: Unfinished | None = None) -> Radiance:
+def render_radiance(
+    shot: Shot, *, progress: Progress, timer: Timer, kept: Unfinished | None = None, tracer: SceneTracer | None = None
+) -> Radiance:
     """Radiance of a shot, not yet denoised.
 
     Parameters
     ----------
-    timer : context manager that books time under a name; "mitsuba" is time inside the renderer's own calls.
+    timer : context manager that books time under a name; "light paths" is time without what is set up for them.
     kept : where an interrupted image's sum is kept; None: nowhere.
+    tracer : of the shot's scene, if there is one already.
     """
     open_light = daylight_of(shot.spec.sky).on_level
     quadrature = quadrature_of(shot.camera, shot.mode, open_light)
-    schedule = Schedule(shot.until, quadrature.passes, least_samples(shot.camera))
-    with using(SCALAR):
-        view = build_view(shot, progress, timer)
-        with progress.stage("radiance", _STEPS) as advance:
-            total, noise = _replicates(shot, view, quadrature, schedule, advance, kept)
+    schedule = Schedule(shot.until, quadrature.passes, least_samples(shot.camera) if is_exact(shot) else 1)
+    view = build_view(shot, progress, timer, tracer)
+    with progress.stage("radiance", _STEPS) as advance:
+        total, noise = _replicates(shot, view, quadrature, schedule, advance, kept)
     estimate = total.estimate()
     return Radiance(
         mean=estimate.mean.astype(np.float32),

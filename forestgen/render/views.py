@@ -1,25 +1,29 @@
 """A view of a scene that is built once and captured pass after pass, in other channels and with other seeds.
 
-clear_view.py has scenes without clouds. Under clouds, farfield.py lights the scene by a sky that was rendered once, and
-exact_view.py traces the clouds' volume together with the scene.
+clear_view.py has scenes without clouds. Under clouds, farfield.py lights the scene by a sky that was rendered once.
+Both follow their paths by paths/. exact_view.py has Mitsuba trace the clouds' volume together with the scene.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import AbstractContextManager
-from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple, Protocol
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.progress import Progress
 from forestgen.render.noise import Until
+from forestgen.render.variant import SCALAR, using
 from forestgen.render.wavelengths import Mode
 from forestgen.scene.channels import Channels
 from forestgen.scene.projection import image_circle, rays
 from forestgen.scene.spec import Camera, SceneSpec
+
+if TYPE_CHECKING:
+    from forestgen.render.identity import SceneTracer
 
 CloudTransport = Literal["farfield", "exact"]
 Timer = Callable[[str], AbstractContextManager[Any]]
@@ -46,19 +50,35 @@ class View(Protocol):
         """(H, W, 3) radiance in three channels, by independent paths for each `number` of replicate and pass."""
 
 
-def build_view(shot: Shot, progress: Progress, timer: Timer) -> View:
-    """Build the scene of a shot. Call it, and what it returns, in the scalar variant."""
+def is_exact(shot: Shot) -> bool:
+    """Whether light is traced through the clouds' volume and the scene together."""
+    return shot.spec.clouds is not None and shot.cloud_transport == "exact"
+
+
+def build_view(shot: Shot, progress: Progress, timer: Timer, tracer: SceneTracer | None = None) -> View:
+    """Build the scene of a shot.
+
+    Parameters
+    ----------
+    tracer : of the shot's scene, if there is one already.
+    """
+    if is_exact(shot):
+        from forestgen.render.exact_view import ExactView
+
+        with using(SCALAR):
+            return ExactView(shot, timer)
+    if tracer is None:
+        from forestgen.render.identity import SceneTracer
+
+        with timer("radiance: build"):
+            tracer = SceneTracer(replace(shot.spec, cameras=(shot.camera,)), lambda name: nullcontext())
     if shot.spec.clouds is None:
         from forestgen.render.clear_view import ClearView
 
-        return ClearView(shot, timer)
-    if shot.cloud_transport == "exact":
-        from forestgen.render.exact_view import ExactView
-
-        return ExactView(shot, timer)
+        return ClearView(shot, tracer, timer)
     from forestgen.render.farfield import FarfieldView
 
-    return FarfieldView(shot, progress, timer)
+    return FarfieldView(shot, tracer, progress, timer)
 
 
 class PixelKinds(NamedTuple):

@@ -97,7 +97,7 @@ def _radiance(
         position_m=surface.position_m,
     )
     kept = None if key is None else unfinished(key, seed, camera.name)
-    radiance = render_radiance(shot, progress=progress, timer=timings, kept=kept)
+    radiance = render_radiance(shot, progress=progress, timer=timings, kept=kept, tracer=tracer)
     radiance = through_haze(radiance, tracer, camera, mode=settings.mode, timer=timings)
     if settings.denoise:
         guides = trace_guides(tracer, camera, timer=timings)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from forestgen.scene.spec import Camera
 
 # Of the largest coordinate, a metre at least: shadow rays start this far above their surface. Single precision places
 # a hit to within a few times 6e-8 of it, in the scene's frame and again in the instance's.
-_LIFT = 1e-5
+LIFT = 1e-5
 
 
 def empty_surface(height: int, width: int) -> Surface:
@@ -79,24 +80,32 @@ def positions(camera: Camera, rows: slice, distance_m: NDArray[np.float32]) -> N
     return position
 
 
-def _corners(tracer: SceneTracer, hits: Hits, active: Any) -> list[Any]:
+def corners_of(tracer: SceneTracer, hits: Hits, active: Any) -> list[Any]:
     """The triangle's three vertices, counted within the organ's mesh."""
     mi, dr = mitsuba(), drjit()
     return [dr.gather(mi.UInt32, tracer.corner, hits.face * 3 + k, active) for k in range(3)]
 
 
-def _weights(hits: Hits) -> tuple[Any, Any, Any]:
+def barycentric_weights(hits: Hits) -> tuple[Any, Any, Any]:
+    """Of the triangle's three corners."""
     return 1.0 - hits.uv.x - hits.uv.y, hits.uv.x, hits.uv.y
 
 
 def shading_normal(tracer: SceneTracer, hits: Hits, normal: Any) -> Any:
     """Vertex normals interpolated, on the side of the geometric `normal`; that one where the mesh has none."""
+    corners = corners_of(tracer, hits, hits.valid)
+    return interpolated_normal(tracer, hits, corners, barycentric_weights(hits), normal)
+
+
+def interpolated_normal(
+    tracer: SceneTracer, hits: Hits, corners: Sequence[Any], weights: Sequence[Any], normal: Any
+) -> Any:
+    """`shading_normal` of hits whose corners and weights are known."""
     mi, dr = mitsuba(), drjit()
     first = dr.gather(mi.UInt32, tracer.first_normal, hits.organ, hits.valid)
     smooth = hits.valid & (first != NONE)
-    corners = _corners(tracer, hits, smooth)
     local = mi.Vector3f(0.0)
-    for weight, corner in zip(_weights(hits), corners, strict=True):
+    for weight, corner in zip(weights, corners, strict=True):
         local += weight * dr.gather(mi.Vector3f, tracer.vertex_normal, first + corner, smooth)
     smooth &= dr.squared_norm(local) > 1e-12
     world = tracer.to_world(local, hits)
@@ -110,14 +119,8 @@ def albedo(tracer: SceneTracer, hits: Hits) -> Any:
     mean = dr.gather(mi.Color3f, tracer.mean_albedo, hits.organ, hits.valid)
     first = dr.gather(mi.UInt32, tracer.first_uv, hits.organ, hits.valid)
     textured = hits.valid & (first != NONE)
-    corners, weights = _corners(tracer, hits, hits.valid), _weights(hits)
-    u, v = (
-        sum(
-            weight * dr.gather(mi.Float, tracer.uv, (first + corner) * 2 + axis, textured)
-            for weight, corner in zip(weights, corners, strict=True)
-        )
-        for axis in range(2)
-    )
+    corners, weights = corners_of(tracer, hits, hits.valid), barycentric_weights(hits)
+    u, v = vertex_uv(tracer, hits, corners, weights, textured)
     offset, width, height = (dr.gather(mi.UInt32, tracer.texture, hits.organ * 3 + k, textured) for k in range(3))
     colour = dr.select(textured, bilinear(tracer.texel, offset, width, height, u, v, textured), mean)
     ground = hits.valid & (hits.instance == 0)
@@ -129,19 +132,43 @@ def albedo(tracer: SceneTracer, hits: Hits) -> Any:
     return dr.select(hits.valid, dr.select(ground, blended, colour), 0.0)
 
 
+def vertex_uv(
+    tracer: SceneTracer, hits: Hits, corners: Sequence[Any], weights: Sequence[Any], textured: Any
+) -> tuple[Any, Any]:
+    """u and v of hits on textured meshes."""
+    mi, dr = mitsuba(), drjit()
+    first = dr.gather(mi.UInt32, tracer.first_uv, hits.organ, textured)
+    u, v = (
+        sum(
+            weight * dr.gather(mi.Float, tracer.uv, (first + corner) * 2 + axis, textured)
+            for weight, corner in zip(weights, corners, strict=True)
+        )
+        for axis in range(2)
+    )
+    return u, v
+
+
 def bilinear(texel: Any, first: Any, width: Any, height: Any, u: Any, v: Any, active: Any) -> Any:
     """Colours of repeating textures as in Mitsuba's `bitmap`: texel centres at (i + 0.5) / width, row 0 at v = 0."""
+    mi, dr = mitsuba(), drjit()
+    result = mi.Color3f(0.0)
+    for weight, index in bilinear_places(first, width, height, u, v):
+        result += weight * dr.gather(mi.Color3f, texel, index, active)
+    return result
+
+
+def bilinear_places(first: Any, width: Any, height: Any, u: Any, v: Any) -> list[tuple[Any, Any]]:
+    """Weights and rows of the four texels around a place of a repeating texture."""
     mi, dr = mitsuba(), drjit()
     x, y = ((t - dr.floor(t)) * mi.Float(size) - 0.5 for t, size in ((u, width), (v, height)))
     left, low = mi.Int32(dr.floor(x)), mi.Int32(dr.floor(y))
     columns, rows = mi.Int32(width), mi.Int32(height)
-    result = mi.Color3f(0.0)
+    places = []
     for i, across in ((0, 1.0 - (x - dr.floor(x))), (1, x - dr.floor(x))):
         for j, up in ((0, 1.0 - (y - dr.floor(y))), (1, y - dr.floor(y))):
             column, row = _wrapped(left + i, columns), _wrapped(low + j, rows)
-            index = first + mi.UInt32(row * columns + column)
-            result += across * up * dr.gather(mi.Color3f, texel, index, active)
-    return result
+            places.append((across * up, first + mi.UInt32(row * columns + column)))
+    return places
 
 
 def _wrapped(index: Any, size: Any) -> Any:
@@ -158,7 +185,7 @@ def sun_visible(tracer: SceneTracer, camera: Camera, hits: Hits, normal: Any) ->
     mi, dr = mitsuba(), drjit()
     point = tracer.start_of(camera, hits.rays) + hits.rays.direction * hits.distance_m
     sunny = dr.select(dr.dot(normal, tracer.to_sun) < 0, -normal, normal)  # leaves are lit through from below, too
-    lift = _LIFT * dr.maximum(dr.max(dr.abs(point)), 1.0)
+    lift = LIFT * dr.maximum(dr.max(dr.abs(point)), 1.0)
     ray = mi.Ray3f(point + sunny * lift, tracer.to_sun)
     # Single rays: from leaf to leaf neighbours lose each other, and packets take 1.7 times as long.
     lit = hits.valid & (tracer.spec.sky.kind != "overcast")

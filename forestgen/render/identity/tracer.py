@@ -204,11 +204,15 @@ class SceneTracer:
 
     def trace(self, camera: Camera, offset: NDArray[np.float64], first_row: int, rows: int) -> Hits:
         """Hits of the rays through sub-pixel positions of `rows` rows from `first_row`; order as in `camera_rays`."""
-        mi, dr = mitsuba(), drjit()
+        mi = mitsuba()
         rays = camera_rays(camera, offset, first_row, rows)
-        ray = mi.Ray3f(self.start_of(camera, rays), rays.direction)
         active = mi.Bool(True) if rays.valid is None else rays.valid
-        hit = self.scene.ray_intersect_preliminary(ray, coherent=True, active=active)
+        ray = mi.Ray3f(self.start_of(camera, rays), rays.direction)
+        return self.looked_up(rays, self.scene.ray_intersect_preliminary(ray, coherent=True, active=active), active)
+
+    def looked_up(self, rays: DeviceRays, hit: Any, active: Any) -> Hits:
+        """The hits that a `PreliminaryIntersection3f` of rays stands for."""
+        mi, dr = mitsuba(), drjit()
         valid = hit.is_valid() & active
         registry = dr.reinterpret_array(mi.UInt32, hit.instance)
         # Opaque, as all that changes from scene to scene: a literal would cost each image kernels of its own.
@@ -248,6 +252,14 @@ class SceneTracer:
             *[m[3 * r] * normal.x + m[3 * r + 1] * normal.y + m[3 * r + 2] * normal.z for r in range(3)]
         )
         return turned * dr.rcp(dr.maximum(dr.norm(turned), 1e-20))
+
+    def direction_to_world(self, direction: Any, hits: Hits) -> Any:
+        """World directions, of no special length, of directions in their instances' frames."""
+        mi, dr = mitsuba(), drjit()
+        m = [dr.gather(mi.Float, self.rotation, hits.instance * 9 + k, hits.valid) for k in range(9)]
+        rows = [mi.Vector3f(*m[3 * r : 3 * r + 3]) for r in range(3)]
+        # Of an inverse transpose the cofactors are the matrix itself, but for its scale.
+        return mi.Vector3f(*[dr.dot(dr.cross(rows[(r + 1) % 3], rows[(r + 2) % 3]), direction) for r in range(3)])
 
     def geometric_normal(self, hits: Hits) -> Any:
         """Unit normals, world, towards the camera; 0 for the sky."""

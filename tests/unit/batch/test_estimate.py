@@ -60,7 +60,7 @@ def probe(
 ) -> Probe:
     return Probe(
         image=0, frames=2, plants=14, exemplars=2, triangles=9000, seconds=seconds, made_s=seconds,
-        stages_s=stages or {"mitsuba": 0.6 * seconds}, disk_bytes=disk, memory_bytes=memory, is_first=first,
+        stages_s=stages or {"light paths": 0.6 * seconds}, disk_bytes=disk, memory_bytes=memory, is_first=first,
     )  # fmt: skip
 
 
@@ -106,10 +106,10 @@ def test_counts_grow_with_samples_and_pixels(recipe: Callable[..., LoadedRecipe]
 
 
 def test_a_probe_is_scaled_to_its_image() -> None:
-    stages = {"mitsuba": 1.0, "identity: guides": 1.0, "community": 1.0}
+    stages = {"light paths": 1.0, "identity: guides": 1.0, "community": 1.0}
     assert full_stages(stages, Lighter()) == stages
-    assert full_stages(stages, Lighter(samples=4)) == {"mitsuba": 4.0, "identity: guides": 1.0, "community": 1.0}
-    assert full_stages(stages, Lighter(pixels=3)) == {"mitsuba": 3.0, "identity: guides": 3.0, "community": 1.0}
+    assert full_stages(stages, Lighter(samples=4)) == {"light paths": 4.0, "identity: guides": 1.0, "community": 1.0}
+    assert full_stages(stages, Lighter(pixels=3)) == {"light paths": 3.0, "identity: guides": 3.0, "community": 1.0}
     totals = [sum(full_stages(stages, Lighter(s, p)).values()) for s, p in ((1, 1), (2, 1), (2, 2), (4, 2))]
     assert totals == sorted(set(totals))
 

@@ -1,0 +1,190 @@
+"""Surfaces on the device: what light does where paths meet them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from forestgen.render.identity import Hits, SceneTracer
+from forestgen.render.identity.surface import barycentric_weights, bilinear_places, corners_of, vertex_uv
+from forestgen.render.identity.tables import NONE
+from forestgen.render.paths.surface_tables import Paint, ReliefTables
+from forestgen.render.variant import drjit, mitsuba
+
+
+@dataclass(frozen=True)
+class Local:
+    """A surface at P points, its normals on the side that the paths came from."""
+
+    towards: Any  # Vector3f, unit, back to where the path came from
+    geometric: Any  # Vector3f, unit
+    normal: Any  # Vector3f, unit, shading
+    facet: Any  # Vector3f, unit, of the relief on it; the shading normal where there is none
+    matt: Any  # Color3f
+    through: Any  # Color3f
+    gloss: Any  # Vector3f: scale, width, index; see `surface_tables.Paint`
+    chance: Any  # Vector2f
+
+    def value(self, direction: Any) -> Any:
+        """Color3f: radiance back along the path per light from `direction` on a surface that faces it."""
+        dr = drjit()
+        up, onto = dr.dot(self.normal, direction), dr.dot(self.facet, direction)
+        lit = (up > 0) & (onto > 0) & (dr.dot(self.facet, self.towards) > 0)
+        matt = dr.select(lit, self.matt * (onto / np.pi), 0.0)
+        front = matt + dr.select(up > 0, self._mirrored(direction), 0.0)
+        return dr.select(up > 0, front, self.through * (-up / np.pi)) & (up != 0)
+
+    def _mirrored(self, direction: Any) -> Any:
+        """Float: the gloss' share, by GGX with separable masking (Walter et al. 2007, eqs. 20, 33, 34)."""
+        dr = drjit()
+        half = dr.normalize(self.towards + direction)
+        view, facing = dr.dot(self.normal, self.towards), dr.dot(self.normal, half)
+        up = dr.dot(self.normal, direction)
+        square = self.gloss.y * self.gloss.y
+        spread = dr.square(1.0 - facing * facing * (1.0 - square))
+        masked = _lit(view, square) * _lit(up, square)
+        mirror = fresnel(dr.dot(half, direction), self.gloss.z)
+        value = self.gloss.x * mirror * square * masked / (4 * np.pi * spread * dr.maximum(view, 1e-6))
+        return dr.select((self.gloss.x > 0) & (view > 0) & (facing > 0), value, 0.0)
+
+    def sample(self, lobe: Any, first: Any, second: Any) -> tuple[Any, Any]:
+        """Unit directions in which paths go on, and Color3f by which their light is multiplied.
+
+        Parameters
+        ----------
+        lobe, first, second : (P,) each in [0, 1).
+        """
+        mi, dr = mitsuba(), drjit()
+        passes = lobe < self.chance.x
+        rest = (lobe - self.chance.x) / dr.maximum(1.0 - self.chance.x, 1e-6)
+        glossy = ~passes & (rest < self.chance.y)
+        even = mi.warp.square_to_cosine_hemisphere(mi.Point2f(first, second))
+        matt = mi.Frame3f(dr.select(passes, -self.normal, self.facet)).to_world(even)
+        axes = mi.Frame3f(self.normal)
+        view = axes.to_local(self.towards)
+        half = _visible_facet(view, self.gloss.y, first, second)
+        mirrored = dr.fma(half, 2 * dr.dot(half, view), -view)
+        share = self.gloss.x * fresnel(dr.dot(half, view), self.gloss.z) * _lit(mirrored.z, dr.square(self.gloss.y))
+        direction = dr.select(glossy, axes.to_world(mirrored), matt)
+        back = 1.0 - self.chance.x
+        inside = (dr.dot(self.normal, matt) > 0) & (dr.dot(self.facet, self.towards) > 0)
+        weight = dr.select(inside, self.matt * dr.rcp(dr.maximum(back * (1.0 - self.chance.y), 1e-6)), 0.0)
+        bright = dr.select((mirrored.z > 0) & (view.z > 0), share * dr.rcp(dr.maximum(back * self.chance.y, 1e-6)), 0.0)
+        weight = dr.select(glossy, mi.Color3f(bright), weight)
+        return direction, dr.select(passes, self.through * dr.rcp(dr.maximum(self.chance.x, 1e-6)), weight)
+
+
+def _lit(cosine: Any, square: Any) -> Any:
+    """Share of facets that are not hidden at an angle; `square` of the facets' width."""
+    dr = drjit()
+    up = dr.square(dr.maximum(cosine, 1e-6))
+    return 2.0 / (1.0 + dr.sqrt(1.0 + square * (1.0 - dr.minimum(up, 1.0)) / up))
+
+
+def fresnel(cosine: Any, index: Any) -> Any:
+    """Reflectance for unpolarised light from a medium of index 1."""
+    dr = drjit()
+    inner = dr.sqrt(dr.maximum(1.0 - (1.0 - cosine * cosine) / dr.square(dr.maximum(index, 1.0)), 0.0))
+    across = (cosine - index * inner) / (cosine + index * inner)
+    along = (index * cosine - inner) / (index * cosine + inner)
+    return 0.5 * (across * across + along * along)
+
+
+def _visible_facet(view: Any, width: Any, first: Any, second: Any) -> Any:
+    """Vector3f: normals of facets that are seen from `view` (Heitz 2018)."""
+    mi, dr = mitsuba(), drjit()
+    stretched = dr.normalize(mi.Vector3f(width * view.x, width * view.y, dr.maximum(view.z, 1e-6)))
+    length = stretched.x * stretched.x + stretched.y * stretched.y
+    aside = dr.select(
+        length > 1e-12,
+        mi.Vector3f(-stretched.y, stretched.x, 0.0) * dr.rsqrt(dr.maximum(length, 1e-12)),
+        mi.Vector3f(1.0, 0.0, 0.0),
+    )
+    across = dr.cross(stretched, aside)
+    radius, (sine, cosine) = dr.sqrt(first), dr.sincos(2 * np.pi * second)
+    x, y = radius * cosine, radius * sine
+    share = 0.5 * (1.0 + stretched.z)
+    y = (1.0 - share) * dr.sqrt(dr.maximum(1.0 - x * x, 0.0)) + share * y
+    facet = x * aside + y * across + dr.sqrt(dr.maximum(1.0 - x * x - y * y, 0.0)) * stretched
+    return dr.normalize(mi.Vector3f(width * facet.x, width * facet.y, dr.maximum(facet.z, 1e-6)))
+
+
+class Surfaces:
+    """The tables of a scene on the device; its paint changes with the channels."""
+
+    def __init__(self, tracer: SceneTracer, tables: ReliefTables) -> None:
+        mi = mitsuba()
+        self._tracer = tracer
+        self._texture, self._relief = mi.UInt32(tables.texture.ravel()), mi.Float(tables.normal.ravel())
+        self._first_tangent, self._tangent = mi.UInt32(tables.first_tangent), mi.Float(tables.tangent.ravel())
+
+    def show(self, paint: Paint) -> None:
+        """Have the paint of a pass' channels."""
+        mi, dr = mitsuba(), drjit()
+        self._matt, self._through = mi.Float(paint.matt.ravel()), mi.Float(paint.through.ravel())
+        self._gloss, self._chance = mi.Float(paint.gloss.ravel()), mi.Float(paint.chance.ravel())
+        self._texel = mi.Float(paint.texel.ravel())
+        self._far = mi.Color3f(*[dr.opaque(mi.Float, value) for value in paint.far])
+
+    def at(self, hits: Hits) -> Local:
+        """The surfaces at hits; where none is hit, anything."""
+        mi, dr = mitsuba(), drjit()
+        tracer, valid = self._tracer, hits.valid
+        towards = -hits.rays.direction
+        geometric = tracer.geometric_normal(hits)
+        corners, weights = corners_of(tracer, hits, valid), barycentric_weights(hits)
+        normal = self._shading_normal(hits, corners, weights, geometric)
+        normal = dr.select(dr.dot(normal, towards) < 0, -normal, normal)
+        matt = dr.gather(mi.Color3f, self._matt, hits.organ, valid)
+        offset, width, height = (dr.gather(mi.UInt32, self._texture, hits.organ * 3 + k, valid) for k in range(3))
+        textured = valid & (width > 0)
+        u, v = vertex_uv(tracer, hits, corners, weights, textured)
+        places = bilinear_places(offset, width, height, u, v)
+        colour, relief = mi.Color3f(0.0), mi.Vector3f(0.0)
+        for weight, texel in places:
+            colour += weight * dr.gather(mi.Color3f, self._texel, texel, textured)
+            relief += weight * dr.gather(mi.Vector3f, self._relief, texel, textured)
+        matt = dr.select(textured, self._faded(hits, corners, weights, colour), matt)
+        return Local(
+            towards,
+            geometric,
+            normal,
+            self._facet(hits, normal, towards, relief, textured),
+            matt,
+            dr.gather(mi.Color3f, self._through, hits.organ, valid),
+            dr.gather(mi.Vector3f, self._gloss, hits.organ, valid),
+            dr.gather(mi.Vector2f, self._chance, hits.organ, valid),
+        )
+
+    def _shading_normal(self, hits: Hits, corners: list[Any], weights: tuple[Any, ...], geometric: Any) -> Any:
+        from forestgen.render.identity.surface import interpolated_normal
+
+        return interpolated_normal(self._tracer, hits, corners, weights, geometric)
+
+    def _faded(self, hits: Hits, corners: list[Any], weights: tuple[Any, ...], colour: Any) -> Any:
+        """The ground's colour, that of the distance where it lies far."""
+        mi, dr = mitsuba(), drjit()
+        ground = hits.valid & (hits.instance == 0)
+        far = mi.Float(0.0)
+        for weight, corner in zip(weights, corners, strict=True):
+            far += weight * dr.gather(mi.Float, self._tracer.far_share, corner, ground)
+        far = dr.clip(far, 0.0, 1.0)
+        return dr.select(ground, colour * (1.0 - far) + self._far * far, colour)
+
+    def _facet(self, hits: Hits, normal: Any, towards: Any, relief: Any, textured: Any) -> Any:
+        """Normals of the relief; one that leans away from where the path came from is turned about the surface's."""
+        mi, dr = mitsuba(), drjit()
+        first = dr.gather(mi.UInt32, self._first_tangent, hits.organ, textured)
+        rough = textured & (first != NONE)
+        local = dr.gather(mi.Vector3f, self._tangent, first + hits.primitive, rough)
+        along = self._tracer.direction_to_world(local, hits)
+        along = dr.normalize(along - normal * dr.dot(normal, along))
+        across = dr.cross(normal, along)
+        bump = dr.normalize(relief)
+        facet = bump.x * along + bump.y * across + bump.z * normal
+        turned = 2.0 * bump.z * normal - facet
+        facet = dr.select(dr.dot(facet, towards) <= 0, turned, facet)
+        usable = rough & (dr.squared_norm(local) > 0) & dr.isfinite(dr.dot(facet, facet))
+        return dr.select(usable, facet, normal)

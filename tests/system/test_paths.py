@@ -1,0 +1,322 @@
+"""The path tracer of paths/: exact cases, and Mitsuba's own integrator and surfaces as peers."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from shots import radiance
+from test_exact_light import ALBEDO, COLOURED, GREY, bare_ground, loaded, path, regions, two_lights, white_forest
+from test_exact_light import stand as leafy_stand
+from test_leaf import LEAVES, PASSES
+
+from forestgen.atmosphere.daylight import daylight_of
+from forestgen.core.parts import Part
+from forestgen.core.timing import Timings
+from forestgen.geometry.mesh import Mesh
+from forestgen.plants.bark.texture import bark_texture
+from forestgen.recipe.species import Bark
+from forestgen.render.cloud_shadow import Sheet
+from forestgen.render.identity import SceneTracer
+from forestgen.render.paths.light import Sky as SkyOnDevice
+from forestgen.render.paths.light import Sun
+from forestgen.render.paths.lit_scene import LitScene
+from forestgen.render.paths.scattering import Local
+from forestgen.render.paths.sequence import sequence_of
+from forestgen.render.paths.surface_tables import face_tangents, paint_of
+from forestgen.render.sensors import capture
+from forestgen.render.sky_radiance import MAP_COLUMNS, MAP_ROWS, along, sky_map
+from forestgen.render.surfaces import surface_bsdf
+from forestgen.render.variant import LLVM, SCALAR, drjit, mitsuba, using
+from forestgen.scene.channels import RGB
+from forestgen.scene.spec import Lens, Material, SceneSpec, Sky
+from forestgen.testing.bark_post import REFLECTANCE, TILE_M, leaning_texture, post_scene
+from forestgen.testing.scenes import camera_at, scattered_scene, shifted
+
+UP = (0.0, 0.0, 1.0)
+
+
+# ---- surfaces
+
+
+def local(material: Material, towards, channels=RGB, part: Part = Part.LEAF, facet=UP) -> Local:
+    """A level surface with the paint of an organ."""
+    spec = scattered_scene(1, exemplars=1, leaves=4)
+    exemplar = spec.exemplars[0]
+    organ = replace(exemplar.organs[0], part=part)
+    spec = replace(
+        spec,
+        exemplars=(replace(exemplar, organs=(organ,)),),
+        materials={(exemplar.species, organ.material): material},
+    )
+    paint = paint_of(spec, channels)
+    mi, count = mitsuba(), len(towards)
+
+    def vector(kind, values):
+        return kind(*(np.full(count, float(value), np.float32) for value in values))
+
+    return Local(
+        mi.Vector3f(np.asarray(towards, np.float32).T),
+        *(vector(mi.Vector3f, one) for one in (UP, UP, facet)),
+        *(vector(mi.Color3f, one[1]) for one in (paint.matt, paint.through)),
+        vector(mi.Vector3f, paint.gloss[1]),
+        vector(mi.Vector2f, paint.chance[1]),
+    )
+
+
+def directions(count: int, seed: int, *, above: bool = False) -> np.ndarray:
+    vectors = np.random.default_rng(seed).normal(size=(count, 3))
+    vectors /= np.linalg.norm(vectors, axis=1, keepdims=True)
+    if above:
+        vectors[:, 2] = np.maximum(np.abs(vectors[:, 2]), 1e-3)
+        vectors /= np.linalg.norm(vectors, axis=1, keepdims=True)
+    return vectors.astype(np.float32)
+
+
+@pytest.mark.parametrize("channels", PASSES.values(), ids=PASSES)
+@pytest.mark.parametrize("name", LEAVES)
+def test_surfaces_are_those_that_mitsuba_is_given(name, channels):
+    """Leaves and wood of every material, between any two directions."""
+    view, light = directions(4000, 1, above=True), directions(4000, 2)
+    for part in (Part.LEAF, Part.TRUNK):
+        with using(LLVM) as mi:
+            dr = drjit()
+            bsdf = mi.load_dict(surface_bsdf(part, LEAVES[name], channels), optimize=False)
+            at = dr.zeros(mi.SurfaceInteraction3f, len(view))
+            at.wi = mi.Vector3f(view.T)
+            theirs = np.array(bsdf.eval(mi.BSDFContext(), at, mi.Vector3f(light.T)))
+            ours = np.array(local(LEAVES[name], view, channels, part).value(mi.Vector3f(light.T)))
+        np.testing.assert_allclose(ours, theirs, rtol=2e-3, atol=1e-6)
+
+
+@pytest.mark.parametrize("facet", [UP, (0.6, 0.0, 0.8)], ids=["smooth", "leaning"])
+@pytest.mark.parametrize("name", LEAVES)
+def test_chosen_directions_carry_what_the_surface_returns(name, facet):
+    """The mean weight of sampled directions, by quarters of the sphere, is the integral of the value there."""
+    count = 400_000
+    view = np.tile(np.float32([0.48, 0.36, 0.8]), (count, 1))
+    rng = np.random.default_rng(5)
+    with using(LLVM) as mi:
+        surface = local(LEAVES[name], view, facet=facet)
+        lobe, first, second = (mi.Float(rng.random(count).astype(np.float32)) for _ in range(3))
+        going, weight = (np.array(one, dtype=np.float64).T for one in surface.sample(lobe, first, second))
+        even = directions(count, 6)
+        value = np.array(surface.value(mi.Vector3f(even.T)), dtype=np.float64).T * 4 * np.pi
+    assert np.isfinite(weight).all()
+    assert (weight >= 0).all()
+    np.testing.assert_allclose(np.linalg.norm(going, axis=1), 1.0, atol=1e-4)
+    for above in (True, False):
+        for east in (True, False):
+            parts = []
+            for where, what in ((going, weight), (even, value)):
+                inside = ((where[:, 2] > 0) == above) & ((where[:, 0] > 0) == east)
+                parts.append(np.where(inside[:, None], what, 0.0))
+            (one, other), error = (part.mean(axis=0) for part in parts), np.hypot(*(p.std(axis=0) for p in parts))
+            assert np.all(np.abs(one - other) <= 4.5 * error / np.sqrt(count) + 1e-6), (above, east, one, other)
+
+
+def test_tangents_run_along_u():
+    corners = np.array([[0, 0, 0], [2, 0, 0], [0, 1, 0], [0, 0, 3]], np.float32)
+    faces = np.array([[0, 1, 2], [0, 2, 3], [0, 0, 0]], np.uint32)
+    uv = np.array([[0, 0], [0, 1], [-1, 0], [0, 0]], np.float32)  # u falls along y; the second face has no area in uv
+    tangents = face_tangents(Mesh(corners, faces, None, uv))
+    np.testing.assert_allclose(tangents[0], [0, -1, 0], atol=1e-6)
+    np.testing.assert_array_equal(tangents[1:], 0.0)
+
+
+# ---- points
+
+
+@pytest.mark.parametrize("count", [1, 2, 16, 64])
+def test_points_fill_every_elementary_interval(count):
+    """(0, 2)-nets in base 2: a point in each box of area 1 / N, in every choice of every pixel."""
+    with using(LLVM) as mi:
+        dr = drjit()
+        number = dr.arange(mi.UInt32, count)
+        seen = []
+        for seed in range(4):
+            for pixel in (0, 7, 2**24):
+                sequence = sequence_of(mi.UInt32(seed), mi.UInt32(pixel) + dr.zeros(mi.UInt32, count), number)
+                pairs = [sequence.pair(mi.UInt32(choice)) for choice in range(3)]
+                seen += [np.stack([np.array(one) for one in pair]) for pair in pairs]
+    powers = int(np.log2(count))
+    for x, y in seen:
+        for k in range(powers + 1):
+            box = (x * 2**k).astype(int) * 2 ** (powers - k) + (y * 2 ** (powers - k)).astype(int)
+            assert len(np.unique(box)) == count
+    assert len({one.tobytes() for one in seen}) == len(seen)
+    every = np.concatenate(seen, axis=1)
+    assert every.min() >= 0
+    assert every.max() < 1
+    assert abs(every.mean() - 0.5) < 4 * np.sqrt(1 / 12 / every.size)
+
+
+# ---- lights
+
+
+def test_the_sky_is_looked_up_as_in_numpy():
+    sky = sky_map(Sky(35.0, 120.0, 4.0), RGB)
+    towards = np.concatenate([directions(5000, 3), np.float32([[0, 0, 1], [0, 0, -1], [-1, 0, 0], [-1, -1e-7, 0]])])
+    with using(LLVM) as mi:
+        seen = np.array(SkyOnDevice(sky).towards(mi.Vector3f(towards.T), mi.Bool(True))).T
+    assert sky.shape == (MAP_ROWS, MAP_COLUMNS, 3)
+    np.testing.assert_allclose(seen, along(sky, towards.astype(np.float64)), rtol=2e-3, atol=2e-3 * sky.max())
+
+
+def test_the_sun_is_a_disc_behind_its_sheet():
+    to_sun = Sky(40.0, 200.0, 3.0).to_sun
+    cells = np.random.default_rng(1).random((5, 7))
+    sheet = Sheet(cells, np.array([-70.0, -50.0]), np.array([70.0, 50.0]), 30.0)
+    with using(LLVM) as mi:
+        dr = drjit()
+        sun = Sun(to_sun, np.ones(3), np.full(3, 2.0), sheet, np.array([10.0, 0.0, 5.0]))
+        steps = (dr.arange(mi.Float, 4096) + 0.5) / 4096
+        disc = np.array(sun.sample(steps, mi.Float(steps * 1000.0) - dr.floor(steps * 1000.0))).T
+        angle = np.degrees(np.arcsin(np.linalg.norm(np.cross(disc, to_sun), axis=1)))
+        assert angle.max() < 0.2666
+        assert np.sqrt(np.mean(angle**2)) == pytest.approx(0.2665 / np.sqrt(2), rel=0.02)
+        sides = [to_sun + np.array([0, 0, dz]) for dz in (0.0045, 0.0065)]
+        seen = np.array(sun.seen(mi.Vector3f(np.float32([one / np.linalg.norm(one) for one in sides]).T)))
+        np.testing.assert_allclose(seen[0], [2.0, 0.0])
+        # Straight below the middles of cells; between two of them; beside the sheet; above it.
+        up = to_sun / to_sun[2]
+        above = [(-60, -40), (0, 0), (60, 40), (-50, -40), (75, 0), (0, 0)]
+        depth = [25.0] * 5 + [-1.0]
+        points = [np.array([x, y, 30.0]) - up * d - [10.0, 0, 5.0] for (x, y), d in zip(above, depth, strict=True)]
+        found = np.array(sun.share(mi.Point3f(np.float32(points).T), mi.Vector3f(*map(float, to_sun)), mi.Bool(True)))
+    wanted = [cells[0, 0], cells[2, 3], cells[4, 6], (cells[0, 0] + cells[0, 1]) / 2, 1.0, 1.0]
+    np.testing.assert_allclose(found, wanted, atol=1e-4)
+
+
+# ---- exact cases
+
+
+@pytest.mark.parametrize("zenith_deg", [0, 60])
+def test_a_lambertian_plane(zenith_deg):
+    spec = bare_ground(Sky(90.0 - zenith_deg, 140.0, 3.0))
+    light = daylight_of(spec.sky)
+    on_level = RGB.of_light(light.sun) * np.cos(np.radians(zenith_deg)) + RGB.of_light(light.sky)
+    seen = radiance(spec, 256, seed=2).mean.mean(axis=(0, 1))
+    np.testing.assert_allclose(seen, ALBEDO / np.pi * on_level, rtol=0.003)
+
+
+def white_sky(spec: SceneSpec, max_depth: int = 4096) -> LitScene:
+    """The first camera under a sky of 1 all around."""
+    overcast = replace(spec, sky=replace(spec.sky, kind="overcast"))
+    ones = np.ones((MAP_ROWS, MAP_COLUMNS, 3), dtype=np.float32)
+    return LitScene(SceneTracer(overcast, Timings()), spec.cameras[0], max_depth, lambda channels: ones)
+
+
+@pytest.mark.parametrize("leaf", [GREY, COLOURED], ids=["grey", "coloured"])
+@pytest.mark.parametrize("away_m", [0.0, 1000.0])
+def test_white_furnace(leaf, away_m):
+    """Nothing takes light away, so all of it comes back: from every part, near and far, and far from the origin."""
+    spec = shifted(white_forest(leaf), (away_m, away_m, 0.0))
+    lit = white_sky(spec)
+    found = [lit.take(RGB, 64, seed=k) for k in range(6)]
+    assert not any(one.by_sun.any() for one in found)
+    images = np.array([one.by_sky + one.beyond for one in found])
+    for name, where in {"all": np.ones(images.shape[1:3], dtype=bool), **regions(spec)}.items():
+        means = images[:, where].mean(axis=1)
+        error = images[:, where].std(axis=(0, 1)) / np.sqrt(means.shape[0] * where.sum())
+        assert np.all(np.abs(means.mean(axis=0) - 1.0) <= 0.001 + 3.5 * error), name
+        assert error.max() < 0.002 or name != "all"
+
+
+# ---- Mitsuba's own integrator as a peer
+
+
+def by_mitsuba(spec: SceneSpec, count: int, samples: int) -> np.ndarray:
+    with using(SCALAR) as mi:
+        built, integrator = loaded(spec, two_lights(spec.sky, RGB)), mi.load_dict(path())
+        images = [
+            capture(integrator, built, spec.cameras[0], samples=samples, seed=100 + k)[..., :3] for k in range(count)
+        ]
+    return np.array(images)
+
+
+def assert_same(ours: np.ndarray, theirs: np.ndarray, side: int = 6) -> None:
+    """(K, H, W, 3) independent images: blocks agree within noise, and the whole within 1%."""
+    blocks = []
+    for images in (ours, theirs):
+        count, height, width, _ = images.shape
+        cut = images[:, : height // side * side, : width // side * side]
+        shaped = cut.reshape(count, height // side, side, width // side, side, 3).mean(axis=(2, 4))
+        blocks.append((shaped.mean(axis=0), shaped.std(axis=0, ddof=1) / np.sqrt(count)))
+    (one, one_error), (other, other_error) = blocks
+    score = (one - other) / np.hypot(np.hypot(one_error, other_error), 1e-3 * other.mean())
+    assert np.abs(score).max() < 6.5  # of t with few degrees of freedom, in hundreds of blocks
+    assert np.sqrt(np.mean(score**2)) < 1.6
+    error = np.hypot(ours.mean(axis=(1, 2)).std(axis=0), theirs.mean(axis=(1, 2)).std(axis=0)) / np.sqrt(len(ours) - 1)
+    difference = ours.mean(axis=(0, 1, 2)) / theirs.mean(axis=(0, 1, 2)) - 1
+    assert np.all(np.abs(difference) < 4 * error / theirs.mean(axis=(0, 1, 2)) + 0.002)
+
+
+def images_of(spec: SceneSpec, count: int, samples: int) -> np.ndarray:
+    return np.array([radiance(spec, samples, seed=k + 1).mean for k in range(count)], dtype=np.float64)
+
+
+def below(eye, size_px=(48, 30)):
+    return camera_at(eye, (12.0, 12.0, 0.0), size_px)
+
+
+CAMERAS = {
+    "perspective": camera_at((12.5, -6.0, 3.0), (12.5, 12.0, 1.5), (48, 30)),
+    "lens": replace(below((12.5, -6.0, 3.0)), lens=Lens(0.2, 15.0)),
+    "from above": replace(below((12.0, 11.9, 30.0)), projection="orthographic", width_m=25.0),
+    "fisheye": replace(camera_at((12.0, 12.0, 0.5), (12.0, 12.1, 9.0), (30, 30)), projection="fisheye", hfov_deg=180.0),
+    "panorama": replace(
+        camera_at((12.0, 12.0, 2.5), (12.0, 30.0, 2.5), (48, 24)), projection="panorama", hfov_deg=360.0
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_all_cameras_see_what_mitsuba_renders(name):
+    spec = replace(leafy_stand(), cameras=(CAMERAS[name],))
+    glossy = {key: replace(one, gloss=0.03 if key[1] != "bark" else 0.0) for key, one in spec.materials.items()}
+    spec = replace(spec, materials=glossy)
+    # Near a panorama's poles Mitsuba's image, put together from cube faces, weighs rays by their solid angles.
+    rows = slice(6, 18) if name == "panorama" else slice(None)
+    assert_same(images_of(spec, 12, 32)[:, rows], by_mitsuba(spec, 12, 32)[:, rows])
+
+
+@pytest.mark.parametrize("turn_deg", [0.0, 140.0])
+def test_relief_of_bark_is_lit_as_mitsuba_lights_it(turn_deg):
+    """A texture whose heights rise along u and v: it has a side, and is darker away from the sun."""
+    furrowed = bark_texture(Bark(pattern="furrowed", tile_m=TILE_M, depth_m=0.004), REFLECTANCE, "post/bark")
+    for texture in (leaning_texture((0.6, 0.3)), furrowed):
+        spec = post_scene(Material(REFLECTANCE, texture=texture), turn_deg=turn_deg)
+        spec = replace(spec, sky=Sky(30.0, 200.0, 3.0))
+        assert_same(images_of(spec, 10, 64), by_mitsuba(spec, 10, 64))
+
+
+def test_an_image_is_the_same_with_any_threads_and_blocks(monkeypatch):
+    from forestgen.render.paths import tracer
+
+    spec = leafy_stand(size_px=(40, 24))
+    whole = radiance(spec, 8, seed=1).mean
+    try:
+        mitsuba(threads=1)
+        np.testing.assert_array_equal(radiance(spec, 8, seed=1).mean, whole)
+        monkeypatch.setattr(tracer, "_PATHS_AT_ONCE", 40 * 8 * 3)
+        np.testing.assert_array_equal(radiance(spec, 8, seed=1).mean, whole)
+    finally:
+        mitsuba(threads=2)
+    assert not np.array_equal(radiance(spec, 8, seed=2).mean, whole)
+
+
+def test_depth_counts_scatterings():
+    """Two: straight from the lights and by one scattering; each more adds light."""
+    spec = leafy_stand(size_px=(40, 24))
+    means = [radiance(spec, 32, seed=1, max_depth=depth).mean.mean() for depth in (1, 2, 3, 64)]
+    assert all(one < other for one, other in pairwise(means))
+    with using(SCALAR) as mi:
+        built = loaded(spec, two_lights(spec.sky, RGB))
+        theirs = [
+            capture(mi.load_dict(path(depth)), built, spec.cameras[0], samples=64, seed=1)[..., :3].mean()
+            for depth in (1, 2, 3)
+        ]
+    np.testing.assert_allclose(means[:3], theirs, rtol=0.02)
