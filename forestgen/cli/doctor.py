@@ -117,4 +117,4 @@ def _llvm() -> Finding:
 
 def _cuda() -> Finding:
     found = _tried("GPU", "check_cuda", "", required=False)
-    return replace(found, text=f"{found.text}; {'not used yet' if found.good else 'not needed'}: all work is the CPU's")
+    return replace(found, text=f"{found.text}; {'used if FORESTGEN_TRACING is cuda' if found.good else 'not needed'}")

@@ -135,7 +135,7 @@ def _summed(place: Ints, value: Floats, shape: tuple[int, int]) -> Floats:
 
 def _developed(total: Floats, camera: Camera, part: FilmWindow) -> Floats:
     """Sums over weights; see the module's decisions for empty pixels and the rim."""
-    inside = share_inside(camera, part)
+    inside = _share_inside(camera, part)
     empty = (total[..., 4] == 0) & (inside > 0)
     for reach in range(1, 6):
         if not empty.any():
@@ -156,7 +156,7 @@ def _pooled(total: Floats, reach: int, *, wraps: bool) -> Floats:
     return uniform_filter1d(summed, 3, axis=0, mode="nearest") if reach > 3 else summed
 
 
-def share_inside(camera: Camera, part: FilmWindow) -> Floats:
+def _share_inside(camera: Camera, part: FilmWindow) -> Floats:
     """(H, W) share of each pixel that lies in the fisheye's circle; 1 in a panorama."""
     if camera.projection == "panorama":
         return np.ones((part.height, part.width))

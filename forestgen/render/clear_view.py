@@ -19,9 +19,12 @@ class ClearView:
     def __init__(self, shot: Shot, tracer: SceneTracer, timer: Timer) -> None:
         self._seed, self._timer = shot.seed, timer
         with timer("radiance: build"):
-            self._lit = LitScene(tracer, shot.camera, shot.max_depth, partial(sky_map, shot.spec.sky))
+            sky = partial(sky_map, shot.spec.sky)
+            self._lit = LitScene(tracer, shot.camera, shot.max_depth, sky)
 
     def take(self, channels: Channels, samples: int, number: tuple[int, int]) -> NDArray[np.float64]:
+        with self._timer("radiance: repaint"):
+            self._lit.show(channels)
         with self._timer("light paths"):
-            image = self._lit.take(channels, samples, child_seed(self._seed, "clear", *number))
-        return image.by_sky + image.by_sun + image.beyond
+            image = self._lit.take(samples, child_seed(self._seed, "clear", *number))
+        return np.asarray(image.by_sky + image.by_sun + image.beyond, dtype=np.float64)

@@ -3,8 +3,8 @@
 Where rain falls beside the site the sheet lies lower (render/cloud_heights.py). It holds the share of the sun's light
 that comes down to each place of it, mean over the disc and over the place's own area, by exact integrals of the field
 above it (atmosphere/optical_depth.py). It reaches as far as the field and, away from the sun, as far as the shadow of
-its tops: land beyond the site sends its light to it, and shadows on it are seen. Between sheet and ground the
-renderer's own sun makes the penumbra, so shadows soften as they should and the disc under the canopy stays what it is.
+its tops: land beyond the site sends its light to it, and shadows on it are seen. Between sheet and ground the disc that
+light is sampled on makes the penumbra, so shadows soften as they should and sunflecks under the canopy stay discs.
 """
 
 from __future__ import annotations

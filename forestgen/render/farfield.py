@@ -50,9 +50,11 @@ class FarfieldView:
         return sky.overland(here, place_m, base_m)
 
     def take(self, channels: Channels, samples: int, number: tuple[int, int]) -> Floats:
+        with self._timer("radiance: repaint"):
+            self._lit.show(channels)
         with self._timer("light paths"):
-            found = self._lit.take(channels, samples, child_seed(self._shot.seed, "farfield", *number))
-        image = found.by_sky
+            found = self._lit.take(samples, child_seed(self._shot.seed, "farfield", *number))
+        image: Floats = found.by_sky.astype(np.float64)
         if self._land is not None and self._shot.position_m is not None:
             image = image * self._land.ratio(channels, self._shot.position_m)
         with self._timer("clouds: sky pixels"):

@@ -1,4 +1,4 @@
-"""What the views of a scene share: lights and surfaces whose channels change in place, and path tracers."""
+"""Mitsuba's lights and surfaces, whose channels change in place, and its path tracers."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ class Painted:
         self._lights: list[tuple[Any, Callable[[Channels], dict[str, Any]]]] = []
         self._timer = timer
 
-    def light(self, recipe: Callable[[Channels], dict[str, Any]], first: dict[str, Any] | None = None) -> Any:
+    def light(self, recipe: Callable[[Channels], dict[str, Any]]) -> Any:
         """An emitter that is made, and later repainted, by a function of the channels; an object for one scene."""
-        emitter = mitsuba().load_dict(recipe(RGB) if first is None else first, optimize=False)
+        emitter = mitsuba().load_dict(recipe(RGB), optimize=False)
         self._lights.append((emitter, recipe))
         return emitter
 

@@ -5,7 +5,7 @@ One place, so that a benchmark of efficiency, 1 / (variance x CPU seconds), can 
 
 from __future__ import annotations
 
-SAMPLER = "multijitter"  # of sensors: stratified over a pixel and a path's first choices
+SAMPLER = "multijitter"  # of Mitsuba's sensors: stratified over a pixel and a path's first choices
 ROULETTE_DEPTH = 2  # scatterings before a path may end by chance
 SKY_BESIDE_SUN_WEIGHT = 0.0  # share of light samples that go to a clear sky, against the sun's 1: it is found by chance
 CLOUD_ROULETTE_DEPTH = 4096  # earlier, a few long paths carry the light: of a cloud 100 deep, from 64 on, a third of it

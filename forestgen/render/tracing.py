@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -10,6 +12,17 @@ from numpy.typing import NDArray
 
 from forestgen.core.errors import RenderError
 from forestgen.render.variant import SCALAR, mitsuba
+
+
+@contextmanager
+def renderer_errors() -> Iterator[None]:
+    """The renderer's and Dr.Jit's own errors as `RenderError`, and as `MemoryError` where they ran out of memory."""
+    try:
+        yield
+    except RuntimeError as error:
+        if "out of memory" in str(error).lower():
+            raise MemoryError(str(error)) from error
+        raise RenderError(f"Mitsuba stopped: {error}") from error
 
 
 def interruptible(integrator: Any, scene: Any, sensor: Any, seed: int, samples: int) -> NDArray[np.float32]:

@@ -1,9 +1,9 @@
 """Mitsuba's variants, made ready once. Nothing else in forestgen imports Mitsuba at module level.
 
-The scalar variant traces radiance (bitwise repeatable, any number of instances); the LLVM variant, or where it is asked
-for the CUDA one, traces identity (no per-instance code). All need Dr.Jit, whose LLVM back end needs libLLVM >= 19: the
-wheel `karellen-llvm-core` ships one in the environment's lib/, and DRJIT_LIBLLVM_PATH must name it before Dr.Jit is
-first imported.
+The LLVM variant, or where it is asked for the CUDA one, traces identity and light paths (no code per instance or
+material); the scalar variant traces what needs Mitsuba's own integrators: exact clouds, light meters, charts. All need
+Dr.Jit, whose LLVM back end needs libLLVM >= 19: the wheel `karellen-llvm-core` ships one in the environment's lib/, and
+DRJIT_LIBLLVM_PATH must name it before Dr.Jit is first imported.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ def drjit() -> Any:
 
 
 def tracing_variant() -> str:
-    """The variant that traces identity: LLVM, or what the environment variable FORESTGEN_TRACING names.
+    """The variant that traces identity and light paths: LLVM, or what the environment variable FORESTGEN_TRACING names.
 
     Both run the same code. Their ids differ in samples that lie within rounding error of an edge: so one machine with
     a GPU and one without would write different bytes, and CUDA is never chosen by itself.
@@ -111,7 +111,7 @@ def require(variant: str) -> None:
         check_cuda()
     except RuntimeError as error:
         raise ResourceError(
-            f"the identity pass was asked to run on CUDA, and there is {error}",
+            f"rays were to be traced on CUDA, and there is {error}",
             expected="an NVIDIA driver and device",
             hint=f"unset {TRACING_ENVIRONMENT} to trace on the processor; `forestgen doctor` shows what is found",
         ) from error
@@ -121,7 +121,7 @@ def require_llvm() -> None:
     """Raise `ResourceError` if the LLVM variant cannot run here."""
     if find_llvm() is None:
         raise ResourceError(
-            "no LLVM library was found, and the identity pass needs one",
+            "no LLVM library was found, and tracing rays needs one",
             expected=f"libLLVM 19 or newer in {Path(sys.prefix) / 'lib'} or at DRJIT_LIBLLVM_PATH",
             hint="pip install karellen-llvm-core; `forestgen doctor` shows what is found",
         )

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from forestgen.core.progress import Silent
 from forestgen.core.timing import Timings
-from forestgen.render.build import load, origin_of, scene_dict
 from forestgen.render.frame import Identity, Radiance, Surface
 from forestgen.render.identity import SceneTracer, trace_identity
 from forestgen.render.noise import Until
+from forestgen.render.paths.lit_scene import LitScene
 from forestgen.render.radiance import render_radiance
-from forestgen.render.sensors import sensor_of
-from forestgen.render.surfaces import Paints
-from forestgen.render.variant import SCALAR, mitsuba
+from forestgen.render.sky_radiance import sky_map
 from forestgen.render.views import Shot
 from forestgen.render.wavelengths import Mode
+from forestgen.scene.channels import RGB
 from forestgen.scene.spec import Camera, SceneSpec
 
 
@@ -40,10 +41,7 @@ def radiance(spec: SceneSpec, samples: int | Until, seed: int, max_depth: int = 
 
 
 def alpha(spec: SceneSpec, samples: int) -> np.ndarray:
-    """(H, W) share of the radiance pass' rays that meet the scene."""
-    mi = mitsuba()
-    with mi.variant_context(SCALAR):
-        scene = load({**scene_dict(spec, origin_of(spec.cameras[0]), Paints()), "light": {"type": "constant"}})
-        integrator = mi.load_dict({"type": "volpath", "max_depth": 2, "hide_emitters": True})
-        image = integrator.render(scene, sensor=sensor_of(spec.cameras[0], samples), seed=1, spp=samples)
-        return np.array(image)[..., 3].astype(np.float64)
+    """(H, W) share of the light paths of the first camera that meet the scene; outside of a circle 1."""
+    lit = LitScene(SceneTracer(spec, Timings()), spec.cameras[0], 1, partial(sky_map, spec.sky))
+    lit.show(RGB)
+    return 1.0 - lit.take(samples, seed=1).open

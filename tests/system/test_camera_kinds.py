@@ -6,20 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from shots import shot
+from shots import alpha, shot
 from ties import hits_around
 
 from forestgen.core.parts import Part
 from forestgen.core.timing import Timings
 from forestgen.labels.masks import coverage_ranks, instance_mask
 from forestgen.render.amodal import trace_amodal
-from forestgen.render.build import load, origin_of, scene_dict
 from forestgen.render.frame import Identity, Surface
 from forestgen.render.identity import SceneTracer, sample_offsets
 from forestgen.render.identity.tracer import camera_rays
-from forestgen.render.sensors import capture
-from forestgen.render.surfaces import Paints
-from forestgen.render.variant import SCALAR, mitsuba, using
+from forestgen.render.variant import mitsuba, using
 from forestgen.scene.projection import depth_is_distance, image_circle, lens_points
 from forestgen.scene.spec import Camera, SceneSpec
 from forestgen.testing.cameras import KINDS, camera_of
@@ -222,11 +219,8 @@ def test_coverage_is_the_radiance_passes(name, spec):
         view = replace(view, lens=replace(view.lens, aperture_radius_m=0.3))
     scene = replace(spec, cameras=(view,))
     ours = (shot(SceneTracer(scene, Timings()), view, 64)[0].part != Part.NOTHING).mean(axis=2)
-    mi, samples = mitsuba(), 256
-    with mi.variant_context(SCALAR):
-        made = load({**scene_dict(scene, origin_of(view), Paints()), "light": {"type": "constant"}})
-        integrator = mi.load_dict({"type": "volpath", "max_depth": 2, "hide_emitters": True})
-        theirs = capture(integrator, made, view, samples=samples, seed=1)[..., 3]
+    samples = 256
+    theirs = alpha(scene, samples)
     inside = np.ones(ours.shape, dtype=bool)
     if view.projection == "fisheye":
         column, row = np.meshgrid(np.arange(40), np.arange(28))

@@ -124,7 +124,7 @@ def test_ids_of_32_bits_survive(small):
 
 
 def test_radiance_sees_the_same_sky_as_identity():
-    """The share of sky, by the radiance pass' alpha at random points and by identity's regular samples."""
+    """The share of sky, by the light paths at random points and by identity's regular samples."""
     spec = scattered_scene(
         60, size_m=30, exemplars=3, leaves=300, size_px=(48, 27), terrain=plain_ground(-60, 90), seed=8
     )

@@ -42,20 +42,21 @@ class LitScene:
             self._surfaces = Surfaces(tracer, relief_tables(tracer.spec))
             self._paths = PathTracer(tracer, camera, self._surfaces, max_depth)
 
-    def take(self, channels: Channels, samples: int, seed: int) -> Image:
-        """An image in three channels, by independent paths for each seed."""
-        with using(self._tracer.variant):
-            self._show(channels)
-            return self._paths.take(self._sky, self._sun, samples, seed)
-
-    def _show(self, channels: Channels) -> None:
+    def show(self, channels: Channels) -> None:
+        """Have the surfaces and lights of these channels."""
         if channels == self._shown:
             return
         spec = self._tracer.spec
-        self._surfaces.show(paint_of(spec, channels))
-        self._sky = Sky(self._radiance(channels))
-        self._sun = None
-        if has_sun(spec.sky):
-            light, disc = sun_irradiance(spec.sky, channels), sun_radiance(spec.sky, channels)
-            self._sun = Sun(spec.sky.to_sun, light, disc, self._sheet, self._tracer.origin_m)
+        with using(self._tracer.variant):
+            self._surfaces.show(paint_of(spec, channels))
+            self._sky = Sky(self._radiance(channels))
+            self._sun = None
+            if has_sun(spec.sky):
+                light, disc = sun_irradiance(spec.sky, channels), sun_radiance(spec.sky, channels)
+                self._sun = Sun(spec.sky.to_sun, light, disc, self._sheet, self._tracer.origin_m)
         self._shown = channels
+
+    def take(self, samples: int, seed: int) -> Image:
+        """An image in the channels that are shown, by independent paths for each seed."""
+        with using(self._tracer.variant):
+            return self._paths.take(self._sky, self._sun, samples, seed)

@@ -8,7 +8,13 @@ from typing import Any
 import numpy as np
 
 from forestgen.render.identity import Hits, SceneTracer
-from forestgen.render.identity.surface import barycentric_weights, bilinear_places, corners_of, vertex_uv
+from forestgen.render.identity.surface import (
+    barycentric_weights,
+    bilinear_places,
+    corners_of,
+    interpolated_normal,
+    vertex_uv,
+)
 from forestgen.render.identity.tables import NONE
 from forestgen.render.paths.surface_tables import Paint, ReliefTables
 from forestgen.render.variant import drjit, mitsuba
@@ -135,7 +141,7 @@ class Surfaces:
         towards = -hits.rays.direction
         geometric = tracer.geometric_normal(hits)
         corners, weights = corners_of(tracer, hits, valid), barycentric_weights(hits)
-        normal = self._shading_normal(hits, corners, weights, geometric)
+        normal = interpolated_normal(tracer, hits, corners, weights, geometric)
         normal = dr.select(dr.dot(normal, towards) < 0, -normal, normal)
         matt = dr.gather(mi.Color3f, self._matt, hits.organ, valid)
         offset, width, height = (dr.gather(mi.UInt32, self._texture, hits.organ * 3 + k, valid) for k in range(3))
@@ -157,11 +163,6 @@ class Surfaces:
             dr.gather(mi.Vector3f, self._gloss, hits.organ, valid),
             dr.gather(mi.Vector2f, self._chance, hits.organ, valid),
         )
-
-    def _shading_normal(self, hits: Hits, corners: list[Any], weights: tuple[Any, ...], geometric: Any) -> Any:
-        from forestgen.render.identity.surface import interpolated_normal
-
-        return interpolated_normal(self._tracer, hits, corners, weights, geometric)
 
     def _faded(self, hits: Hits, corners: list[Any], weights: tuple[Any, ...], colour: Any) -> Any:
         """The ground's colour, that of the distance where it lies far."""

@@ -2,7 +2,7 @@
 
 The same surfaces as `render/surfaces.py` builds of Mitsuba's parts for its own integrators: a leaf is a matt reflector,
 a gloss and a matt transmitter; bark has a colour and a relief; the ground turns to one colour in the distance.
-tests/system/test_path_surfaces.py compares the two.
+tests/system/test_paths.py compares the two.
 """
 
 from __future__ import annotations
@@ -61,7 +61,8 @@ def relief_tables(spec: SceneSpec) -> ReliefTables:
     """O(faces of textured organs + texels)."""
     ground = spec.terrain.texture
     normals = [np.tile(np.array([0, 0, 1], np.float32), (ground.shape[0] * ground.shape[1], 1))]
-    texture, first_tangent, tangents = [(0, ground.shape[1], ground.shape[0])], [NONE], []
+    whole = (0, ground.shape[1], ground.shape[0]) if spec.terrain.mesh.uv is not None else (0, 0, 0)
+    texture, first_tangent, tangents = [whole], [NONE], []
     texels, faces, known = len(normals[0]), 0, dict[int, int]()
     for part, mesh, material in _organs(spec):
         if not _textured(part, mesh, material):
@@ -103,7 +104,7 @@ def paint_of(spec: SceneSpec, channels: Channels) -> Paint:
     terrain = spec.terrain
     ground = channels.texture(terrain.texture, terrain.mean_colour, terrain.spectrum)
     texels = [np.maximum(ground, 0.0).reshape(-1, 3)]
-    matt, through, gloss, chance = [np.zeros(3)], [np.zeros(3)], [np.zeros(3)], [np.zeros(2)]
+    matt, through, gloss, chance = [ground.mean(axis=(0, 1))], [np.zeros(3)], [np.zeros(3)], [np.zeros(2)]
     known: set[int] = set()
     for part, mesh, material in _organs(spec):
         textured = _textured(part, mesh, material)

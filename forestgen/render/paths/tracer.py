@@ -4,8 +4,8 @@ Light of the sun is sampled at each scattering; that of the sky is met where a p
 scattering on, paths end by chance, the sooner the less light they carry. Each path has its own places in the sums, so
 the image does not depend on the number of threads.
 
-Work is O(pixels x samples x scatterings x log triangles). Memory: some 150 bytes a path of a block of rows, of
-`_PATHS_AT_ONCE` paths or one row.
+Work is O(pixels x samples x scatterings x log triangles). Memory: some 250 bytes a path of a block of pixels, of
+`_PATHS_AT_ONCE` paths, and 40 bytes a pixel.
 """
 
 from __future__ import annotations
@@ -23,23 +23,24 @@ from forestgen.render.paths.light import Sky, Sun
 from forestgen.render.paths.scattering import Surfaces
 from forestgen.render.paths.sequence import Sequence, sequence_of
 from forestgen.render.settings import ROULETTE_DEPTH
+from forestgen.render.tracing import renderer_errors
 from forestgen.render.variant import drjit, mitsuba
 from forestgen.scene.spec import Camera
 
 _PATHS_AT_ONCE = 1_500_000
 _MOST_LIKELY = 0.95  # a path to go on, once chance may end it
 _CHOICES = 3  # pairs of numbers for a scattering: towards the sun, onwards, which lobe and whether to go on
-Floats = NDArray[np.float64]
+Array = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
 class Image:
     """What came back to the camera."""
 
-    by_sky: Floats  # (H, W, 3) of the sky, off the scene
-    by_sun: Floats  # (H, W, 3) of the sun, off the scene
-    beyond: Floats  # (H, W, 3) of sky and sun, straight
-    open: Floats  # (H, W) share of each pixel that sees past the scene
+    by_sky: Array  # (H, W, 3) of the sky, off the scene
+    by_sun: Array  # (H, W, 3) of the sun, off the scene
+    beyond: Array  # (H, W, 3) of sky and sun, straight
+    open: Array  # (H, W) share of each pixel that sees past the scene
 
 
 @dataclass(frozen=True)
@@ -66,22 +67,21 @@ class PathTracer:
     def take(self, sky: Sky, sun: Sun | None, samples: int, seed: int) -> Image:
         """An image of so many samples a pixel."""
         width, height = self._camera.size_px
-        by_sky, by_sun, beyond = np.zeros((3, height, width, 3))
-        image = Image(by_sky, by_sun, beyond, np.zeros((height, width)))
-        rows = max(1, _PATHS_AT_ONCE // (width * samples))
-        for first in range(0, height, rows):
-            count = min(rows, height - first)
-            found = self._block(sky, sun, samples, seed, first, count)
-            for whole, part in zip(vars(image).values(), found, strict=True):
-                whole[first : first + count] = part
-        drjit().flush_malloc_cache()
-        return image
+        pixels, at_once = width * height, max(1, _PATHS_AT_ONCE // samples)
+        found = np.zeros((pixels, 10), dtype=np.float32)
+        with renderer_errors():
+            for first in range(0, pixels, at_once):
+                count = min(at_once, pixels - first)
+                found[first : first + count] = self._block(sky, sun, samples, seed, first, count)
+            drjit().flush_malloc_cache()
+        image = found.reshape(height, width, 10)
+        return Image(image[..., :3], image[..., 3:6], image[..., 6:9], image[..., 9])
 
-    def _block(self, sky: Sky, sun: Sun | None, samples: int, seed: int, first: int, count: int) -> list[Floats]:
+    def _block(self, sky: Sky, sun: Sun | None, samples: int, seed: int, first: int, count: int) -> Array:
+        """(count, 10) of the pixels from `first` on, row by row: what `Image` holds, one after another."""
         mi, dr = mitsuba(), drjit()
-        width = self._camera.size_px[0]
-        size = count * width * samples
-        each, base = dr.opaque(mi.UInt32, samples), dr.opaque(mi.UInt32, first * width)
+        size = count * samples
+        each, base = dr.opaque(mi.UInt32, samples), dr.opaque(mi.UInt32, first)
         key = dr.opaque(mi.UInt32, seed & 0xFFFFFFFF)
 
         def sequence(index: Any) -> Sequence:
@@ -100,6 +100,7 @@ class PathTracer:
         by_sky, by_sun = (dr.zeros(mi.Color3f, size) for _ in range(2))
         dr.eval(begun.start, begun.direction, begun.carried, hit, found, past, beyond, by_sky, by_sun)
         paths = begun.kept(dr.compress(found))
+        del begun, rays, hit, start
         for depth in range(1, self._max_depth):
             if not dr.width(paths.index):
                 break
@@ -108,12 +109,10 @@ class PathTracer:
                 dr.scatter(total, dr.gather(mi.Color3f, total, paths.index) + own, paths.index)
             dr.eval(paths.start, paths.direction, paths.carried, paths.hit, goes_on, by_sky, by_sun)
             paths = paths.kept(dr.compress(goes_on))
-        sums = [by_sky, by_sun, beyond, mi.Color3f(dr.select(past, 1.0, 0.0))]
-        means = [[dr.block_sum(channel, samples) / samples for channel in one] for one in sums]
+        sums = [*by_sky, *by_sun, *beyond, dr.select(past, mi.Float(1.0), 0.0)]
+        means = [dr.block_sum(one, samples) / samples for one in sums]
         dr.eval(means)
-        arrays = [np.stack([np.array(channel) for channel in one], axis=-1).astype(np.float64) for one in means]
-        images = [one.reshape(count, width, 3) for one in arrays]
-        return [*images[:3], images[3][..., 0]]
+        return np.stack([np.array(one) for one in means], axis=-1)
 
     def _first(self, sequence: Sequence, pixel: Any, number: Any, key: Any) -> tuple[DeviceRays, Any, Any]:
         mi, dr = mitsuba(), drjit()
@@ -135,7 +134,8 @@ class PathTracer:
         hits = self._tracer.looked_up(rays, paths.hit, mi.Bool(True))
         point = paths.start + paths.direction * hits.distance_m
         surface = self._surfaces.at(hits)
-        lift = LIFT * dr.maximum(dr.max(dr.abs(point)), 1.0)
+        # A hit is as uncertain as the largest number that its place was made of.
+        lift = LIFT * dr.maximum(dr.maximum(dr.max(dr.abs(point)), hits.distance_m), 1.0)
         choice = dr.opaque(mi.UInt32, 1 + (depth - 1) * _CHOICES)
 
         def leaving(direction: Any) -> Any:
