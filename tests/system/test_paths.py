@@ -312,10 +312,10 @@ def test_an_image_is_the_same_with_any_threads_and_blocks(monkeypatch):
 
 
 def test_a_hit_from_afar_does_not_shade_itself():
-    """Ground in the sun near the origin, from 400 m away, by the cameras of a ring around it."""
+    """Ground in the sun near the origin, from 3 km away, by the cameras of a ring around it."""
     spec = bare_ground(Sky(60.0, 140.0, 3.0))
-    places = [(400.0 * np.cos(turn), 400.0 * np.sin(turn), 90.0) for turn in np.arange(4) * np.pi / 2]
-    ring = [replace(camera_at(place, (0.5, 0.7, 0.0), (32, 18)), hfov_deg=0.5) for place in places]
+    places = [(900.0 * np.cos(turn), 900.0 * np.sin(turn), 3000.0) for turn in np.arange(4) * np.pi / 2]
+    ring = [replace(camera_at(place, (0.5, 0.7, 0.0), (32, 18)), hfov_deg=0.05) for place in places]
     spec = replace(spec, cameras=tuple(replace(one, name=str(k)) for k, one in enumerate(ring)))
     tracer = SceneTracer(spec, Timings())
     assert np.abs(tracer.origin_m[:2]).max() < 1e-6
