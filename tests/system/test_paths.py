@@ -25,9 +25,10 @@ from forestgen.render.identity import SceneTracer
 from forestgen.render.paths.light import Sky as SkyOnDevice
 from forestgen.render.paths.light import Sun
 from forestgen.render.paths.lit_scene import LitScene
-from forestgen.render.paths.scattering import Local
+from forestgen.render.paths.scattering import Local, Surfaces
 from forestgen.render.paths.sequence import sequence_of
-from forestgen.render.paths.surface_tables import face_tangents, paint_of
+from forestgen.render.paths.surface_tables import face_tangents, paint_of, relief_tables
+from forestgen.render.paths.tracer import PathTracer
 from forestgen.render.sensors import capture
 from forestgen.render.sky_radiance import MAP_COLUMNS, MAP_ROWS, along, sky_map
 from forestgen.render.surfaces import surface_bsdf
@@ -106,6 +107,7 @@ def test_chosen_directions_carry_what_the_surface_returns(name, facet):
         going, weight = (np.array(one, dtype=np.float64).T for one in surface.sample(lobe, first, second))
         even = directions(count, 6)
         value = np.array(surface.value(mi.Vector3f(even.T)), dtype=np.float64).T * 4 * np.pi
+        density = np.array(surface.density(mi.Vector3f(even.T)), dtype=np.float64) * 4 * np.pi
     assert np.isfinite(weight).all()
     assert (weight >= 0).all()
     np.testing.assert_allclose(np.linalg.norm(going, axis=1), 1.0, atol=1e-4)
@@ -115,6 +117,11 @@ def test_chosen_directions_carry_what_the_surface_returns(name, facet):
             for where, what in ((going, weight), (even, value)):
                 inside = ((where[:, 2] > 0) == above) & ((where[:, 0] > 0) == east)
                 parts.append(np.where(inside[:, None], what, 0.0))
+            chosen, wanted = (((where[:, 2] > 0) == above) & ((where[:, 0] > 0) == east) for where in (going, even))
+            chosen &= weight.max(axis=1) > 0  # the density leaves out what falls below a leaning facet or its mirror
+            if weight.any():
+                spread = np.hypot(chosen.std(), np.where(wanted, density, 0.0).std()) / np.sqrt(count)
+                assert abs(chosen.mean() - np.where(wanted, density, 0.0).mean()) <= 4.5 * spread + 1e-6
             (one, other), error = (part.mean(axis=0) for part in parts), np.hypot(*(p.std(axis=0) for p in parts))
             assert np.all(np.abs(one - other) <= 4.5 * error / np.sqrt(count) + 1e-6), (above, east, one, other)
 
@@ -165,6 +172,54 @@ def test_the_sky_is_looked_up_as_in_numpy():
         seen = np.array(SkyOnDevice(sky).towards(mi.Vector3f(towards.T), mi.Bool(True))).T
     assert sky.shape == (MAP_ROWS, MAP_COLUMNS, 3)
     np.testing.assert_allclose(seen, along(sky, towards.astype(np.float64)), rtol=2e-3, atol=1e-3 * sky.mean())
+
+
+def cloudy(seed: int = 4) -> np.ndarray:
+    """A sky with bright edges of clouds, black below the horizon."""
+    bright = np.random.default_rng(seed).gamma(0.2, 5.0, (MAP_ROWS, MAP_COLUMNS, 1)) * [1.0, 0.9, 0.7]
+    bright[MAP_ROWS // 2 + 1 :] = 0.0
+    return bright.astype(np.float32)
+
+
+def test_sky_samples_follow_their_density():
+    sky, count = cloudy(), 2**18
+    rng = np.random.default_rng(7)
+    with using(LLVM) as mi:
+        device = SkyOnDevice(sky, sampled=True)
+        pair = [mi.Float(rng.random(count).astype(np.float32)) for _ in range(2)]
+        going, density = device.sample(*pair)
+        again = np.array(device.density(going))
+        going, density = np.array(going, dtype=np.float64).T, np.array(density, dtype=np.float64)
+        even = directions(count, 8)
+        spread = np.array(device.density(mi.Vector3f(even.T)), dtype=np.float64)
+    assert going[:, 2].min() > -0.04  # within two rows of the last bright one
+    np.testing.assert_allclose(np.linalg.norm(going, axis=1), 1.0, atol=1e-5)
+    assert np.mean(np.isclose(again, density, rtol=1e-3)) > 0.998  # but for rounding on the edges of cells
+    assert spread.mean() * 4 * np.pi == pytest.approx(1.0, abs=5 * spread.std() * 4 * np.pi / np.sqrt(count))
+    light, truth = along(sky, going) / density[:, None], along(sky, even.astype(np.float64)) * 4 * np.pi
+    error = np.hypot(light.std(axis=0), truth.std(axis=0)) / np.sqrt(count)
+    assert np.all(np.abs(light.mean(axis=0) - truth.mean(axis=0)) < 4 * error)
+    assert light.std() < 0.6 * truth.std()
+
+
+def test_light_samples_of_the_sky_change_the_noise_alone():
+    """A glossy stand with barks under cloud edges: the same image whether the sky is looked for or found."""
+    spec = leafy_stand(size_px=(48, 30))
+    glossy = {key: replace(one, gloss=0.03 if key[1] != "bark" else 0.0) for key, one in spec.materials.items()}
+    spec = replace(spec, materials=glossy)
+    bark = bark_texture(Bark(pattern="furrowed", tile_m=TILE_M, depth_m=0.004), REFLECTANCE, "post/bark")
+    for one in (spec, post_scene(Material(REFLECTANCE, texture=bark))):
+        tracer = SceneTracer(one, Timings())
+        with using(LLVM):
+            surfaces = Surfaces(tracer, relief_tables(one))
+            surfaces.show(paint_of(one, RGB))
+            paths = PathTracer(tracer, one.cameras[0], surfaces, 64)
+            found, looked_for = (
+                np.array([paths.take(SkyOnDevice(cloudy(), sampled=sampled), None, 64, k).by_sky for k in range(12)])
+                for sampled in (False, True)
+            )
+        assert looked_for.std(axis=0).mean() < 0.8 * found.std(axis=0).mean()
+        assert_same(looked_for.astype(np.float64), found.astype(np.float64))
 
 
 def test_the_sun_is_a_disc_behind_its_sheet():

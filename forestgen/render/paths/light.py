@@ -15,12 +15,44 @@ Floats = NDArray[np.float64]
 
 
 class Sky:
-    """The sky's radiance by direction, on the device; see `sky_radiance.map_directions`."""
+    """The sky's radiance by direction, on the device; see `sky_radiance.map_directions`.
 
-    def __init__(self, radiance: NDArray[np.float32]) -> None:
+    Parameters
+    ----------
+    sampled : whether paths look for its light at every scattering, where it is bright; else they find it by chance,
+        which costs less and is as good where a sky is nearly even.
+    """
+
+    def __init__(self, radiance: NDArray[np.float32], *, sampled: bool = False) -> None:
         mi, dr = mitsuba(), drjit()
+        self.sampled = sampled
         self._rows, self._columns = (dr.opaque(mi.UInt32, size) for size in radiance.shape[:2])
         self._texel = mi.Float(np.ascontiguousarray(radiance).ravel())
+        if sampled:
+            share, density = sky_shares(radiance)
+            self._shares = mi.DiscreteDistribution2D(share.astype(np.float32))
+            self._density = mi.Float(density.astype(np.float32).ravel())
+
+    def sample(self, first: Any, second: Any) -> tuple[Any, Any]:
+        """Unit directions, and Float, their density over the sphere."""
+        mi, dr = mitsuba(), drjit()
+        cell, _, within = self._shares.sample(mi.Point2f(first, second))
+        low, high = (dr.clip(mi.Float(cell.y) + side, 0.0, mi.Float(self._rows) - 1.0) for side in (-0.5, 0.5))
+        zenith = (low + within.y * (high - low)) * (np.pi / (mi.Float(self._rows) - 1.0))
+        turn = (mi.Float(cell.x) + within.x) * (2 * np.pi / mi.Float(self._columns))
+        (up, level), (north, east) = dr.sincos(zenith)[::-1], dr.sincos(turn)
+        density = dr.gather(mi.Float, self._density, cell.y * self._columns + cell.x)
+        return mi.Vector3f(level * east, level * north, up), density / dr.maximum(level, 1e-6)
+
+    def density(self, direction: Any) -> Any:
+        """Float: density over the sphere with which `sample` chooses directions."""
+        mi, dr = mitsuba(), drjit()
+        level = dr.sqrt(direction.x**2 + direction.y**2)
+        turn = dr.atan2(direction.y, direction.x) * (0.5 / np.pi)
+        column = dr.minimum(mi.UInt32((turn - dr.floor(turn)) * mi.Float(self._columns)), self._columns - 1)
+        row = mi.UInt32(dr.atan2(level, direction.z) * ((mi.Float(self._rows) - 1.0) / np.pi) + 0.5)
+        row = dr.minimum(row, self._rows - 1)
+        return dr.gather(mi.Float, self._density, row * self._columns + column) / dr.maximum(level, 1e-6)
 
     def towards(self, direction: Any, active: Any) -> Any:
         """Color3f, bilinear between the map's places; the first and the last row are the zenith and the nadir."""
@@ -42,6 +74,21 @@ class Sky:
 
     def _at(self, texel: Any, active: Any) -> Any:
         return drjit().gather(mitsuba().Color3f, self._texel, texel, active)
+
+
+def sky_shares(radiance: NDArray[np.float32]) -> tuple[Floats, Floats]:
+    """(rows, columns) shares of light samples, and their density over angles of zenith and turn.
+
+    A cell counts as much as the brightest of the places around it, since radiance goes in straight lines between them.
+    """
+    rows, columns = radiance.shape[:2]
+    bright = radiance.mean(axis=2, dtype=np.float64)
+    around = np.pad(np.pad(bright, ((0, 0), (1, 1)), mode="wrap"), ((1, 1), (0, 0)), mode="edge")
+    most = np.max([around[i : i + rows, j : j + columns] for i in range(3) for j in range(3)], axis=0)
+    edges = np.clip(np.arange(rows + 1) - 0.5, 0, rows - 1) * (np.pi / (rows - 1))
+    share = most * (np.cos(edges[:-1]) - np.cos(edges[1:]))[:, None]
+    share /= max(float(share.sum()), 1e-30)
+    return share, share / (np.diff(edges)[:, None] * (2 * np.pi / columns))
 
 
 class Sun:

@@ -49,7 +49,7 @@ class LitScene:
         spec = self._tracer.spec
         with using(self._tracer.variant):
             self._surfaces.show(paint_of(spec, channels))
-            self._sky = Sky(self._radiance(channels))
+            self._sky = Sky(self._radiance(channels), sampled=spec.clouds is not None)
             self._sun = None
             if has_sun(spec.sky):
                 light, disc = sun_irradiance(spec.sky, channels), sun_radiance(spec.sky, channels)

@@ -44,16 +44,27 @@ class Local:
 
     def _mirrored(self, direction: Any) -> Any:
         """Float: the gloss' share, by GGX with separable masking (Walter et al. 2007, eqs. 20, 33, 34)."""
+        half = drjit().normalize(self.towards + direction)
+        up, mirror = drjit().dot(self.normal, direction), fresnel(drjit().dot(half, direction), self.gloss.z)
+        return self.gloss.x * mirror * _lit(up, self.gloss.y * self.gloss.y) * self._glossy_density(half)
+
+    def _glossy_density(self, half: Any) -> Any:
+        """Float: density over the directions to which facets that are seen and lean to `half` reflect a path."""
         dr = drjit()
-        half = dr.normalize(self.towards + direction)
-        view, facing = dr.dot(self.normal, self.towards), dr.dot(self.normal, half)
-        up = dr.dot(self.normal, direction)
         square = self.gloss.y * self.gloss.y
+        view, facing = dr.dot(self.normal, self.towards), dr.dot(self.normal, half)
         spread = dr.square(1.0 - facing * facing * (1.0 - square))
-        masked = _lit(view, square) * _lit(up, square)
-        mirror = fresnel(dr.dot(half, direction), self.gloss.z)
-        value = self.gloss.x * mirror * square * masked / (4 * np.pi * spread * dr.maximum(view, 1e-6))
+        value = square * _lit(view, square) / (4 * np.pi * spread * dr.maximum(view, 1e-6))
         return dr.select((self.gloss.x > 0) & (view > 0) & (facing > 0), value, 0.0)
+
+    def density(self, direction: Any) -> Any:
+        """Float: density, over the sphere, of the directions in which `sample` has paths go on."""
+        dr = drjit()
+        up = dr.dot(self.normal, direction)
+        even = dr.maximum(dr.dot(self.facet, direction), 0.0) / np.pi
+        glossy = self._glossy_density(dr.normalize(self.towards + direction))
+        above = (1.0 - self.chance.x) * ((1.0 - self.chance.y) * even + self.chance.y * glossy)
+        return dr.select(up > 0, above, self.chance.x * (-up / np.pi))
 
     def sample(self, lobe: Any, first: Any, second: Any) -> tuple[Any, Any]:
         """Unit directions in which paths go on, and Color3f by which their light is multiplied.

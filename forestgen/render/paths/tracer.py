@@ -1,6 +1,7 @@
 """The light of an image, path by path, in rounds: every round takes all paths that still go on one scattering further.
 
-Light of the sun is sampled at each scattering; that of the sky is met where a path leaves the scene. From the second
+Light of the sun is sampled at each scattering, and that of a sky with clouds; all skies are met where a path leaves the
+scene. From the second
 scattering on, paths end by chance, the sooner the less light they carry. Each path has its own places in the sums, so
 the image does not depend on the number of threads.
 
@@ -29,7 +30,7 @@ from forestgen.scene.spec import Camera
 
 _PATHS_AT_ONCE = 1_500_000
 _MOST_LIKELY = 0.95  # a path to go on, once chance may end it
-_CHOICES = 3  # pairs of numbers for a scattering: towards the sun, onwards, which lobe and whether to go on
+_CHOICES = 4  # pairs of numbers for a scattering: sun, which lobe and whether to go on, onwards, sky
 Array = NDArray[np.float32]
 
 
@@ -160,6 +161,18 @@ class PathTracer:
         ray = leaving(direction)
         hit = self._tracer.scene.ray_intersect_preliminary(ray, coherent=False, active=goes_on)
         away = goes_on & ~hit.is_valid()
-        by_sky = dr.select(away, carried * sky.towards(direction, away), 0.0)
+        found = carried * sky.towards(direction, away)
+        by_sky = mi.Color3f(0.0)
+        if sky.sampled:
+            # Both ways to the sky count by their densities (Veach 1997, the balance heuristic).
+            chosen, density = sky.sample(*sequence.pair(choice + 3))
+            light = paths.carried * surface.value(chosen) * sky.towards(chosen, mi.Bool(True))
+            light *= dr.rcp(density + surface.density(chosen))
+            wanted = (density > 0) & (dr.max(light) > 0)
+            lit = wanted & ~self._tracer.scene.ray_test(leaving(chosen), coherent=False, active=wanted)
+            by_sky = dr.select(lit, light, 0.0)
+            own = surface.density(direction)
+            found *= own * dr.rcp(dr.maximum(own + sky.density(direction), 1e-30))
+        by_sky += dr.select(away, found, 0.0)
         later = Paths(paths.index, ray.o, direction, carried, hit)
         return goes_on & hit.is_valid(), later, by_sky, by_sun
