@@ -38,20 +38,20 @@ from forestgen.stages.views import below_ground, check_above_ground, drawn_camer
 # Kept free for the operating system and for what no estimate sees.
 _SHARE_OF_MEMORY = 0.8
 # Measured by tests/system/test_memory.py as the peak resident memory of whole runs.
-_LOADED_SIMULATOR_BYTES = 500_000_000
+_LOADED_SIMULATOR_BYTES = 520_000_000
 _LOADED_RENDERER_BYTES = 900_000_000  # libraries, kernels, the ground's texture and what it was made from
 _BYTES_PER_SAMPLE = 5 + 16  # an identity sample, and the sorting of it
 _BYTES_PER_PIXEL = 800  # radiance sums in double precision, buffers, channels on their way to files
-_BYTES_PER_TRIANGLE = 200  # mesh, two scenes with their trees, normals' table
-# Of plants with branches of their own, each in the scenes once: 330 measured on recipes/branch_modules.yaml.
-_BYTES_PER_OWN_TRIANGLE = 360
-# More of the same under clouds, by render.clouds. Measured: afar takes 0.3 of its figure, exact 0.45.
-_BYTES_PER_TRIANGLE_UNDER_CLOUDS = {"farfield": 60, "exact": 120, "auto": 120}
+_BYTES_PER_TRIANGLE = 200  # mesh, the scene with its tree, normals' table
+# Of plants with branches of their own: 267 measured on tall spruces.
+_BYTES_PER_OWN_TRIANGLE = 300
+# More of the same under clouds, by render.clouds: exact ones have scenes of their own.
+_BYTES_PER_TRIANGLE_UNDER_CLOUDS = {"farfield": 0, "exact": 160, "auto": 160}
 # Of a mature plant, over its height times its width squared: poplar 280, spruce 310, oak 200; and of a herb in all.
 _TRIANGLES_PER_M3, _TRIANGLES_OF_A_HERB = 320, 20_000
 _DETAIL_OF_ALL_LEVELS = 2.0  # a size at every level of detail, against one with all detail
-_BYTES_PER_PLANT = 18_000  # an instance in two scenes; the renderer's objects are large
-_BYTES_PER_PLANT_UNDER_CLOUDS = {"farfield": 9_000, "exact": 18_000, "auto": 18_000}
+_BYTES_PER_PLANT = 7_000  # an instance in the scene; 500,000 of benchmarks/labels.py take 4 kB each
+_BYTES_PER_PLANT_UNDER_CLOUDS = {"farfield": 0, "exact": 27_000, "auto": 27_000}
 _GROUND_CELL_M, _MOST_GROUND_CELLS, _GROUND_BEYOND = 0.75, 1200, 160  # see scene/terrain.py
 _FILM_BYTES = 60_000_000  # numbers and pictures that stages/history.py keeps
 

@@ -17,7 +17,8 @@ the place's own warmth: Foehn. Each year has the same drawn days.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +34,7 @@ from forestgen.community.ecoclimate.grids import between
 from forestgen.community.ecoclimate.weather_section import WeatherSection
 from forestgen.community.soil_water.ground import Floats, Ground
 from forestgen.core.randomness import child_rng
+from forestgen.core.threads import apart
 
 MOST = 3.0
 _MARK_S = 300.0  # between two looks at the clouds
@@ -96,16 +98,20 @@ def month_of_air(
     terrain = height - height.min() if np.ptp(height) > _FLAT * grid.cell_m[2] else None
     shaded = 1.0 - section.shade_heat_share * (1.0 - maps.for_air(given.light).astype(np.float64))
     vapour = maps.for_air(given.vapour_mm_per_day).astype(np.float64) / (3600.0 * section.daylight_h)
+    of_year, indices = number % MONTHS_PER_YR, range(section.days_per_month)
+
+    def over_the_site(index: int) -> Hours:
+        day = day_of(section, month, of_year, index, wind_from_deg, seed)
+        heat, damp = day.heat_w_per_m2 * shaded, day.vapour_kg_per_m2_s + vapour
+        return hours_of(section, grid, day, Surface(heat.astype(np.float32), damp.astype(np.float32), terrain))
+
+    def over_the_region(index: int) -> tuple[float, float]:
+        return _usual(section, grid, month, of_year, index, wind_from_deg, seed)
+
+    # A step of so little air has too short loops for several cores: every day has one.
+    days: list[Any] = apart([partial(job, index) for index in indices for job in (over_the_site, over_the_region)])
     looks: list[tuple[Floats, Floats, float, float]] = []
-    for index in range(section.days_per_month):
-        day = day_of(section, month, number % MONTHS_PER_YR, index, wind_from_deg, seed)
-        surface = Surface(
-            (day.heat_w_per_m2 * shaded).astype(np.float32),
-            (day.vapour_kg_per_m2_s + vapour).astype(np.float32),
-            terrain,
-        )
-        here = hours_of(section, grid, day, surface)
-        usual, usual_k = _usual(section, grid, month, number % MONTHS_PER_YR, index, wind_from_deg, seed)
+    for here, (usual, usual_k) in zip(days[::2], days[1::2], strict=True):
         ours = maps.for_ground(here.condensed_kg_per_m2)
         warmth = here.warmth_k - usual_k - given.lapse_rate_k_per_km / 1000.0 * here.lowest_m
         # The site's mean is bounded: a cap by cell would take from the peaks and give to none.

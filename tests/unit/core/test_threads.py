@@ -16,7 +16,7 @@ pytestmark = pytest.mark.usefixtures("four_cores")
 
 @pytest.fixture
 def four_cores(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(threads, "cores", lambda: 4)
+    monkeypatch.setattr(threads.os, "sched_getaffinity", lambda pid: set(range(4)), raising=False)
 
 
 @pytest.mark.parametrize("n", [0, 1, 9_999, 123_457])
@@ -62,3 +62,17 @@ def test_a_forked_process_has_threads_of_its_own() -> None:
     if child == 0:
         os._exit(0 if threads.at_once([lambda: 1, lambda: 2]) == [1, 2] else 1)
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+
+
+def test_jobs_apart_have_a_core_each() -> None:
+    """Their results in order; loops inside of them have one core, and outside all again; an error is raised."""
+    jobs = [lambda k=k: (k, threads.cores()) for k in range(5)]
+    assert threads.apart(jobs) == [(k, 1) for k in range(5)]
+    assert threads.cores() == 4
+
+    def fail() -> int:
+        raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        threads.apart([fail, lambda: 1])
+    assert threads.at_once([threads.cores, threads.cores]) == [4, 4]
