@@ -216,7 +216,7 @@ def test_a_small_batch_is_not_probed(
 
 def test_the_table_tells_what_and_how(expected: Callable[..., Estimate]) -> None:
     text = "\n".join(lines(expected(probe(70, first=True), probe(10), workers=2)))
-    for word in ("200 frames", "14 plants", "2, of 1 thread", "images an hour", "mitsuba 60 %", "disk", "100 MB"):
+    for word in ("200 frames", "14 plants", "2, of 1 thread", "images an hour", "light paths 60 %", "disk", "100 MB"):
         assert word in text, text
 
 
