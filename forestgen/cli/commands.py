@@ -70,7 +70,7 @@ def render(
     _say_notes(out, summary.notes)
     inside = summary.timings_s.get("light paths", 0.0) / summary.total_s
     frames = count(summary.frames, "frame")
-    _say(out, f"{frames} in {seconds(summary.total_s)}, {100 * inside:.0f}% of it inside the renderer")
+    _say(out, f"{frames} in {seconds(summary.total_s)}, {100 * inside:.0f}% of it on light paths")
     _say(out, f"files: {summary.folder}/")
     first = min(path for path in summary.folder.iterdir() if path.is_dir())
     _say(out, f"look at {first / 'preview.png'} and {first / 'overlay.png'}")

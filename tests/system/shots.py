@@ -5,9 +5,11 @@ from __future__ import annotations
 from functools import partial
 
 import numpy as np
+import pytest
 
 from forestgen.core.progress import Silent
 from forestgen.core.timing import Timings
+from forestgen.render.check import check_cuda
 from forestgen.render.frame import Identity, Radiance, Surface
 from forestgen.render.identity import SceneTracer, trace_identity
 from forestgen.render.noise import Until
@@ -38,6 +40,14 @@ def radiance(spec: SceneSpec, samples: int | Until, seed: int, max_depth: int = 
     until = Until(samples) if isinstance(samples, int) else samples
     shot = Shot(spec, spec.cameras[0], until, seed, mode, max_depth)
     return render_radiance(shot, progress=Silent(), timer=Timings())
+
+
+def need_cuda() -> None:
+    """Skip a test where there is no GPU."""
+    try:
+        check_cuda()
+    except RuntimeError as error:
+        pytest.skip(str(error))
 
 
 def alpha(spec: SceneSpec, samples: int) -> np.ndarray:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from shots import identity, seen, shot
+from shots import identity, need_cuda, seen, shot
 from ties import assert_ties
 
 from forestgen.core.parts import Part
@@ -17,7 +17,6 @@ from forestgen.geometry.mesh import Mesh
 from forestgen.labels.masks import coverage_ranks, instance_mask
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.recipe.load import load_recipe
-from forestgen.render.check import check_cuda
 from forestgen.render.identity import SceneTracer, sample_offsets, trace_guides
 from forestgen.render.variant import CUDA
 from forestgen.scene.spec import Camera, Instances, Material, SceneSpec
@@ -210,10 +209,7 @@ def test_real_plants_scaled_and_in_levels_of_detail_equal_their_twins(tmp_path: 
 
 @pytest.mark.gpu
 def test_cuda_and_llvm_differ_by_ties_alone():
-    try:
-        check_cuda()
-    except RuntimeError as error:
-        pytest.skip(str(error))
+    need_cuda()
     ground = plain_ground(-64, 128, 24, bumps_m=0.5)
     spec = scattered_scene(150, size_m=60, exemplars=4, leaves=200, size_px=(160, 90), terrain=ground, seed=6)
     ours, surface = seen(spec, 16, faces=True)

@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from shots import radiance
+from shots import need_cuda, radiance
 from test_exact_light import ALBEDO, COLOURED, GREY, bare_ground, loaded, path, regions, two_lights, white_forest
 from test_exact_light import stand as leafy_stand
 from test_leaf import LEAVES, PASSES
@@ -19,7 +19,6 @@ from forestgen.core.timing import Timings
 from forestgen.geometry.mesh import Mesh
 from forestgen.plants.bark.texture import bark_texture
 from forestgen.recipe.species import Bark
-from forestgen.render.check import check_cuda
 from forestgen.render.cloud_shadow import Sheet
 from forestgen.render.identity import SceneTracer
 from forestgen.render.paths.light import Sky as SkyOnDevice
@@ -397,10 +396,7 @@ def test_depth_counts_scatterings():
 
 @pytest.mark.gpu
 def test_cuda_and_llvm_see_the_same_light():
-    try:
-        check_cuda()
-    except RuntimeError as error:
-        pytest.skip(str(error))
+    need_cuda()
     spec, images = leafy_stand(size_px=(64, 40)), {}
     for variant in (LLVM, CUDA):
         lit = LitScene(SceneTracer(spec, Timings(), variant), spec.cameras[0], 64, partial(sky_map, spec.sky))
