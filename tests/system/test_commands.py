@@ -191,7 +191,7 @@ def test_render_names_its_files_and_is_repeated_from_the_stored_recipe(tmp_path:
     assert answer.code == 0, answer.err
     assert not answer.err  # no bars, no warnings where there is no terminal
     assert "\x1b" not in answer.out
-    for part in ("2 frames in", "the renderer", f"{tmp_path}/out/", "preview.png", "The last image:", "fireweed"):
+    for part in ("2 frames in", "on light paths", f"{tmp_path}/out/", "preview.png", "The last image:", "fireweed"):
         assert part in answer.out
     first, second = (tree(tmp_path / "out" / f"00000{k}-camera0") for k in (0, 1))
     assert all(first[name] != second[name] for name in ("frame.exr", "recipe.yaml", "plants.parquet"))
