@@ -194,7 +194,8 @@ def judge_edges(report: Report, stands: dict[str, list[Stand]]) -> None:
     ratio = []
     for one in (stand.at(MIXED_YR) for stand in on):
         away = np.hypot(*(one.position_m[:, :2] - MIDDLE_M).T)
-        ratio.append(climax_share(one, away, INNER_M, 100) / climax_share(one, away, 0, INNER_M))
+        within = climax_share(one, away, 0, INNER_M)
+        ratio.append(climax_share(one, away, INNER_M, 100) / within if within > 0 else np.nan)
     check(f"43a share without, over within, year {MIXED_YR}: mixed", ratio, [x > 0.75 for x in ratio], "over 0.75")
     inside, edge = inside_and_edge(on)
     check(f"43b {CLIMAX}'s share inside, year {FULL_YR}", inside, [x > 0.6 for x in inside], "over 0.6")

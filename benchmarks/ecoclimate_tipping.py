@@ -42,7 +42,7 @@ from silviculture_stands import Report
 from forestgen.community.persistence import holes
 from forestgen.community.plots import new_figure
 
-RAIN = 0.9  # mm/d in the end
+RAIN = 1.2  # mm/d in the end
 SLOW_YR, FAST_YR, AFTER_YR = 80, 8, 60  # years in which it falls, and that follow
 LOOK_YR, GENERATION_YR = 4, 32  # between looks; the oldest plants are 33 years old
 POINT, LONG, SHORT = "#2B6CB0", "#C2185B", "#9AA5A8"

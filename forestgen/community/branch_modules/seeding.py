@@ -44,9 +44,10 @@ class Arriving:
 
     position_m: Floats  # (N, 2) on the site
     species: NDArray[np.uint16]  # (N,)
+    least: Floats  # (N,) of o (Eq. 38), with which each germinates, 0 to 1
 
 
-NOBODY = Arriving(np.empty((0, 2)), np.empty(0, np.uint16))
+NOBODY = Arriving(np.empty((0, 2)), np.empty(0, np.uint16), np.empty(0))
 
 
 def seedlings(
@@ -70,7 +71,8 @@ def seedlings(
         place %= size
         place[place >= size] = 0.0
     place, species = np.concatenate([place, arriving.position_m]), np.concatenate([sp[mother], arriving.species])
-    fit = _germinates(place, species, state, kinds, around, climate)
+    least = np.concatenate([np.full(len(mother), parameters.adaptation_min), arriving.least])
+    fit = _germinates(place, species, least, state, kinds, around, climate)
     place, species = place[fit], species[fit]
     alive = standing.alive
     room = _with_room(place, plants.position_m[alive], 0.5 * standing.trunk_m[alive], state, kinds)
@@ -80,12 +82,13 @@ def seedlings(
 def _germinates(
     place: Floats,
     species: NDArray[np.uint16],
+    least: Floats,
     state: State,
     kinds: Kinds,
     around: Surroundings,
     climate: LocalClimate | None,
 ) -> NDArray[np.bool_]:
-    """(N,) whether ground, climate and light let a seed germinate."""
+    """(N,) whether ground, climate and light let a seed germinate, which does from `least` of o on."""
     size, traits, parameters = state.site.size_m, kinds.traits, kinds.parameters
     fit: NDArray[np.bool_] = np.all((place >= 0) & (place <= size), axis=1)
     at = np.flatnonzero(fit)
@@ -96,9 +99,11 @@ def _germinates(
     at = np.flatnonzero(fit)
     ground = ground_at(state.site, place[at])
     adapted = adaptation(parameters, traits, species[at], place[at], ground, around, climate)
-    suits = adapted >= parameters.adaptation_min
+    suits = adapted >= np.maximum(least[at], parameters.adaptation_min)
     tolerance = traits.shade_tolerance[species[at]]
     light = tolerance + (1 - tolerance) * around.light_at(place[at])
+    if climate is not None:
+        light = light * adapted
     point = traits.compensation[species[at]]
     enough = traits.sprouting[species[at]] * traits.vigour_min[species[at]]
     fit[at] = suits & ((light - point) / (1 - point) > enough)

@@ -21,8 +21,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from forestgen.community.branch_modules.climate import LocalClimate, suited
-from forestgen.community.branch_modules.kinds import kinds_at
+from forestgen.community.branch_modules.climate import LocalClimate
 from forestgen.community.branch_modules.seeding import NOBODY, Arriving
 from forestgen.community.branch_modules.state import State
 from forestgen.community.branch_modules.step import advanced
@@ -68,7 +67,7 @@ def advanced_ecoclimate(state: Ecoclimate) -> Ecoclimate:
         now = month_at(normals, parameters.turns, month)
         state = _month_later(_under_air(state, soil.ground, leaves, now, month), soil, leaves, now)
     climate = local_climate(state)
-    return replace(state, forest=advanced(state.forest, climate, _arriving(state.forest, parameters, climate)))
+    return replace(state, forest=advanced(state.forest, climate, _arriving(state.forest, parameters)))
 
 
 def local_climate(state: Ecoclimate) -> LocalClimate:
@@ -184,22 +183,19 @@ def _month_later(state: Ecoclimate, soil: SoilWater, leaves: Floats, now: Month)
     )
 
 
-def _arriving(forest: State, parameters: EcoclimateParameters, climate: LocalClimate) -> Arriving:
-    """Seeds from elsewhere in this step."""
+def _arriving(forest: State, parameters: EcoclimateParameters) -> Arriving:
+    """Seeds from elsewhere in this step: each germinates with the probability o of its place and light."""
     if not parameters.global_seeding:
         return NOBODY
-    traits = kinds_at(forest).traits
     growing = {one.name: k for k, one in enumerate(forest.species) if one.modules is not None}
-    places, species = [], []
+    places, species, least = [], [], []
     for index, one in enumerate(parameters.global_seeding):
         month = forest.step * parameters.months_per_step
         times = one.times_before(month + parameters.months_per_step) - one.times_before(month)
         rng = child_rng(forest.seed, "arrivals", index, forest.step)
         for name in one.species or growing:
             count = int(rng.poisson(times * one.seeds_per_ha * forest.site.area_ha))
-            place = rng.random((count, 2)) * forest.site.size_m
-            sp = np.full(count, growing[name], dtype=np.uint16)
-            taken = rng.random(count) < suited(traits, sp, *climate.at(place, np.ones(count)))
-            places.append(place[taken])
-            species.append(sp[taken])
-    return Arriving(np.concatenate(places), np.concatenate(species)) if places else NOBODY
+            places.append(rng.random((count, 2)) * forest.site.size_m)
+            species.append(np.full(count, growing[name], dtype=np.uint16))
+            least.append(rng.random(count))
+    return Arriving(np.concatenate(places), np.concatenate(species), np.concatenate(least)) if places else NOBODY

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,8 @@ from ecoclimate_cases import HILLY, SITE, STEADY, after, around, ecology, parame
 from forestgen.architecture.sizes import plant_sizes
 from forestgen.community.branch_modules.climate import LocalClimate, suited
 from forestgen.community.branch_modules.kinds import kinds_at
+from forestgen.community.branch_modules.state import State
+from forestgen.community.branch_modules.step import advanced
 from forestgen.community.branch_modules.surroundings import ground_at
 from forestgen.community.disturbance import Planting
 from forestgen.community.ecoclimate.leaves import leaf_area_index
@@ -137,6 +140,47 @@ def test_plants_live_where_it_is_wet_enough_and_die_where_it_is_not() -> None:
         alive[rain] = leaf_area_m2(state)
     assert alive[60.0] > 5 * alive[20.0]
     assert alive[0.0] == 0
+
+
+def evenly(temperature_c: float) -> LocalClimate:
+    return LocalClimate(SITE.size_m, np.full((1, 1), temperature_c), np.full((1, 1), 700.0))
+
+
+def vigour_of_roots(forest: State, temperature_c: float) -> np.ndarray:
+    """(P,) by plant_id, after a step in which it was so warm; 0 for those that died of it."""
+    later = advanced(forest, evenly(temperature_c))
+    rows = later.modules.first[:-1]
+    found = dict(zip(later.plants.plant_id.tolist(), later.modules.vigour[rows].tolist(), strict=True))
+    return np.array([found.get(one, 0.0) for one in forest.plants.plant_id.tolist()])
+
+
+def test_leaves_gain_the_less_the_less_the_climate_suits_and_nothing_below_what_they_need() -> None:
+    """Roots without a cap: the vigour is what leaves gain, which is (o Q - c) / (1 - c) of each."""
+    free = [ecology(root_vigour_max=1e5, temperature_c=10.0, temperature_width_c=5.0, seeds_per_yr=0.0)]
+    forest = after(8, species=free, step_yr=1.0, climate=STEADY).forest
+    c = float(kinds_at(forest).traits.compensation[0])
+    warmth = [10.0, 12.0, 14.0]
+    vigours = [vigour_of_roots(forest, one) for one in warmth]
+    grown = vigours[0] > 0.5
+    assert grown.sum() >= 5
+    assert all(np.all(a[grown] > b[grown]) for a, b in pairwise(vigours))
+    deadly = 10.0 + 5.0 * np.sqrt(-2 * np.log(0.9 * c))  # o below c: leaves in full light cost more than they bring
+    assert not vigour_of_roots(forest, deadly).any()
+
+
+def test_seeds_of_what_likes_shade_arrive_where_shade_is() -> None:
+    """In the open it is too warm for them."""
+    cool = ecology("cool", temperature_c=4.0, temperature_width_c=1.5, seeds_per_yr=0.0, shade_tolerance=0.95)
+    keys: dict[str, Any] = {
+        "species": [ecology("tree", temperature_c=10.0, seeds_per_yr=0.0), cool],
+        "step_yr": 1.0,
+        "climate": STEADY,
+        "shade_cooling_k": 10.0,
+        "global_seeding": [{"species": ["cool"], "seeds_per_ha": 20_000}],
+    }
+    counts = [np.sum(after(15, initial_plants={"tree": n}, **keys).forest.plants.species == 1) for n in (0, 60)]
+    assert counts[0] == 0
+    assert counts[1] > 5
 
 
 # Seeds from elsewhere
