@@ -36,7 +36,7 @@ from silviculture_stands import Report
 
 from forestgen.community.plots import new_figure
 
-RAIN = {"bare soil": 0.5, "spots": 0.9, "bands": 1.35, "gaps": 1.55, "full cover": None}  # mm/d; None: as in wet years
+RAIN = {"bare soil": 0.5, "spots": 0.9, "bands": 1.25, "gaps": 1.55, "full cover": None}  # mm/d; None: as in wet years
 LASTING = "bands"  # what is looked at through 500 years
 FALLING_YR = 40.0
 SOIL = LinearSegmentedColormap.from_list("soil", ["#EFDDBB", "#E9DFC4", "#C6D6CC", "#9DC3CB", "#7FAEC2"])

@@ -29,6 +29,11 @@ COLOURS = {
     "beech": "#14532D",
     "pine": "#7A5195",
     "poplar": "#14532D",
+    "meranti": "#14532D",
+    "kapok": "#4D9221",
+    "cecropia": "#0072B2",
+    "eucalyptus": "#F08C00",
+    "acacia": "#7A5195",
 }
 STEP_YR = 5  # between the moments that are kept
 

@@ -144,8 +144,8 @@ def pattern_of(plan: Plan, moment: Moment, rng: np.random.Generator) -> Pattern:
         len(moment.position_m),
         cover,
         replace(field, cover=cover),
-        over_chance(hole_lives, moment, rng),
-        over_chance(join_lives, moment, rng),
+        over_chance(hole_lives, moment.position_m, moment.size_m, rng),
+        over_chance(join_lives, moment.position_m, moment.size_m, rng),
     )
 
 
@@ -165,13 +165,15 @@ def join_lives(points_m: Floats) -> Floats:
     return np.asarray(np.sort(np.sqrt(deaths[np.isfinite(deaths)]))[::-1])
 
 
-def over_chance(lives: Callable[[Floats], Floats], moment: Moment, rng: np.random.Generator) -> float:
+def over_chance(
+    lives: Callable[[Floats], Floats], points_m: Floats, size_m: tuple[float, float], rng: np.random.Generator
+) -> float:
     """The longest lives over the mean of those of as many plants anywhere; nan of too few plants."""
-    count = len(moment.position_m)
+    count = len(points_m)
     if count < FEWEST:
         return math.nan
-    chance = [lives(rng.random((count, 2)) * moment.size_m)[:LONGEST].sum() for _ in range(DRAWS)]
-    return float(lives(moment.position_m)[:LONGEST].sum() / np.mean(chance))
+    chance = [lives(rng.random((count, 2)) * size_m)[:LONGEST].sum() for _ in range(DRAWS)]
+    return float(lives(points_m)[:LONGEST].sum() / np.mean(chance))
 
 
 def draw_plants(axes: Any, moment: Moment, *, colour: Any, edge: Any, alpha: float = 1.0, width: float = 0.3) -> None:

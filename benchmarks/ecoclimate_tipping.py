@@ -136,7 +136,8 @@ def lived(future: Future, settings: Sequence[str], seed: int, start: Any) -> Fat
     plan = plan_of([*settings, local, f"community.steps={last}"], seed, rain=RAIN, over_yr=future.over_yr)
     course = grown_on(plan, start, [WET_YR + year for year in future.years])
     rng = np.random.default_rng(seed)
-    hole = {year: over_chance(hole_lives, course.moments[WET_YR + year], rng) for year in future.years}
+    seen = {year: course.moments[WET_YR + year] for year in future.years}
+    hole = {year: over_chance(hole_lives, one.position_m, one.size_m, rng) for year, one in seen.items()}
     return Fate(course, hole)
 
 

@@ -11,6 +11,7 @@ of trees smaller sites and the first seed alone.
     tipping      48   rain that falls slowly or fast on trees, with and without microclimates
     valleys      42   a pioneer and a species that likes it wet, on hills, with and without microclimate
     edges     43, 49  four species in a patch of forest; height of the canopy by distance to the edge
+    drought  37, 38, 40   oaks, pines and shrubs in a drought; pines on hills; a tropical forest that turns dry
     clouds       39   the air of a summer's afternoon over four kinds of vegetation
     clearing     41   clouds over a forest, a clearing and its regrowth
     foehn    44, 45   a wind over a ridge: which side is warmer
@@ -30,6 +31,7 @@ from pathlib import Path
 from time import perf_counter
 
 from ecoclimate_air import clearing, clouds, foehn, year
+from ecoclimate_drought import drought
 from ecoclimate_edges import edges
 from ecoclimate_forests import forests
 from ecoclimate_patterns import patterns, persistence
@@ -48,6 +50,7 @@ FIGURES: dict[str, Callable[[Report, bool, range], Figure]] = {
     "tipping": tipping,
     "valleys": valleys,
     "edges": edges,
+    "drought": drought,
     "clouds": clouds,
     "clearing": clearing,
     "foehn": foehn,
