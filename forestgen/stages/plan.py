@@ -34,6 +34,7 @@ from forestgen.stages.module_checks import check_branch_modules, is_built
 from forestgen.stages.own_plants import clothing_of, own_triangles
 from forestgen.stages.sky import check_sun
 from forestgen.stages.views import below_ground, check_above_ground, drawn_cameras
+from forestgen.stages.wet_soil import check_wet_soil
 
 # Kept free for the operating system and for what no estimate sees.
 _SHARE_OF_MEMORY = 0.8
@@ -110,6 +111,7 @@ def make_plan(drawn: DrawnRecipe) -> Plan:
     _check_named_species(drawn, parameters)
     _check_disturbances(drawn, parameters)
     check_branch_modules(drawn, parameters)
+    check_wet_soil(drawn, parameters)
     check_maps(parameters, drawn.recipe.site.size_m, lambda *keys: drawn.where("community", *keys))
     return Plan(drawn, model, parameters, generators, clothing)
 

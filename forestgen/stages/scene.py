@@ -43,6 +43,7 @@ from forestgen.stages.plan import Plan
 from forestgen.stages.sky import sky_of
 from forestgen.stages.surfaces import infrared_notes, materials_of
 from forestgen.stages.views import check_trunks, drawn_cameras
+from forestgen.stages.wet_soil import wetness_of
 
 MOST_CACHED_IMAGES = 16  # a data set of many images would only wash the cache out
 Timer = Callable[[str], AbstractContextManager[None]]
@@ -88,7 +89,8 @@ def build_scene(plan: Plan, population: Population, progress: Progress, timer: T
     with timer("clouds"):
         clouds = clouds_of(plan.drawn, _lowest_m(plan, height), progress)
     with timer("scene"):
-        terrain = build_terrain(height, child_rng(seed, "terrain", "colour"), recipe.site.ground)
+        wetness = wetness_of(plan.drawn, plan.model_parameters, population)
+        terrain = build_terrain(height, child_rng(seed, "terrain", "colour"), recipe.site.ground, wetness)
         albedo = float(np.mean(terrain.far_reflectance))  # of the region, which the sky and the clouds see
         stands_for_m = np.full(len(exemplar_plan), np.nan)
         own = exemplar_plan.plant >= 0
