@@ -209,7 +209,7 @@ class _Work:
     def _key(self, stop: _Stop) -> str:
         digest = hashlib.blake2b(digest_size=20)
         told = self._scenario.chapters[: stop.chapter + 1]
-        digest.update(repr((code_hash(SOURCES, _COMPUTE_WITH), self._seed, stop.time_s, _described(told))).encode())
+        digest.update(repr((code_hash(SOURCES, _COMPUTE_WITH), self._seed, stop.time_s, described(told))).encode())
         return digest.hexdigest()
 
     def _fresh(self, number: int) -> Weather:
@@ -304,13 +304,13 @@ def _patches(
     return np.asarray((noise - noise.mean()) / noise.std())
 
 
-def _described(value: Any) -> Any:
+def described(value: Any) -> Any:
     """Plain and complete, for a hash: arrays by their bytes."""
     if is_dataclass(value):
         named = {one.name: getattr(value, one.name) for one in fields(value)}
-        return type(value).__name__, tuple((name, _described(one)) for name, one in named.items())
+        return type(value).__name__, tuple((name, described(one)) for name, one in named.items())
     if isinstance(value, tuple):
-        return tuple(_described(one) for one in value)
+        return tuple(described(one) for one in value)
     if isinstance(value, np.ndarray):
         return value.shape, value.dtype.str, hashlib.blake2b(np.ascontiguousarray(value).tobytes()).hexdigest()
     return float(value) if isinstance(value, int | float) else value

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from itertools import pairwise
-from typing import Annotated, Any, Literal, Self, get_args
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, SerializerFunctionWrapHandler, field_validator, model_serializer, model_validator
 
+from forestgen.recipe.cloud_keys import NOISE, OF_COMMUNITY, OF_FILES, SIMULATED, Simulated, whose
 from forestgen.recipe.fields import (
     Flag,
     Fraction,
@@ -25,16 +26,6 @@ from forestgen.recipe.fields import (
     spelled_out,
 )
 
-Simulated = Literal["fog", "stratus", "stratocumulus", "cumulus", "cumulonimbus"]
-SIMULATED: tuple[str, ...] = get_args(Simulated)
-NOISE: Mapping[str, float] = {
-    "cover": 0.35,
-    "base_m": 900.0,
-    "thickness_m": 350.0,
-    "extinction_per_m": 0.05,
-    "extent_m": 8000.0,
-}
-_OF_FILES = ("file", "droplet_radius_um", "offset_m", "repeat")
 _OF_TYPE = " Default: the type's."
 _FILE_NAME = Annotated[Text, Field(min_length=1, max_length=4000)]
 
@@ -231,15 +222,20 @@ class Clouds(WeatherKeys):
     """The clouds above the site, or around it."""
 
     type: Annotated[
-        Literal[Simulated, "noise", "file", "none"],
+        Literal[Simulated, "community", "noise", "file", "none"],
         Field(
-            description="fog, stratus, stratocumulus, cumulus, cumulonimbus: simulated. noise: a field of small "
-            "cumulus without weather, made in a second. file: a saved field."
+            description="fog, stratus, stratocumulus, cumulus, cumulonimbus: simulated. community: the air that an "
+            "ecoclimate simulates over itself. noise: a field of small cumulus without weather, made in a second. "
+            "file: a saved field."
         ),
     ] = "none"
     time_s: Annotated[
         NonNegative | None,
-        Field(le=1e6, description="When the picture is taken, seconds after the simulation begins." + _OF_TYPE),
+        Field(
+            le=1e6,
+            description="When the picture is taken, seconds after the simulation begins. Default: the type's; of type "
+            "community the end of the day's simulated hours.",
+        ),
     ] = None
     seed: Annotated[
         Whole | None,
@@ -273,6 +269,27 @@ class Clouds(WeatherKeys):
     file: Annotated[
         NamedFile | None,
         Field(description="Of type file: a saved state of the air (.nc), or a volume of extinction per metre (.vol)."),
+    ] = None
+    day: Annotated[
+        Whole | None,
+        Field(
+            ge=0,
+            le=30,
+            description="Of type community: which day of the month after the snapshot; the simulation sees those below "
+            "its days_per_month. Default 0.",
+        ),
+    ] = None
+    cell_m: Annotated[
+        Positive | None,
+        Field(
+            ge=5,
+            le=1000,
+            description="Of type community: width of the air's cells, metres; other cells make another draw of the "
+            "same air. Default: community.weather's.",
+        ),
+    ] = None
+    cell_height_m: Annotated[
+        Positive | None, Field(ge=5, le=500, description="Of type community: their height, metres. Default: as above.")
     ] = None
     cover: Annotated[
         Fraction | None, Field(description="Of noise: fraction of the sky's area under cloud, 0 to 1. Default 0.35.")
@@ -316,14 +333,15 @@ class Clouds(WeatherKeys):
     def _keys_of_the_type(self) -> Self:
         if self.type == "none":  # a recipe that draws its type may say how clouds are where there are some
             return self
-        known = {*NOISE} if self.type == "noise" else {*_OF_FILES} if self.type == "file" else self._of_simulation()
+        others = {"noise": {*NOISE}, "file": {*OF_FILES}, "community": {*OF_COMMUNITY}}
+        known = others[self.type] if self.type in others else self._of_simulation()
         for key in sorted(self.model_fields_set - known - {"type"}):
             if getattr(self, key) is not None:
                 raise mistake(
                     "one of " + ", ".join(sorted(known)),
                     problem=f"clouds of type {self.type} have no {key}",
                     got=key,
-                    hint=_whose(key, self.type),
+                    hint=whose(key, self.type),
                     at=(key,),
                 )
         if self.type == "file":
@@ -367,13 +385,3 @@ class Clouds(WeatherKeys):
                     expected, problem="chapters out of order", got=f"{other.at_s:g}", at=("story", index, "at_s")
                 )
         return self
-
-
-def _whose(key: str, got: str) -> str:
-    """Where a key belongs."""
-    if key in NOISE:
-        shape = "set its base and top by its sounding, how much there is by its emission, how wide it is by domain"
-        return f"it is a key of type noise; {shape}" if got in SIMULATED else "it is a key of type noise"
-    if key == "file":
-        return "set type: file"
-    return "it is a key of the simulated types: " + ", ".join(SIMULATED)

@@ -149,12 +149,14 @@ def _admit_shorthands(schema: Json) -> None:
     definitions = schema["$defs"]
     for owner, key, section, field in (
         ("Site", "terrain", "Terrain", "kind"),
+        ("Site", "wet_soil", "WetSoil", "shown"),
         ("SkySection", "clouds", "Clouds", "type"),
     ):
         kinds = definitions[section]["properties"][field]["anyOf"]
         place = definitions[owner]["properties"][key]
         description = {k: place[k] for k in ("description", "default") if k in place}
-        definitions[owner]["properties"][key] = {**description, "anyOf": [{"$ref": f"#/$defs/{section}"}, *kinds]}
+        arms = place.get("anyOf", [{"$ref": f"#/$defs/{section}"}])
+        definitions[owner]["properties"][key] = {**description, "anyOf": [*arms, *kinds]}
     del definitions["Camera"]["required"]
     for name in ("site", "plants", "sky", "cameras", "render", "labels"):
         place = schema["properties"][name]

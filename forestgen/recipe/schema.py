@@ -10,7 +10,14 @@ import math
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, Self, get_args
 
-from pydantic import BeforeValidator, Field, field_validator, model_validator
+from pydantic import (
+    BeforeValidator,
+    Field,
+    SerializerFunctionWrapHandler,
+    field_validator,
+    model_serializer,
+    model_validator,
+)
 
 from forestgen.recipe.camera_checks import check_cameras, check_motion
 from forestgen.recipe.cameras import Camera, default_view
@@ -36,6 +43,7 @@ from forestgen.recipe.sampling import Sampling
 from forestgen.recipe.sky import SkySection
 from forestgen.recipe.species import Species
 from forestgen.recipe.terrain import Terrain
+from forestgen.recipe.wet_soil import WetSoil
 
 SCHEMA_VERSION = 1
 # Kinds of cameras that a format has words for; the others have them for all.
@@ -91,11 +99,28 @@ class Site(Section):
             "with a response to wind, and for the wind that plants lean and sway in.",
         ),
     ] = 270.0
+    wet_soil: Annotated[
+        WetSoil | None,
+        Field(
+            description="How litter, dry soil, rock and sand darken where a community of model ecoclimate has water in "
+            "its soil; false: they do not. Default: they do."
+        ),
+    ] = None
 
     @field_validator("terrain", mode="before")
     @classmethod
     def _kind_alone(cls, value: Any) -> Any:
         return spelled_out(value, "kind")
+
+    @field_validator("wet_soil", mode="before")
+    @classmethod
+    def _shown_alone(cls, value: Any) -> Any:
+        return {"shown": value} if isinstance(value, bool) else value
+
+    @model_serializer(mode="wrap")
+    def _without_what_few_need(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        found: dict[str, Any] = handler(self)
+        return {key: value for key, value in found.items() if key != "wet_soil" or value is not None}
 
 
 class Community(OpenSection):

@@ -121,6 +121,8 @@ def scene_dict(spec: SceneSpec, origin_m: NDArray[np.float64], paints: Paints) -
     scene = plants_dict(spec, origin_m, paints)
     terrain = to_mesh(spec.terrain.mesh, paints.ground(spec.terrain), origin_m, "terrain")
     terrain.add_attribute("vertex_far_share", 1, spec.terrain.far_share)
+    if spec.terrain.wet is not None:
+        terrain.add_attribute("vertex_wet_share", 1, spec.terrain.wet.share)
     scene["terrain"] = terrain
     return scene
 

@@ -47,6 +47,7 @@ from forestgen.render.cloud_shadow import content_key
 from forestgen.render.light import envmap
 from forestgen.render.sky_radiance import MAP_COLUMNS, MAP_ROWS, SUN_RADIUS_DEG, sky_map, sun_irradiance
 from forestgen.scene.channels import RGB, Channels
+from forestgen.scene.soil_colour import film_factor
 from forestgen.scene.spec import SceneSpec, Sky, Terrain
 
 Floats = NDArray[np.float64]
@@ -89,9 +90,18 @@ class TracedClouds:
         """Of the terrain: the mean over a large texture, asked for with every channel."""
         return self.terrain.mean_colour
 
+    @cached_property
+    def _wet_share(self) -> float:
+        """Of the ground around the site, which is as wet as the site's mean."""
+        assert self.terrain.wet is not None
+        around = self.terrain.far_share > 0
+        return float(self.terrain.wet.share[around].mean()) if around.any() else float(self.terrain.wet.share.mean())
+
     def albedo(self, channels: Channels) -> Floats:
         """(3,) of the plain."""
         near = channels.of_surface(self._near_colour, self.terrain.spectrum)
+        if self.terrain.wet is not None:
+            near = near * (1.0 - self._wet_share * (1.0 - film_factor(self.terrain, channels)))
         far = channels.of_surface(self.terrain.far_reflectance, self.terrain.far_spectrum)
         return np.asarray((1.0 - self.far_share) * near + self.far_share * far)
 

@@ -14,6 +14,7 @@ from forestgen.plants.bark.texture import SurfaceTexture
 from forestgen.render.gloss import gloss_of
 from forestgen.render.variant import mitsuba
 from forestgen.scene.channels import RGB, Channels
+from forestgen.scene.soil_colour import film_factor
 from forestgen.scene.spec import Material, Terrain
 
 LEAFLIKE = (Part.LEAF, Part.FLOWER)
@@ -219,18 +220,30 @@ def _bitmap(image: NDArray[Any]) -> dict[str, Any]:
 
 
 def ground_bsdf(terrain: Terrain, channels: Channels = RGB) -> dict[str, Any]:
-    """Diffuse ground: the terrain's texture on the site, one colour in the distance."""
-    colour = channels.texture(terrain.texture, terrain.mean_colour, terrain.spectrum)
-    bitmap = mitsuba().Bitmap(np.ascontiguousarray(np.maximum(colour, 0.0)))
+    """Diffuse ground: the terrain's texture on the site, darker where it is wet, one colour in the distance."""
+    colour = np.maximum(channels.texture(terrain.texture, terrain.mean_colour, terrain.spectrum), 0.0)
+    near = _painted_ground(colour)
+    if terrain.wet is not None:
+        near = {
+            "type": "blendbsdf",
+            "weight": {"type": "mesh_attribute", "name": "vertex_wet_share"},
+            "dry": near,
+            "wet": _painted_ground(colour * film_factor(terrain, channels).astype(np.float32)),
+        }
     return {
         "type": "twosided",
         "bsdf": {
             "type": "blendbsdf",
             "weight": {"type": "mesh_attribute", "name": "vertex_far_share"},
-            "near": {
-                "type": "diffuse",
-                "reflectance": {"type": "bitmap", "bitmap": bitmap, "raw": True, "wrap_mode": "repeat"},
-            },
+            "near": near,
             "far": diffuse(channels.of_surface(terrain.far_reflectance, terrain.far_spectrum)),
         },
+    }
+
+
+def _painted_ground(colour: NDArray[np.float32]) -> dict[str, Any]:
+    bitmap = mitsuba().Bitmap(np.ascontiguousarray(colour))
+    return {
+        "type": "diffuse",
+        "reflectance": {"type": "bitmap", "bitmap": bitmap, "raw": True, "wrap_mode": "repeat"},
     }

@@ -53,6 +53,15 @@ class Instances:
 
 
 @dataclass(frozen=True)
+class WetGround:
+    """What water makes of a ground; scene/soil_colour.py."""
+
+    share: NDArray[np.float32]  # (V,) by vertex: 0 dry, 1 under a film of water
+    reflectance: tuple[float, float, float]  # mean colour under the film, linear Rec. 709
+    spectrum: Spectrum  # of which it is the colour
+
+
+@dataclass(frozen=True)
 class Terrain:
     """The ground: a mesh with a colour texture over its uv, that gives way to one colour far from the site."""
 
@@ -62,6 +71,7 @@ class Terrain:
     far_reflectance: tuple[float, float, float] = (0.034, 0.050, 0.021)  # woods and meadows seen from afar
     spectrum: Spectrum | None = None  # of the texture's mean colour; None: the colour is all
     far_spectrum: Spectrum | None = None
+    wet: WetGround | None = None  # None: dry, or nobody knows
 
     @property
     def mean_colour(self) -> tuple[float, float, float]:

@@ -17,6 +17,7 @@ from forestgen.geometry.mesh import Mesh
 from forestgen.plants.bark.texture import with_mean
 from forestgen.recipe.spectra import load_spectra
 from forestgen.scene.colour import colours_of_surface
+from forestgen.scene.soil_colour import DARKENED, Wetness, wet_ground
 from forestgen.scene.spec import Terrain
 
 HORIZON_M = 200_000.0  # from 300 m up, a flat earth ends 0.1 degrees below the horizon
@@ -252,20 +253,27 @@ def uneven_texture(ground: str, rng: np.random.Generator) -> NDArray[np.float32]
     return np.repeat(np.clip(tone, 0.2, 2.0).astype(np.float32)[..., None], 3, axis=2)
 
 
-def build_terrain(height: HeightField, rng: np.random.Generator, ground: str = "litter") -> Terrain:
+def build_terrain(
+    height: HeightField, rng: np.random.Generator, ground: str = "litter", wetness: Wetness | None = None
+) -> Terrain:
     """Ground of a site: `ground` on it and around it, woods and meadows beyond; colours are those of the spectra.
 
     Parameters
     ----------
     ground : a table of scenes/spectra/ground; leaf litter shows its leaves, the others are uneven.
+    wetness : of the site's soil, which darkens it; None: as the spectrum is.
     """
     mesh = terrain_mesh(height)
     x, y = mesh.vertices_m[:, 0].astype(np.float64), mesh.vertices_m[:, 1].astype(np.float64)
-    far = smooth_step((height.distance_m(x, y) - 30.0) / 120.0)
+    away = height.distance_m(x, y)
+    far = smooth_step((away - 30.0) / 120.0)
     spectrum, far_spectrum = _reflectance(f"ground/{ground}"), _reflectance("ground/far")
     if ground == "snow":
         far_spectrum = _mixed(far_spectrum, spectrum, SNOW_AFAR)
     colour, _ = colours_of_surface(spectrum, None)
+    wet = None
+    if wetness is not None and ground in DARKENED:
+        wet = wet_ground(spectrum, wetness.at(x, y, smooth_step(away / _MARGIN_M)))
     return Terrain(
         mesh=mesh,
         texture=with_mean(litter_texture(rng) if ground == "litter" else uneven_texture(ground, rng), colour),
@@ -273,6 +281,7 @@ def build_terrain(height: HeightField, rng: np.random.Generator, ground: str = "
         far_reflectance=colours_of_surface(far_spectrum, None)[0],
         spectrum=spectrum,
         far_spectrum=far_spectrum,
+        wet=wet,
     )
 
 

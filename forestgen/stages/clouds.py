@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from forestgen.atmosphere.extinction import DROPLET_RADIUS_UM
 from forestgen.atmosphere.grid import CloudGrid
 from forestgen.atmosphere.procedural import cumulus_field
 from forestgen.atmosphere.simulate import simulate, weather_store
@@ -30,12 +31,13 @@ _BYTES_PER_CLOUD_CELL = 60  # of noise, which is made of it
 _BYTES_PER_SHOWN_CELL = 32  # extinction with its copies, and the renderer's; exact was measured to take 17
 
 
-def clouds_of(drawn: DrawnRecipe, ground_m: float, progress: Progress) -> CloudGrid | None:
+def clouds_of(drawn: DrawnRecipe, ground_m: float, progress: Progress, own: Weather | None = None) -> CloudGrid | None:
     """The clouds of a recipe; None where the sky has none.
 
     Parameters
     ----------
     ground_m : height of the site's lowest ground, on which simulated weather stands.
+    own : the air of the community, where the clouds are of that type.
 
     Raises
     ------
@@ -50,6 +52,10 @@ def clouds_of(drawn: DrawnRecipe, ground_m: float, progress: Progress) -> CloudG
         return _noise(clouds, centre, child_rng(drawn.image_seed, "clouds"))
     if clouds.type == "file":
         return _from_file(drawn, centre, ground_m)
+    if clouds.type == "community":
+        assert own is not None
+        radius_um = clouds.droplet_radius_um or DROPLET_RADIUS_UM["cumulus"]
+        return _placed(drawn, own, radius_um, centre, ground_m)
     weather = weather_of(drawn, progress)
     radius_um = droplet_radius_um_of(drawn, scenario_of(drawn), weather.time_s)
     return _placed(drawn, weather, radius_um, centre, ground_m)
@@ -180,9 +186,9 @@ def _check_depth(drawn: DrawnRecipe, grid: CloudGrid) -> None:
         where=drawn.where("sky", "clouds"),
         expected=f"an optical depth of at most {_MOST_SIMULATED_DEPTH:g}; thunderclouds have hundreds",
         got=f"{depth:.3g} in the thickest column",
-        hint="raise droplet_radius_um, or lower the emission"
-        if drawn.recipe.sky.clouds.simulated
-        else "check the file's unit: extinction per metre",
+        hint="check the file's unit: extinction per metre"
+        if drawn.recipe.sky.clouds.type == "file"
+        else "raise droplet_radius_um, or lower the emission",
     )
 
 
@@ -243,7 +249,7 @@ def _tiles_across(shown_m: float, extent_m: float) -> int:
 
 
 def cloud_bytes(drawn: DrawnRecipe) -> int:
-    """Memory that the clouds take at most, by estimate."""
+    """Memory that the clouds take at most, by estimate; those of a community: see `own_clouds`."""
     clouds = drawn.recipe.sky.clouds
     if clouds.type == "none":
         return 0
@@ -258,11 +264,16 @@ def cloud_bytes(drawn: DrawnRecipe) -> int:
         return _file_bytes(path, repeated=clouds.repeat is not False)
     most = 0
     for chapter in scenario_of(drawn).chapters:
-        conditions = chapter.conditions
-        cells = math.prod(conditions.domain.cells)
-        tiles = _tiles_across(_SHOWN_M[1], conditions.domain.extent_m) if clouds.repeat is not False else 1
-        most = max(most, cells * _BYTES_PER_AIR_CELL, cells * tiles**2 * _BYTES_PER_SHOWN_CELL)
+        domain = chapter.conditions.domain
+        own = simulated_bytes(math.prod(domain.cells), domain.extent_m, repeated=clouds.repeat is not False)
+        most = max(most, own)
     return most
+
+
+def simulated_bytes(cells: int, extent_m: float, *, repeated: bool) -> int:
+    """Memory of air in a box of some width, and of what is shown of it."""
+    tiles = _tiles_across(_SHOWN_M[1], extent_m) if repeated and extent_m else 1
+    return cells * max(_BYTES_PER_AIR_CELL, tiles**2 * _BYTES_PER_SHOWN_CELL)
 
 
 def _file_bytes(path: Path, *, repeated: bool) -> int:
@@ -273,8 +284,7 @@ def _file_bytes(path: Path, *, repeated: bool) -> int:
     if size is None:
         return 0  # whatever is wrong with the file is told where it is read
     cells, extent_m = size
-    tiles = _tiles_across(_SHOWN_M[1], extent_m) if repeated and extent_m else 1
-    return cells * max(_BYTES_PER_AIR_CELL, tiles**2 * _BYTES_PER_SHOWN_CELL)
+    return simulated_bytes(cells, extent_m or 0.0, repeated=repeated)
 
 
 def check_clouds(drawn: DrawnRecipe) -> None:

@@ -31,9 +31,11 @@ from forestgen.scene.exemplars import check_traits
 from forestgen.stages.clouds import check_clouds, cloud_bytes, known_base_m
 from forestgen.stages.ground import community_site
 from forestgen.stages.module_checks import check_branch_modules, is_built
+from forestgen.stages.own_clouds import check_own_clouds, own_cloud_bytes
 from forestgen.stages.own_plants import clothing_of, own_triangles
 from forestgen.stages.sky import check_sun
 from forestgen.stages.views import below_ground, check_above_ground, drawn_cameras
+from forestgen.stages.wet_soil import check_wet_soil
 
 # Kept free for the operating system and for what no estimate sees.
 _SHARE_OF_MEMORY = 0.8
@@ -110,6 +112,8 @@ def make_plan(drawn: DrawnRecipe) -> Plan:
     _check_named_species(drawn, parameters)
     _check_disturbances(drawn, parameters)
     check_branch_modules(drawn, parameters)
+    check_wet_soil(drawn, parameters)
+    check_own_clouds(drawn, parameters)
     check_maps(parameters, drawn.recipe.site.size_m, lambda *keys: drawn.where("community", *keys))
     return Plan(drawn, model, parameters, generators, clothing)
 
@@ -248,7 +252,9 @@ def estimate_bytes(plan: Plan, *, simulate_only: bool = False, plants: int = 0) 
         "images": pixels * (_BYTES_PER_PIXEL + recipe.labels.samples * _BYTES_PER_SAMPLE),
         "exemplars": _exemplar_triangles(plan) * per_triangle + own * (_BYTES_PER_OWN_TRIANGLE + clouds_per_triangle),
         "plants": plants * per_plant,
-        "clouds": cloud_bytes(plan.drawn),
+        "clouds": own_cloud_bytes(plan.drawn, plan.model_parameters)
+        if recipe.sky.clouds.type == "community"
+        else cloud_bytes(plan.drawn),
     }
 
 

@@ -16,6 +16,7 @@ from forestgen.atmosphere.sounding import Sounding, first_fault
 from forestgen.core.errors import AssetError, RecipeError
 from forestgen.core.grey_picture import read_grey
 from forestgen.recipe import clouds as recipe_clouds
+from forestgen.recipe.cloud_keys import SIMULATED
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.map_files import file_sha256
 from forestgen.recipe.paths import inside
@@ -70,9 +71,11 @@ def scenario_of(drawn: DrawnRecipe) -> Scenario:
         raise RecipeError(
             "the recipe's clouds are not simulated",
             where=drawn.where(*where),
-            expected="a type of " + ", ".join(recipe_clouds.SIMULATED),
+            expected="a type of " + ", ".join(SIMULATED),
             got=clouds.type,
-            hint="set sky.clouds=cumulus",
+            hint="render the recipe: such clouds come with their community"
+            if clouds.type == "community"
+            else "set sky.clouds=cumulus",
         )
     if clouds.story is None:
         return Scenario((Chapter(0.0, _conditions(drawn, clouds.type, clouds, where)),))

@@ -39,10 +39,12 @@ from forestgen.stages.exemplar_library import library_of, modelled_species, orig
 from forestgen.stages.ground import height_field
 from forestgen.stages.module_checks import turned_obstacles
 from forestgen.stages.own_requests import has_own, own_requests, plan_own_plants
+from forestgen.stages.own_weather import own_weather
 from forestgen.stages.plan import Plan
 from forestgen.stages.sky import sky_of
 from forestgen.stages.surfaces import infrared_notes, materials_of
 from forestgen.stages.views import check_trunks, drawn_cameras
+from forestgen.stages.wet_soil import wetness_of
 
 MOST_CACHED_IMAGES = 16  # a data set of many images would only wash the cache out
 Timer = Callable[[str], AbstractContextManager[None]]
@@ -78,6 +80,10 @@ class BuiltScene:
 def build_scene(plan: Plan, population: Population, progress: Progress, timer: Timer) -> BuiltScene:
     """Grow the exemplars, shape the ground, hang the clouds, place plants and cameras."""
     recipe, seed = plan.drawn.recipe, plan.drawn.image_seed
+    own = None
+    if recipe.sky.clouds.type == "community":
+        with timer("weather"):
+            own = own_weather(plan, population, progress)
     with timer("scene"):
         height = height_field(plan.drawn)
         population = stand_on(population, height)
@@ -86,13 +92,14 @@ def build_scene(plan: Plan, population: Population, progress: Progress, timer: T
         exemplar_plan = choose_exemplars(plan, population, cameras)
         exemplars = grow_planned(plan, exemplar_plan, progress, population)
     with timer("clouds"):
-        clouds = clouds_of(plan.drawn, _lowest_m(plan, height), progress)
+        clouds = clouds_of(plan.drawn, _lowest_m(plan, height), progress, own)
     with timer("scene"):
-        terrain = build_terrain(height, child_rng(seed, "terrain", "colour"), recipe.site.ground)
+        wetness = wetness_of(plan.drawn, plan.model_parameters, population)
+        terrain = build_terrain(height, child_rng(seed, "terrain", "colour"), recipe.site.ground, wetness)
         albedo = float(np.mean(terrain.far_reflectance))  # of the region, which the sky and the clouds see
         stands_for_m = np.full(len(exemplar_plan), np.nan)
-        own = exemplar_plan.plant >= 0
-        stands_for_m[own] = population.height_m[exemplar_plan.plant[own]]
+        unique = exemplar_plan.plant >= 0
+        stands_for_m[unique] = population.height_m[exemplar_plan.plant[unique]]
         instances = place_instances(
             turned_obstacles(plan.model_parameters, population),
             exemplar_plan.exemplar_of_plant,

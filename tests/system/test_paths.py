@@ -15,6 +15,7 @@ from test_leaf import LEAVES, PASSES
 
 from forestgen.atmosphere.daylight import daylight_of
 from forestgen.core.parts import Part
+from forestgen.core.spectrum import Spectrum
 from forestgen.core.timing import Timings
 from forestgen.geometry.mesh import Mesh
 from forestgen.plants.bark.texture import bark_texture
@@ -32,10 +33,10 @@ from forestgen.render.sensors import capture
 from forestgen.render.sky_radiance import MAP_COLUMNS, MAP_ROWS, along, sky_map
 from forestgen.render.surfaces import surface_bsdf
 from forestgen.render.variant import CUDA, LLVM, SCALAR, drjit, mitsuba, using
-from forestgen.scene.channels import RGB
-from forestgen.scene.spec import Lens, Material, SceneSpec, Sky
+from forestgen.scene.channels import RGB, Channels
+from forestgen.scene.spec import Lens, Material, SceneSpec, Sky, WetGround
 from forestgen.testing.bark_post import REFLECTANCE, TILE_M, leaning_texture, post_scene
-from forestgen.testing.scenes import camera_at, scattered_scene, shifted
+from forestgen.testing.scenes import camera_at, plain_ground, scattered_scene, shifted
 
 UP = (0.0, 0.0, 1.0)
 
@@ -338,6 +339,36 @@ def test_all_cameras_see_what_mitsuba_renders(name):
     # Near a panorama's poles Mitsuba's image, put together from cube faces, weighs rays by their solid angles.
     rows = slice(6, 18) if name == "panorama" else slice(None)
     assert_same(images_of(spec, 12, 32)[:, rows], by_mitsuba(spec, 12, 32)[:, rows])
+
+
+def wet_terrain(albedo: float, low_m: float, high_m: float, cells: int = 1):
+    """Dry and wet in waves; the film takes more of the long wavelengths."""
+    ground = plain_ground(low_m, high_m, cells, albedo=albedo)
+    place = ground.mesh.vertices_m[:, :2].astype(np.float64)
+    share = (0.5 + 0.5 * np.sin(place @ [0.5, 0.9])).astype(np.float32)
+    nm, film = np.array([400.0, 1000.0, 2000.0]), albedo * np.array([0.9, 0.6, 0.1])
+    return replace(ground, wet=WetGround(share, (0.4 * albedo, 0.5 * albedo, 0.6 * albedo), Spectrum(nm, film)))
+
+
+def test_wet_ground_is_lit_as_mitsuba_lights_it():
+    spec = replace(leafy_stand(), terrain=wet_terrain(0.4, -60.0, 84.0, 48))
+    assert_same(images_of(spec, 12, 32), by_mitsuba(spec, 12, 32))
+
+
+@pytest.mark.parametrize(
+    ("channels", "factor"), [(RGB, (0.4, 0.5, 0.6)), (Channels((400.0, 1000.0, 1500.0)), (0.9, 0.6, 0.35))]
+)
+def test_a_wet_plane_returns_its_share_of_an_even_sky(channels, factor):
+    """Of 1 all around, the plane sends back what it reflects: in colour and at wavelengths."""
+    ground = wet_terrain(0.4, -20000.0, 20000.0)
+    for wet in (0.0, 0.3, 1.0):
+        share = np.full(len(ground.wet.share), wet, np.float32)
+        even = replace(ground, wet=replace(ground.wet, share=share))
+        lit = white_sky(replace(bare_ground(Sky(40.0, 140.0, 3.0)), terrain=even))
+        lit.show(channels)
+        found = lit.take(16, seed=1)
+        wanted = 0.4 * (1.0 - wet * (1.0 - np.array(factor)))
+        np.testing.assert_allclose((found.by_sky + found.beyond).mean(axis=(0, 1)), wanted, rtol=2e-3)
 
 
 @pytest.mark.parametrize("turn_deg", [0.0, 140.0])

@@ -10,6 +10,7 @@ from shots import identity, radiance
 
 from forestgen.atmosphere.grid import CloudGrid
 from forestgen.core.parts import Part
+from forestgen.core.spectrum import Spectrum
 from forestgen.render import sky
 from forestgen.render.build import load, origin_of, scene_dict
 from forestgen.render.cloud_heights import base_of
@@ -24,7 +25,7 @@ from forestgen.render.variant import SCALAR, mitsuba, using
 from forestgen.render.views import pixels_of
 from forestgen.scene.channels import RGB, Channels
 from forestgen.scene.projection import world_rays
-from forestgen.scene.spec import Instances, SceneSpec, Sky
+from forestgen.scene.spec import Instances, SceneSpec, Sky, WetGround
 from forestgen.testing.cloud_box import cloud_volume
 from forestgen.testing.scenes import camera_at, plain_ground, scattered_scene
 
@@ -181,6 +182,23 @@ def test_the_sky_under_clouds_is_baked_for_all_wavelengths_at_once(wavelengths):
         found = gather(clouds.field, clouds.under(sky_map(spec.sky, channels)), place, way, seed=5, disc=False)
         alone = np.pi * found.radiance(clouds.albedo(channels), sun_irradiance(spec.sky, channels)).mean(axis=0)
     np.testing.assert_allclose(once, alone, rtol=0.03)
+
+
+def test_clouds_see_the_wet_ground_around_the_site():
+    """The plain below them has the share of the ground beyond the site, in colour and at wavelengths."""
+    spec = replace(stand(), clouds=patchy_clouds())
+    ground, nm = spec.terrain, np.array([400.0, 2500.0])
+    away = ground.mesh.vertices_m[:, 0] > 0
+    far = (0.5 * away).astype(np.float32)
+    wet = WetGround(np.where(away, 0.4, 0.9).astype(np.float32), (0.05, 0.05, 0.05), Spectrum(nm, np.full(2, 0.05)))
+    for channels in (RGB, Channels((460.0, 860.0, 1610.0))):
+        dry, found = (
+            replace(
+                sky.traced_clouds_of(replace(spec, terrain=replace(ground, far_share=far, wet=one))), far_share=0.0
+            ).albedo(channels)
+            for one in (None, wet)
+        )
+        np.testing.assert_allclose(found, 0.6 * dry + 0.4 * 0.05, rtol=1e-5)
 
 
 def test_light_on_the_land_around_is_that_of_its_own_clouds():

@@ -30,6 +30,11 @@ COARSE = {  # of clouds, of a walk of eight frames, of a house on a larger site,
     "branch_modules": ("community.obstacles.0.position_m=[18, 20]",),
     "ecoclimates/dryland": ("community.steps=6",),
     "ecoclimates/edges": ("site.size_m=[100, 80]", "community.steps=56"),  # its patch has a place, its strip a year
+    "ecoclimates/own_clouds": (
+        "community.steps=3",
+        "community.changes.0.at_yr=1.5",
+        "sky.clouds={type: community, time_s: 600, cell_m: 400, cell_height_m: 300}",
+    ),
     "ecoclimates/stand": ("community.steps=6",),
     "ecoclimates/valleys": ("community.steps=6",),
     "kernel_growth": ("sky.clouds={type: noise, extent_m: 2000}",),

@@ -14,6 +14,7 @@ from shots import seen
 from ties import hits_around
 
 from forestgen.core.parts import Part
+from forestgen.core.spectrum import Spectrum
 from forestgen.geometry.mesh import Mesh
 from forestgen.plants.bark.texture import SurfaceTexture
 from forestgen.plants.exemplar import Exemplar, OrganMesh
@@ -22,7 +23,7 @@ from forestgen.render.identity import camera_rays
 from forestgen.render.identity.surface import bilinear
 from forestgen.render.surfaces import _bitmap, ground_bsdf
 from forestgen.render.variant import LLVM, drjit, mitsuba
-from forestgen.scene.spec import Camera, Instances, Material, SceneSpec, Sky
+from forestgen.scene.spec import Camera, Instances, Material, SceneSpec, Sky, WetGround
 from forestgen.testing.scenes import blade_cloud, camera_at, plain_ground, scattered_scene
 from forestgen.testing.twins import Oracle
 
@@ -197,7 +198,8 @@ def test_texels_are_where_mitsuba_has_them():
     np.testing.assert_allclose(ours, theirs, atol=2e-5)
 
 
-def test_the_grounds_albedo_is_what_the_radiance_pass_shades():
+@pytest.mark.parametrize("is_wet", [False, True])
+def test_the_grounds_albedo_is_what_the_radiance_pass_shades(is_wet):
     ground = plain_ground(-40.0, 40.0, 16, bumps_m=0.5)
     away = np.linalg.norm(ground.mesh.vertices_m[:, :2], axis=1)
     ground = replace(
@@ -206,6 +208,10 @@ def test_the_grounds_albedo_is_what_the_radiance_pass_shades():
         texture=np.random.default_rng(4).random((12, 20, 3)).astype(np.float32),
         far_share=np.clip((away - 12) / 15, 0, 1).astype(np.float32),
     )
+    dry = ground
+    if is_wet:
+        film, share = (0.2, 0.25, 0.3), (0.5 + 0.5 * np.sin(away)).astype(np.float32)
+        ground = replace(dry, wet=WetGround(share, film, Spectrum(np.array([550.0]), np.array([0.25]))))
     camera = camera_at((0.0, -2.0, 6.0), (0.0, 30.0, -6.0), (96, 54))
     spec = replace(scattered_scene(3, exemplars=1, leaves=4, terrain=ground), cameras=(camera,))
     _, surface = seen(spec, 1)
@@ -215,6 +221,27 @@ def test_the_grounds_albedo_is_what_the_radiance_pass_shades():
     np.testing.assert_allclose(surface.albedo[on], theirs[on], atol=2e-3)
     assert np.abs(surface.albedo[on] - spec.terrain.far_reflectance).max(axis=1).min() < 1e-4, "reaches the far colour"
     assert surface.albedo[on].std(axis=0).max() > 0.02
+    if not is_wet:
+        return
+    _, before = seen(replace(spec, terrain=dry), 1)
+    factor = surface.albedo[on] / before.albedo[on]
+    assert np.all((factor > film / np.asarray(dry.mean_colour) - 1e-5) & (factor <= 1 + 1e-6))
+    near = np.linalg.norm(surface.position_m[on][:, :2], axis=1) < 12
+    # Interpolated along 5 m of a face, a share between its corners.
+    assert np.ptp(factor[near][:, 0]) > 0.3
+
+
+def test_wet_ground_has_the_formulas_albedo_at_every_pixel():
+    """A share that rises evenly with x is itself at any point of a face."""
+    ground = plain_ground(-40.0, 40.0, 16, albedo=0.4)
+    share = (ground.mesh.vertices_m[:, 0] + 40.0) / np.float32(80.0)
+    ground = replace(ground, wet=WetGround(share, (0.1, 0.2, 0.3), Spectrum(np.array([550.0]), np.array([0.2]))))
+    camera = camera_at((0.0, -2.0, 6.0), (0.0, 30.0, -6.0), (96, 54))
+    spec = replace(scattered_scene(1, exemplars=1, leaves=4, terrain=ground), cameras=(camera,))
+    _, surface = seen(spec, 1)
+    on = surface.part == Part.GROUND
+    wet = (surface.position_m[on][:, :1] + 40.0) / 80.0
+    np.testing.assert_allclose(surface.albedo[on], (1 - wet) * 0.4 + wet * [0.1, 0.2, 0.3], atol=2e-6)
 
 
 def test_albedo_of_plants_is_their_textures_and_leaves_both_sides():
@@ -244,6 +271,8 @@ def shaded_albedo(spec: SceneSpec, camera: Camera, *, ground: bool) -> np.ndarra
         if ground:
             terrain = to_mesh(spec.terrain.mesh, mi.load_dict(ground_bsdf(spec.terrain)), origin, "terrain")
             terrain.add_attribute("vertex_far_share", 1, spec.terrain.far_share)
+            if spec.terrain.wet is not None:
+                terrain.add_attribute("vertex_wet_share", 1, spec.terrain.wet.share)
             shapes["terrain"] = terrain
         for number, row in enumerate(range(0 if ground else len(spec.instances))):
             exemplar = spec.exemplars[int(spec.instances.exemplar[row])]

@@ -78,6 +78,15 @@ class Day:
 
 
 @dataclass(frozen=True)
+class Case:
+    """All that the hours of a day over a ground begin with, but for how many they are."""
+
+    grid: AirGrid
+    day: Day
+    surface: Surface
+
+
+@dataclass(frozen=True)
 class Hours:
     """What the hours of a day left."""
 
@@ -94,16 +103,11 @@ def month_of_air(
     """The air of month `number` since the beginning."""
     grid = grid_of(section, given.ground)
     maps = between(given.ground, grid)
-    height = maps.for_air(given.height_m).astype(np.float64)
-    terrain = height - height.min() if np.ptp(height) > _FLAT * grid.cell_m[2] else None
-    shaded = 1.0 - section.shade_heat_share * (1.0 - maps.for_air(given.light).astype(np.float64))
-    vapour = maps.for_air(given.vapour_mm_per_day).astype(np.float64) / (3600.0 * section.daylight_h)
     of_year, indices = number % MONTHS_PER_YR, range(section.days_per_month)
 
     def over_the_site(index: int) -> Hours:
-        day = day_of(section, month, of_year, index, wind_from_deg, seed)
-        heat, damp = day.heat_w_per_m2 * shaded, day.vapour_kg_per_m2_s + vapour
-        return hours_of(section, grid, day, Surface(heat.astype(np.float32), damp.astype(np.float32), terrain))
+        case = case_of(section, month, number, given, wind_from_deg, seed, index)
+        return hours_of(section, case.grid, case.day, case.surface)
 
     def over_the_region(index: int) -> tuple[float, float]:
         return _usual(section, grid, month, of_year, index, wind_from_deg, seed)
@@ -119,6 +123,21 @@ def month_of_air(
         looks.append((ratio, maps.for_ground(warmth), float(ours.mean()), here.water_error))
     wetness, warmths, condensed, errors = zip(*looks, strict=True)
     return Sky(np.mean(wetness, axis=0), np.mean(warmths, axis=0), float(np.mean(condensed)), max(errors))
+
+
+def case_of(
+    section: WeatherSection, month: Month, number: int, given: Given, wind_from_deg: float, seed: int, index: int
+) -> Case:
+    """Day `index` of month `number` since the beginning, over the site's own ground."""
+    grid = grid_of(section, given.ground)
+    maps = between(given.ground, grid)
+    height = maps.for_air(given.height_m).astype(np.float64)
+    terrain = height - height.min() if np.ptp(height) > _FLAT * grid.cell_m[2] else None
+    shaded = 1.0 - section.shade_heat_share * (1.0 - maps.for_air(given.light).astype(np.float64))
+    vapour = maps.for_air(given.vapour_mm_per_day).astype(np.float64) / (3600.0 * section.daylight_h)
+    day = day_of(section, month, number % MONTHS_PER_YR, index, wind_from_deg, seed)
+    heat, damp = day.heat_w_per_m2 * shaded, day.vapour_kg_per_m2_s + vapour
+    return Case(grid, day, Surface(heat.astype(np.float32), damp.astype(np.float32), terrain))
 
 
 @lru_cache(maxsize=400)

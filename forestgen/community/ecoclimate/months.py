@@ -25,11 +25,12 @@ from forestgen.community.branch_modules.climate import LocalClimate
 from forestgen.community.branch_modules.seeding import NOBODY, Arriving
 from forestgen.community.branch_modules.state import State
 from forestgen.community.branch_modules.step import advanced
-from forestgen.community.ecoclimate.air import Given, month_of_air
+from forestgen.community.ecoclimate.air import Case, Given, case_of, month_of_air
 from forestgen.community.ecoclimate.climate import DAYS_PER_MONTH, MONTHS_PER_YR, Month, month_at
 from forestgen.community.ecoclimate.leaves import leaf_area_index
 from forestgen.community.ecoclimate.parameters import EcoclimateParameters
 from forestgen.community.ecoclimate.state import Books, Ecoclimate, parameters_of
+from forestgen.community.ecoclimate.weather_section import WeatherSection
 from forestgen.community.model import Site
 from forestgen.community.soil_water.ground import Floats, Ground
 from forestgen.community.soil_water.model import SoilWater, Water
@@ -136,14 +137,34 @@ def _under_air(state: Ecoclimate, ground: Ground, leaves: Floats, now: Month, mo
     section = parameters.weather
     if section is None:
         return state
-    light = np.exp(-_EXTINCTION * leaves / max(parameters.soil_water.leaf_mass_g_per_m2, 1e-9))
-    height_m = _heights(_Alike(site), parameters.soil_water.cell_m)
-    given = Given(ground, height_m, state.vapour_mm_per_day, light, parameters.lapse_rate_k_per_km)
-    sky = month_of_air(section, now, month, given, site.wind_from_deg, state.forest.seed)
+    sky = month_of_air(section, now, month, _given(state, ground, leaves), site.wind_from_deg, state.forest.seed)
     wetness = 1.0 - section.local_share + section.local_share * _mean_unless(parameters.microclimate, sky.wetness)
     warmth = _mean_unless(parameters.microclimate, sky.warmth_k)
     felt = state.warmth_mean_k + _share_of_month(parameters) * (warmth - state.warmth_mean_k)
     return replace(state, wetness=wetness, warmth_mean_k=felt)
+
+
+def air_over(state: Ecoclimate, section: WeatherSection, day: int) -> Case:
+    """What the air of a day goes by, of those that the month after the state is told by.
+
+    Parameters
+    ----------
+    section : of the state's parameters; another, such as one with finer cells, has days of its own.
+    """
+    parameters, site = state.parameters, state.forest.site
+    ground = soil_of(parameters, site).ground
+    month = state.forest.step * parameters.months_per_step
+    now = month_at(parameters.climate.normals(), parameters.turns, month)
+    given = _given(state, ground, _leaves(state, ground))
+    return case_of(section, now, month, given, site.wind_from_deg, state.forest.seed, day)
+
+
+def _given(state: Ecoclimate, ground: Ground, leaves: Floats) -> Given:
+    """What the ground gives to the air."""
+    parameters = state.parameters
+    light = np.exp(-_EXTINCTION * leaves / max(parameters.soil_water.leaf_mass_g_per_m2, 1e-9))
+    height_m = _heights(_Alike(state.forest.site), parameters.soil_water.cell_m)
+    return Given(ground, height_m, state.vapour_mm_per_day, light, parameters.lapse_rate_k_per_km)
 
 
 def _share_of_month(parameters: EcoclimateParameters) -> float:

@@ -123,13 +123,37 @@ def albedo(tracer: SceneTracer, hits: Hits) -> Any:
     u, v = vertex_uv(tracer, hits, corners, weights, textured)
     offset, width, height = (dr.gather(mi.UInt32, tracer.texture, hits.organ * 3 + k, textured) for k in range(3))
     colour = dr.select(textured, bilinear(tracer.texel, offset, width, height, u, v, textured), mean)
+    ground = ground_colour(tracer, hits, corners, weights, colour, (tracer.far_albedo, tracer.film_factor))
+    return dr.select(hits.valid, ground, 0.0)
+
+
+def ground_colour(
+    tracer: SceneTracer,
+    hits: Hits,
+    corners: Sequence[Any],
+    weights: Sequence[Any],
+    colour: Any,
+    of_ground: tuple[Any, Any],
+) -> Any:
+    """`colour` of hits; the ground's is dimmed where it is wet, and that of the distance where it lies far.
+
+    Parameters
+    ----------
+    of_ground : in the channels of `colour`: the distant ground's colour, and the factor of a film of water.
+    """
+    mi, dr = mitsuba(), drjit()
     ground = hits.valid & (hits.instance == 0)
-    far = mi.Float(0.0)
-    for weight, corner in zip(weights, corners, strict=True):
-        far += weight * dr.gather(mi.Float, tracer.far_share, corner, ground)
-    far = dr.clip(far, 0.0, 1.0)
-    blended = colour * (1.0 - far) + tracer.far_albedo * far
-    return dr.select(hits.valid, dr.select(ground, blended, colour), 0.0)
+    far_colour, film_factor = of_ground
+
+    def share_of(by_vertex: Any) -> Any:
+        share = mi.Float(0.0)
+        for weight, corner in zip(weights, corners, strict=True):
+            share += weight * dr.gather(mi.Float, by_vertex, corner, ground)
+        return dr.clip(share, 0.0, 1.0)
+
+    far = share_of(tracer.far_share)
+    near = colour if tracer.wet_share is None else colour * (1.0 - share_of(tracer.wet_share) * (1.0 - film_factor))
+    return dr.select(ground, near * (1.0 - far) + far_colour * far, colour)
 
 
 def vertex_uv(

@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from forestgen.core.parts import Part
 from forestgen.geometry.mesh import Mesh
 from forestgen.render.surfaces import LEAFLIKE
+from forestgen.scene.channels import RGB
+from forestgen.scene.soil_colour import film_factor
 from forestgen.scene.spec import Material, SceneSpec
 
 NONE = 2**32 - 1  # instead of a first row: the mesh has none
@@ -40,6 +42,8 @@ class HitTables:
     texel: NDArray[np.float32]  # (T, 3) linear Rec. 709; row 0 of a texture is v = 0
     far_share: NDArray[np.float32]  # (VG,) by vertex of the terrain
     far_albedo: tuple[float, float, float]
+    wet_share: NDArray[np.float32] | None  # (VG,) by vertex of the terrain; None: none is wet
+    film_factor: tuple[float, float, float]  # of the wet ground's albedo
 
     @property
     def nbytes(self) -> int:
@@ -122,6 +126,7 @@ def hit_tables(spec: SceneSpec) -> HitTables:
             organs.add(organ.part, organ.mesh, albedo_of(organ.part, material), image)
     # Normals go with the inverse transpose; for a rotation times a uniform scale that is the matrix itself up to scale.
     inverse_transpose = np.linalg.inv(spec.instances.transform[:, :, :3]).transpose(0, 2, 1)
+    red, green, blue = film_factor(terrain, RGB).tolist()
     return HitTables(
         plant_id=np.concatenate([[0], spec.instances.plant_id]).astype(np.uint32),
         exemplar=np.concatenate([[0], spec.instances.exemplar.astype(np.int64) + 1]).astype(np.uint32),
@@ -140,4 +145,6 @@ def hit_tables(spec: SceneSpec) -> HitTables:
         texel=np.concatenate(organs.texel),
         far_share=np.asarray(terrain.far_share, dtype=np.float32),
         far_albedo=terrain.far_reflectance,
+        wet_share=None if terrain.wet is None else terrain.wet.share,
+        film_factor=(red, green, blue),
     )

@@ -187,6 +187,8 @@ class SceneTracer:
         self.texture, self.texel = mi.UInt32(tables.texture.ravel()), mi.Float(tables.texel.ravel())
         self.far_share = mi.Float(tables.far_share)
         self.far_albedo = mi.Color3f(*[dr.opaque(mi.Float, float(value)) for value in tables.far_albedo])
+        self.wet_share = None if tables.wet_share is None else mi.Float(tables.wet_share)
+        self.film_factor = mi.Color3f(*[dr.opaque(mi.Float, value) for value in tables.film_factor])
         self.to_sun = mi.Vector3f(*[dr.opaque(mi.Float, float(value)) for value in self.spec.sky.to_sun])
         dr.eval()
 

@@ -12,6 +12,7 @@ from forestgen.render.identity.surface import (
     barycentric_weights,
     bilinear_places,
     corners_of,
+    ground_colour,
     interpolated_normal,
     vertex_uv,
 )
@@ -143,7 +144,9 @@ class Surfaces:
         self._matt, self._through = mi.Float(paint.matt.ravel()), mi.Float(paint.through.ravel())
         self._gloss, self._chance = mi.Float(paint.gloss.ravel()), mi.Float(paint.chance.ravel())
         self._texel = mi.Float(paint.texel.ravel())
-        self._far = mi.Color3f(*[dr.opaque(mi.Float, value) for value in paint.far])
+        self._far, self._film_factor = (
+            mi.Color3f(*[dr.opaque(mi.Float, value) for value in colour]) for colour in (paint.far, paint.film_factor)
+        )
 
     def at(self, hits: Hits) -> Local:
         """The surfaces at hits; where none is hit, anything."""
@@ -163,7 +166,8 @@ class Surfaces:
         for weight, texel in places:
             colour += weight * dr.gather(mi.Color3f, self._texel, texel, textured)
             relief += weight * dr.gather(mi.Vector3f, self._relief, texel, textured)
-        matt = dr.select(textured, self._faded(hits, corners, weights, colour), matt)
+        colour = ground_colour(tracer, hits, corners, weights, colour, (self._far, self._film_factor))
+        matt = dr.select(textured, colour, matt)
         return Local(
             towards,
             geometric,
@@ -174,16 +178,6 @@ class Surfaces:
             dr.gather(mi.Vector3f, self._gloss, hits.organ, valid),
             dr.gather(mi.Vector2f, self._chance, hits.organ, valid),
         )
-
-    def _faded(self, hits: Hits, corners: list[Any], weights: tuple[Any, ...], colour: Any) -> Any:
-        """The ground's colour, that of the distance where it lies far."""
-        mi, dr = mitsuba(), drjit()
-        ground = hits.valid & (hits.instance == 0)
-        far = mi.Float(0.0)
-        for weight, corner in zip(weights, corners, strict=True):
-            far += weight * dr.gather(mi.Float, self._tracer.far_share, corner, ground)
-        far = dr.clip(far, 0.0, 1.0)
-        return dr.select(ground, colour * (1.0 - far) + self._far * far, colour)
 
     def _facet(self, hits: Hits, normal: Any, towards: Any, relief: Any, textured: Any) -> Any:
         """Normals of the relief; one that leans away from where the path came from is turned about the surface's."""

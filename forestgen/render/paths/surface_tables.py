@@ -19,6 +19,7 @@ from forestgen.render.gloss import gloss_of
 from forestgen.render.identity.tables import NONE
 from forestgen.render.surfaces import LEAFLIKE, gloss_share, sides_of
 from forestgen.scene.channels import Channels
+from forestgen.scene.soil_colour import film_factor
 from forestgen.scene.spec import Material, SceneSpec
 
 Array = NDArray[np.float32]
@@ -44,6 +45,7 @@ class Paint:
     chance: Array  # (1 + O, 2) of a path to go through, and of one that does not to meet the gloss
     texel: Array  # (T, 3) reflected evenly, in place of `matt`
     far: tuple[float, float, float]  # of the ground in the distance
+    film_factor: tuple[float, float, float]  # of the wet ground's colour
 
 
 def _organs(spec: SceneSpec) -> Iterator[tuple[Part, Mesh, Material]]:
@@ -123,14 +125,16 @@ def paint_of(spec: SceneSpec, channels: Channels) -> Paint:
             mirror = np.array([sides.gloss / lobe.albedo, lobe.alpha, lobe.index])
         gloss.append(mirror)
         chance.append(np.array([passing if sides.through.any() else 0.0, glossy if mirror[0] > 0 else 0.0]))
-    far = channels.of_surface(terrain.far_reflectance, terrain.far_spectrum)
+    far = channels.of_surface(terrain.far_reflectance, terrain.far_spectrum).tolist()
+    film = film_factor(terrain, channels).tolist()
     return Paint(
         matt=np.asarray(matt, np.float32),
         through=np.asarray(through, np.float32),
         gloss=np.asarray(gloss, np.float32),
         chance=np.asarray(chance, np.float32),
         texel=np.concatenate(texels, dtype=np.float32),
-        far=(float(far[0]), float(far[1]), float(far[2])),
+        far=(far[0], far[1], far[2]),
+        film_factor=(film[0], film[1], film[2]),
     )
 
 

@@ -11,7 +11,7 @@ from ruamel.yaml import YAML
 
 from forestgen.atmosphere.extinction import DROPLET_RADIUS_UM, rain_extinction
 from forestgen.atmosphere.presets import PRESETS
-from forestgen.recipe.clouds import SIMULATED
+from forestgen.recipe.cloud_keys import SIMULATED
 from forestgen.recipe.load import load_recipe
 from forestgen.stages.sky import sky_of
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from forestgen.core.errors import AssetError, RecipeError
-from forestgen.recipe.clouds import NOISE, SIMULATED
+from forestgen.recipe.cloud_keys import NOISE, SIMULATED
 from forestgen.recipe.load import dump_yaml, load_recipe
 
 Write = Callable[..., Path]
