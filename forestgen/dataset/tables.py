@@ -12,6 +12,7 @@ or nothing there. How the image's columns are defined stands in `forestgen.label
 | height_m, radius_m | double | the community's height and radius of the ecological neighbourhood | |
 | age_yr | double | | |
 | status | uint8 | `forestgen.community.population.Status`; names are in the file's metadata | |
+| adaptation | double | how well climate and soil water suit it, 0 to 1, as felt in its last step | of models without |
 | exemplar | uint32 | which of the modelled plants stands for it | |
 | crown_width_m | double | mean of the extents along its own x and y | |
 | dbh_m | double | stem diameter at 1.3 m | no living stem there |
@@ -79,6 +80,7 @@ def write_plants(path: Path, labelled: LabelledFrame) -> None:
 def _community(population: Population) -> dict[str, Any]:
     import pyarrow as pa
 
+    unknown = np.full(len(population), np.nan)
     names = np.array([*population.species_names, ""], dtype=object)  # the last only keeps an empty list an array
     return {
         "plant_id": pa.array(population.plant_id, type=pa.uint32()),
@@ -88,6 +90,7 @@ def _community(population: Population) -> dict[str, Any]:
         "radius_m": _numbers(population.radius_m),
         "age_yr": _numbers(population.age_yr),
         "status": pa.array(population.status, type=pa.uint8()),
+        "adaptation": _numbers(np.asarray(population.columns.get("adaptation", unknown), dtype=np.float64)),
     }
 
 

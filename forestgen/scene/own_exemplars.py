@@ -2,7 +2,8 @@
 
 Near plants are unique: each is meshed with its own branches, and stands as it grew. The others of a species are grouped
 by k-means over the logarithms of height, crown radius, number of modules and trunk diameter, and the plant nearest to a
-cluster's centre stands for it, scaled to each plant's height and turned by each plant's own angle.
+cluster's centre stands for it, scaled to each plant's height and turned by each plant's own angle. The dead are grouped
+by themselves.
 
 Which plants are unique is decided by their size in pixels, the largest first: those at least `LEAST_PIXELS` high, as
 long as `MOST_TRIANGLES` allow. Both are fixed, so that images do not depend on the machine.
@@ -20,7 +21,7 @@ from forestgen.architecture.modules import Modules
 from forestgen.architecture.prototype import MOST_NODES
 from forestgen.architecture.skeletal_graph import skeletal_graph
 from forestgen.architecture.tables import Tables
-from forestgen.community.population import Population
+from forestgen.community.population import Population, Status
 from forestgen.core.randomness import child_seed
 from forestgen.plants.grown.wood import ModuleWood
 from forestgen.scene.exemplar_plan import ExemplarPlan
@@ -70,11 +71,17 @@ def plan_own(population: Population, index: int, is_unique: Bools, per_species: 
     ----------
     index : of the species.
     is_unique : (N,) see `unique_plants`.
-    per_species : exemplars of the plants that are not unique, at most.
+    per_species : exemplars of the plants that are not unique, at most; of the dead among them as many again.
     """
     rows = np.flatnonzero(population.species == index)
     unique, others = rows[is_unique[rows]], rows[~is_unique[rows]]
-    stand_in, label = _stand_ins(population, others, per_species, child_seed(seed, "k-means", "own", index))
+    dead = population.status[others] == Status.DEAD
+    stand_in, label = _stand_ins(population, others[~dead], per_species, child_seed(seed, "k-means", "own", index))
+    if dead.any():
+        theirs = _stand_ins(population, others[dead], per_species, child_seed(seed, "k-means", "dead", index))
+        living, label = label, np.empty(len(others), dtype=np.int64)
+        label[~dead], label[dead] = living, len(stand_in) + theirs[1]
+        stand_in = np.concatenate([stand_in, theirs[0]])
     plant = np.concatenate([unique, stand_in])
     of_plant = np.empty(len(rows), dtype=np.uint32)
     of_plant[is_unique[rows]] = np.arange(len(unique))
@@ -133,8 +140,9 @@ def woods_of(population: Population, tables: Tables, plants: Ints) -> list[Modul
     grown = tables.mature_age[kind] * (1.0 - tables.birth[prototype, graph.node])
     share = np.clip(graph.age / np.maximum(grown, 1e-9), 0.0, 1.0)
     start = np.searchsorted(_place(graph.plant, plants), np.arange(len(plants) + 1))
+    dead, dead_yr = population.status == Status.DEAD, population.columns.get("dead_yr", np.zeros(len(population)))
     woods = []
-    for first, last in pairwise(start):
+    for plant, (first, last) in zip(plants.tolist(), pairwise(start), strict=True):
         part = slice(int(first), int(last))
         parent = graph.parent[part]
         woods.append(
@@ -147,6 +155,7 @@ def woods_of(population: Population, tables: Tables, plants: Ints) -> list[Modul
                 light=modules.light[graph.module[part]].astype(np.float64),
                 main=graph.is_main[part],
                 mark=_marks(modules, graph.module[part], graph.node[part]),
+                dead_yr=float(dead_yr[plant]) if dead[plant] else None,
             )
         )
     return woods

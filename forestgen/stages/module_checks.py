@@ -57,6 +57,28 @@ def check_branch_modules(drawn: DrawnRecipe, parameters: CommunityParameters) ->
     check_changes(parameters, types, drawn.parse, lambda *keys: drawn.where("community", *keys))
 
 
+def check_dead_are_drawn(
+    drawn: DrawnRecipe, parameters: CommunityParameters, clothing: Mapping[str, PlantParameters]
+) -> None:
+    """Refuse standing dead trees of species whose plants are not drawn by their own branches: they would bear leaves.
+
+    Raises
+    ------
+    RecipeError : with the line of the species.
+    """
+    if not isinstance(parameters, BranchModulesParameters) or parameters.standing_dead_yr == 0:
+        return
+    for name, one in drawn.species.items():
+        if one.modules is not None and name not in clothing:
+            raise RecipeError(
+                f"dead trees of {name} cannot be drawn",
+                where=drawn.where("species", name),
+                expected="a section modules_plant, by which its own branches are drawn",
+                got="none",
+                hint="add modules_plant: {generator: branch_modules, ...}, or set community.standing_dead_yr: 0",
+            )
+
+
 def _check_obstacle(drawn: DrawnRecipe, index: int, obstacle: Obstacle) -> None:
     """A species that is built, and a ground plan on the site."""
     keys = ("community", "obstacles", index)

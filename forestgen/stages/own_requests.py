@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from itertools import product
 from typing import cast
 
 import numpy as np
@@ -14,7 +15,7 @@ from forestgen.architecture.tables import Tables, tables_of
 from forestgen.community.branch_modules.changes import parameters_at
 from forestgen.community.branch_modules.parameters import BranchModulesParameters
 from forestgen.community.branch_modules.traits import STAND_IN
-from forestgen.community.population import Population
+from forestgen.community.population import Population, Status
 from forestgen.core.randomness import child_rng
 from forestgen.plants.cache import ExemplarRequest
 from forestgen.plants.generators.branch_modules import Parameters
@@ -22,6 +23,7 @@ from forestgen.plants.grown.build import estimate_triangles
 from forestgen.plants.levels import level_of_index
 from forestgen.scene.exemplar_plan import ExemplarPlan
 from forestgen.scene.own_exemplars import plan_own, unique_plants, woods_of
+from forestgen.stages.dead_plants import dead_clothing, with_dead_wood
 from forestgen.stages.module_checks import obstacles_of
 from forestgen.stages.plan import Plan, check_own_triangles
 
@@ -99,10 +101,15 @@ def own_requests(plan: Plan, exemplar_plan: ExemplarPlan, population: Population
         row = int(exemplar_plan.plant[index])
         name = names[population.species[row]]
         box_m = obstacles[row].size_m if row in obstacles else None
+        species = plan.drawn.species[name]
+        parameters = plan.generator_parameters[name] if box_m else plan.module_parameters[name]
+        if population.status[row] == Status.DEAD:
+            species = with_dead_wood(species)
+            parameters = dead_clothing(parameters, species)
         requests[index] = ExemplarRequest(
             species_name=name,
-            species=plan.drawn.species[name],
-            parameters=plan.generator_parameters[name] if box_m else plan.module_parameters[name],
+            species=species,
+            parameters=parameters,
             radius_m=float(population.radius_m[row]),
             seed=plan.drawn.image_seed,
             identity=("own", int(population.plant_id[row])),
@@ -134,15 +141,20 @@ def _own(plan: Plan, population: Population) -> NDArray[np.bool_]:
 
 
 def _triangles(plan: Plan, population: Population, own: NDArray[np.bool_]) -> Floats:
-    """(N,) of each plant, estimated by its modules, from a large plant of its species."""
+    """(N,) of each plant, estimated by its modules, from a large plant of its species that lives or is dead as it."""
     assert population.modules is not None
     modules = np.diff(population.modules.first)
     estimate = np.zeros(len(population))
     tables = tables_at(plan, population)
-    for index in np.unique(population.species[own]):
-        rows = np.flatnonzero(own & (population.species == index))
+    dead = population.status == Status.DEAD
+    for index, is_dead in product(np.unique(population.species[own]), (False, True)):
+        rows = np.flatnonzero(own & (population.species == index) & (dead == is_dead))
+        if not len(rows):
+            continue
         largest = rows[np.argmax(modules[rows])]
         parameters = cast(Parameters, plan.module_parameters[population.species_names[index]])
+        if is_dead:
+            parameters = parameters.model_copy(update={"foliage": ()})
         [wood] = woods_of(population, tables, np.array([largest]))
         rng = child_rng(plan.drawn.image_seed, "triangles", int(population.plant_id[largest]))
         estimate[rows] = estimate_triangles(parameters, wood, rng) * modules[rows] / modules[largest]

@@ -30,7 +30,7 @@ from forestgen.recipe.species import Plant, Species
 from forestgen.scene.exemplars import check_traits
 from forestgen.stages.clouds import check_clouds, cloud_bytes, known_base_m
 from forestgen.stages.ground import community_site
-from forestgen.stages.module_checks import check_branch_modules, is_built
+from forestgen.stages.module_checks import check_branch_modules, check_dead_are_drawn, is_built
 from forestgen.stages.own_clouds import check_own_clouds, own_cloud_bytes
 from forestgen.stages.own_plants import clothing_of, own_triangles
 from forestgen.stages.sky import check_sun
@@ -137,6 +137,7 @@ def check_plan(loaded: LoadedRecipe, *, simulate_only: bool = False) -> Plan:
         check_memory(plan, simulate_only=simulate_only)
         if not simulate_only:
             _check_traits(plan)
+            check_dead_are_drawn(plan.drawn, plan.model_parameters, plan.module_parameters)
     return plans[0]
 
 

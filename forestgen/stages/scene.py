@@ -35,6 +35,7 @@ from forestgen.scene.terrain import HeightField, build_terrain
 from forestgen.scene.trunks import Trunks
 from forestgen.scene.wind import Sway, spec_at, sway_in
 from forestgen.stages.clouds import clouds_of
+from forestgen.stages.dead_plants import species_seen
 from forestgen.stages.exemplar_library import library_of, modelled_species, origin_of
 from forestgen.stages.ground import height_field
 from forestgen.stages.module_checks import turned_obstacles
@@ -110,7 +111,7 @@ def build_scene(plan: Plan, population: Population, progress: Progress, timer: T
         )
         trunks = Trunks(exemplars, instances)
         views = drawn_cameras(plan.drawn, trunks)
-        materials = materials_of(plan.drawn.species, recipe.plants.season)
+        materials = materials_of(species_seen(plan.drawn.species, population), recipe.plants.season)
         notes = [*check_trunks(plan.drawn, views, trunks), *infrared_notes(materials, cameras)]
         spec = SceneSpec(
             exemplars=exemplars,

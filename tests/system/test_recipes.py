@@ -29,6 +29,7 @@ SMALL = (
 COARSE = {  # of clouds, of a walk of eight frames, of a house on a larger site, and of large stands
     "branch_modules": ("community.obstacles.0.position_m=[18, 20]",),
     "ecoclimates/dryland": ("community.steps=6",),
+    "ecoclimates/dying": ("community.steps=6",),
     "ecoclimates/edges": ("site.size_m=[100, 80]", "community.steps=56"),  # its patch has a place, its strip a year
     "ecoclimates/own_clouds": (
         "community.steps=3",

@@ -40,7 +40,7 @@ class Parse(Protocol):
 #: Keys of the section that a simulation starts with, and cannot change on its way.
 FIXED = (
     "steps", "step_yr", "periodic", "disturbances", "initial_plants", "biome", "soil", "obstacles", "changes",
-    "most_modules", "history_modules",
+    "standing_dead_yr", "dieback_share", "most_modules", "history_modules",
 )  # fmt: skip
 
 

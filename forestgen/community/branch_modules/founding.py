@@ -13,7 +13,7 @@ from forestgen.community.arrivals import new_ids
 from forestgen.community.branch_modules.kinds import kinds_at
 from forestgen.community.branch_modules.parameters import BranchModulesParameters, is_blocked
 from forestgen.community.branch_modules.seeding import begun
-from forestgen.community.branch_modules.state import Plants, State, appended, no_modules, without_modules
+from forestgen.community.branch_modules.state import Plants, State, appended, no_modules, no_snags, without_modules
 from forestgen.community.branch_modules.surroundings import boxes_of, ground_at
 from forestgen.community.model import Site, SpeciesEcology
 from forestgen.core.randomness import child_rng
@@ -31,7 +31,9 @@ def founded(
     """State of step 0: obstacles come first, then the plants, species by species."""
     plants = _obstacles(parameters, site, species)
     modules = without_modules(no_modules(), len(plants))
-    state = State(parameters, site, tuple(species), seed, 0, 1 + len(plants), prototypes, plants, modules)
+    state = State(
+        parameters, site, tuple(species), seed, 0, 1 + len(plants), prototypes, plants, modules, no_snags(plants)
+    )
     growing = [index for index, one in enumerate(species) if one.modules is not None]
     wanted = parameters.counts([species[index].name for index in growing]) if growing else np.zeros(0, np.int64)
     sp = np.repeat(np.array(growing, dtype=np.uint16), wanted)
@@ -59,6 +61,8 @@ def _obstacles(parameters: BranchModulesParameters, site: Site, species: Sequenc
         born=np.zeros(n, dtype=np.int32),
         flowering=np.zeros(n, dtype=np.bool_),
         next_number=np.zeros(n, dtype=np.uint32),
+        adaptation=np.ones(n, dtype=np.float32),
+        tallest_m=np.zeros(n, dtype=np.float32),
     )
 
 

@@ -176,6 +176,14 @@ class BranchModulesParameters(CommunityParameters):
     seedling_spacing_m: NonNegative = Field(
         0.8, le=100, description="no seed germinates nearer than this to a plant's foot, metres"
     )
+    standing_dead_yr: NonNegative = Field(
+        0.0, le=10_000, description="years after which half of the dead trees over 1.3 m have fallen; 0: none stands"
+    )
+    dieback_share: Fraction = Field(
+        0.0,
+        description="a plant over 1.3 m that has died back to less than this share of its greatest height is dead; 0: "
+        "only one that has lost all of its modules is",
+    )
     most_modules: Whole = Field(
         10_000_000, ge=1, le=200_000_000, description="stop with a message where the community has more modules"
     )

@@ -177,6 +177,8 @@ def begun(place: Floats, species: NDArray[np.uint16], state: State, kinds: Kinds
         born=np.full(n, step, dtype=np.int32),
         flowering=np.zeros(n, dtype=np.bool_),
         next_number=zeros + np.uint32(1),
+        adaptation=np.ones(n, dtype=np.float32),
+        tallest_m=np.zeros(n, dtype=np.float32),
     )
     traits = kinds.traits
     prototype = choose_prototype(

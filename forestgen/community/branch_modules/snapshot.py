@@ -12,7 +12,7 @@ from forestgen.architecture.prototypes import load_prototypes
 from forestgen.architecture.sizes import plant_sizes
 from forestgen.community.branch_modules.kinds import kinds_at
 from forestgen.community.branch_modules.parameters import BranchModulesParameters
-from forestgen.community.branch_modules.state import Plants, State
+from forestgen.community.branch_modules.state import Plants, Snags, State, appended, in_order, rows_of_plants
 from forestgen.community.branch_modules.surroundings import ground_at
 from forestgen.community.model import Site, SpeciesEcology
 from forestgen.community.population import Population, Status
@@ -23,16 +23,18 @@ DOMINATED_BELOW = 0.5  # mean light of a plant's modules
 
 
 def population_of(state: State) -> Population:
-    """Snapshot; z is 0."""
-    plants, modules, kinds = state.plants, state.modules, kinds_at(state)
-    step_yr = state.parameters.step_yr
+    """Snapshot, the standing dead among the living; z is 0."""
+    plants, modules, died = _with_snags(state)
+    kinds, step_yr = kinds_at(state), state.parameters.step_yr
+    dead = died <= state.step
     sizes = plant_sizes(kinds.tables, modules, plants.species)
-    light, vigour = _mean(modules, modules.light), np.zeros(len(plants))
-    rooted = np.diff(modules.first) > 0
+    light, vigour = np.where(dead, 0.0, _mean(modules, modules.light)), np.zeros(len(plants))
+    rooted = (np.diff(modules.first) > 0) & ~dead
     vigour[rooted] = modules.vigour[modules.first[:-1][rooted]]
-    age_yr = (state.step - plants.born) * step_yr
+    age_yr = (np.minimum(state.step, died) - plants.born) * step_yr
     status = np.where(plants.flowering, np.uint8(Status.MATURE), np.uint8(Status.GROWING))
     status[rooted & (light < DOMINATED_BELOW) & (age_yr > 0)] = Status.DOMINATED
+    status[dead] = Status.DEAD
     radius_m, height_m = (one.astype(np.float64) for one in (sizes.crown_radius_m, sizes.height_m))
     for row, obstacle in enumerate(state.parameters.obstacles):  # they are the first plants of all
         radius_m[row], height_m[row] = 0.5 * float(np.hypot(*obstacle.size_m[:2])), obstacle.size_m[2]
@@ -53,11 +55,13 @@ def population_of(state: State) -> Population:
             "trunk_diameter_m": sizes.trunk_diameter_m.astype(np.float32),
             "foot_diameter_m": sizes.foot_diameter_m.astype(np.float32),
             "wood_volume_m3": sizes.wood_volume_m3.astype(np.float32),
-            "leaf_area_m2": sizes.leaf_area_m2.astype(np.float32),
+            "leaf_area_m2": np.where(dead, 0.0, sizes.leaf_area_m2).astype(np.float32),
             "vigour": vigour.astype(np.float32),
             "light": light.astype(np.float32),
             "flowering": plants.flowering.astype(np.uint8),
             "next_module": plants.next_number,
+            "adaptation": plants.adaptation,
+            **_on_request(state, plants, died),
         },
         step=state.step,
         state={"next_id": state.next_id, **({"notes": list(state.notes)} if state.notes else {})},
@@ -65,11 +69,39 @@ def population_of(state: State) -> Population:
     )
 
 
+_ALIVE = np.iinfo(np.int32).max  # step of death of who lives
+
+
+def _with_snags(state: State) -> tuple[Plants, Modules, NDArray[np.int32]]:
+    """All plants in order of plant_id with their modules, and (N,) the step in which each died."""
+    snags, died = state.snags, np.full(len(state.plants), _ALIVE, dtype=np.int32)
+    if not len(snags.died):
+        return state.plants, state.modules, died
+    plants, died = state.plants.and_then(snags.plants), np.concatenate([died, snags.died])
+    order = np.argsort(plants.plant_id).astype(np.int64)
+    return plants.where(order), in_order(appended(state.modules, snags.modules), order), died[order]
+
+
+def _on_request(state: State, plants: Plants, died: NDArray[np.int32]) -> dict[str, NDArray[np.float32]]:
+    """Columns of a recipe's own wishes."""
+    parameters, columns = state.parameters, {}
+    if parameters.standing_dead_yr > 0:
+        dead_yr = np.maximum(state.step - died.astype(np.int64), 0) * parameters.step_yr
+        columns["dead_yr"] = dead_yr.astype(np.float32)
+    if parameters.dieback_share > 0:
+        columns["tallest_m"] = plants.tallest_m
+    return columns
+
+
 def _mean(modules: Modules, values: NDArray[np.float32]) -> NDArray[np.float64]:
     """(P,) mean of a number of each module; 0 for plants that have none."""
     sums = np.concatenate([[0.0], np.cumsum(values, dtype=np.float64)])
     count = np.diff(modules.first)
     return np.asarray((sums[modules.first[1:]] - sums[modules.first[:-1]]) / np.maximum(count, 1))
+
+
+def _steps(years: NDArray[np.floating], parameters: BranchModulesParameters) -> NDArray[np.int32]:
+    return np.asarray(np.rint(years / parameters.step_yr), dtype=np.int32)
 
 
 def state_of(
@@ -87,15 +119,21 @@ def state_of(
             expected="a history that keeps each plant's modules",
             hint="set history_modules: true and simulate again",
         )
+    n, columns = len(population), population.columns
+    zeros = np.zeros(n, dtype=np.float32)
     position_m = np.ascontiguousarray(population.position_m[:, :2])
+    dead = population.status == Status.DEAD
+    died = np.int32(population.step) - _steps(columns.get("dead_yr", zeros), parameters)
     plants = Plants(
         plant_id=population.plant_id,
         species=population.species,
         position_m=position_m,
         ground_m=ground_at(site, position_m),
-        born=np.int32(population.step) - np.rint(population.age_yr / parameters.step_yr).astype(np.int32),
-        flowering=population.columns["flowering"] != 0,
-        next_number=population.columns["next_module"],
+        born=died - _steps(population.age_yr, parameters),
+        flowering=columns["flowering"] != 0,
+        next_number=columns["next_module"],
+        adaptation=columns["adaptation"],
+        tallest_m=columns.get("tallest_m", zeros),
     )
     return State(
         parameters,
@@ -105,7 +143,8 @@ def state_of(
         population.step,
         int(population.state["next_id"]),
         load_prototypes(),
-        plants,
-        population.modules,
+        plants.where(~dead),
+        rows_of_plants(population.modules, ~dead),
+        Snags(plants.where(dead), rows_of_plants(population.modules, dead), died[dead]),
         tuple(population.notes),
     )

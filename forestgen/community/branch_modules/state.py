@@ -25,15 +25,32 @@ class Plants:
     born: NDArray[np.int32]  # (P,) step of arrival
     flowering: NDArray[np.bool_]  # (P,)
     next_number: NDArray[np.uint32]  # (P,) of the next module
+    adaptation: NDArray[np.float32]  # (P,) o of Eq. 13 as felt in the last step; 1 before the first, and of obstacles
+    tallest_m: NDArray[np.float32]  # (P,) greatest height so far, where the recipe has a dieback_share; else 0
 
     def __len__(self) -> int:
         return len(self.plant_id)
 
-    def where(self, keep: NDArray[np.bool_]) -> Plants:
+    def where(self, keep: NDArray[np.bool_] | NDArray[np.int64]) -> Plants:
+        """Of these rows, or those that are kept."""
         return Plants(*(values[keep] for values in vars(self).values()))
 
     def and_then(self, others: Plants) -> Plants:
         return Plants(*(np.concatenate([a, getattr(others, name)]) for name, a in vars(self).items()))
+
+
+@dataclass(frozen=True)
+class Snags:
+    """Standing dead trees, one row a tree: what they were when they died."""
+
+    plants: Plants
+    modules: Modules
+    died: NDArray[np.int32]  # (P,) step of death
+
+    def where(self, keep: NDArray[np.bool_]) -> Snags:
+        if keep.all():
+            return self
+        return Snags(self.plants.where(keep), rows_of_plants(self.modules, keep), self.died[keep])
 
 
 @dataclass(frozen=True)
@@ -47,8 +64,9 @@ class State:
     step: int
     next_id: int  # the id of the next plant to arrive
     prototypes: tuple[Prototype, ...]
-    plants: Plants
+    plants: Plants  # those that live
     modules: Modules
+    snags: Snags
     notes: tuple[str, ...] = ()  # for people, as that not all plants found a place
 
     @property
@@ -62,6 +80,15 @@ def rows_of_plants(modules: Modules, keep: NDArray[np.bool_]) -> Modules:
     counts = np.diff(modules.first)
     rows = np.repeat(keep, counts)
     first = np.concatenate([[0], np.cumsum(counts[keep])]).astype(np.int64)
+    columns = {name: values[rows] for name, values in vars(modules).items() if name != "first"}
+    return Modules(first=first, **columns)
+
+
+def in_order(modules: Modules, plant: NDArray[np.int64]) -> Modules:
+    """The modules of plants in another order: `plant` (Q,) is the row of each."""
+    counts = np.diff(modules.first)[plant]
+    first = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+    rows = np.arange(first[-1]) + np.repeat(modules.first[plant] - first[:-1], counts)
     columns = {name: values[rows] for name, values in vars(modules).items() if name != "first"}
     return Modules(first=first, **columns)
 
@@ -105,3 +132,8 @@ def without_modules(modules: Modules, plants: int) -> Modules:
 def no_modules() -> Modules:
     """Of no plant at all."""
     return seedling_modules(np.zeros(0, dtype=np.uint8), np.zeros((0, 4), dtype=np.float32))
+
+
+def no_snags(plants: Plants) -> Snags:
+    """None, with the columns of any plants."""
+    return Snags(plants.where(np.zeros(len(plants), dtype=np.bool_)), no_modules(), np.zeros(0, dtype=np.int32))

@@ -16,6 +16,7 @@ from forestgen.community.branch_modules.identity import along, uniform
 from forestgen.community.branch_modules.kinds import Kinds, kinds_at
 from forestgen.community.branch_modules.seeding import NOBODY, Arriving, Standing, seedlings
 from forestgen.community.branch_modules.shedding import overgrown, shed
+from forestgen.community.branch_modules.snags import died_back, snags_after
 from forestgen.community.branch_modules.state import Plants, State, appended, rows_of_plants
 from forestgen.community.branch_modules.surroundings import Surroundings, surroundings_of, turned
 from forestgen.community.branch_modules.vigour import Flow, distribute, net_gain, stature_of
@@ -58,28 +59,34 @@ def advanced(state: State, climate: LocalClimate | None = None, arriving: Arrivi
     ready = flow.vigour / stature.size
     aged = replace(modules, age=grow(modules, ready, species, traits, kinds.parameters.step_yr))
     aged, diameter_m = overgrown(modules, aged, species, kinds.tables, traits)
+    wood = aged
     falls = shed(aged, ready, diameter_m, species, kinds.tables, traits, kinds.parameters.step_yr)
     rows = rows_after(aged, falls.keep, flow.sprouts, plants.next_number)
     aged = replace(aged, vigour=flow.vigour, light=light, disused_m2=falls.disused_m2)
     flowering = plants.flowering | _flowers(state, kinds, flow)
-    plants = replace(plants, next_number=rows.next_number, flowering=flowering)
+    felt = np.where(traits.grows[species], adapted, 1.0).astype(np.float32)
+    plants = replace(plants, next_number=rows.next_number, flowering=flowering, adaptation=felt)
     modules = _after(aged, rows, plants, state, now)
     alive = (np.diff(rows.first) > 0) | ~traits.grows[species]
+    withered, tallest_m = died_back(plants, modules, kinds)
+    alive, plants = alive & ~withered, replace(plants, tallest_m=tallest_m)
     trunk_m = np.zeros(len(plants))
     trunk_m[np.diff(aged.first) > 0] = diameter_m[aged.first[:-1][np.diff(aged.first) > 0]]
     rng = child_rng(state.seed, "community", state.step + 1)
     standing = Standing(plants, adapted, trunk_m, alive)
     new, seeded = seedlings(state, kinds, around, standing, climate, arriving, rng)
+    snags = snags_after(state, kinds, plants, wood, alive)
     if not alive.all():
         modules, plants = rows_of_plants(modules, alive), plants.where(alive)
     modules = appended(modules, seeded)
-    _refuse_more(len(modules), kinds.parameters.most_modules)
+    _refuse_more(len(modules) + len(snags.modules), kinds.parameters.most_modules)
     return replace(
         state,
         step=state.step + 1,
         next_id=state.next_id + len(new),
         plants=plants.and_then(new),
         modules=modules,
+        snags=snags,
     )
 
 

@@ -32,8 +32,9 @@ Parameters are `BranchModulesParameters`, this section's keys, and `PlantType`, 
 
 A plant's radius is that of its crown, its height that of its highest node; both at least 1 cm. Columns: modules,
 trunk_diameter_m, foot_diameter_m, wood_volume_m3, leaf_area_m2, vigour (of the root), light (mean Q_eff), flowering,
-next_module.
-Status: MATURE flowers, DOMINATED has a mean light below a half.
+next_module, adaptation (o as felt in the last step, of the dead in their last; 1 before the first and of obstacles).
+With standing_dead_yr also dead_yr, years since death; with dieback_share tallest_m, the greatest height so far.
+Status: MATURE flowers, DOMINATED has a mean light below a half, DEAD is a standing dead tree.
 
 Decided where the print is silent or wrong:
 
@@ -75,6 +76,9 @@ Decided where the print is silent or wrong:
   laterals would stand upright.
 - Pipes of shed modules stay in the wood below them until new ones take their place, all but `disused_share` (0.15):
   stems never shrink; see shedding.py.
+- `standing_dead_yr` and `dieback_share` are ours: what dies over 1.3 m stands as a snag, which nothing that lives knows
+  of; and what has died back to less than a share of its greatest height is dead. See snags.py. Felled and burned plants
+  leave no snag, and felling and fire leave snags as they are.
 - `seedling_spacing_m` (0.8), with the light that a seedling needs, bounds how many plants a square metre has.
 - All of a state's modules look at the spheres at the step's beginning.
 - A planting sets seeds, whatever its radius. Felling and fire spare obstacles.
@@ -169,12 +173,15 @@ class BranchModules:
     def expected_plants(
         self, parameters: BranchModulesParameters, site: Site, species: Sequence[SpeciesEcology]
     ) -> float:
-        """Upper bound: those of the start, planted or built, and as many seedlings as find room and light."""
+        """Upper bound: those of the start, planted or built, and as many seedlings as find room and light.
+
+        Where dead trees stand, twice that.
+        """
         total = _founders(parameters, species)
         seeding = any(one.modules is not None and one.modules.seeds_per_yr > 0 for one in species)
         if total > 0 and seeding and parameters.steps > 0:
             total += most_seedlings(parameters, site)
-        return total + len(parameters.obstacles)
+        return total * _with_dead(parameters) + len(parameters.obstacles)
 
     def why_barren(
         self, parameters: BranchModulesParameters, site: Site, species: Sequence[SpeciesEcology]
@@ -188,7 +195,8 @@ class BranchModules:
     def estimate_bytes(self, parameters: BranchModulesParameters, site: Site, species: Sequence[SpeciesEcology]) -> int:
         """Bytes for so many modules as the light feeds, at most most_modules, and for the shadow grid."""
         plants = self.expected_plants(parameters, site, species)
-        modules = min(site.area_m2 * _MODULES_PER_M2 + 10 * _founders(parameters, species), parameters.most_modules)
+        alive = site.area_m2 * _MODULES_PER_M2 + 10 * _founders(parameters, species)
+        modules = min(alive * _with_dead(parameters), parameters.most_modules)
         cells = site.area_m2 / parameters.cell_m**2
         return _BYTES_AT_LEAST + math.ceil(
             modules * _BYTES_PER_MODULE + min(plants, modules) * _BYTES_PER_PLANT + 80 * cells
@@ -199,6 +207,11 @@ def most_seedlings(parameters: BranchModulesParameters, site: Site) -> float:
     """How many points lie at least a spacing apart on the site, discs of half of it, packed; at most most_modules."""
     spacing = max(parameters.seedling_spacing_m, 0.01)
     return min(site.area_m2 * 2 / (math.sqrt(3) * spacing**2), float(parameters.most_modules))
+
+
+def _with_dead(parameters: BranchModulesParameters) -> int:
+    """By how much more there may be where dead trees stand."""
+    return 2 if parameters.standing_dead_yr > 0 else 1
 
 
 def _growing(species: Sequence[SpeciesEcology]) -> list[SpeciesEcology]:

@@ -22,6 +22,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 _TWIG_BYTES = 5000  # of a twig with its side twigs, while it is meshed
+_DEAD_TWIG_YR = 4.0  # after which half of a dead plant's twigs have fallen
 _PARENT_SHARE = 0.7  # a twig is at most this share of the radius of what bears it
 
 
@@ -51,17 +52,23 @@ def clothed(parameters: Parameters, wood: ModuleWood, height_m: float, rng: np.r
     dressed = wood_skeleton(wood, chosen, spacing_m, smooth=parameters.smooth, crook=parameters.crook, rng=wood_rng)
     skeleton = dressed.skeleton
     if bearing is not None:
-        skeleton = _with_twigs(dressed, bearing, parameters.twigs, growth, twig_rng)
+        left = 1.0 if wood.dead_yr is None else 0.5 ** (wood.dead_yr / _DEAD_TWIG_YR)
+        skeleton = _with_twigs(dressed, bearing, parameters.twigs, growth, left, twig_rng)
     rules = [rule for rule in parameters.foliage if rule.suits(height_m)]
     organs = tuple(place(rule, skeleton, height_m, foliage_rng) for rule in rules)
     return replace(skeleton, organs=organs)
 
 
 def _with_twigs(
-    dressed: ClothedWood, bearing: Bearing, orders: tuple[Order, ...], growth: float, rng: np.random.Generator
+    dressed: ClothedWood,
+    bearing: Bearing,
+    orders: tuple[Order, ...],
+    growth: float,
+    left: float,
+    rng: np.random.Generator,
 ) -> Skeleton:
     wood = dressed.skeleton
-    shoots = _first_shoots(dressed, bearing, orders[0].longest_m, growth, rng)
+    shoots = _first_shoots(dressed, bearing, orders[0].longest_m, growth, left, rng)
     nodes: list[tuple[NDArray[Any], ...]] = [(wood.parent, wood.position_m, wood.radius_m, wood.order, wood.axis)]
     size, axes = len(wood.parent), int(wood.axis[-1]) + 1
     radius_of, mark_of = wood.radius_m.astype(np.float64), wood.mark
@@ -93,9 +100,9 @@ def _with_twigs(
 
 
 def _first_shoots(
-    dressed: ClothedWood, bearing: Bearing, longest_m: float, growth: float, rng: np.random.Generator
+    dressed: ClothedWood, bearing: Bearing, longest_m: float, growth: float, left: float, rng: np.random.Generator
 ) -> Shoots:
-    """Twigs along the wood, and those that go on from free terminals."""
+    """Twigs along the wood, and those that go on from free terminals; the share `left` of them, always the same."""
     wood = dressed.skeleton
     side = np.flatnonzero(dressed.bears & np.isin(wood.order, bearing.orders))
     node = np.repeat(side, bearing.per_node)
@@ -114,6 +121,9 @@ def _first_shoots(
         ends = np.flatnonzero(dressed.free)
         node, direction = np.concatenate([node, ends]), np.concatenate([direction, tangent[ends]])
     length = _lengths(dressed, bearing, node, rng) * min(growth, 1.0) * longest_m
+    if left < 1.0:
+        stays = rng.random(len(node)) < left
+        node, direction, length = node[stays], direction[stays], length[stays]
     return Shoots(wood.position_m[node].astype(np.float64), direction, np.minimum(length, longest_m), node)
 
 

@@ -38,6 +38,7 @@ class ModuleWood:
     light: Floats  # (N,) light exposure of the node's module, 0 to 1
     main: Bools  # (N,) whether the segment goes on along its parent's axis
     mark: NDArray[np.uint32]  # (N,) what the segment is called: see labels/branches.py
+    dead_yr: float | None = None  # since the plant died; None: it lives
 
     def __len__(self) -> int:
         return len(self.parent)
@@ -264,5 +265,6 @@ def wood_key(wood: ModuleWood) -> str:
     """Hash of all that a plant's own wood is, hexadecimal."""
     digest = hashlib.blake2b(digest_size=20)
     for field in fields(wood):
-        digest.update(np.ascontiguousarray(getattr(wood, field.name)).tobytes())
+        value = getattr(wood, field.name)
+        digest.update(b"" if value is None else np.ascontiguousarray(value).tobytes())
     return digest.hexdigest()

@@ -111,6 +111,7 @@ def make_population(plants, rng):
         height_m=rng.random(n) * 20,
         age_yr=rng.random(n) * 30,
         status=(np.arange(n) % 4).astype(np.uint8),
+        columns={"adaptation": np.linspace(0, 1, n, dtype=np.float32)},
     )
 
 

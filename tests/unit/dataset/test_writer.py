@@ -94,6 +94,7 @@ def test_every_column_of_the_plants(tmp_path, shot):
         "z_m": population.position_m[:, 2],
         "visible_area_px": seen.visible_area_px,
         "stem_pixels": views.stem_pixels,
+        "adaptation": population.columns["adaptation"],
         "crown_width_m": measures.crown_width_m,
         "dbh_m": measures.dbh_m,
         "leaf_area_m2": measures.leaf_area_m2,

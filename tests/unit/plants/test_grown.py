@@ -81,6 +81,21 @@ def test_twigs_stand_on_thin_wood_alone_and_go_on_from_free_terminals():
     assert np.all(made.order[made.parent[sides]] == FIRST_TWIG_ORDER)
 
 
+def test_a_dead_plant_loses_its_twigs_with_the_years_and_keeps_those_that_are_left():
+    def twigs(dead_yr):
+        skeleton = clothed(parameters(), replace(wood(), dead_yr=dead_yr), 5.0, np.random.default_rng(0))
+        twig = skeleton.order == FIRST_TWIG_ORDER
+        feet = twig & ~twig[skeleton.parent]
+        return {tuple(place) for place in skeleton.position_m[skeleton.parent[feet]].tolist()}, len(skeleton.parent)
+
+    living, nodes = twigs(None)
+    fresh, after_four, after_forty = twigs(0.0), twigs(4.0), twigs(40.0)
+    assert fresh == (living, nodes)
+    assert 0.3 * len(living) < len(after_four[0]) < 0.7 * len(living)
+    assert after_forty[0] < after_four[0] < living
+    assert after_forty[1] < after_four[1] < nodes
+
+
 def test_young_segments_bear_shorter_twigs():
     def reach(share):
         graph = replace(wood(), age_share=np.full(9, share))
@@ -174,8 +189,12 @@ def test_triangles_are_estimated_within_a_third():
 def test_the_key_of_a_plant_knows_all_of_its_wood():
     keys = {wood_key(wood())}
     for field in fields(wood()):
-        value = getattr(wood(), field.name).copy()
-        value[-1] = not value[-1] if value.dtype == bool else value[-1] + 1
+        value = getattr(wood(), field.name)
+        if value is None:
+            value = 3.0
+        else:
+            value = value.copy()
+            value[-1] = not value[-1] if value.dtype == bool else value[-1] + 1
         keys.add(wood_key(replace(wood(), **{field.name: value})))
     assert len(keys) == 1 + len(fields(wood()))
 
