@@ -195,19 +195,17 @@ def _holes(stand: Stand, population: Population, rng: np.random.Generator) -> fl
 
 def picture(patch: Stand, hills: Stand, tropics: Stand) -> Figure:
     """The patch by years; the hills' pines and the tropical forest from above."""
-    figure = new_figure(13.5, 12.5)
-    rows: Any = figure.subfigures(3, 1, height_ratios=(1, 1.2, 1.25))
+    figure = new_figure(13.5, 17.0)
+    rows: Any = figure.subfigures(3, 1, height_ratios=(1, 0.95, 2.2))
     _draw_patch(rows[0], patch)
-    for row, stand, years, title in (
-        (rows[1], hills, DIEBACK_YR, "Pines on hills (Figure 37); blue: soil water, before anything grew at the left"),
-        (rows[2], tropics, ARIDITY_YR, "Six tropical species under ever less rain (Figure 40)"),
+    for row, shape, stand, years, title in (
+        (rows[1], (1, 3), hills, DIEBACK_YR, "Pines around two valleys and a lake (Figure 37); blue: soil water"),
+        (rows[2], (2, 3), tropics, ARIDITY_YR, "Six tropical species under ever less rain (Figure 40)"),
     ):
         row.suptitle(title, fontsize=12, x=0.01, ha="left")
-        shown = {"no plants": stand.moments[0]} if stand is hills else {}
-        shown |= {name: stand.at(year) for name, year in years.items()}
-        for axes, (name, one) in zip(row.subplots(1, len(shown)), shown.items(), strict=True):
-            told = wetness(stand.plan, one)
-            draw_stand(axes, stand, one, name, wettest=float(np.quantile(told, 0.98)))
+        for axes, (name, year) in zip(row.subplots(*shape).ravel(), years.items(), strict=True):
+            one = stand.at(year)
+            draw_stand(axes, stand, one, name, wettest=float(np.quantile(wetness(stand.plan, one), 0.98)))
     _legend(rows[2], tropics)
     return figure
 
@@ -234,4 +232,4 @@ def _legend(row: Any, stand: Stand) -> None:
     marks = [
         Line2D([], [], marker="o", ls="", color=COLOURS[name], label=name) for name in stand.moments[0].species_names
     ]
-    row.legend(handles=marks, loc="lower center", ncols=len(marks), frameon=False)
+    row.legend(handles=marks, loc="outside lower center", ncols=len(marks), frameon=False)

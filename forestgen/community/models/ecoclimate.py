@@ -12,8 +12,8 @@ drunk by them. Then the plants grow, shed, seed and die for a step, each by its 
 
 to the temperature at its foot, which shade cools, and to the water in the soil there, told as the rain that would keep
 it so. It scales the light that leaves use and caps the vigour of the root; what a module needs for itself stays. So
-drought takes the darkest branches first, then crowns, then trees. ``microclimate: false`` hands over means over the site
-instead: the paper's ablation.
+drought takes the darkest branches first, then crowns, then trees. ``microclimate: false`` hands over means over the
+site instead: the paper's ablation.
 
 Recipe::
 
