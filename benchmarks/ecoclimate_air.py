@@ -1,4 +1,4 @@
-"""Vegetation and air for benchmarks/ecoclimates.py: Figures 39, 41, 44 and 45, and what a year costs.
+"""Vegetation and air for benchmarks/ecoclimates.py: Figures 39 and 41, and what a year costs.
 
 Stands are grown on 60 m by recipes/ecoclimates/stand.yaml. What such ground gives to the air in a day is then given off
 by all of a landscape of 4 km, or by all but a clearing, and the air of a summer's afternoon is simulated over it.
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from silviculture_stands import Report
 
 from forestgen.atmosphere.fluid.parameters import Surface
-from forestgen.community.ecoclimate.air import Given, Hours, day_of, grid_of, hours_of, month_of_air
+from forestgen.community.ecoclimate.air import Hours, day_of, grid_of, hours_of
 from forestgen.community.ecoclimate.climate import Month
 from forestgen.community.ecoclimate.grids import between
 from forestgen.community.ecoclimate.weather_section import WeatherSection
@@ -174,40 +174,6 @@ def _show_clouds(axis, condensed: Floats) -> None:  # type: ignore[no-untyped-de
 
 def _circle() -> Circle:
     return Circle((0, 0), CLEARING_M / 1000.0, fill=False, edgecolor="#F59E0B", linewidth=1.5)
-
-
-def foehn(report: Report, quick: bool, seeds: range) -> Figure:
-    """Figures 44 and 45: a wind over a ridge; which side is warmer."""
-    hours, cell = (0.5, 200.0) if quick else (1.0, 100.0)
-    section = AIR.model_validate(
-        {
-            "hours": hours, "extent_m": 8 * cell, "cell_m": cell, "height_m": 3000, "cell_height_m": 100,
-            "mixed_layer_m": 0, "lapse_rate_k_per_km": 4, "inversion_m": 2800, "relative_humidity": 0.3,
-            "relative_humidity_aloft": 0.3, "wind_m_per_s": 8, "heat_w_per_m2": 0, "vapour_w_per_m2": 0, "spread": 0,
-        }
-    )  # fmt: skip
-    count = int(12_800 / cell)
-    ground = Ground((12_800.0, 8 * cell), (8, count))
-    x_m = (np.arange(count) + 0.5) * cell - 6400.0
-    height = np.broadcast_to(500.0 * np.exp(-((x_m / 800.0) ** 2)), ground.shape).copy()
-    given = Given(ground, height, np.zeros(ground.shape), np.ones(ground.shape), -6.5)
-    slopes, warmer = (np.abs(x_m) > 240) & (np.abs(x_m) < 1200), []
-    figure = new_figure(9.0, 4.5)
-    axis = figure.subplots()
-    for seed in seeds:
-        warmth = month_of_air(section, SUMMER, 0, given, 270.0, seed).warmth_k.mean(axis=0)
-        warmer.append(float(warmth[slopes & (x_m > 0)].mean() - warmth[slopes & (x_m < 0)].mean()))
-        axis.plot(x_m / 1000, warmth, color="#B91C1C", linewidth=1)
-    report.line("lee slope over windward slope, K: " + "  ".join(f"{one:.2f}" for one in warmer))
-    report.check("the lee side is warmer", f"{np.mean(warmer):.2f} K", min(warmer) > 0.2, "above 0.2 K, every seed")
-    axis.set_xlabel("km; the wind blows from the left")
-    axis.set_ylabel("warmth of the lowest air, K")
-    other = axis.twinx()
-    other.fill_between(x_m / 1000, height[0], color="#78716C", alpha=0.4, linewidth=0)
-    other.set_ylim(0, 2000)
-    other.set_ylabel("ground, m")
-    figure.suptitle("A wind over a ridge: air cools as it rises and is warmer behind (seeds 002, Figures 44 and 45)")
-    return figure
 
 
 def year(report: Report, quick: bool, seeds: range) -> Figure:

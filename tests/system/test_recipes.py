@@ -30,6 +30,12 @@ COARSE = {  # of clouds, of a walk of eight frames, of a house on a larger site,
     "branch_modules": ("community.obstacles.0.position_m=[18, 20]",),
     "ecoclimates/dryland": ("community.steps=6",),
     "ecoclimates/edges": ("site.size_m=[100, 80]", "community.steps=56"),  # its patch has a place, its strip a year
+    "ecoclimates/foehn": (  # some dozen seedlings on level ground
+        "community.steps=2",
+        "community.global_seeding.0.seeds_per_ha=1000",
+        "community.weather.hours=0.1",
+        "site.terrain={kind: flat}",
+    ),
     "ecoclimates/stand": ("community.steps=6",),
     "ecoclimates/valleys": ("community.steps=6",),
     "kernel_growth": ("sky.clouds={type: noise, extent_m: 2000}",),

@@ -94,7 +94,7 @@ def month_of_air(
     """The air of month `number` since the beginning."""
     grid = grid_of(section, given.ground)
     maps = between(given.ground, grid)
-    height = maps.for_air(given.height_m).astype(np.float64)
+    height = maps.heights_for_air(given.height_m)
     terrain = height - height.min() if np.ptp(height) > _FLAT * grid.cell_m[2] else None
     shaded = 1.0 - section.shade_heat_share * (1.0 - maps.for_air(given.light).astype(np.float64))
     vapour = maps.for_air(given.vapour_mm_per_day).astype(np.float64) / (3600.0 * section.daylight_h)
@@ -137,7 +137,7 @@ def _usual(
 
 def grid_of(section: WeatherSection, ground: Ground) -> AirGrid:
     """The box of air, whose middle is the site's: even numbers of cells, of at least `cell_m`."""
-    extent = [max(section.extent_m, side) for side in ground.size_m]
+    extent = [max(one, side) for one, side in zip(section.sides_m, ground.size_m, strict=True)]
     across = [max(8, 2 * int(side / section.cell_m / 2)) for side in extent]
     up = max(8, 2 * round(section.height_m / section.cell_height_m / 2))
     sides = extent[0] / across[0], extent[1] / across[1], section.height_m / up

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Self
+from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
 from forestgen.recipe.fields import Fraction, NonNegative, Number, Positive, Section, Whole, mistake
 
 MOST_CELLS = 4_000_000
+_Side = Annotated[Positive, Field(ge=100, le=50_000)]
 
 
 class WeatherSection(Section):
@@ -16,8 +17,15 @@ class WeatherSection(Section):
 
     days_per_month: Whole = Field(1, ge=1, le=31, description="Days that stand for a month.")
     hours: Positive = Field(2.0, le=24, description="How much of a day is simulated, hours.")
-    extent_m: Positive = Field(
-        4000.0, ge=100, le=50_000, description="Side of the box of air, metres; at least that of the site."
+    every_months: Whole = Field(
+        1,
+        ge=1,
+        le=1200,
+        description="Of so many months the first is simulated, and the others have its rain and warmth by place.",
+    )
+    extent_m: _Side | tuple[_Side, _Side] = Field(
+        4000.0,
+        description="Side of the box of air, metres, or two, to the east and to the north; at least those of the site.",
     )
     height_m: Positive = Field(3000.0, ge=200, le=20_000, description="Height of the box, metres.")
     cell_m: Positive = Field(200.0, ge=5, le=1000, description="Width of its cells, metres.")
@@ -48,9 +56,15 @@ class WeatherSection(Section):
     inversion_jump_k: NonNegative = Field(4.0, le=30, description="Warming across it, K.")
     wind_m_per_s: NonNegative = Field(2.0, le=30, description="Speed of the wind, from the site's wind_from_deg.")
 
+    @property
+    def sides_m(self) -> tuple[float, float]:
+        """Least sides of the box of air, to the east and to the north."""
+        return self.extent_m if isinstance(self.extent_m, tuple) else (self.extent_m, self.extent_m)
+
     @model_validator(mode="after")
     def _not_too_large(self) -> Self:
-        cells = (self.extent_m / self.cell_m) ** 2 * self.height_m / self.cell_height_m
+        east, north = self.sides_m
+        cells = east * north / self.cell_m**2 * self.height_m / self.cell_height_m
         if cells > MOST_CELLS:
             raise mistake(
                 f"at most {MOST_CELLS:,} cells",
@@ -59,6 +73,6 @@ class WeatherSection(Section):
                 hint="raise cell_m or cell_height_m, or lower extent_m",
                 at=("cell_m",),
             )
-        if self.extent_m < 8 * self.cell_m or self.height_m < 8 * self.cell_height_m:
+        if min(east, north) < 8 * self.cell_m or self.height_m < 8 * self.cell_height_m:
             raise mistake("8 cells or more along each axis", problem="too coarse an air", at=("cell_m",))
         return self

@@ -96,6 +96,11 @@ def test_the_box_holds_the_site_and_its_middle_is_the_sites() -> None:
     assert min(grid.cell_m[:2]) >= 100.0 - 1e-9
 
 
+def test_a_box_may_be_longer_than_wide() -> None:
+    section = WeatherSection.model_validate({"extent_m": [9600, 1600], "cell_m": 200})
+    assert grid_of(section, Ground((3000.0, 200.0), (8, 120))).cells[:2] == (48, 8)
+
+
 def test_vapour_is_given_by_day_and_all_of_it() -> None:
     """mm a day over 12 hours of light, in kg/(m2 s); the air holds it afterwards."""
     grid = grid_of(SECTION, GROUND)
