@@ -141,7 +141,8 @@ def _under_air(state: Ecoclimate, ground: Ground, leaves: Floats, now: Month, mo
     height_m = _heights(_Alike(site), parameters.soil_water.cell_m)
     given = Given(ground, height_m, state.vapour_mm_per_day, light, parameters.lapse_rate_k_per_km)
     sky = month_of_air(section, now, month, given, site.wind_from_deg, state.forest.seed)
-    wetness = 1.0 - section.local_share + section.local_share * _mean_unless(parameters.microclimate, sky.wetness)
+    share, local = section.local_share, _mean_unless(parameters.microclimate, sky.wetness)
+    wetness = (1.0 - share) * sky.region + share * local
     warmth = _mean_unless(parameters.microclimate, sky.warmth_k)
     felt = state.warmth_mean_k + _share_of_months(parameters, section.every_months) * (warmth - state.warmth_mean_k)
     return replace(state, wetness=wetness, warmth_mean_k=felt)

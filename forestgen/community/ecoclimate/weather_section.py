@@ -2,13 +2,30 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Self
+from typing import Annotated, Any, Self
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
+from forestgen.community.ecoclimate.climate import MONTHS, MONTHS_PER_YR
 from forestgen.recipe.fields import Fraction, NonNegative, Number, Positive, Section, Whole, mistake
 
 MOST_CELLS = 4_000_000
+_MOST_WATTS = 1000.0
+
+
+def _one_or_twelve(value: Any) -> Any:
+    """What is wrong with a list of months, told at its place; the rest is the schema's."""
+    if isinstance(value, list | tuple):
+        if len(value) != MONTHS_PER_YR:
+            raise mistake("one number, or twelve with January first", got=f"{len(value)} of them")
+        for index, one in enumerate(value):
+            if isinstance(one, bool) or not isinstance(one, int | float) or not 0 <= one <= _MOST_WATTS:
+                raise mistake(f"numbers from 0 to {_MOST_WATTS:g}", got=f"{one} in {MONTHS[index]}")
+    return value
+
+
+_Watts = Annotated[NonNegative, Field(le=_MOST_WATTS)]
+_Monthly = Annotated[_Watts | tuple[_Watts, ...], BeforeValidator(_one_or_twelve)]
 _Side = Annotated[Positive, Field(ge=100, le=50_000)]
 
 
@@ -31,9 +48,12 @@ class WeatherSection(Section):
     cell_m: Positive = Field(200.0, ge=5, le=1000, description="Width of its cells, metres.")
     cell_height_m: Positive = Field(75.0, ge=5, le=500, description="Their height, metres.")
     local_share: Fraction = Field(0.5, description="Share of the rain whose clouds the place itself makes.")
-    heat_w_per_m2: NonNegative = Field(150.0, le=1000, description="Heat from open ground [E], W/m2.")
-    vapour_w_per_m2: NonNegative = Field(
-        60.0, le=1000, description="Vapour that the region brings in [E_M], as its latent heat, W/m2."
+    heat_w_per_m2: _Monthly = Field(
+        150.0, description="Heat from open ground [E], W/m2; or of twelve months, January first."
+    )
+    vapour_w_per_m2: _Monthly = Field(
+        60.0,
+        description="Vapour that the region brings in [E_M], as its latent heat, W/m2; or of twelve months.",
     )
     spread: Fraction = Field(0.1, description="Standard deviation of both from day to day, by their mean.")
     daylight_h: Positive = Field(12.0, le=24, description="Hours of a day in which ground and plants give vapour.")
@@ -61,6 +81,14 @@ class WeatherSection(Section):
         """Least sides of the box of air, to the east and to the north."""
         return self.extent_m if isinstance(self.extent_m, tuple) else (self.extent_m, self.extent_m)
 
+    def heat_of(self, of_year: int) -> float:
+        """Heat from open ground in a month of the year, 0 to 11, W/m2."""
+        return _of_month(self.heat_w_per_m2, of_year)
+
+    def vapour_of(self, of_year: int) -> float:
+        """The region's vapour in a month of the year, 0 to 11, W/m2."""
+        return _of_month(self.vapour_w_per_m2, of_year)
+
     @model_validator(mode="after")
     def _not_too_large(self) -> Self:
         east, north = self.sides_m
@@ -76,3 +104,7 @@ class WeatherSection(Section):
         if min(east, north) < 8 * self.cell_m or self.height_m < 8 * self.cell_height_m:
             raise mistake("8 cells or more along each axis", problem="too coarse an air", at=("cell_m",))
         return self
+
+
+def _of_month(values: float | tuple[float, ...], of_year: int) -> float:
+    return values[of_year] if isinstance(values, tuple) else values

@@ -227,7 +227,7 @@ def test_months_between_simulated_ones_have_the_last_ones_rain_and_warmth(
     def air(section: Any, month: Any, number: int, given: Any, *_: Any) -> Sky:
         seen.append(number)
         even = np.ones(given.ground.shape)
-        return Sky((3.0 if number else 2.0) * even, 1.5 * even, 0.1, 0.0)
+        return Sky((3.0 if number else 2.0) * even, 1.0, 1.5 * even, 0.1, 0.0)
 
     monkeypatch.setattr(months, "month_of_air", air)
     weather = {"every_months": 5, "local_share": 0.5}
@@ -238,3 +238,19 @@ def test_months_between_simulated_ones_have_the_last_ones_rain_and_warmth(
     assert course[-1].warmth_mean_k == pytest.approx(felt)
     assert error(course[-1]) < 1e-11 * course[-1].books.rain_mm
     assert course[-1].books.rain_mm == pytest.approx(60.0 * (5 * 1.5 + 7 * 2.0))
+
+
+def test_less_vapour_from_the_region_is_less_rain_and_the_books_close() -> None:
+    weather = {
+        "hours": 0.5, "extent_m": 800, "cell_m": 100, "height_m": 1200, "cell_height_m": 100, "mixed_layer_m": 300,
+        "inversion_m": 900, "relative_humidity": 0.86, "relative_humidity_aloft": 0.9, "wind_m_per_s": 0,
+        "every_months": 2,
+    }  # fmt: skip
+    normal, drier = (
+        after(3, climate=STEADY, weather=weather, climate_changes=[{"from_yr": 0, "to_yr": 0, "vapour": vapour}])
+        for vapour in (1.0, 0.2)
+    )
+    assert drier.books.rain_mm < 0.95 * normal.books.rain_mm
+    assert drier.wetness.max() < normal.wetness.min()
+    for one in (normal, drier):
+        assert error(one) < 1e-11 * one.books.rain_mm
