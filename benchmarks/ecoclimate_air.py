@@ -6,11 +6,15 @@ by all of a landscape of 4 km, or by all but a clearing, and the air of a summer
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import resource
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, wraps
 from pathlib import Path
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -19,6 +23,7 @@ from numpy.typing import NDArray
 from silviculture_stands import Report
 
 from forestgen.atmosphere.fluid.parameters import Surface
+from forestgen.community.ecoclimate import months
 from forestgen.community.ecoclimate.air import Hours, day_of, grid_of, hours_of
 from forestgen.community.ecoclimate.climate import Month
 from forestgen.community.ecoclimate.grids import between
@@ -27,6 +32,8 @@ from forestgen.community.model import simulate
 from forestgen.community.plots import new_figure
 from forestgen.community.population import Population
 from forestgen.community.soil_water.ground import Ground
+from forestgen.community.soil_water.model import SoilWater
+from forestgen.core.timing import Timings
 from forestgen.recipe.load import load_recipe
 from forestgen.stages.plan import check_plan
 
@@ -176,6 +183,42 @@ def _circle() -> Circle:
     return Circle((0, 0), CLEARING_M / 1000.0, fill=False, edgecolor="#F59E0B", linewidth=1.5)
 
 
+PARTS: dict[str, tuple[Any, str]] = {
+    "air": (months, "month_of_air"),
+    "soil water": (SoilWater, "advance"),
+    "map of leaves": (months, "leaf_area_index"),
+    "plants": (months, "advanced"),
+}
+
+
+@contextmanager
+def parts_timed() -> Iterator[Timings]:
+    """Seconds of the parts of a month, while this holds."""
+    times, own = Timings(), {name: getattr(*where) for name, where in PARTS.items()}
+
+    def timed(name: str, work: Callable[..., Any]) -> Callable[..., Any]:
+        @wraps(work)
+        def done(*given: Any, **named: Any) -> Any:
+            with times(name):
+                return work(*given, **named)
+
+        return done
+
+    try:
+        for name, where in PARTS.items():
+            setattr(*where, timed(name, own[name]))
+        yield times
+    finally:
+        for name, where in PARTS.items():
+            setattr(*where, own[name])
+
+
+def peak_memory_gb() -> float:
+    """Most memory that this process has held so far."""
+    unit = 1 if sys.platform == "darwin" else 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e9
+
+
 def year(report: Report, quick: bool, seeds: range) -> Figure:
     """A year of a forest on 1 km² with its weather: what it costs, and where its water goes."""
     side, plants = (250.0, 2500) if quick else (1000.0, 100_000)
@@ -192,9 +235,12 @@ def year(report: Report, quick: bool, seeds: range) -> Figure:
     start = perf_counter()
     seconds: list[float] = []
     last: Population | None = None
-    for one in simulate(plan.model, plan.model_parameters, plan.site, plan.ecologies, seeds[0], steps=12):
-        seconds.append(perf_counter() - start)
-        start, last = perf_counter(), one
+    with parts_timed() as times:
+        for one in simulate(plan.model, plan.model_parameters, plan.site, plan.ecologies, seeds[0], steps=12):
+            seconds.append(perf_counter() - start)
+            if last is None:
+                times.seconds.clear()  # those of the start
+            start, last = perf_counter(), one
     assert last is not None
     water = last.state["water"]
     error = water["stored_mm"] + water["uptake_mm"] + water["loss_mm"] - water["rain_mm"] - water["start_mm"]
@@ -203,9 +249,13 @@ def year(report: Report, quick: bool, seeds: range) -> Figure:
         f"{len(last):,} plants on {side:g} m: the start with three years of soil {seconds[0]:.0f} s, months "
         + " ".join(f"{one:.1f}" for one in seconds[1:])
     )
+    total, memory_gb = sum(seconds[1:]), peak_memory_gb()
+    parts = {**times.seconds, "the rest": total - sum(times.seconds.values())}
+    report.line("of a year: " + ", ".join(f"{name} {one:.1f} s ({one / total:.0%})" for name, one in parts.items()))
     report.line(" ".join(f"{name} {value:.1f}" for name, value in water.items()))
     if not quick:
-        report.check("a year of 12 months", f"{sum(seconds[1:]):.0f} s", sum(seconds[1:]) < 300, "under 300 s")
+        report.check("a year of 12 months", f"{total:.0f} s", total < 300, "under 300 s")
+    report.check("memory of this process at its peak", f"{memory_gb:.2f} GB", memory_gb < 8, "under 8 GB")
     report.check("water of a year that does not add up", f"{share:.1e}", share < 5e-3, "under 0.5%")
     figure = new_figure(7.0, 4.0)
     axis = figure.subplots()
