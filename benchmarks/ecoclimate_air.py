@@ -1,4 +1,4 @@
-"""Vegetation and air for benchmarks/ecoclimates.py: Figures 39, 41, 44 and 45, and what a year costs.
+"""Vegetation and air for benchmarks/ecoclimates.py: Figures 39 and 41, and what a year costs.
 
 Stands are grown on 60 m by recipes/ecoclimates/stand.yaml. What such ground gives to the air in a day is then given off
 by all of a landscape of 4 km, or by all but a clearing, and the air of a summer's afternoon is simulated over it.
@@ -6,11 +6,15 @@ by all of a landscape of 4 km, or by all but a clearing, and the air of a summer
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import resource
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, wraps
 from pathlib import Path
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -19,7 +23,8 @@ from numpy.typing import NDArray
 from silviculture_stands import Report
 
 from forestgen.atmosphere.fluid.parameters import Surface
-from forestgen.community.ecoclimate.air import Given, Hours, day_of, grid_of, hours_of, month_of_air
+from forestgen.community.ecoclimate import months
+from forestgen.community.ecoclimate.air import Hours, day_of, grid_of, hours_of
 from forestgen.community.ecoclimate.climate import Month
 from forestgen.community.ecoclimate.grids import between
 from forestgen.community.ecoclimate.weather_section import WeatherSection
@@ -27,6 +32,8 @@ from forestgen.community.model import simulate
 from forestgen.community.plots import new_figure
 from forestgen.community.population import Population
 from forestgen.community.soil_water.ground import Ground
+from forestgen.community.soil_water.model import SoilWater
+from forestgen.core.timing import Timings
 from forestgen.recipe.load import load_recipe
 from forestgen.stages.plan import check_plan
 
@@ -176,38 +183,40 @@ def _circle() -> Circle:
     return Circle((0, 0), CLEARING_M / 1000.0, fill=False, edgecolor="#F59E0B", linewidth=1.5)
 
 
-def foehn(report: Report, quick: bool, seeds: range) -> Figure:
-    """Figures 44 and 45: a wind over a ridge; which side is warmer."""
-    hours, cell = (0.5, 200.0) if quick else (1.0, 100.0)
-    section = AIR.model_validate(
-        {
-            "hours": hours, "extent_m": 8 * cell, "cell_m": cell, "height_m": 3000, "cell_height_m": 100,
-            "mixed_layer_m": 0, "lapse_rate_k_per_km": 4, "inversion_m": 2800, "relative_humidity": 0.3,
-            "relative_humidity_aloft": 0.3, "wind_m_per_s": 8, "heat_w_per_m2": 0, "vapour_w_per_m2": 0, "spread": 0,
-        }
-    )  # fmt: skip
-    count = int(12_800 / cell)
-    ground = Ground((12_800.0, 8 * cell), (8, count))
-    x_m = (np.arange(count) + 0.5) * cell - 6400.0
-    height = np.broadcast_to(500.0 * np.exp(-((x_m / 800.0) ** 2)), ground.shape).copy()
-    given = Given(ground, height, np.zeros(ground.shape), np.ones(ground.shape), -6.5)
-    slopes, warmer = (np.abs(x_m) > 240) & (np.abs(x_m) < 1200), []
-    figure = new_figure(9.0, 4.5)
-    axis = figure.subplots()
-    for seed in seeds:
-        warmth = month_of_air(section, SUMMER, 0, given, 270.0, seed).warmth_k.mean(axis=0)
-        warmer.append(float(warmth[slopes & (x_m > 0)].mean() - warmth[slopes & (x_m < 0)].mean()))
-        axis.plot(x_m / 1000, warmth, color="#B91C1C", linewidth=1)
-    report.line("lee slope over windward slope, K: " + "  ".join(f"{one:.2f}" for one in warmer))
-    report.check("the lee side is warmer", f"{np.mean(warmer):.2f} K", min(warmer) > 0.2, "above 0.2 K, every seed")
-    axis.set_xlabel("km; the wind blows from the left")
-    axis.set_ylabel("warmth of the lowest air, K")
-    other = axis.twinx()
-    other.fill_between(x_m / 1000, height[0], color="#78716C", alpha=0.4, linewidth=0)
-    other.set_ylim(0, 2000)
-    other.set_ylabel("ground, m")
-    figure.suptitle("A wind over a ridge: air cools as it rises and is warmer behind (seeds 002, Figures 44 and 45)")
-    return figure
+PARTS: dict[str, tuple[Any, str]] = {
+    "air": (months, "month_of_air"),
+    "soil water": (SoilWater, "advance"),
+    "map of leaves": (months, "leaf_area_index"),
+    "plants": (months, "advanced"),
+}
+
+
+@contextmanager
+def parts_timed() -> Iterator[Timings]:
+    """Seconds of the parts of a month, while this holds."""
+    times, own = Timings(), {name: getattr(*where) for name, where in PARTS.items()}
+
+    def timed(name: str, work: Callable[..., Any]) -> Callable[..., Any]:
+        @wraps(work)
+        def done(*given: Any, **named: Any) -> Any:
+            with times(name):
+                return work(*given, **named)
+
+        return done
+
+    try:
+        for name, where in PARTS.items():
+            setattr(*where, timed(name, own[name]))
+        yield times
+    finally:
+        for name, where in PARTS.items():
+            setattr(*where, own[name])
+
+
+def peak_memory_gb() -> float:
+    """Most memory that this process has held so far."""
+    unit = 1 if sys.platform == "darwin" else 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e9
 
 
 def year(report: Report, quick: bool, seeds: range) -> Figure:
@@ -226,9 +235,12 @@ def year(report: Report, quick: bool, seeds: range) -> Figure:
     start = perf_counter()
     seconds: list[float] = []
     last: Population | None = None
-    for one in simulate(plan.model, plan.model_parameters, plan.site, plan.ecologies, seeds[0], steps=12):
-        seconds.append(perf_counter() - start)
-        start, last = perf_counter(), one
+    with parts_timed() as times:
+        for one in simulate(plan.model, plan.model_parameters, plan.site, plan.ecologies, seeds[0], steps=12):
+            seconds.append(perf_counter() - start)
+            if last is None:
+                times.seconds.clear()  # those of the start
+            start, last = perf_counter(), one
     assert last is not None
     water = last.state["water"]
     error = water["stored_mm"] + water["uptake_mm"] + water["loss_mm"] - water["rain_mm"] - water["start_mm"]
@@ -237,9 +249,13 @@ def year(report: Report, quick: bool, seeds: range) -> Figure:
         f"{len(last):,} plants on {side:g} m: the start with three years of soil {seconds[0]:.0f} s, months "
         + " ".join(f"{one:.1f}" for one in seconds[1:])
     )
+    total, memory_gb = sum(seconds[1:]), peak_memory_gb()
+    parts = {**times.seconds, "the rest": total - sum(times.seconds.values())}
+    report.line("of a year: " + ", ".join(f"{name} {one:.1f} s ({one / total:.0%})" for name, one in parts.items()))
     report.line(" ".join(f"{name} {value:.1f}" for name, value in water.items()))
     if not quick:
-        report.check("a year of 12 months", f"{sum(seconds[1:]):.0f} s", sum(seconds[1:]) < 300, "under 300 s")
+        report.check("a year of 12 months", f"{total:.0f} s", total < 300, "under 300 s")
+    report.check("memory of this process at its peak", f"{memory_gb:.2f} GB", memory_gb < 8, "under 8 GB")
     report.check("water of a year that does not add up", f"{share:.1e}", share < 5e-3, "under 0.5%")
     figure = new_figure(7.0, 4.0)
     axis = figure.subplots()

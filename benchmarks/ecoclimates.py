@@ -14,7 +14,7 @@ of trees smaller sites and the first seed alone.
     drought  37, 38, 40   oaks, pines and shrubs in a drought; pines on hills; a tropical forest that turns dry
     clouds       39   the air of a summer's afternoon over four kinds of vegetation
     clearing     41   clouds over a forest, a clearing and its regrowth
-    foehn    44, 45   a wind over a ridge: which side is warmer
+    foehn    44, 45   a wind over a ridge: which side is warmer and drier, and which species grow there
     year         -    a year of 100,000 plants on 1 km2 with their weather: cost, and where the water goes
     soil         -    a year of 1 km2 in cells of 1.5 m over a terrain: where the water goes, and the cost
 
@@ -30,9 +30,10 @@ from collections.abc import Callable
 from pathlib import Path
 from time import perf_counter
 
-from ecoclimate_air import clearing, clouds, foehn, year
+from ecoclimate_air import clearing, clouds, year
 from ecoclimate_drought import drought
 from ecoclimate_edges import edges
+from ecoclimate_foehn import foehn
 from ecoclimate_forests import forests
 from ecoclimate_patterns import patterns, persistence
 from ecoclimate_relief import valleys

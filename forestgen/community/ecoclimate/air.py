@@ -5,18 +5,20 @@ that it gave in the month before, and the region's heat and vapour (E and E_M), 
 simulated over level ground that gives everywhere what the region's climate takes for granted. The ratio of the two
 columns of cloud and rain tells, by place, how much of the region's normal rain falls there:
 
-    R = R_month (1 - s + s Q),    Q = water condensed over the place / the same over the region's ground
+    R = R_month ((1 - s) Q_region + s Q)
+    Q        = water condensed over the place / the same over the region's ground
+    Q_region = water condensed over the region's ground / the same with the region's normal vapour; 1 but for a change
 
-s,
 s, `local_share`, is the share of rain whose clouds the place itself makes. So a month in which the forest does what is
-usual has its normal rain; a cleared place, whose ground gives less vapour, has less. In its mean over the site, Q is at
-most 3. The temperature of the lowest air over that of the region's ground, colder with elevation at the usual rate, is
-the place's own warmth: Foehn. Each year has the same drawn days.
+usual has its normal rain; a cleared place, whose ground gives less vapour, has less. Q and Q_region are told by the
+region's normal vapour: where a change of the climate takes vapour from region and place alike, there is less rain. In
+their means over the site, both are at most 3. The temperature of the lowest air over that of the region's ground,
+colder with elevation at the usual rate, is the place's own warmth: Foehn. Each year has the same drawn days.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from typing import Any
 
@@ -61,6 +63,7 @@ class Sky:
     """What a month's days of air did, means over them."""
 
     wetness: Floats  # (rows, cols) Q
+    region: float  # Q_region
     warmth_k: Floats  # (rows, cols) of the lowest air, over what is usual at its elevation
     condensed_kg_per_m2: float  # mean over the site
     water_error: float  # largest share of a day's water in the air that was lost or made of nothing
@@ -110,19 +113,33 @@ def month_of_air(
         return hours_of(section, case.grid, case.day, case.surface)
 
     def over_the_region(index: int) -> tuple[float, float]:
+        return _usual(section, grid, replace(month, vapour=1.0), of_year, index, wind_from_deg, seed)
+
+    def over_the_region_now(index: int) -> tuple[float, float]:
         return _usual(section, grid, month, of_year, index, wind_from_deg, seed)
 
     # A step of so little air has too short loops for several cores: every day has one.
-    days: list[Any] = apart([partial(job, index) for index in indices for job in (over_the_site, over_the_region)])
-    looks: list[tuple[Floats, Floats, float, float]] = []
-    for here, (usual, usual_k) in zip(days[::2], days[1::2], strict=True):
+    jobs = [over_the_site, over_the_region, *([over_the_region_now] if month.vapour != 1.0 else [])]
+    days: list[Any] = apart([partial(job, index) for index in indices for job in jobs])
+    looks: list[tuple[Floats, Floats, float, float, float]] = []
+    for index in indices:
+        here, (usual, usual_k), *changed = days[len(jobs) * index : len(jobs) * (index + 1)]
+        now, now_k = changed[0] if changed else (usual, usual_k)
         ours = maps.for_ground(here.condensed_kg_per_m2)
-        warmth = here.warmth_k - usual_k - given.lapse_rate_k_per_km / 1000.0 * here.lowest_m
+        warmth = here.warmth_k - now_k - given.lapse_rate_k_per_km / 1000.0 * here.lowest_m
+        clouds = usual > _LEAST_KG_PER_M2
         # The site's mean is bounded: a cap by cell would take from the peaks and give to none.
-        ratio = ours / max(usual, ours.mean() / MOST) if usual > _LEAST_KG_PER_M2 else np.ones_like(ours)
-        looks.append((ratio, maps.for_ground(warmth), float(ours.mean()), here.water_error))
-    wetness, warmths, condensed, errors = zip(*looks, strict=True)
-    return Sky(np.mean(wetness, axis=0), np.mean(warmths, axis=0), float(np.mean(condensed)), max(errors))
+        ratio = ours / max(usual, ours.mean() / MOST) if clouds else np.ones_like(ours)
+        region = min(now / usual, MOST) if clouds else 1.0
+        looks.append((ratio, maps.for_ground(warmth), region, float(ours.mean()), here.water_error))
+    wetness, warmths, regions, condensed, errors = zip(*looks, strict=True)
+    return Sky(
+        np.mean(wetness, axis=0),
+        float(np.mean(regions)),
+        np.mean(warmths, axis=0),
+        float(np.mean(condensed)),
+        max(errors),
+    )
 
 
 def case_of(
@@ -131,7 +148,7 @@ def case_of(
     """Day `index` of month `number` since the beginning, over the site's own ground."""
     grid = grid_of(section, given.ground)
     maps = between(given.ground, grid)
-    height = maps.for_air(given.height_m).astype(np.float64)
+    height = maps.heights_for_air(given.height_m)
     terrain = height - height.min() if np.ptp(height) > _FLAT * grid.cell_m[2] else None
     shaded = 1.0 - section.shade_heat_share * (1.0 - maps.for_air(given.light).astype(np.float64))
     vapour = maps.for_air(given.vapour_mm_per_day).astype(np.float64) / (3600.0 * section.daylight_h)
@@ -156,7 +173,7 @@ def _usual(
 
 def grid_of(section: WeatherSection, ground: Ground) -> AirGrid:
     """The box of air, whose middle is the site's: even numbers of cells, of at least `cell_m`."""
-    extent = [max(section.extent_m, side) for side in ground.size_m]
+    extent = [max(one, side) for one, side in zip(section.sides_m, ground.size_m, strict=True)]
     across = [max(8, 2 * int(side / section.cell_m / 2)) for side in extent]
     up = max(8, 2 * round(section.height_m / section.cell_height_m / 2))
     sides = extent[0] / across[0], extent[1] / across[1], section.height_m / up
@@ -180,8 +197,8 @@ def day_of(section: WeatherSection, month: Month, of_year: int, index: int, wind
     )
     return Day(
         layers.sounding(section.height_m, wind_towards(section.wind_m_per_s, wind_from_deg)),
-        section.heat_w_per_m2 * max(0.0, 1.0 + section.spread * heat),
-        section.vapour_w_per_m2 * max(0.0, 1.0 + section.spread * vapour) / LATENT_HEAT_J_PER_KG,
+        section.heat_of(of_year) * max(0.0, 1.0 + section.spread * heat),
+        section.vapour_of(of_year) * month.vapour * max(0.0, 1.0 + section.spread * vapour) / LATENT_HEAT_J_PER_KG,
         seed,
         (of_year, index),
     )

@@ -46,12 +46,13 @@ class MonthlyClimate:
 
 @dataclass(frozen=True)
 class Turn:
-    """From one year to another the climate changes evenly, and stays so: rain by a factor, warmth by a sum."""
+    """From one year to another the climate changes evenly, then stays so: rain, vapour by factors, warmth by a sum."""
 
     from_yr: float
     to_yr: float
     precipitation: float = 1.0
     temperature_k: float = 0.0
+    vapour: float = 1.0
 
     def done(self, time_yr: float) -> float:
         """Share of the change that has come, 0 to 1."""
@@ -66,19 +67,21 @@ class Month:
 
     temperature_c: float
     rain_mm_per_day: float
+    vapour: float = 1.0  # that the region brings in, over what is normal
 
 
 def month_at(normals: MonthlyClimate, turns: Sequence[Turn], month: int) -> Month:
     """Month number `month` since the beginning, which was a January; changes are those at its middle."""
     time_yr = (month + 0.5) / MONTHS_PER_YR
-    warmer, wetter = 0.0, 1.0
+    warmer, wetter, damper = 0.0, 1.0, 1.0
     for one in turns:
         share = one.done(time_yr)
         warmer += share * one.temperature_k
         wetter *= 1.0 + share * (one.precipitation - 1.0)
+        damper *= 1.0 + share * (one.vapour - 1.0)
     index = month % MONTHS_PER_YR
     rain = normals.precipitation_mm[index] * wetter / DAYS_PER_MONTH
-    return Month(normals.temperature_c[index] + warmer, rain)
+    return Month(normals.temperature_c[index] + warmer, rain, damper)
 
 
 @cache

@@ -17,6 +17,7 @@ class Between:
 
     to_air: tuple[Floats, Floats]  # (air rows, rows), (air cols, cols): share of an air cell that a ground cell takes
     to_ground: tuple[Floats, Floats]  # (rows, air rows), (cols, air cols): share of a ground cell in an air cell
+    beyond: tuple[Floats, Floats]  # as `to_air`, of a ground whose outermost cells reach to the edges of the box
 
     def for_air(self, values: Floats) -> NDArray[np.float32]:
         """(Y, X) means over the air's cells of a (rows, cols) map; around the ground it is as in its mean."""
@@ -24,6 +25,11 @@ class Between:
         covered = np.outer(down.sum(axis=1), across.sum(axis=1))
         inside = _product(down, values, across)
         return np.asarray(inside + (1.0 - covered) * values.mean(), dtype=np.float32)
+
+    def heights_for_air(self, height_m: Floats) -> Floats:
+        """(Y, X) of a (rows, cols) map of heights; around the ground they are those of its edge: no cliffs."""
+        down, across = self.beyond
+        return _product(down, height_m, across)
 
     def for_ground(self, values: NDArray[np.floating]) -> Floats:
         """(rows, cols) means over the ground's cells of a (Y, X) map of the air."""
@@ -38,17 +44,19 @@ def between(ground: Ground, air: AirGrid) -> Between:
     ------
     ValueError : the ground is larger than the box.
     """
-    shares: list[list[Floats]] = [[], []]
+    shares: list[list[Floats]] = [[], [], []]
     for axis in (1, 0):
         length, box = ground.size_m[axis], air.size_m[axis]
         if length > box * (1 + 1e-9):
             raise ValueError(f"a ground of {length:g} m does not lie in a box of {box:g} m")
         start = 0.5 * (box - length)
         edges = start + np.linspace(0.0, length, ground.shape[1 - axis] + 1)
-        common = _overlap(np.linspace(0.0, box, air.cells[axis] + 1), edges)
+        of_air = np.linspace(0.0, box, air.cells[axis] + 1)
+        common = _overlap(of_air, edges)
         shares[0].append(common / air.cell_m[axis])
         shares[1].append(common.T / ground.cell_m[axis])
-    return Between((shares[0][0], shares[0][1]), (shares[1][0], shares[1][1]))
+        shares[2].append(_overlap(of_air, np.concatenate([[0.0], edges[1:-1], [box]])) / air.cell_m[axis])
+    return Between(*((down, across) for down, across in shares))
 
 
 def _overlap(ours: Floats, theirs: Floats) -> Floats:

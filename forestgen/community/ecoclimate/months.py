@@ -132,15 +132,16 @@ def _mean_unless(local: bool, values: Floats) -> Floats:
 
 
 def _under_air(state: Ecoclimate, ground: Ground, leaves: Floats, now: Month, month: int) -> Ecoclimate:
-    """What the month's air makes of the rain and of the warmth; the same state if no air is simulated."""
+    """What the month's air makes of the rain and of the warmth; the same state if none is simulated in this month."""
     parameters, site = state.parameters, state.forest.site
     section = parameters.weather
-    if section is None:
+    if section is None or month % section.every_months:
         return state
     sky = month_of_air(section, now, month, _given(state, ground, leaves), site.wind_from_deg, state.forest.seed)
-    wetness = 1.0 - section.local_share + section.local_share * _mean_unless(parameters.microclimate, sky.wetness)
+    share, local = section.local_share, _mean_unless(parameters.microclimate, sky.wetness)
+    wetness = (1.0 - share) * sky.region + share * local
     warmth = _mean_unless(parameters.microclimate, sky.warmth_k)
-    felt = state.warmth_mean_k + _share_of_month(parameters) * (warmth - state.warmth_mean_k)
+    felt = state.warmth_mean_k + _share_of_months(parameters, section.every_months) * (warmth - state.warmth_mean_k)
     return replace(state, wetness=wetness, warmth_mean_k=felt)
 
 
@@ -167,10 +168,10 @@ def _given(state: Ecoclimate, ground: Ground, leaves: Floats) -> Given:
     return Given(ground, height_m, state.vapour_mm_per_day, light, parameters.lapse_rate_k_per_km)
 
 
-def _share_of_month(parameters: EcoclimateParameters) -> float:
-    """Weight of a month in what plants feel."""
+def _share_of_months(parameters: EcoclimateParameters, count: int) -> float:
+    """Weight of so many months in what plants feel."""
     memory = parameters.memory_yr * MONTHS_PER_YR
-    return 1.0 if memory == 0 else -math.expm1(-1.0 / memory)
+    return 1.0 if memory == 0 else -math.expm1(-count / memory)
 
 
 def _month_later(state: Ecoclimate, soil: SoilWater, leaves: Floats, now: Month) -> Ecoclimate:
@@ -183,7 +184,7 @@ def _month_later(state: Ecoclimate, soil: SoilWater, leaves: Floats, now: Month)
         rain_mm_per_day=now.rain_mm_per_day * state.wetness,
         substep_days=parameters.soil_water.substep_days,
     )
-    share = _share_of_month(parameters)
+    share = _share_of_months(parameters, 1)
     felt = state.soil_mean_mm + share * (passed.water.soil_mm - state.soil_mean_mm)
     warmth = state.temperature_mean_c + share * (now.temperature_c - state.temperature_mean_c)
     given = (passed.uptake_mm + parameters.soil_water.evaporating_share * passed.loss_mm) / DAYS_PER_MONTH

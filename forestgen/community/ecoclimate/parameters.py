@@ -89,6 +89,9 @@ class ClimateChange(Section):
     to_yr: NonNegative = Field(le=1e6, description="When it is complete, years.")
     precipitation: NonNegative = Field(1.0, le=100, description="Factor on the rain of every month.")
     temperature_k: Number = Field(0.0, ge=-30, le=30, description="What every month becomes warmer, K.")
+    vapour: NonNegative = Field(
+        1.0, le=100, description="Factor on the vapour that the region brings in; needs weather, whose clouds go by it."
+    )
 
     @model_validator(mode="after")
     def _forwards(self) -> Self:
@@ -102,7 +105,7 @@ class ClimateChange(Section):
 
     @property
     def turn(self) -> Turn:
-        return Turn(self.from_yr, self.to_yr, self.precipitation, self.temperature_k)
+        return Turn(self.from_yr, self.to_yr, self.precipitation, self.temperature_k, self.vapour)
 
 
 class SoilWaterSection(Section):
@@ -230,6 +233,19 @@ class EcoclimateParameters(BranchModulesParameters):
             raise mistake(
                 "a whole number of months, such as 1/12 = 0.0833333333 or 1", got=f"{self.step_yr:g}", at=("step_yr",)
             )
+        return self
+
+    @model_validator(mode="after")
+    def _vapour_of_air(self) -> Self:
+        for index, one in enumerate(self.climate_changes):
+            if one.vapour != 1.0 and self.weather is None:
+                raise mistake(
+                    "weather, whose clouds go by it",
+                    problem="vapour without air",
+                    got=f"vapour: {one.vapour:g}, and no weather",
+                    hint="add weather: {}, or change precipitation",
+                    at=("climate_changes", index, "vapour"),
+                )
         return self
 
     @model_validator(mode="after")

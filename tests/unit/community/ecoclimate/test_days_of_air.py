@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -19,12 +21,12 @@ GROUND = Ground((800.0, 800.0), (10, 10))
 MONTH = Month(15.0, 2.0)
 
 
-def sky(vapour_mm_per_day=2.0, light=0.5, height=0.0, section=SECTION, seed=1, number=5):
+def sky(vapour_mm_per_day=2.0, light=0.5, height=0.0, section=SECTION, seed=1, number=5, month=MONTH):
     maps = (
         np.broadcast_to(np.asarray(one, dtype=float), GROUND.shape).copy() for one in (height, vapour_mm_per_day, light)
     )
     height_m, vapour, left = maps
-    return month_of_air(section, MONTH, number, Given(GROUND, height_m, vapour, left, -6.5), 270.0, seed)
+    return month_of_air(section, month, number, Given(GROUND, height_m, vapour, left, -6.5), 270.0, seed)
 
 
 def test_the_same_ground_as_the_regions_has_the_regions_rain() -> None:
@@ -51,6 +53,40 @@ def test_days_are_drawn_about_the_regions_means() -> None:
     heat = np.array([day_of(SECTION, MONTH, k % 12, k, 270.0, 4).heat_w_per_m2 for k in range(400)])
     assert heat.mean() == pytest.approx(150.0, abs=3 * 15 / 20)
     assert heat.std() == pytest.approx(15.0, rel=0.15)
+
+
+def test_each_month_may_have_its_own_heat_and_vapour() -> None:
+    even = SECTION.model_copy(update={"spread": 0.0})
+    months = tuple(10.0 * k for k in range(1, 13))
+    section = WeatherSection.model_validate(
+        {**even.model_dump(), "heat_w_per_m2": months, "vapour_w_per_m2": months[::-1]}
+    )
+    for of_year in range(12):
+        day = day_of(section, MONTH, of_year, 0, 270.0, 1)
+        assert day.heat_w_per_m2 == months[of_year]
+        one = even.model_copy(update={"vapour_w_per_m2": months[11 - of_year]})
+        assert day.vapour_kg_per_m2_s == day_of(one, MONTH, of_year, 0, 270.0, 1).vapour_kg_per_m2_s
+        halved = day_of(section, replace(MONTH, vapour=0.5), of_year, 0, 270.0, 1)
+        assert halved.vapour_kg_per_m2_s == pytest.approx(0.5 * day.vapour_kg_per_m2_s)
+
+
+def test_months_all_alike_are_one_number() -> None:
+    twelve = SECTION.model_copy(update={"heat_w_per_m2": (150.0,) * 12, "vapour_w_per_m2": (60.0,) * 12})
+    assert np.array_equal(sky(section=twelve).wetness, sky().wetness)
+
+
+def test_where_the_region_has_less_vapour_there_is_less_rain_here_and_there() -> None:
+    """Over ground that does what is usual, place and region change alike; without a change the normal rain falls."""
+    usual = SECTION.usual_evaporation * MONTH.rain_mm_per_day, 1.0 - SECTION.usual_shade
+    normal = sky(*usual)
+    assert normal.region == 1.0
+    less = [sky(*usual, month=replace(MONTH, vapour=factor)) for factor in (0.5, 0.0)]
+    assert 1.0 > less[0].region > less[1].region > 0.0
+    for one in less:
+        assert one.wetness.mean() == pytest.approx(one.region, abs=0.02)
+        assert one.water_error < 1e-5
+    more = sky(*usual, month=replace(MONTH, vapour=2.0))
+    assert more.region > 1.0
 
 
 def test_shade_keeps_heat_back() -> None:
@@ -94,6 +130,11 @@ def test_the_box_holds_the_site_and_its_middle_is_the_sites() -> None:
     assert grid.size_m[:2] == pytest.approx((1500.0, 800.0))
     assert grid.low_m[:2] == pytest.approx((0.0, -200.0))
     assert min(grid.cell_m[:2]) >= 100.0 - 1e-9
+
+
+def test_a_box_may_be_longer_than_wide() -> None:
+    section = WeatherSection.model_validate({"extent_m": [9600, 1600], "cell_m": 200})
+    assert grid_of(section, Ground((3000.0, 200.0), (8, 120))).cells[:2] == (48, 8)
 
 
 def test_vapour_is_given_by_day_and_all_of_it() -> None:

@@ -48,6 +48,14 @@ def test_changes_multiply_rain_and_add_warmth() -> None:
     assert month_at(NORMALS, turns, 60).temperature_c == pytest.approx(0.0 - 3.0)
 
 
+def test_vapour_changes_by_factors_and_is_normal_before() -> None:
+    turns = (Turn(1.0, 2.0, vapour=0.5), Turn(4.0, 4.0, vapour=0.4))
+    assert [month_at(NORMALS, turns, month).vapour for month in (0, 30, 60)] == pytest.approx([1.0, 0.5, 0.2])
+    assert month_at(NORMALS, turns, 17).vapour == pytest.approx(1.0 - 0.5 * (17.5 / 12 - 1.0))
+    assert [factor(turns, month) for month in (0, 30, 60)] == [1.0, 1.0, 1.0]  # what clouds make of it is the air's
+    assert ClimateChange(from_yr=3, to_yr=3, vapour=0.7).turn == Turn(3.0, 3.0, vapour=0.7)
+
+
 @pytest.mark.parametrize("at", [0.0, 1.0, 7.3])
 def test_a_change_at_once_comes_between_two_months(at: float) -> None:
     """from_yr = to_yr is a step, and no division by zero before it."""

@@ -73,6 +73,27 @@ MISTAKES: dict[str, tuple[str, str, list[str]]] = {
         CLIMATE + "\n  climate_changes: [{from_yr: 1, to_yr: 4, precipitation: -0.5}]",
         ["community.climate_changes.0.precipitation", "-0.5"],
     ),
+    "vapour without air": (
+        CLIMATE,
+        CLIMATE + "\n  climate_changes: [{from_yr: 1, to_yr: 4, vapour: 0.5}]",
+        ["community.climate_changes.0.vapour", "0.5", "weather: {}"],
+    ),
+    "vapour below none": (
+        CLIMATE,
+        CLIMATE + "\n  weather: {}\n  climate_changes: [{from_yr: 1, to_yr: 4, vapour: -0.5}]",
+        ["community.climate_changes.0.vapour", "-0.5"],
+    ),
+    "heat of eleven months": (
+        CLIMATE,
+        CLIMATE + f"\n  weather: {{heat_w_per_m2: [{ELEVEN}]}}",
+        ["community.weather.heat_w_per_m2", "twelve", "11 of them"],
+    ),
+    "a month that takes vapour": (
+        CLIMATE,
+        CLIMATE + f"\n  weather: {{vapour_w_per_m2: [{ELEVEN}, -1]}}",
+        ["community.weather.vapour_w_per_m2", "-1 in Dec"],
+    ),
+    "air by no number": (CLIMATE, CLIMATE + "\n  weather: {extent_m: [4000]}", ["community.weather.extent_m"]),
     "two climates": (CLIMATE, CLIMATE + "\n  temperature_c: 9", ["community.temperature_c", "two climates"]),
     "a biome beside months": (CLIMATE, CLIMATE + "\n  biome: {place: Helsinki}", ["biome"]),
     "a climate in a change": (

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
+from itertools import islice
 from typing import Any
 
 import numpy as np
 import pytest
 from ecoclimate_cases import HILLY, SEASONS, SITE, STEADY, after, ecology, parameters, plant_type, states
 
+from forestgen.community.ecoclimate import months
+from forestgen.community.ecoclimate.air import Sky
 from forestgen.community.ecoclimate.months import advanced_ecoclimate, begun, local_climate, soil_of, worth_mm_per_yr
 from forestgen.community.ecoclimate.parameters import KINDS
 from forestgen.community.ecoclimate.state import Books, Ecoclimate
@@ -212,3 +216,41 @@ def test_a_forest_begins_where_that_of_branch_modules_does() -> None:
     forest = FOREST.init(p, SITE, species, 5)
     assert begun(forest).forest is forest
     assert plant_type() == species[0].modules
+
+
+@pytest.mark.parametrize("memory_yr", [0.0, 1.0, 3.0])
+def test_months_between_simulated_ones_have_the_last_ones_rain_and_warmth(
+    memory_yr: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[int] = []
+
+    def air(section: Any, month: Any, number: int, given: Any, *_: Any) -> Sky:
+        seen.append(number)
+        even = np.ones(given.ground.shape)
+        return Sky((3.0 if number else 2.0) * even, 1.0, 1.5 * even, 0.1, 0.0)
+
+    monkeypatch.setattr(months, "month_of_air", air)
+    weather = {"every_months": 5, "local_share": 0.5}
+    course = list(islice(states(HILLY, climate=STEADY, memory_yr=memory_yr, weather=weather), 13))
+    assert seen == [0, 5, 10]
+    assert [float(one.wetness.mean()) for one in course[1:]] == pytest.approx([1.5] * 5 + [2.0] * 7)
+    felt = 1.5 * (1.0 - math.exp(-15 / 12 / memory_yr)) if memory_yr else 1.5
+    assert course[-1].warmth_mean_k == pytest.approx(felt)
+    assert error(course[-1]) < 1e-11 * course[-1].books.rain_mm
+    assert course[-1].books.rain_mm == pytest.approx(60.0 * (5 * 1.5 + 7 * 2.0))
+
+
+def test_less_vapour_from_the_region_is_less_rain_and_the_books_close() -> None:
+    weather = {
+        "hours": 0.5, "extent_m": 800, "cell_m": 100, "height_m": 1200, "cell_height_m": 100, "mixed_layer_m": 300,
+        "inversion_m": 900, "relative_humidity": 0.86, "relative_humidity_aloft": 0.9, "wind_m_per_s": 0,
+        "every_months": 2,
+    }  # fmt: skip
+    normal, drier = (
+        after(3, climate=STEADY, weather=weather, climate_changes=[{"from_yr": 0, "to_yr": 0, "vapour": vapour}])
+        for vapour in (1.0, 0.2)
+    )
+    assert drier.books.rain_mm < 0.95 * normal.books.rain_mm
+    assert drier.wetness.max() < normal.wetness.min()
+    for one in (normal, drier):
+        assert error(one) < 1e-11 * one.books.rain_mm

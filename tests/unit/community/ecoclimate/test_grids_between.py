@@ -62,3 +62,25 @@ def test_a_small_ground_in_the_middle_of_a_cell_sees_that_cell() -> None:
 def test_a_ground_larger_than_the_box_is_refused() -> None:
     with pytest.raises(ValueError, match="does not lie in a box"):
         between(Ground((100.0, 50.0), (5, 5)), air_of((4, 4), (90.0, 90.0)))
+
+
+@given(width=sides, depth=sides, rows=counts, cols=counts, box=st.floats(900.0, 5000.0), seed=st.integers(0, 99))
+def test_around_a_smaller_ground_heights_are_those_of_its_edge(width, depth, rows, cols, box, seed) -> None:
+    ground = Ground((width, depth), (rows, cols))
+    maps = between(ground, air_of((12, 10), (box, box)))
+    height = np.random.default_rng(seed).random((rows, cols)) * 300.0
+    there = maps.heights_for_air(height)
+    assert there.min() >= height.min() - 1e-9
+    assert there.max() <= height.max() + 1e-9
+    west, south = maps.to_air[1].sum(axis=1) == 0, maps.to_air[0].sum(axis=1) == 0
+    if west[0] and south[0]:
+        assert there[0, 0] == pytest.approx(height[0, 0])
+        assert np.allclose(there[south][: (south[:5]).sum()], there[0])
+    np.testing.assert_allclose(maps.heights_for_air(np.full((rows, cols), 7.0)), 7.0, rtol=1e-12)
+
+
+def test_a_ridge_that_leaves_the_ground_goes_on_in_the_air() -> None:
+    ground = Ground((60.0, 20.0), (2, 6))
+    ridge = np.tile([0.0, 5.0, 9.0, 8.0, 4.0, 1.0], (2, 1))
+    there = between(ground, air_of((10, 10), (100.0, 100.0))).heights_for_air(ridge)
+    np.testing.assert_allclose(there, np.tile([0, 0, 0, 5, 9, 8, 4, 1, 1, 1], (10, 1)), atol=1e-12)
