@@ -28,6 +28,9 @@ SMALL = (
 
 COARSE = {  # of clouds, of a walk of eight frames, of a house on a larger site, and of large stands
     "branch_modules": ("community.obstacles.0.position_m=[18, 20]",),
+    "ecoclimates/aridity": ("community.steps=6", "community.initial_plants=20"),
+    "ecoclimates/dieback": ("community.steps=6", "community.initial_plants=20"),
+    "ecoclimates/drought": ("community.steps=6",),
     "ecoclimates/dryland": ("community.steps=6",),
     "ecoclimates/dying": ("community.steps=6",),
     "ecoclimates/edges": ("site.size_m=[100, 80]", "community.steps=56"),  # its patch has a place, its strip a year

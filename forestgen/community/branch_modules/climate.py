@@ -1,6 +1,7 @@
 """How well a climate suits a species (Makowski 2023, Eq. 13): a Gaussian of temperature times one of precipitation.
 
-The climate is one for the whole site, colder with elevation; or it differs by place (`LocalClimate`, Eq. 38).
+The climate is one for the whole site, colder with elevation; or it differs by place (`LocalClimate`, Eq. 38). Then it
+bounds what leaves gain, too.
 """
 
 from __future__ import annotations
@@ -66,19 +67,27 @@ def adaptation(
     elevation_m: Floats,
     around: Surroundings,
     climate: LocalClimate | None,
-) -> Floats:
-    """(N,) o of Eq. 13, or of Eq. 38 in a local climate, for plants of these species; 1 where no climate is given.
+) -> tuple[Floats, Floats]:
+    """(N,) o of Eq. 13, or of Eq. 38 in a local climate, and (N,) the share of its light that a leaf can use.
+
+    Both are 1 where no climate is given, for plants of these species. The share is 1 without a local climate. In one it
+    is o, but for rain above the optimum, which counts as the optimum: water in plenty takes nothing from leaves. What a
+    module needs itself does not become less, so that a drought takes the darkest leaves first (docs/adr/0012).
 
     Parameters
     ----------
     position_m : (N, 2) of their feet, world.
     elevation_m : (N,) of the ground there.
     """
+    unhindered = np.ones(len(species))
     if climate is not None:
-        return suited(traits, species, *climate.at(position_m, climate.light_at(position_m, around)))
+        temperature_c, rain = climate.at(position_m, climate.light_at(position_m, around))
+        enough = np.minimum(rain, traits.precipitation_mm_per_yr[species])
+        return suited(traits, species, temperature_c, rain), suited(traits, species, temperature_c, enough)
     if parameters.temperature_c is None or parameters.precipitation_mm_per_yr is None:
-        return np.ones(len(species))
-    return suited(traits, species, temperature_at(parameters, elevation_m), parameters.precipitation_mm_per_yr)
+        return unhindered, unhindered
+    warmth = temperature_at(parameters, elevation_m)
+    return suited(traits, species, warmth, parameters.precipitation_mm_per_yr), unhindered
 
 
 def suited(

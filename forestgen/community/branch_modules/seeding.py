@@ -44,7 +44,7 @@ class Arriving:
 
     position_m: Floats  # (N, 2) on the site
     species: NDArray[np.uint16]  # (N,)
-    least: Floats  # (N,) of o (Eq. 38), with which each germinates, 0 to 1
+    needed: Floats  # (N,) o (Eq. 38) from which on each germinates, 0 to 1
 
 
 NOBODY = Arriving(np.empty((0, 2)), np.empty(0, np.uint16), np.empty(0))
@@ -71,8 +71,8 @@ def seedlings(
         place %= size
         place[place >= size] = 0.0
     place, species = np.concatenate([place, arriving.position_m]), np.concatenate([sp[mother], arriving.species])
-    least = np.concatenate([np.full(len(mother), parameters.adaptation_min), arriving.least])
-    fit = _germinates(place, species, least, state, kinds, around, climate)
+    needed = np.concatenate([np.zeros(len(mother)), arriving.needed])
+    fit = _germinates(place, species, needed, state, kinds, around, climate)
     place, species = place[fit], species[fit]
     alive = standing.alive
     room = _with_room(place, plants.position_m[alive], 0.5 * standing.trunk_m[alive], state, kinds)
@@ -82,13 +82,13 @@ def seedlings(
 def _germinates(
     place: Floats,
     species: NDArray[np.uint16],
-    least: Floats,
+    needed: Floats,
     state: State,
     kinds: Kinds,
     around: Surroundings,
     climate: LocalClimate | None,
 ) -> NDArray[np.bool_]:
-    """(N,) whether ground, climate and light let a seed germinate, which does from `least` of o on."""
+    """(N,) whether ground, climate and light let a seed germinate, which needs so much of o."""
     size, traits, parameters = state.site.size_m, kinds.traits, kinds.parameters
     fit: NDArray[np.bool_] = np.all((place >= 0) & (place <= size), axis=1)
     at = np.flatnonzero(fit)
@@ -98,12 +98,10 @@ def _germinates(
     fit[at] = open_soil
     at = np.flatnonzero(fit)
     ground = ground_at(state.site, place[at])
-    adapted = adaptation(parameters, traits, species[at], place[at], ground, around, climate)
-    suits = adapted >= np.maximum(least[at], parameters.adaptation_min)
+    adapted, leaf_share = adaptation(parameters, traits, species[at], place[at], ground, around, climate)
+    suits = adapted >= np.maximum(needed[at], parameters.adaptation_min)
     tolerance = traits.shade_tolerance[species[at]]
-    light = tolerance + (1 - tolerance) * around.light_at(place[at])
-    if climate is not None:
-        light = light * adapted
+    light = leaf_share * (tolerance + (1 - tolerance) * around.light_at(place[at]))
     point = traits.compensation[species[at]]
     enough = traits.sprouting[species[at]] * traits.vigour_min[species[at]]
     fit[at] = suits & ((light - point) / (1 - point) > enough)

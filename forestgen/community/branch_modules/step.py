@@ -48,13 +48,15 @@ def advanced(state: State, climate: LocalClimate | None = None, arriving: Arrivi
     species = plants.species
     stature = stature_of(modules, species, kinds.tables, kinds.traits)
     around = surroundings_of(state, kinds, stature.leaves)
-    adapted = adaptation(kinds.parameters, traits, species, plants.position_m, plants.ground_m, around, climate)
+    feet = plants.position_m, plants.ground_m
+    adapted, leaf_share = adaptation(kinds.parameters, traits, species, *feet, around, climate)
     tolerance = traits.shade_tolerance[species].astype(np.float32)
     light = np.repeat(tolerance, np.diff(modules.first))
     light += (1 - light) * around.light
     now = Now(kinds, around, adapted, light, modules.parent_row())
     most = traits.root_vigour_max[species] * adapted * _vitality(state, kinds)
-    gain = net_gain(_useful(light, adapted, modules, climate), species, modules.first, traits)
+    used = light * np.repeat(leaf_share.astype(np.float32), np.diff(modules.first))
+    gain = net_gain(used, species, modules.first, traits)
     flow = distribute(modules, gain, stature, species, most, _form(plants, kinds)[0], kinds.tables, traits)
     ready = flow.vigour / stature.size
     aged = replace(modules, age=grow(modules, ready, species, traits, kinds.parameters.step_yr))
@@ -88,18 +90,6 @@ def advanced(state: State, climate: LocalClimate | None = None, arriving: Arrivi
         modules=modules,
         snags=snags,
     )
-
-
-def _useful(
-    light: NDArray[np.float32], adapted: NDArray[np.float64], modules: Modules, climate: LocalClimate | None
-) -> NDArray[np.float32]:
-    """(M,) light that leaves can use: less where a local climate suits their plant less (docs/adr/0012-ecoclimates.md).
-
-    What a module needs itself stays, so that in a drought the darkest and then whole plants feed nobody and die.
-    """
-    if climate is None:
-        return light
-    return light * np.repeat(adapted, np.diff(modules.first)).astype(np.float32)
 
 
 def _refuse_more(modules: int, most: int) -> None:

@@ -210,7 +210,7 @@ def _arriving(forest: State, parameters: EcoclimateParameters) -> Arriving:
     if not parameters.global_seeding:
         return NOBODY
     growing = {one.name: k for k, one in enumerate(forest.species) if one.modules is not None}
-    places, species, least = [], [], []
+    places, species, needed = [], [], []
     for index, one in enumerate(parameters.global_seeding):
         month = forest.step * parameters.months_per_step
         times = one.times_before(month + parameters.months_per_step) - one.times_before(month)
@@ -219,5 +219,5 @@ def _arriving(forest: State, parameters: EcoclimateParameters) -> Arriving:
             count = int(rng.poisson(times * one.seeds_per_ha * forest.site.area_ha))
             places.append(rng.random((count, 2)) * forest.site.size_m)
             species.append(np.full(count, growing[name], dtype=np.uint16))
-            least.append(rng.random(count))
-    return Arriving(np.concatenate(places), np.concatenate(species), np.concatenate(least)) if places else NOBODY
+            needed.append(rng.random(count))
+    return Arriving(np.concatenate(places), np.concatenate(species), np.concatenate(needed)) if places else NOBODY
