@@ -15,7 +15,8 @@ NOISE: Mapping[str, float] = {
     "extent_m": 8000.0,
 }
 OF_FILES = ("file", "droplet_radius_um", "offset_m", "repeat")
-OF_COMMUNITY = ("day", "cell_m", "cell_height_m", "time_s", "droplet_radius_um", "repeat")
+_CELLS = ("cell_m", "cell_height_m")
+OF_COMMUNITY = ("day", *_CELLS, "time_s", "droplet_radius_um", "repeat")
 
 
 def whose(key: str, got: str) -> str:
@@ -25,8 +26,8 @@ def whose(key: str, got: str) -> str:
         return f"it is a key of type noise; {shape}" if got in SIMULATED else "it is a key of type noise"
     if key == "file":
         return "set type: file"
-    if key in OF_COMMUNITY[:3]:
-        return "it is a key of type community" + ("" if key == "day" or got not in SIMULATED else f"; set domain.{key}")
+    if key == "day" or key in _CELLS:
+        return "it is a key of type community" + (f"; set domain.{key}" if key in _CELLS and got in SIMULATED else "")
     if got == "community" and key != "offset_m":
-        return "the air is that of community.weather: set it there"
+        return "the air is that of community.weather: leave it out"
     return "it is a key of the simulated types: " + ", ".join(SIMULATED)

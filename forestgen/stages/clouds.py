@@ -188,7 +188,7 @@ def _check_depth(drawn: DrawnRecipe, grid: CloudGrid) -> None:
         got=f"{depth:.3g} in the thickest column",
         hint="check the file's unit: extinction per metre"
         if drawn.recipe.sky.clouds.type == "file"
-        else "raise droplet_radius_um, or lower the emission",
+        else "raise droplet_radius_um, or let the ground give less vapour",
     )
 
 

@@ -56,6 +56,8 @@ def clothing_of(
 def own_triangles(clothing: Mapping[str, PlantParameters], section: Plants) -> int:
     """Triangles of plants with branches of their own and of those that stand for the far ones, before any has grown.
 
+    The standing dead have as many stand-ins again, of few triangles each, since they bear no leaves.
+
     How many plants there will be, and how large, nobody knows yet: see `plan.check_own_triangles`.
     """
     if not clothing or section.unique == "none":

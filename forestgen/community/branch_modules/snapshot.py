@@ -12,7 +12,7 @@ from forestgen.architecture.prototypes import load_prototypes
 from forestgen.architecture.sizes import plant_sizes
 from forestgen.community.branch_modules.kinds import kinds_at
 from forestgen.community.branch_modules.parameters import BranchModulesParameters
-from forestgen.community.branch_modules.state import Plants, Snags, State, appended, in_order, rows_of_plants
+from forestgen.community.branch_modules.state import Plants, Snags, State, appended, reordered, rows_of_plants
 from forestgen.community.branch_modules.surroundings import ground_at
 from forestgen.community.model import Site, SpeciesEcology
 from forestgen.community.population import Population, Status
@@ -79,7 +79,7 @@ def _with_snags(state: State) -> tuple[Plants, Modules, NDArray[np.int32]]:
         return state.plants, state.modules, died
     plants, died = state.plants.and_then(snags.plants), np.concatenate([died, snags.died])
     order = np.argsort(plants.plant_id).astype(np.int64)
-    return plants.where(order), in_order(appended(state.modules, snags.modules), order), died[order]
+    return plants.where(order), reordered(appended(state.modules, snags.modules), order), died[order]
 
 
 def _on_request(state: State, plants: Plants, died: NDArray[np.int32]) -> dict[str, NDArray[np.float32]]:
@@ -132,7 +132,7 @@ def state_of(
         born=died - _steps(population.age_yr, parameters),
         flowering=columns["flowering"] != 0,
         next_number=columns["next_module"],
-        adaptation=columns["adaptation"],
+        adaptation=columns.get("adaptation", np.ones(len(population), dtype=np.float32)),
         tallest_m=columns.get("tallest_m", zeros),
     )
     return State(

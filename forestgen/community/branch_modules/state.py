@@ -84,7 +84,7 @@ def rows_of_plants(modules: Modules, keep: NDArray[np.bool_]) -> Modules:
     return Modules(first=first, **columns)
 
 
-def in_order(modules: Modules, plant: NDArray[np.int64]) -> Modules:
+def reordered(modules: Modules, plant: NDArray[np.int64]) -> Modules:
     """The modules of plants in another order: `plant` (Q,) is the row of each."""
     counts = np.diff(modules.first)[plant]
     first = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)

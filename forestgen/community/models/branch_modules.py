@@ -175,13 +175,13 @@ class BranchModules:
     ) -> float:
         """Upper bound: those of the start, planted or built, and as many seedlings as find room and light.
 
-        Where dead trees stand, twice that.
+        With the dead that stand: see `with_dead`.
         """
         total = _founders(parameters, species)
         seeding = any(one.modules is not None and one.modules.seeds_per_yr > 0 for one in species)
         if total > 0 and seeding and parameters.steps > 0:
             total += most_seedlings(parameters, site)
-        return total * _with_dead(parameters) + len(parameters.obstacles)
+        return total * with_dead(parameters) + len(parameters.obstacles)
 
     def why_barren(
         self, parameters: BranchModulesParameters, site: Site, species: Sequence[SpeciesEcology]
@@ -196,7 +196,7 @@ class BranchModules:
         """Bytes for so many modules as the light feeds, at most most_modules, and for the shadow grid."""
         plants = self.expected_plants(parameters, site, species)
         alive = site.area_m2 * _MODULES_PER_M2 + 10 * _founders(parameters, species)
-        modules = min(alive * _with_dead(parameters), parameters.most_modules)
+        modules = min(alive * with_dead(parameters), parameters.most_modules)
         cells = site.area_m2 / parameters.cell_m**2
         return _BYTES_AT_LEAST + math.ceil(
             modules * _BYTES_PER_MODULE + min(plants, modules) * _BYTES_PER_PLANT + 80 * cells
@@ -209,9 +209,13 @@ def most_seedlings(parameters: BranchModulesParameters, site: Site) -> float:
     return min(site.area_m2 * 2 / (math.sqrt(3) * spacing**2), float(parameters.most_modules))
 
 
-def _with_dead(parameters: BranchModulesParameters) -> int:
-    """By how much more there may be where dead trees stand."""
-    return 2 if parameters.standing_dead_yr > 0 else 1
+def with_dead(parameters: BranchModulesParameters) -> float:
+    """Plants, living and standing dead, over those that live: if one in twenty dies each year, which stands are below.
+
+    `most_modules` bounds them all whatever dies.
+    """
+    standing_yr = min(2.0 * parameters.standing_dead_yr, parameters.steps * parameters.step_yr)
+    return 1.0 + standing_yr / 20.0
 
 
 def _growing(species: Sequence[SpeciesEcology]) -> list[SpeciesEcology]:

@@ -43,7 +43,7 @@ from forestgen.community.ecoclimate.parameters import EcoclimateParameters
 from forestgen.community.ecoclimate.state import Books, Ecoclimate
 from forestgen.community.model import Site, SpeciesEcology
 from forestgen.community.models.branch_modules import MODEL as FOREST
-from forestgen.community.models.branch_modules import most_seedlings
+from forestgen.community.models.branch_modules import most_seedlings, with_dead
 from forestgen.community.population import Population
 from forestgen.community.soil_water.model import Water
 from forestgen.core.errors import RecipeError
@@ -137,7 +137,7 @@ class EcoclimateModel:
         """Upper bound: as without water, and as many seedlings of seeds from elsewhere as find room."""
         total = FOREST.expected_plants(parameters, site, species)
         arrive = parameters.global_seeding and parameters.steps > 0
-        return total + most_seedlings(parameters, site) if arrive else total
+        return total + most_seedlings(parameters, site) * with_dead(parameters) if arrive else total
 
     def why_barren(self, parameters: EcoclimateParameters, site: Site, species: Sequence[SpeciesEcology]) -> str | None:
         """Why no plant can ever grow, or None if one may."""
