@@ -7,7 +7,9 @@ succession_maps.png   recipes/reproductions/succession.yaml at four steps (Lane 
 propagation_maps.png  recipes/reproductions/propagation.yaml at three steps (Lane 2002, Figure 4.6)
 figures/*.jpg         the figures of plants that recipes/reproductions/*_fig*.yaml render, for docs/figures.md
 water.png             what `forestgen simulate` draws of the first recipe of docs/ecoclimates.md
-dryland_patterns.jpg  shrubs over rainfall, as benchmarks/ecoclimates.py draws them (an hour)
+dryland_patterns.jpg  shrubs over rainfall, as benchmarks/ecoclimates.py draws them (a quarter of an hour)
+droughts.jpg          three droughts, by the same
+foehn.jpg             a ridge across the wind, by the same
 clearing.jpg          clouds over a forest, its clearing and regrowth, by the same
 self_thinning.png     the line of recipes/reproductions/self_thinning.yaml (Lane 2002, Figure 4.4)
 
@@ -124,6 +126,14 @@ def dryland_patterns(scratch: Path) -> None:
     save_benchmark(scratch, "forests", "dryland_patterns.jpg")
 
 
+def droughts(scratch: Path) -> None:
+    save_benchmark(scratch, "drought", "droughts.jpg")
+
+
+def foehn(scratch: Path) -> None:
+    save_benchmark(scratch, "foehn", "foehn.jpg")
+
+
 def clearing(scratch: Path) -> None:
     save_benchmark(scratch, "clearing", "clearing.jpg")
 
@@ -198,7 +208,9 @@ PICTURES_OF = {
             self_thinning,
             water,
             dryland_patterns,
+            droughts,
             clearing,
+            foehn,
             figures,
         )
     },
