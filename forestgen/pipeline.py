@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from forestgen.community.population import Population
+from forestgen.community.population import Population, Status
 from forestgen.core.progress import Progress
 from forestgen.core.timing import Timings
 from forestgen.dataset.folder import OutputFolder
@@ -217,6 +217,8 @@ def simulate(
         summary.notes += last.notes
         if not len(last):
             summary.notes.append(_empty_site(plan))
+        elif only_snags(last):
+            summary.notes.append(f"all plants at step {plan.steps} are standing dead trees: none lives")
         summary.timings_s, summary.total_s = dict(timings.seconds), timings.total()
         write_manifest(folder, _manifest(folder, loaded, [plan.drawn.image_seed], summary))
     return summary
@@ -241,6 +243,11 @@ def _counts(population: Population) -> dict[str, int]:
     return {name: int((population.species == index).sum()) for index, name in enumerate(population.species_names)}
 
 
+def only_snags(population: Population) -> bool:
+    """Whether all that a stand has left are standing dead trees."""
+    return len(population) > 0 and bool((population.status == Status.DEAD).all())
+
+
 def _empty_site(plan: Plan) -> str:
     return why_barren(plan) or f"no plant lives on the site at step {plan.steps}"
 
@@ -258,7 +265,9 @@ def _account(
     summary.size_errors = built.size_errors
     if not len(built.population):
         summary.notes.append(f"{name} shows bare ground: {_empty_site(plan)}")
-    elif not visible.has_box.any():
+    elif only_snags(built.population):
+        summary.notes.append(f"{name} shows no living plant: all are standing dead trees")
+    if len(built.population) and not visible.has_box.any():
         below = labelled.frame.camera.name in views_below_ground(plan)
         summary.notes.append(f"{name}: the camera {'stands below the ground' if below else 'sees no plant'}")
     summary.notes += noise_notes(labelled.frame.radiance, name)

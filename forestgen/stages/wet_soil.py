@@ -14,6 +14,7 @@ from forestgen.scene.soil_colour import Wetness
 from forestgen.scene.terrain import smooth_step
 
 _DEPTH_M = {"forest": 1.0, "dryland": 0.05}  # by the kind of soil: ours
+_LEAST_MM = 1e-6  # of water: less would divide to infinity, or by 0
 
 
 def check_wet_soil(drawn: DrawnRecipe, parameters: CommunityParameters) -> None:
@@ -36,7 +37,7 @@ def wetness_of(drawn: DrawnRecipe, parameters: CommunityParameters, population: 
     if not section.shown or not isinstance(parameters, EcoclimateParameters):
         return None
     depth_m = section.depth_m or _DEPTH_M[parameters.soil_water.kind]
-    full_mm = 1000.0 * depth_m * section.porosity
-    drowned = smooth_step(population.maps["surface_water_mm"] / section.pond_mm - 1.0)
+    full_mm = max(1000.0 * depth_m * section.porosity, _LEAST_MM)
+    drowned = smooth_step(population.maps["surface_water_mm"] / max(section.pond_mm, _LEAST_MM) - 1.0)
     saturation = np.maximum(population.maps["soil_water_mm"] / full_mm, drowned)
     return Wetness(drawn.recipe.site.size_m, np.minimum(saturation, 1.0))

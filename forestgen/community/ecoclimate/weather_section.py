@@ -102,7 +102,14 @@ class WeatherSection(Section):
                 at=("cell_m",),
             )
         if min(east, north) < 8 * self.cell_m or self.height_m < 8 * self.cell_height_m:
-            raise mistake("8 cells or more along each axis", problem="too coarse an air", at=("cell_m",))
+            along = east / self.cell_m, north / self.cell_m, self.height_m / self.cell_height_m
+            raise mistake(
+                "8 cells or more along each axis",
+                problem="too coarse an air",
+                got=" x ".join(f"{one:.3g}" for one in along),
+                hint="smaller cells, or a larger extent_m and height_m",
+                at=("cell_m",),
+            )
         return self
 
 

@@ -85,3 +85,14 @@ def test_other_communities_have_none_and_their_recipes_do_not_tell(folder: Path,
     with pytest.raises(RecipeError, match=r"no water in its soil[\s\S]*ecoclimate[\s\S]*forest_footprints"):
         plan(folder, "site.wet_soil.depth_m=1", text=text)
     assert plan(folder, "site.wet_soil=false", text=text).drawn.recipe.site.wet_soil is not None
+
+
+@pytest.mark.parametrize("least", ["{depth_m: 1e-9, porosity: 1e-300}", "{depth_m: 1e-200, porosity: 1e-200}"])
+@pytest.mark.filterwarnings("error")
+def test_a_soil_of_hardly_any_room_is_wet_as_soon_as_it_has_water(
+    folder: Path, population: Population, least: str
+) -> None:
+    overrides = (f"site.wet_soil={least}", "site.wet_soil.pond_mm=1e-300")
+    assert (wetness(folder, population, *overrides, soil_water_mm=5.0, surface_water_mm=0.0).saturation == 1).all()
+    assert (wetness(folder, population, *overrides, soil_water_mm=0.0, surface_water_mm=5.0).saturation == 1).all()
+    assert (wetness(folder, population, *overrides, soil_water_mm=0.0, surface_water_mm=0.0).saturation == 0).all()
