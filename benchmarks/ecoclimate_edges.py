@@ -199,7 +199,7 @@ def judge_edges(report: Report, stands: dict[str, list[Stand]]) -> None:
     check(f"43a share without, over within, year {MIXED_YR}: mixed", ratio, [x > 0.75 for x in ratio], "over 0.75")
     inside, edge = inside_and_edge(on)
     check(f"43b {CLIMAX}'s share inside, year {FULL_YR}", inside, [x > 0.6 for x in inside], "over 0.6")
-    ratio = [b / a for a, b in zip(inside, edge, strict=True)]
+    ratio = [b / a if a > 0 else np.nan for a, b in zip(inside, edge, strict=True)]
     check("43b share at the edge, over that inside", ratio, [x < 0.5 for x in ratio], "below 0.5")
     _, even = inside_and_edge(off)
     report.line(f"43b {CLIMAX}'s share at the edge {spread(edge)}; without microclimate {spread(even)}")
