@@ -46,6 +46,7 @@ class RunSummary:
     folder: Path
     frames: int = 0
     plants: int = 0
+    standing_dead: int = 0  # of the plants
     visible_plants: int = 0  # in any frame of the last image
     relative_errors: list[float] = field(default_factory=list)  # of the frames' radiance, render/noise.py
     size_errors: list[SizeError] = field(default_factory=list)
@@ -213,7 +214,7 @@ def simulate(
         with timings("community"):
             last = write_community(folder, plan, snapshots(plan, progress, start), map_steps)
         write_graphs(plan, last, graphs)
-        summary.plants, summary.counts = len(last), _counts(last)
+        summary.plants, summary.counts, summary.standing_dead = len(last), _counts(last), _dead(last)
         summary.notes += last.notes
         if not len(last):
             summary.notes.append(_empty_site(plan))
@@ -243,9 +244,13 @@ def _counts(population: Population) -> dict[str, int]:
     return {name: int((population.species == index).sum()) for index, name in enumerate(population.species_names)}
 
 
+def _dead(population: Population) -> int:
+    return int((population.status == Status.DEAD).sum())
+
+
 def only_snags(population: Population) -> bool:
     """Whether all that a stand has left are standing dead trees."""
-    return len(population) > 0 and bool((population.status == Status.DEAD).all())
+    return 0 < len(population) == _dead(population)
 
 
 def _empty_site(plan: Plan) -> str:
@@ -256,7 +261,8 @@ def _account(
     summary: RunSummary, labelled: LabelledFrame, name: str, built: BuiltScene, plan: Plan, seen: set[int]
 ) -> None:
     summary.frames += 1
-    summary.plants, summary.counts = len(built.population), _counts(built.population)
+    population = built.population
+    summary.plants, summary.counts, summary.standing_dead = len(population), _counts(population), _dead(population)
     known = len(summary.notes)
     visible = labelled.views.visible
     seen.update(visible.plant_id[visible.has_box].tolist())

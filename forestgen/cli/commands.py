@@ -90,7 +90,8 @@ def _say_notes(out: Console, notes: Sequence[str]) -> None:
 def _say_counts(out: Console, summary: RunSummary) -> None:
     kinds = ", ".join(f"{number:,} {name}" for name, number in summary.counts.items())
     seen = f"; {summary.visible_plants:,} of them in view" if summary.frames else ""
-    _say(out, f"{count(summary.plants, 'plant')} ({kinds}){seen}")
+    dead = f", {summary.standing_dead:,} of them standing dead" if summary.standing_dead else ""
+    _say(out, f"{count(summary.plants, 'plant')} ({kinds}){dead}{seen}")
 
 
 def _say_noise(out: Console, errors: Sequence[float]) -> None:
