@@ -11,7 +11,7 @@ from test_module_engine import MODEL, columns, mixed, plant_type, same, states
 from forestgen.architecture.sizes import plant_sizes
 from forestgen.community.branch_modules.kinds import kinds_at
 from forestgen.community.branch_modules.snags import stands_yr
-from forestgen.community.branch_modules.state import in_order, rows_of_plants
+from forestgen.community.branch_modules.state import reordered, rows_of_plants
 from forestgen.community.history import open_history, write_history
 from forestgen.community.population import Status
 from forestgen.core.errors import ResourceError
@@ -172,11 +172,11 @@ def test_modules_of_the_dead_count(dying):
 def test_modules_in_another_order_are_the_plants_own(dying):
     modules, species = dying[-1].modules, dying[-1].plants.species
     turned = np.arange(modules.plants)[::-1].copy()
-    there = in_order(modules, turned)
+    there = reordered(modules, turned)
     tables = kinds_at(dying[-1]).tables
     sizes = plant_sizes(tables, there, species[turned]).wood_volume_m3
     assert np.allclose(sizes[::-1], plant_sizes(tables, modules, species).wood_volume_m3)
-    assert columns(in_order(there, turned)) == columns(modules)
+    assert columns(reordered(there, turned)) == columns(modules)
 
 
 def test_adaptation_is_what_was_felt(without):
