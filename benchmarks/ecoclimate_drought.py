@@ -1,9 +1,10 @@
 """Forests that run short of water, for benchmarks/ecoclimates.py: Figures 37, 38 and 40.
 
 Three recipes in recipes/ecoclimates/: `drought.yaml`, oaks, pines and shrubs of a patch under steadily less rain;
-`dieback.yaml`, pines on hills whose rain falls twice; `aridity.yaml`, six species of a tropical forest, 4,300 to 400 mm
-a year in five steps. Their numbers were chosen by trials with seed 0, which is not judged; bounds are what the figures'
-texts say.
+`dieback.yaml`, pines around valleys whose rain falls twice; `aridity.yaml`, six species of a tropical forest, 4,300 to
+400 mm a year in five steps. Their numbers were chosen by trials with seed 0, which is not judged; after a run of seeds
+0 to 2 the pines got their two valleys, the tropics lower hills, and checks on the control and on single trees took the
+place of weaker ones. Bounds are ours; what they bound is what the figures' texts say.
 """
 
 from __future__ import annotations

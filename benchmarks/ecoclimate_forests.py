@@ -1,8 +1,9 @@
 """Patterns of trees and water for benchmarks/ecoclimates.py: Figure 46, with every plant a tree of branch modules.
 
 One wet stand of each seed, recipes/ecoclimates/dryland.yaml, and then less rain: what it becomes tells how much less.
-Rainfalls and the recipe's shrub were chosen by trials with seed 100. The bounds are those that the theory of such
-patterns gives (Rietkerk et al. 2004; Meron 2018), and were written down before any run: leaves and cover rise with
+Rainfalls and the recipe's shrub were chosen by trials with seed 100; that of bands, and the year of the first look at
+what lasts, after a run of seeds 0 to 2, too. The bounds are those that the theory of such patterns gives
+(Rietkerk et al. 2004; Meron 2018), and were written down before any run: leaves and cover rise with
 rain; spots are islands and skew the field upwards, gaps are lakes and skew it downwards, bands lie between; between
 plants there is more room than by chance where there are patterns, and not where there is full cover; patterns stay.
 """

@@ -56,7 +56,7 @@ def clothing_of(
 def own_triangles(clothing: Mapping[str, PlantParameters], section: Plants) -> int:
     """Triangles of plants with branches of their own and of those that stand for the far ones, before any has grown.
 
-    The standing dead have as many stand-ins again, of few triangles each, since they bear no leaves.
+    The stand-ins of the standing dead, bare wood, are not counted.
 
     How many plants there will be, and how large, nobody knows yet: see `plan.check_own_triangles`.
     """

@@ -210,7 +210,7 @@ def most_seedlings(parameters: BranchModulesParameters, site: Site) -> float:
 
 
 def with_dead(parameters: BranchModulesParameters) -> float:
-    """Plants, living and standing dead, over those that live: if one in twenty dies each year, which stands are below.
+    """Plants, living and standing dead, over those that live, supposing that one in twenty dies each year.
 
     `most_modules` bounds them all whatever dies.
     """
