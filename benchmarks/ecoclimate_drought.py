@@ -27,7 +27,7 @@ from ecoclimate_places import (
     spread,
     wetness,
 )
-from ecoclimate_stands import hole_lives, over_chance
+from ecoclimate_stands import patches
 from matplotlib.figure import Figure
 from silviculture_stands import Report
 
@@ -208,17 +208,18 @@ def judge_tropics(report: Report, stands: Sequence[Stand]) -> None:
     check("40 species by wet ground at 1,260 mm, correlation", [x[3] for x in apart], 0.2, 1, "over 0.2")
     check("40 the same, over 4,300 mm", [x[3] - x[0] for x in apart], 0, 2, "more")
     rng = np.random.default_rng(0)
-    for k, least, most_held, bound in ((0, 0.0, 1.2, "below 1.2"), (5, 1.2, np.inf, "over 1.2")):
-        values = [_holes(stand, each[k], rng) for stand, each in zip(stands, stages, strict=True)]
-        check(f"40 holes between plants at {stages_mm[k]}, over chance", values, least, most_held, bound)
+    values = [[_contrast(stand, each[k], rng) for k in (0, 5)] for stand, each in zip(stands, stages, strict=True)]
+    check(f"40 contrast of leaves at {stages_mm[0]}, over chance", [one[0] for one in values], 0, 1.33, "below 1.33")
+    check(f"40 the same at {stages_mm[5]}", [one[1] for one in values], 1.33, np.inf, "over 1.33")
 
 
 def _leaf_m2(population: Population, name: str) -> float:
     return float(leaves(population)[population.species == population.species_names.index(name)].sum())
 
 
-def _holes(stand: Stand, population: Population, rng: np.random.Generator) -> float:
-    return over_chance(hole_lives, population.position_m[tall(population), :2], stand.plan.site.size_m, rng)
+def _contrast(stand: Stand, population: Population, rng: np.random.Generator) -> float:
+    of = tall(population)
+    return patches(population.position_m[of, :2], leaves(population)[of], stand.plan.site.size_m, rng)[2]
 
 
 def picture(patch: Stand, hills: Stand, tropics: Stand) -> Figure:

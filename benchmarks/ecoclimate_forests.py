@@ -41,6 +41,8 @@ RAIN = {"bare soil": 0.5, "spots": 0.9, "bands": 1.25, "gaps": 1.55, "full cover
 LASTING = "bands"  # what is looked at through 500 years
 FALLING_YR = 40.0
 SOIL = LinearSegmentedColormap.from_list("soil", ["#EFDDBB", "#E9DFC4", "#C6D6CC", "#9DC3CB", "#7FAEC2"])
+PATTERNED, EVEN = 1.33, 1.0  # contrast over that of chance
+KIND = {"spots": (2.0, 99.0), "bands": (0.5, 2.0), "gaps": (0.0, 0.67)}  # lives of islands over those of lakes
 
 
 @dataclass(frozen=True)
@@ -72,10 +74,14 @@ def forests(report: Report, quick: bool, seeds: range) -> Figure:
     plan = plan_46(quick, seeds)
     wet = rain_of(plan_of(plan.settings, 0))
     report.line(f"rain of {wet:.2f} mm/d falls within {FALLING_YR:g} years; seen in year {plan.until_yr}")
-    report.line("seeds " + ", ".join(map(str, plan.seeds)) + "; hole, join: over those of as many plants anywhere")
+    report.line(
+        "seeds "
+        + ", ".join(map(str, plan.seeds))
+        + "; islands, lakes, beyond: lives and contrast over those of the same plants anywhere"
+    )
     report.line(
         f"{'':<10} {'mm/d':>5} {'seed':>4} {'plants':>6} {'g/m2':>6} {'cover':>6} {'contrast':>8} {'skew':>6} "
-        f"{'wave m':>7} islands lakes  hole  join"
+        f"{'wave m':>7} islands  lakes  beyond"
     )
     stands: dict[str, list[Stand]] = {name: [] for name in RAIN}
     lasting: list[Stand] = []
@@ -103,7 +109,7 @@ def tell(report: Report, name: str, rain: float, seed: int, one: Pattern) -> Non
     m = one.field
     report.line(
         f"{name:<10} {rain:5.2f} {seed:>4} {one.plants:>6} {m.mean:6.1f} {one.cover:6.3f} {m.contrast:8.2f} "
-        f"{m.skewness:6.2f} {m.waves.wavelength_m:7.1f} {m.islands:>7} {m.lakes:>5} {one.hole:5.2f} {one.join:5.2f}"
+        f"{m.skewness:6.2f} {m.waves.wavelength_m:7.1f} {one.islands:7.2f} {one.lakes:6.2f} {one.contrast:7.2f}"
     )
 
 
@@ -125,13 +131,14 @@ def judge(report: Report, found: dict[str, list[Pattern]]) -> None:
     check("bare soil: cover", [one.cover for one in found["bare soil"]], 0, 0.02)
     check("spots: skewness", skewness["spots"], 0.3, 9)
     check("gaps: skewness", skewness["gaps"], -9, -0.3)
-    check("spots: islands less lakes", [one.field.islands - one.field.lakes for one in found["spots"]], 1, 999)
-    check("gaps: lakes less islands", [one.field.lakes - one.field.islands for one in found["gaps"]], 1, 999)
     for name in ("spots", "bands", "gaps"):
         check(f"{name}: wavelength, m", [one.field.waves.wavelength_m for one in found[name]], 20, 65)
-        check(f"{name}: holes over chance", [one.hole for one in found[name]], 1.3, 99)
-    check("spots: joins of clumps over chance", [one.join for one in found["spots"]], 1.3, 99)
-    check("full cover: holes over chance", [one.hole for one in found["full cover"]], 0, 1.2)
+        check(f"{name}: contrast over chance", [one.contrast for one in found[name]], PATTERNED, 99)
+    check("full cover: contrast over chance", [one.contrast for one in found["full cover"]], 0, EVEN)
+    kinds = {name: [one.islands / one.lakes for one in found[name]] for name in KIND}
+    rising("islands over lakes: gaps, bands, spots", [kinds[name] for name in ("gaps", "bands", "spots")])
+    for name, (least, most) in KIND.items():
+        check(f"{name}: islands over lakes", kinds[name], least, most)
     pairs = zip(found["full cover"], found["gaps"], strict=True)
     check("full cover: contrast over that of gaps", [a.field.contrast / b.field.contrast for a, b in pairs], 0, 0.5)
 
@@ -143,19 +150,24 @@ def judge_lasting(report: Report, stands: Sequence[Stand]) -> None:
         m, alike = one.pattern.field, _alike(first.moment, one.moment)
         report.line(
             f"{LASTING}, year {one.moment.time_yr:g}: cover {m.cover:.3f}, skewness {m.skewness:.2f}, wave "
-            f"{m.waves.wavelength_m:.1f} m, holes {one.pattern.hole:.2f} times chance; like the first {alike:.2f}"
+            f"{m.waves.wavelength_m:.1f} m, contrast {one.pattern.contrast:.2f} times chance, islands and lakes "
+            f"{one.pattern.islands:.2f} and {one.pattern.lakes:.2f} times; like the first {alike:.2f}"
         )
     years = f"{first.moment.time_yr:g} to {stands[-1].moment.time_yr:g}"
     f, rest = first.pattern.field, [one.pattern.field for one in stands[1:]]
     cover = max(abs(m.cover - f.cover) for m in rest)
     skew = max(abs(m.skewness - f.skewness) for m in rest)
     longer = [m.waves.wavelength_m / f.waves.wavelength_m for m in rest]
-    hole = min(one.pattern.hole for one in stands)
     report.check(f"{LASTING}, years {years}: change of cover", f"{cover:.3f}", cover < 0.1, "below 0.1")
     report.check(f"{LASTING}: of skewness", f"{skew:.2f}", skew < 0.5, "below 0.5")
     kept = all(0.75 < one < 1.33 for one in longer)
     report.check(f"{LASTING}: wavelength, ratio", ", ".join(f"{one:.2f}" for one in longer), kept, "0.75 to 1.33")
-    report.check(f"{LASTING}: holes over chance, least", f"{hole:.2f}", hole > 1.3, "over 1.3")
+    strong = min(one.pattern.contrast for one in stands)
+    report.check(f"{LASTING}: contrast over chance, least", f"{strong:.2f}", strong > PATTERNED, f"over {PATTERNED:g}")
+    kinds = [one.pattern.islands / one.pattern.lakes for one in stands]
+    least, most = KIND[LASTING]
+    held = all(least < one < most for one in kinds)
+    report.check(f"{LASTING}: islands over lakes", ", ".join(f"{x:.2f}" for x in kinds), held, f"{least:g} to {most:g}")
     still = min(_alike(one.moment, after.moment) for one, after in pairwise(stands))
     report.check(f"{LASTING}: like the one before, least", f"{still:.2f}", still > 0.5, "over 0.5")
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from forestgen.community.ecoclimate.leaves import leaf_area_index
 from forestgen.community.ecoclimate.months import soil_of
 from forestgen.community.ecoclimate.parameters import EcoclimateParameters
 from forestgen.community.field_measures import FieldMeasures, measure_field
-from forestgen.community.persistence import holes
+from forestgen.community.persistence import field_features, holes
 from forestgen.community.population import Population
 from forestgen.core.progress import Silent
 from forestgen.recipe.load import load_recipe
@@ -30,8 +31,10 @@ YEAR_DAYS = 365.25
 SITE = ("site.size_m=[100,100]", "community.initial_plants=1500")
 SMALL_SITE = ("site.size_m=[70,70]", "community.initial_plants=740")
 CROWN_M = 3.0  # standard deviation of the Gaussian that turns leaves of single crowns into patches and gaps
+PATCH_M = 5.0  # the same where islands and lakes are held against chance: clumps of a few plants go, patterns stay
 INK = "#33312B"
-LONGEST, DRAWS = 10, 8  # of holes and of joins the longest-lived count; random patterns that they are compared with
+LONGEST, DRAWS = 10, 8  # the longest-lived count; random patterns that they are compared with
+SPREAD_DRAWS = 60  # random patterns whose spread tells what chance does
 FEWEST = 50  # plants whose places are looked at
 
 
@@ -43,6 +46,7 @@ class Moment:
     size_m: tuple[float, float]
     position_m: Floats  # (N, 2)
     radius_m: Floats  # (N,) of the crowns
+    leaf_m2: Floats  # (N,) area of each one's leaves
     leaf_g_per_m2: Floats  # (rows, cols) of all plants, as the soil sees them
     soil_mm: Floats  # (rows, cols) over the plants' memory
 
@@ -64,8 +68,9 @@ class Pattern:
     plants: int
     cover: float  # share of the soil's cells with enough leaves to let in more than half of what they can
     field: FieldMeasures  # of the leaves' mass, smoothed over a crown
-    hole: float  # lives of the holes between plants over those of as many plants anywhere; nan without plants
-    join: float  # the same of the gaps at which clumps of plants join (degree 0)
+    islands: float  # lives of islands of leaves over those of the same plants anywhere (degree 0); nan without plants
+    lakes: float  # the same of lakes (degree 1)
+    contrast: float  # standard deviation of the leaves' patches over that of the same plants anywhere
 
 
 def plan_of(settings: Sequence[str], seed: int, *, rain: float | None = None, over_yr: float = 0.0) -> Plan:
@@ -125,6 +130,7 @@ def moment_of(plan: Plan, population: Population) -> Moment:
         plan.site.size_m,
         population.position_m[grown, :2],
         population.radius_m[grown],
+        np.asarray(population.columns["leaf_area_m2"][grown], dtype=np.float64),
         leaf,
         population.maps["soil_mean_mm"],
     )
@@ -140,13 +146,43 @@ def pattern_of(plan: Plan, moment: Moment, rng: np.random.Generator) -> Pattern:
     half = parameters_of(plan).soil_water.water().half_infiltration_g_per_m2
     field = measure_field(smoothed(moment), moment.size_m, threshold=half, periodic=True)
     cover = float((moment.leaf_g_per_m2 > half).mean())
-    return Pattern(
-        len(moment.position_m),
-        cover,
-        replace(field, cover=cover),
-        over_chance(hole_lives, moment.position_m, moment.size_m, rng),
-        over_chance(join_lives, moment.position_m, moment.size_m, rng),
-    )
+    told = patches(moment.position_m, moment.leaf_m2, moment.size_m, rng)
+    return Pattern(len(moment.position_m), cover, replace(field, cover=cover), *told)
+
+
+def patches(
+    points_m: Floats, leaf_m2: Floats, size_m: tuple[float, float], rng: np.random.Generator
+) -> tuple[float, float, float]:
+    """Islands, lakes and contrast of leaves, each over that of the same plants anywhere.
+
+    Contrast tells how much of a pattern there is. Its kind: of spots islands live longest, of gaps lakes, of bands both
+    alike. Holes between single points do not tell that: a shrub in a gap ends a hole, and between spots lies the sea.
+    """
+    if len(points_m) < FEWEST:
+        return math.nan, math.nan, math.nan
+    found = patch_measures(leaf_field(points_m, leaf_m2, size_m))
+    chance = [
+        patch_measures(leaf_field(rng.random(points_m.shape) * size_m, rng.permutation(leaf_m2), size_m))
+        for _ in range(DRAWS)
+    ]
+    islands, lakes, contrast = found / np.mean(chance, axis=0)
+    return float(islands), float(lakes), float(contrast)
+
+
+def leaf_field(points_m: Floats, leaf_m2: Floats, size_m: tuple[float, float]) -> Floats:
+    """(rows, cols) leaf area index of plants on a torus, smoothed to patches; cells of some 2 m."""
+    cols, rows = (round(side / 2) for side in size_m)
+    edges = np.linspace(0, size_m[1], rows + 1), np.linspace(0, size_m[0], cols + 1)
+    leaf, _, _ = np.histogram2d(points_m[:, 1], points_m[:, 0], bins=edges, weights=leaf_m2)
+    cell_m = size_m[1] / rows, size_m[0] / cols
+    deviation = PATCH_M / cell_m[0], PATCH_M / cell_m[1]
+    return np.asarray(gaussian_filter(leaf / (cell_m[0] * cell_m[1]), deviation, mode="wrap"))
+
+
+def patch_measures(field: Floats) -> Floats:
+    """(3,) summed lives of the longest-lived islands, without the one that joins no other, and of lakes; deviation."""
+    lives = [-np.diff(field_features(field, degree, periodic=True)).ravel() for degree in (0, 1)]
+    return np.array([lives[0][1 : 1 + LONGEST].sum(), lives[1][:LONGEST].sum(), field.std()])
 
 
 def hole_lives(points_m: Floats) -> Floats:
@@ -155,25 +191,21 @@ def hole_lives(points_m: Floats) -> Floats:
     return np.asarray(diagram[:, 1] - diagram[:, 0])
 
 
-def join_lives(points_m: Floats) -> Floats:
-    """Radii at which clumps of points join others, largest first, metres: persistence of degree 0."""
-    import gudhi
-
-    tree = gudhi.AlphaComplex(points=points_m).create_simplex_tree()
-    tree.compute_persistence()
-    deaths = np.asarray(tree.persistence_intervals_in_dimension(0), dtype=np.float64).reshape(-1, 2)[:, 1]
-    return np.asarray(np.sort(np.sqrt(deaths[np.isfinite(deaths)]))[::-1])
-
-
-def over_chance(
-    lives: Callable[[Floats], Floats], points_m: Floats, size_m: tuple[float, float], rng: np.random.Generator
-) -> float:
-    """The longest lives over the mean of those of as many plants anywhere; nan of too few plants."""
+def holes_over_chance(points_m: Floats, size_m: tuple[float, float], rng: np.random.Generator) -> float:
+    """The lives of the longest holes over the mean of those of as many plants anywhere; nan of too few plants."""
     count = len(points_m)
     if count < FEWEST:
         return math.nan
-    chance = [lives(rng.random((count, 2)) * size_m)[:LONGEST].sum() for _ in range(DRAWS)]
-    return float(lives(points_m)[:LONGEST].sum() / np.mean(chance))
+    chance = [hole_lives(rng.random((count, 2)) * size_m)[:LONGEST].sum() for _ in range(DRAWS)]
+    return float(hole_lives(points_m)[:LONGEST].sum() / np.mean(chance))
+
+
+@cache
+def spread_of_holes(count: int) -> float:
+    """Standard deviation of `holes_over_chance` of so many plants anywhere; the site's size plays no part."""
+    rng = np.random.default_rng(count)
+    lives = np.array([hole_lives(rng.random((count, 2)))[:LONGEST].sum() for _ in range(SPREAD_DRAWS)])
+    return float(np.std(lives / lives.mean(), ddof=1) * math.sqrt(1 + 1 / DRAWS))  # the mean of a few draws errs, too
 
 
 def draw_plants(axes: Any, moment: Moment, *, colour: Any, edge: Any, alpha: float = 1.0, width: float = 0.3) -> None:

@@ -30,10 +30,13 @@ PINE: dict[str, Any] = {
     "tropism_strength": 0.47,
     "thickening_cm": 2.0,
     "length_per_age_m": 1.9,
-    "reach_m": 25,
+    "compensation": 0.1,
     "shade_tolerance": 0.05,
     "seeds_per_yr": 0,
 }
+POOR_SITE, GOOD_SITE = {"reach_m": 15}, {"reach_m": 40}  # pines of 17 m, which level off in time, and of 35 m
+ROOM_M2 = 40.0  # for each pine of Figures 18 and 19, so that they grow up before they meet
+CLOSED = 0.9  # of the most leaves that a stand ever has: from then on it thins itself
 LEAST_HEIGHT_M = 3.0  # trunks are measured at 1.3 m: of lower plants that is no trunk
 DIAMETER_M = 0.05  # of plants that count for self-thinning
 
@@ -41,8 +44,8 @@ DIAMETER_M = 0.05  # of plants that count for self-thinning
 def pines(quick: bool) -> Course:
     """The stand of Figures 18 and 19: pines of one sowing, on a torus; a quarter of them where it must be quick."""
     plants = 250 if quick else 1000
-    side = 60.0 * (plants / 1000) ** 0.5
-    return grow({"pine": PINE}, even_aged("pine", plants, 240), (side, side))
+    side = (ROOM_M2 * plants) ** 0.5
+    return grow({"pine": PINE | POOR_SITE}, even_aged("pine", plants, 240), (side, side))
 
 
 def even_aged(name: str, plants: int, years: int) -> dict[str, Any]:
@@ -112,15 +115,16 @@ def crowd(quick: bool) -> Course:
     """The stand of Figure 17: a dense sowing that thins itself."""
     plants = 300 if quick else 1500
     side = 15.0 * (plants / 300) ** 0.5
-    return grow({"pine": PINE}, even_aged("pine", plants, 160 if quick else 240), (side, side))
+    return grow({"pine": PINE | GOOD_SITE}, even_aged("pine", plants, 160 if quick else 240), (side, side))
 
 
 def thinning(report: Report, course: Course) -> Figure:
-    """Figure 17: mean mass against density of plants over 5 cm, on the stretch that thins itself."""
+    """Figure 17: mean mass against density of plants over 5 cm, from when the canopy is closed."""
     thick = [only(one, one.diameter_m > DIAMETER_M) for one in course.moments]
     density = np.array([len(one) for one in thick]) / course.site.area_ha
     mass = np.array([one.wood_kg.mean() if len(one) else np.nan for one in thick])
-    line = thinning_line(density, mass)
+    leaf = course.sums("leaf_kg")[:, 0]
+    line = thinning_line(density, mass, closed=int(np.argmax(leaf >= CLOSED * leaf.max())))
     figure = new_figure(5, 4.5)
     axes = figure.subplots()
     axes.loglog(density, mass, ".-", color=COLOURS[2], lw=0.5, ms=4, label="plants over 5 cm")

@@ -48,6 +48,7 @@ PINE: dict[str, Any] = {
     "seeds_per_yr": 2,
     "seeding_radius_m": 8,
 }
+PIONEER = PINE | {"seeds_per_yr": 4, "seeding_radius_m": 15}  # many seeds that fly far
 TOLERANT: dict[str, Any] = {
     "life_span_yr": 500,
     "root_vigour_max": 30,
@@ -116,7 +117,7 @@ def gapped(quick: bool) -> Course:
         "periodic": True,
         "disturbances": [gap],
     }
-    return grow({"pioneer": PINE, "climax": TOLERANT}, community, (side, side))
+    return grow({"pioneer": PIONEER, "climax": TOLERANT}, community, (side, side))
 
 
 def gaps(report: Report, course: Course) -> Figure:
@@ -222,7 +223,7 @@ BELTS: dict[str, dict[str, Any]] = {  # Table 2, Fig. 16 (I) to (III)
     "deciduous": {"temperature_c": 16, "seeds_per_yr": 1, "seeding_radius_m": 3, "shade_tolerance": 0.6},
 }
 TOP_M = 1400.0
-WIDTH_C = 3.0
+WIDTH_C = 2.2
 
 
 def mountain(quick: bool) -> Course:

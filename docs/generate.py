@@ -22,6 +22,7 @@ from forestgen.plants.registry import GENERATORS
 from forestgen.plants.variation.model import Variation
 from forestgen.recipe.assets import list_assets
 from forestgen.recipe.curves import CURVE_SCHEMA
+from forestgen.recipe.plant_type import PlantType
 from forestgen.recipe.schema import Recipe
 from forestgen.stages.single_plant import drawn_of
 
@@ -74,8 +75,14 @@ def pages() -> dict[Path, str]:
     made[DOCS / "plants_table.md"] = plants_table_page()
     for registry in (COMMUNITY_MODELS, ENVIRONMENTS, GENERATORS):
         for name in registry.ids():
-            made[DOCS / "models" / f"{name}.md"] = model_page(registry, name)
+            made[DOCS / "models" / page_name(registry, name)] = model_page(registry, name)
     return made
+
+
+def page_name(registry: Registry, name: str) -> str:
+    """File of a model's page; a generator that is called like a community model has its kind in the name."""
+    shared = registry is GENERATORS and name in COMMUNITY_MODELS.ids()
+    return f"{name}_plants.md" if shared else f"{name}.md"
 
 
 def plants_table_page() -> str:
@@ -281,9 +288,11 @@ def species_page() -> str:
     ]
     for name in names:
         row = numbers.get(name, {})
-        cells = [f"[{name}](#{name})", f"[{one}](models/{one}.md)" if (one := species[name].plant.generator) else ""]
+        one = species[name].plant.generator
+        cells = [f"[{name}](#{name})", f"[{one}](models/{page_name(GENERATORS, one)})" if one else ""]
         cells += [_cell(row.get(key)) for key in _SPECIES_COLUMNS]
         text.append(f"| {' | '.join(cells)} |")
+    text += climate_table({name: one.modules for name, one in species.items() if one.modules is not None})
     for name in names:
         described = species[name].description
         text.append(f"\n## {name}\n")
@@ -291,6 +300,26 @@ def species_page() -> str:
         text.append(f"{described[:1].upper()}{described[1:]}. [{name}.yaml](../scenes/species/{name}.yaml)")
         text += ["", *(f"- {source}" for source in species[name].sources)] if species[name].sources else []
     return "\n".join(text) + "\n"
+
+
+def climate_table(types: Mapping[str, PlantType]) -> list[str]:
+    """What each plant type likes, as lines of a page."""
+    text = [
+        "\n## Climates\n",
+        "What suits the species that grow by [branch modules](branch_modules.md) and in [ecoclimates](ecoclimates.md):",
+        "mean warmth and rain a year, ± one standard deviation, at which vigour and seeds fall to 0.61.",
+        "Shade tolerance is the light that counts in the deepest shade; a branch needs `compensation` to live,",
+        "0.4 unless a species says otherwise. A recipe may give other numbers:",
+        "`species: {oak: {modules: {temperature_c: 11}}}`.\n",
+        "| species | °C | mm a year | shade tolerance | life span, years | flowers at, years |",
+        "|---|---|---|---|---|---|",
+    ]
+    for name, one in types.items():
+        warm = f"{one.temperature_c:g} ± {one.temperature_width_c:g}"
+        wet = f"{one.precipitation_mm_per_yr:,.0f} ± {one.precipitation_width_mm_per_yr:,.0f}"
+        rest = f"{one.shade_tolerance:g} | {one.life_span_yr:g} | {one.flowering_age_yr:g}"
+        text.append(f"| [{name}](#{name}) | {warm} | {wet} | {rest} |")
+    return text
 
 
 GROWN = "branch_modules"

@@ -26,20 +26,20 @@ from numpy.typing import NDArray
 
 from forestgen.atmosphere.fluid.air import Air, at_rest
 from forestgen.atmosphere.fluid.parameters import Physics, Surface
+from forestgen.atmosphere.kept_weather import read_weather
 from forestgen.atmosphere.presets import Conditions, Emission
 from forestgen.atmosphere.regridding import regridded
 from forestgen.atmosphere.sounding import LATENT_HEAT_J_PER_KG
 from forestgen.atmosphere.weather import AirGrid, Weather
 from forestgen.core.code_hash import code_hash
-from forestgen.core.disk_cache import DiskCache, cache_root
-from forestgen.core.packed import UnreadableError, pack, unpack
+from forestgen.core.disk_cache import DiskCache
+from forestgen.core.packed import pack
 from forestgen.core.progress import Progress
 from forestgen.core.randomness import child_rng
 
 MARK_S = 60.0
 EVERY_S = 20.0  # of work, at least, from one keeping to the next
 WIND_RELAXATION_S = 1800.0
-_MOST_BYTES = 4_000_000_000
 _NOISE_K = 0.1
 _CHANGES = 3.0  # times change_s, after which the mean air is left to itself
 _ONE_PATCH_SHARE = 0.25  # of the box: larger patches are moved so that the warmest lies in its middle
@@ -74,12 +74,6 @@ class _Stop:
     chapter: int
     time_s: float
     mark: bool  # others go on from here
-
-
-def weather_store() -> DiskCache | None:
-    """Where weather is kept; None if there is no place for it."""
-    root = cache_root()
-    return None if root is None else DiskCache(root / "weather", _MOST_BYTES)
 
 
 def simulate(
@@ -148,7 +142,7 @@ class _Work:
             stop = stops[count - 1]
             if not stop.mark and count < len(stops):
                 continue
-            found = self._read(self._key(stop))
+            found = read_weather(self._kept, self._key(stop))
             if found is not None:
                 return count, found
         return 0, None
@@ -191,20 +185,6 @@ class _Work:
         """The chapter in which the air comes to a stop: the beginning of a chapter is the end of the one before."""
         first = stop.chapter > 0 and before_s < self._scenario.chapters[stop.chapter].at_s
         return stop.chapter - first
-
-    def _read(self, key: str) -> Weather | None:
-        assert self._kept is not None
-        data = self._kept.read(key)
-        if data is None:
-            return None
-        try:
-            found = unpack(data, (Weather, AirGrid))
-        except UnreadableError:
-            found = None
-        if isinstance(found, Weather):
-            return found
-        self._kept.drop(key)
-        return None
 
     def _key(self, stop: _Stop) -> str:
         digest = hashlib.blake2b(digest_size=20)

@@ -120,18 +120,27 @@ class ThinningLine:
     last: int
 
 
-def thinning_line(density: NDArray[np.float64], mean_mass: NDArray[np.float64]) -> ThinningLine | None:
-    """The self-thinning line of a trajectory in time, over the stretch of `thinning_window`; None without one.
+def thinning_line(
+    density: NDArray[np.float64], mean_mass: NDArray[np.float64], *, closed: int | None = None
+) -> ThinningLine | None:
+    """The self-thinning line of a trajectory in time; None without one.
 
     Years in which no plant died would count the same density many times, with masses above each other: of each run of
     equal densities only the last year, the point nearest to the line's upper bound, is taken.
 
+    Parameters
+    ----------
+    density, mean_mass : (T,) in the order of time.
+    closed : index from which on the canopy is closed, where that is known: the line begins there and ends at the
+        greatest mean mass. None: the stretch of `thinning_window`, which tells it by the density alone.
+
     References
     ----------
     Yoda et al. 1963, J. Biol. Osaka City Univ. 14. Weller 1987, Ecol. Monogr. 57 (why not ordinary regression).
+    Westoby 1984, Adv. Ecol. Res. 14 (the line is that of stands of constant leaf area).
     """
     density, mean_mass = np.asarray(density, dtype=np.float64), np.asarray(mean_mass, dtype=np.float64)
-    window = thinning_window(density, mean_mass)
+    window = thinning_window(density, mean_mass) if closed is None else _from(closed, mean_mass)
     if window is None:
         return None
     first, last = window
@@ -139,6 +148,13 @@ def thinning_line(density: NDArray[np.float64], mean_mass: NDArray[np.float64]) 
     rows = rows[np.append(density[rows[1:]] != density[rows[:-1]], True)]
     law = fit_power_law(density[rows], mean_mass[rows])
     return ThinningLine(law, first, last) if law else None
+
+
+def _from(first: int, mean_mass: NDArray[np.float64]) -> tuple[int, int] | None:
+    """First and last index of a stretch that ends at the greatest mean mass; None where no plant is left."""
+    if not np.isfinite(mean_mass[first:]).any():
+        return None
+    return first, first + int(np.nanargmax(mean_mass[first:]))
 
 
 @dataclass(frozen=True)

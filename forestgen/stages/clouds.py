@@ -10,8 +10,9 @@ import numpy as np
 
 from forestgen.atmosphere.extinction import DROPLET_RADIUS_UM
 from forestgen.atmosphere.grid import CloudGrid
+from forestgen.atmosphere.kept_weather import weather_store
 from forestgen.atmosphere.procedural import cumulus_field
-from forestgen.atmosphere.simulate import simulate, weather_store
+from forestgen.atmosphere.simulate import simulate
 from forestgen.atmosphere.weather import Weather
 from forestgen.core.errors import AssetError, RecipeError
 from forestgen.core.progress import Progress

@@ -8,14 +8,15 @@ from __future__ import annotations
 import hashlib
 
 from forestgen.atmosphere.fluid.parameters import UnstableError
-from forestgen.atmosphere.simulate import described, weather_store
-from forestgen.atmosphere.weather import AirGrid, Weather
+from forestgen.atmosphere.kept_weather import read_weather, weather_store
+from forestgen.atmosphere.simulate import described
+from forestgen.atmosphere.weather import Weather
 from forestgen.community.ecoclimate.air import hours_of
 from forestgen.community.ecoclimate.months import air_over
 from forestgen.community.population import Population
 from forestgen.core.code_hash import code_hash
 from forestgen.core.errors import RecipeError
-from forestgen.core.packed import UnreadableError, pack, unpack
+from forestgen.core.packed import pack
 from forestgen.core.progress import Progress
 from forestgen.stages.own_clouds import own_section
 from forestgen.stages.plan import Plan
@@ -41,14 +42,9 @@ def own_weather(plan: Plan, population: Population, progress: Progress) -> Weath
     case = air_over(state, section, plan.drawn.recipe.sky.clouds.day or 0)
     told = (code_hash(_SOURCES, _COMPUTE_WITH), section.hours, described(case))
     key, store = hashlib.blake2b(repr(told).encode(), digest_size=20).hexdigest(), weather_store()
-    data = None if store is None else store.read(key)
-    if data is not None:
-        try:
-            kept = unpack(data, (Weather, AirGrid))
-        except UnreadableError:
-            kept = None
-        if isinstance(kept, Weather):
-            return kept
+    kept = None if store is None else read_weather(store, key)
+    if kept is not None:
+        return kept
     try:
         with progress.stage("weather", 1) as advance:
             weather = hours_of(section, case.grid, case.day, case.surface).weather

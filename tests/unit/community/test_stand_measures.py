@@ -94,6 +94,17 @@ def test_the_thinning_line_is_that_of_the_stretch_that_thins(slope):
     assert got.last == 119
 
 
+def test_the_thinning_line_begins_where_the_canopy_is_said_to_close():
+    # Before, plants grow without meeting; the line is shorter than what density alone would need.
+    density = np.concatenate([np.full(20, 2000.0), np.geomspace(1900, 1000, 40)])
+    mass = np.concatenate([np.geomspace(1, 40, 20), 2e6 * np.geomspace(1900, 1000, 40) ** -1.5])
+    assert thinning_line(density, mass) is None
+    got = thinning_line(density, mass, closed=20)
+    assert got.law.exponent == pytest.approx(-1.5, abs=1e-6)
+    assert (got.first, got.last) == (20, 59)
+    assert thinning_line(np.zeros(9), np.full(9, np.nan), closed=3) is None
+
+
 def test_years_without_a_death_do_not_bend_the_thinning_line():
     # Stairs: the density stands still for years while plants grow up to the line, and falls at once.
     steps = np.geomspace(3000, 200, 30)

@@ -35,7 +35,7 @@ def test_a_species_has_numbers_a_picture_and_a_chapter(name: str, sheet: ModuleT
     text = (DOCS / "species.md").read_text(encoding="utf-8")
     assert f"\n## {name}\n" in text
     if name not in sheet.generate.species_that_grow_alone():
-        assert f"| [{name}](#{name}) | [branch_modules](models/branch_modules.md) |" in text
+        assert f"| [{name}](#{name}) | [branch_modules](models/branch_modules_plants.md) |" in text
         return
     again = f"run `uv run python docs/species_sheet.py {name}`"
     assert name in json.loads((DOCS / "species.json").read_text(encoding="utf-8")), again
