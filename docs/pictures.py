@@ -26,8 +26,8 @@ densities.png                   densities        what `forestgen simulate` shows
 
 and, by docs/label_pictures.py, labels.jpg: a view and its labels; by docs/light_pictures.py, light.jpg: other skies,
 a season and bands; by docs/weather_pictures.py, weather_profiles.png: the air in which four clouds form; by
-docs/plant_types.py, plant_types.png: the sixteen types of branch modules; by docs/report_picture.py, report.jpg: the
-page that `forestgen report` makes of a small data set.
+docs/plant_types.py, plant_types.png: the sixteen types of branch modules; by docs/biome_pictures.py, biomes.jpg: every
+biome; by docs/report_picture.py, report.jpg: the page that `forestgen report` makes of a small data set.
 
 With names behind it, `uv run python docs/pictures.py self_thinning succession_maps`, it makes these alone.
 The plants' pictures, library.jpg and species/, are made by docs/species_sheet.py.
@@ -41,6 +41,7 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
+import biome_pictures
 import label_pictures
 import light_pictures
 import numpy as np
@@ -217,6 +218,7 @@ PICTURES_OF = {
     **placement_pictures.PICTURES_OF,
     **weather_pictures.PICTURES_OF,
     "branch_modules": branch_modules,
+    "biomes": biome_pictures.biomes,
     "labels": label_pictures.labels,
     "light": light_pictures.light,
     "plant_types": plant_types.plant_types,
