@@ -228,9 +228,10 @@ def judge_edges(report: Report, stands: dict[str, list[Stand]]) -> None:
         f"43d {CLIMAX}'s share of the old trees at its margins, over farther "
         + spread([climax_share(one, far, 0, EDGE_M) / y for (one, far), y in zip(later, away, strict=True)])
     )
-    young = [(one, np.where(one.age_yr < REGROWN_YR - FELLED_YR, far, np.inf)) for one, far in later]
-    rise = [climax_share(one, far, -EDGE_M, 0) - climax_share(one, far, *STRIP_BANDS_M[:2]) for one, far in young]
+    rise, without = ([risen(one.at(REGROWN_YR)) for one in each] for each in (on, off))
     check("43d its share of what came up, margins less centre", rise, [x > 0.25 for x in rise], "over 0.25")
+    held = [x < 0.5 * y for x, y in zip(without, rise, strict=True)]
+    check("43d the same without microclimate", without, held, "below half of that")
     warmer, drier = [], []
     for stand in on:
         warm, wet = microclimate_of(stand, stand.at(OPEN_YR))
@@ -241,6 +242,13 @@ def judge_edges(report: Report, stands: dict[str, list[Stand]]) -> None:
         drier.append(float(wet[rim].mean() / wet[within].mean()))
     check(f"43d the new edges are warmer, year {OPEN_YR}, K", warmer, [x > 1 for x in warmer], "over 1")
     check("43d soil water there, over that inside", drier, [x < 0.95 for x in drier], "below 0.95")
+
+
+def risen(population: Population) -> float:
+    """How much more of what came up in the strip is the climax species at its margins than near its centre line."""
+    young = population.age_yr < REGROWN_YR - FELLED_YR
+    far = np.where(young, from_strip(population), np.inf)
+    return climax_share(population, far, -EDGE_M, 0) - climax_share(population, far, *STRIP_BANDS_M[:2])
 
 
 def plants_share(population: Population, pick: NDArray[np.bool_]) -> float:

@@ -53,7 +53,9 @@ def borrowed(typing_context, array):  # type: ignore[no-untyped-def]
     """The same array without a claim on its memory, inside compiled code.
 
     Numba counts references to an array in every call that passes it, with two locked instructions a time: in kernels
-    that call small functions for each element that is most of the time. The caller keeps the original alive.
+    that call small functions for each element that is most of the time. Somebody else must keep the original alive:
+    numba frees an array that the kernel itself has made as soon as its own name is not read any more, be it borrowed or
+    not. So borrow arguments; what is made inside needs a later reading of its name, in or behind the last loop.
     """
 
     def code(context, builder, signature, arguments):  # type: ignore[no-untyped-def]

@@ -188,7 +188,7 @@ def _turn(first, end, parity, angle, table, rows, fixed, moving, boxes, at, rota
     """Best choice of each module at places `first` to `end` of `moving`, of that parity; all are `at`, `rotation`."""
     table, rows, fixed, moving, at = borrowed(table), borrowed(rows), lent(fixed), lent(moving), borrowed(at)
     room, space, shared = np.empty((256, 2), dtype=np.int64), np.empty((4, 256)), np.empty(256)
-    run, near, common = borrowed(room), borrowed(space), borrowed(shared)
+    run, near, common = borrowed(room), borrowed(space), borrowed(shared)  # the loop reads all three: they live
     c, s, width, height = cos(angle), sin(angle), fixed.width, fixed.height
     for place in range(first, end):
         i = moving.row[place]
@@ -201,7 +201,7 @@ def _turn(first, end, parity, angle, table, rows, fixed, moving, boxes, at, rota
                 room = np.empty((2 * len(room), 2), dtype=np.int64)
                 run = borrowed(room)
             else:
-                space, shared = np.empty((4, 2 * len(shared))), np.empty(2 * len(shared))
+                space, shared = np.empty((4, 2 * space.shape[1])), np.empty(2 * len(shared))
                 near, common = borrowed(space), borrowed(shared)
             count = _neighbours(i, (x, y, z), r + angle * table[i, _ARM], fixed, moving, at, rows, run, near)
         start = (rotation[i, 0], rotation[i, 1], rotation[i, 2], rotation[i, 3])

@@ -75,7 +75,9 @@ def seedlings(
     fit = _germinates(place, species, needed, state, kinds, around, climate)
     place, species = place[fit], species[fit]
     alive = standing.alive
-    room = _with_room(place, plants.position_m[alive], 0.5 * standing.trunk_m[alive], state, kinds)
+    order = rng.permutation(len(place))  # by chance, not by mothers' rows: these go by species
+    room = np.empty(len(place), dtype=np.bool_)
+    room[order] = _with_room(place[order], plants.position_m[alive], 0.5 * standing.trunk_m[alive], state, kinds)
     return begun(place[room], species[room], state, kinds, state.step + 1)
 
 

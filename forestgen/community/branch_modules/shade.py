@@ -15,7 +15,8 @@ all layers above its own and half of its own layer less itself. At the edge of a
 mirrored back: the stand goes on.
 
 Obstacles are opaque: T, the share of the light that boxes let through, is 0 in them, 1 above them, and spreads down by
-the same kernel; so a wall takes about half of the light of what stands at its foot.
+the same kernel; a cell of which a box takes a part has at most the light of the other part. So a wall takes about half
+of the light of what stands at its foot.
 
 Depths are summed as whole numbers: the order of modules does not matter to the bit. Time is O(modules + cells), and
 memory a few cells a column.
@@ -194,6 +195,15 @@ def _covers(boxes: Boxes, grid: ShadowGrid) -> list[tuple[int, Floats]]:
     return covers
 
 
+def _open_share(covers: list[tuple[int, Floats]], layer: int, shape: tuple[int, int]) -> Floats:
+    """(rows, cols) share of each cell of a layer that no box takes: more light than that cannot be in it."""
+    taken = np.zeros(shape)
+    for layers, cover in covers:
+        if layer < layers:
+            taken += cover
+    return np.asarray(np.maximum(1.0 - taken, 0.0))
+
+
 def _near(at: Floats, middle: float, reach: float, grid: ShadowGrid, axis: int) -> NDArray[np.bool_]:
     offset = at - middle
     if grid.periodic:
@@ -252,9 +262,8 @@ def shade(
     plane, nothing = np.zeros((ny, nx), dtype=np.int64), np.zeros((ny, nx), dtype=np.int64)
     for k in range(top - 1, -1, -1):
         rows = order[start[k] : start[k + 1]]
-        for layers, cover in covers:
-            if k < layers:
-                share *= 1.0 - cover
+        if covers:
+            np.minimum(share, _open_share(covers, k, (ny, nx)), out=share)
         plane[:] = 0
         _deposit(rows, position, radius, opaque, per_x, per_y, grid.periodic, plane)
         _read(rows, position, radius, opaque, per_x, per_y, grid.periodic, plane, above, share, light)

@@ -136,25 +136,36 @@ def _enter(i, cell, first, after, before):  # type: ignore[no-untyped-def]
     first[cell] = i
 
 
-@compiled
-def _sweep(at, to, lot, local, density, n, size, gamma, radius, periodic):  # type: ignore[no-untyped-def]
+def _sweep(
+    at: NDArray[np.float64],
+    to: NDArray[np.float64],
+    lot: NDArray[np.float64],
+    local: bool,
+    density: NDArray[np.float64],
+    n: tuple[int, ...],
+    size: tuple[float, float],
+    gamma: float,
+    radius: float,
+    periodic: bool,
+) -> None:
     """Propose the (N, 2) places `to` to the (N, 2) plants `at`, one after another, in place.
 
-    lot : (N,) in [0, 1). local : whether the density decides too.
+    lot : (N,) in [0, 1). local : whether the density decides too. n : cells along x and y, in which plants are found.
     """
     first = np.full(n[0] * n[1], -1, np.int64)
-    after, before = np.full(len(at), -1, np.int64), np.full(len(at), -1, np.int64)
+    lists = first, np.full(len(at), -1, np.int64), np.full(len(at), -1, np.int64)
+    grid = (density.shape[1], density.shape[0])
+    _propose(at, to, lot, local, density.ravel(), grid, lists, n, size, gamma, radius, periodic)
+
+
+@compiled
+def _propose(at, to, lot, local, density, grid, lists, n, size, gamma, radius, periodic):  # type: ignore[no-untyped-def]
+    """The loop of `_sweep`; all arrays are the caller's, who keeps them."""
+    first, after, before = lists
     for i in range(len(at)):
         _enter(i, _cell(at[i, 0], at[i, 1], n, size), first, after, before)
-    grid = (density.shape[1], density.shape[0])
-    cells = density.ravel()
-    at_, first_, after_, before_, flat = (
-        borrowed(at),
-        borrowed(first),
-        borrowed(after),
-        borrowed(before),
-        borrowed(cells),
-    )
+    at_, flat = borrowed(at), borrowed(density)
+    first_, after_, before_ = borrowed(first), borrowed(after), borrowed(before)
     for i in range(len(to)):
         x, y = to[i]
         if local:

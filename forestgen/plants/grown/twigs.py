@@ -110,7 +110,7 @@ def _first_shoots(
     kept = rng.random(len(node)) >= bearing.missing
     node, member = node[kept], member[kept]
     tangent = _tangents(wood)
-    axis, rank = wood.axis[node], np.arange(len(wood.parent))[node]
+    axis, rank = wood.axis[node], np.repeat(_rank_on_axis(wood.axis[side].astype(np.int64)), bearing.per_node)[kept]
     phase = rng.uniform(0.0, 2.0 * np.pi, int(wood.axis[-1]) + 1)[axis]
     azimuth = np.where(bearing.planar, np.round(phase / (2.0 * np.pi)) * np.pi, phase)
     azimuth = azimuth + np.radians(bearing.phyllotaxis_deg) * rank + 2.0 * np.pi * member / bearing.per_node
@@ -125,6 +125,15 @@ def _first_shoots(
         stays = rng.random(len(node)) < left
         node, direction, length = node[stays], direction[stays], length[stays]
     return Shoots(wood.position_m[node].astype(np.float64), direction, np.minimum(length, longest_m), node)
+
+
+def _rank_on_axis(axis: Ints) -> Ints:
+    """(N,) how many nodes of the same axis come before each: phyllotaxis counts those that bear, no others."""
+    order = np.argsort(axis, kind="stable")
+    ordered = axis[order]
+    rank = np.empty(len(axis), dtype=np.int64)
+    rank[order] = np.arange(len(axis)) - np.searchsorted(ordered, ordered)
+    return rank
 
 
 def _lengths(dressed: ClothedWood, bearing: Bearing, node: Ints, rng: np.random.Generator) -> Floats:
