@@ -14,7 +14,7 @@ from forestgen.core.errors import RecipeError
 from forestgen.core.parts import Part
 from forestgen.plants.generators.branch_modules import FIRST_TWIG_ORDER, GENERATOR
 from forestgen.plants.grown.build import build_grown, estimate_triangles
-from forestgen.plants.grown.twigs import clothed
+from forestgen.plants.grown.twigs import _rank_on_axis, clothed
 from forestgen.plants.grown.wood import wood_key, wood_skeleton
 from forestgen.plants.levels import Level
 
@@ -41,6 +41,11 @@ def test_the_wood_runs_through_the_graphs_nodes_with_their_diameters(smooth):
         assert away[nearest] < 1e-6
         assert 2 * made.radius_m[nearest] == pytest.approx(graph.diameter_m[row], rel=1e-6)
         assert made.mark[nearest] == graph.mark[row]
+
+
+def test_phyllotaxis_counts_the_nodes_that_bear_along_each_axis():
+    np.testing.assert_array_equal(_rank_on_axis(np.array([0, 0, 0, 1, 2, 2, 1])), [0, 1, 2, 0, 0, 1, 1])
+    assert len(_rank_on_axis(np.empty(0, dtype=np.int64))) == 0
 
 
 def test_axes_are_chains_that_follow_the_main_branches():

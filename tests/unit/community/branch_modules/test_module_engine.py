@@ -317,6 +317,17 @@ def test_seeds_keep_their_distance(stand):
     assert gap.min() >= 0.8
 
 
+def test_two_equal_species_get_equal_room_for_their_seeds():
+    one = plant_type("a", seeds_per_yr=50.0)
+    kept = np.zeros(2)
+    for seed in (1, 2, 3):
+        state = last("", 14, plants=60, side_m=20.0, seed=seed, types={"x": one, "y": one}, seedling_spacing_m=1.0)
+        young = state.plants.plant_id > 60
+        kept += np.bincount(state.plants.species[young], minlength=2)
+    assert kept.sum() > 300  # the room is taken: most seeds find none
+    assert 0.7 < kept[0] / kept[1] < 1.4
+
+
 def test_a_species_without_modules_is_told_and_too_many_modules_too():
     with pytest.raises(RecipeError, match="does not grow by branch modules"):
         MODEL.init(MODEL.Parameters(), Site((10.0, 10.0)), [ecology("oak", None)], 1)

@@ -77,6 +77,33 @@ def test_a_step_takes_the_best_of_its_choices() -> None:
         assert abs(float(found @ best)) == pytest.approx(1, abs=1e-6)
 
 
+def test_a_step_among_a_thousand_neighbours_takes_the_best_of_its_choices() -> None:
+    """More neighbours than the kernel's lists have room for at first: they grow, and must stay its own."""
+    rng = np.random.default_rng(5)
+    side = np.arange(60) * 0.1
+    x, y = np.meshgrid(side, side)
+    centre, radius = np.column_stack([x.ravel(), y.ravel(), np.zeros(3600)]), rng.uniform(0.02, 0.05, 3600)
+    grid = SphereGrid.of(centre, radius)
+    for _ in range(60):
+        reach, start = rng.uniform(0.58, 0.66), Rotation.random(rng=rng)
+        base = np.append(rng.uniform(2, 4, 2), 0.0) - start.apply([0, 0, reach])
+        one = turning(base[None], start.as_quat()[None, [3, 0, 1, 2]], radius=reach)
+        shared = []
+        for vector in ([0, 0, 0], [0.35, 0, 0], [-0.35, 0, 0], [0, 0.35, 0], [0, -0.35, 0]):
+            choice = start * Rotation.from_rotvec(vector)
+            away2 = np.sum((centre - base - choice.apply([0, 0, reach])) ** 2, axis=1)
+            near = away2 < (radius + reach) ** 2
+            assert near.sum() > 64
+            pairs = zip(away2[near], radius[near], strict=True)
+            shared.append((sum(lens(d2, reach, r) for d2, r in pairs), choice))
+        shared.sort(key=lambda pair: pair[0])
+        if shared[1][0] - shared[0][0] < 1e-6:
+            continue
+        best = shared[0][1].as_quat()[[3, 0, 1, 2]]
+        found = orient(grid, one, steps=1, angle_rad=0.35)[0]
+        assert abs(float(found @ best)) == pytest.approx(1, abs=1e-6)
+
+
 def test_quaternions_stay_of_length_one_and_no_steps_change_nothing() -> None:
     rng = np.random.default_rng(3)
     start = Rotation.random(300, rng=rng).as_quat()

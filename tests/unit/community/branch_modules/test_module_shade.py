@@ -87,6 +87,17 @@ def test_houses_are_opaque() -> None:
     np.testing.assert_array_equal(light.light_at(at[[0, 4]]), [0.0, light.light[4]])
 
 
+@pytest.mark.parametrize("layer_m", [1.0, 2.0, 5.0])
+@pytest.mark.parametrize("spread", [0.0, 0.25])
+def test_a_cell_half_of_which_a_wall_takes_has_half_of_the_light(layer_m: float, spread: float) -> None:
+    wall = Boxes(np.array([[4.5, 10.0, 0.0]]), np.array([[1.0, 20.0, 10.0]]), np.zeros(1))
+    grid = ShadowGrid((20.0, 20.0), layer_m=layer_m, spread=spread)
+    share = shade(np.empty((0, 2)), np.empty(0), np.empty(0), np.empty(0), grid, wall).ground_share
+    np.testing.assert_allclose(share[:, 2], 0.5)
+    assert share[:, 3].min() > 0.5
+    assert share.max() <= 1
+
+
 def test_a_turned_house_covers_as_much_ground() -> None:
     for azimuth in (0.0, 0.5, np.pi / 4):
         house = Boxes(np.array([[0.0, 30, 0]]), np.array([[12.0, 6, 2]]), np.array([azimuth]))
