@@ -310,7 +310,7 @@ def climate_table(types: Mapping[str, PlantType]) -> list[str]:
         "mean warmth and rain a year, ± one standard deviation, at which vigour and seeds fall to 0.61.",
         "Shade tolerance is the light that counts in the deepest shade; a branch needs `compensation` to live,",
         "0.4 unless a species says otherwise. A recipe may give other numbers:",
-        "`species: {oak: {modules: {temperature_c: 11}}}`.\n",
+        "`species: {oak: {from: oak, modules: {temperature_c: 11}}}`.\n",
         "| species | °C | mm a year | shade tolerance | life span, years | flowers at, years |",
         "|---|---|---|---|---|---|",
     ]

@@ -205,6 +205,17 @@ class Selection(Region):
     min_radius_m: NonNegative = Field(0.0, description="Only plants of at least this radius, metres.")
     max_radius_m: Positive | None = Field(None, description="Only plants of at most this radius, metres.")
 
+    @model_validator(mode="after")
+    def _sizes_in_order(self) -> Self:
+        if self.max_radius_m is not None and self.max_radius_m < self.min_radius_m:
+            raise mistake(
+                f"at least min_radius_m = {self.min_radius_m:g}",
+                problem="no plant is that large and that small",
+                got=f"{self.max_radius_m:g}",
+                at=("max_radius_m",),
+            )
+        return self
+
     def chosen(self, population: Population, ground: Ground) -> NDArray[np.uint32]:
         """Ids, sorted, of the living plants that meet all conditions."""
         keep = self.inside(population.position_m[:, :2], ground) & (population.status != Status.DEAD)

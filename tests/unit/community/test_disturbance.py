@@ -188,3 +188,8 @@ def test_an_empty_site_can_be_felled_and_burnt():
     nobody = stand(np.empty((0, 2)))
     assert felled(nobody, share=0.5) == []
     assert len(Disturbance(at_step=1, burn={"survival": 0.5}).victims(nobody, GROUND, np.random.default_rng(1))) == 0
+
+
+def test_sizes_that_no_plant_can_have_are_refused():
+    with pytest.raises(ValidationError, match="at least min_radius_m = 3"):
+        Disturbance(at_step=1, burn={"min_radius_m": 3, "max_radius_m": 1})
