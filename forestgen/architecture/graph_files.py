@@ -128,10 +128,8 @@ def _table_bytes(
 def _plants(graph: SkeletalGraph) -> list[tuple[int, int, int]]:
     """(row of the plant, its first node, the end) of each plant of the graph, in order."""
     first = np.flatnonzero(graph.parent < 0)
-    return [
-        (int(graph.plant[begin]), int(begin), int(end))
-        for begin, end in zip(first, [*first[1:], len(graph)], strict=True)
-    ]
+    ends = np.append(first, len(graph))[1:]
+    return [(int(graph.plant[begin]), int(begin), int(end)) for begin, end in zip(first, ends, strict=True)]
 
 
 def _known(known: Mapping[str, NDArray[Any]], plant: int) -> dict[str, Any]:

@@ -115,7 +115,7 @@ def _write(
             "origin": dict(origin),
         }
         if has_modules:
-            about["modules"] = None if modules is None else modules.counts
+            about["modules"] = None if modules is None else modules.marks
         if maps.names:
             about["maps"], about["map_sums"] = maps.names, maps.sums
         writer.add_key_value_metadata({_KEY: json.dumps(about).encode()})
@@ -170,7 +170,7 @@ class History:
     origin: Mapping[str, Any]  # what the simulation was started with
     _snapshots: Sequence[tuple[float, int, int, Mapping[str, Any]]]  # time_yr, plants, step, state
     grows_by_modules: bool = False  # whether its plants had modules, which may have been left out
-    _modules: Sequence[int] | None = None  # of each snapshot; None: there are none, or they were left out
+    _modules: Sequence[Sequence[int]] | None = None  # of each snapshot; None: there are none, or they were left out
     maps: Sequence[str] = ()  # names of the maps that were written with it
     _map_sums: Sequence[int] = ()  # of every snapshot's
 

@@ -3,7 +3,8 @@
 Columns: ``step``, ``plant_id`` and those of `Modules`; ``base_m`` as ``base_x_m``, ``base_y_m``, ``base_z_m``, and
 ``rotation`` as ``rotation_w`` to ``rotation_z``. `parent` is the row of the module that bears it, counted from its
 plant's first row. A snapshot is one row group. The metadata, JSON under ``forestgen.modules``, has the number of
-modules of every snapshot: a history has the same numbers, which tells that the two files are of one simulation.
+modules of every snapshot and the checksum of their columns: a history has the same numbers, which tells that the two
+files are of one simulation, and that nobody has changed a value.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
+from zlib import crc32
 
 import numpy as np
 import pyarrow as pa
@@ -50,7 +52,7 @@ class ModuleWriter:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.counts: list[int] = []  # modules of each snapshot
+        self.marks: list[tuple[int, int]] = []  # modules of each snapshot, and their checksum
         self._partial = path.with_name(path.name + ".partial")
         self._writer = pq.ParquetWriter(self._partial, _SCHEMA, compression="zstd")
 
@@ -58,16 +60,19 @@ class ModuleWriter:
         """Write a snapshot's modules."""
         modules = population.modules
         count = 0 if modules is None else len(modules)
-        if modules is not None and count:
-            self._writer.write_table(_table(population, modules), row_group_size=count)
-        self.counts.append(count)
+        if modules is None or not count:
+            self.marks.append((0, 0))
+            return
+        table = _table(population, modules)
+        self._writer.write_table(table, row_group_size=count)
+        self.marks.append((count, _checksum(table)))
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, _: BaseException | None, __: TracebackType | None) -> None:
         try:
-            self._writer.add_key_value_metadata({_KEY: json.dumps(self.counts).encode()})
+            self._writer.add_key_value_metadata({_KEY: json.dumps(self.marks).encode()})
             self._writer.close()
             if kind is None:
                 self._partial.replace(self.path)
@@ -87,14 +92,22 @@ def _table(population: Population, modules: Modules) -> Any:
     return pa.table({name: pa.array(values) for name, values in columns.items()}, schema=_SCHEMA)
 
 
-def read_modules(path: Path, population: Population, counts: Sequence[int], index: int) -> Modules:
+def _checksum(table: Any) -> int:
+    """Of the values of all columns, in their order."""
+    found = 0
+    for name in _SCHEMA.names:
+        found = crc32(np.ascontiguousarray(table.column(name).to_numpy()).tobytes(), found)
+    return found
+
+
+def read_modules(path: Path, population: Population, marks: Sequence[Sequence[int]], index: int) -> Modules:
     """The modules of a snapshot's plants.
 
     Parameters
     ----------
     path : of the modules' table.
     population : the snapshot, without modules.
-    counts, index : modules of every snapshot of the history, and the snapshot's number among them.
+    marks, index : of every snapshot of the history, and the snapshot's number among them; see `ModuleWriter`.
 
     Raises
     ------
@@ -103,10 +116,15 @@ def read_modules(path: Path, population: Population, counts: Sequence[int], inde
     try:
         with pq.ParquetFile(path) as file:
             theirs = json.loads((file.metadata.metadata or {})[_KEY])
-            if list(theirs) != list(counts):
+            if any(isinstance(one, int) for one in [*theirs, *marks]):
+                raise ValueError("the table was written by an earlier version of forestgen, without checksums")
+            if [tuple(one) for one in theirs] != [tuple(one) for one in marks]:
                 raise ValueError("the table is that of another history")
-            group = sum(count > 0 for count in counts[:index])
-            table = file.read_row_group(group) if counts[index] else _SCHEMA.empty_table()
+            count, checksum = marks[index]
+            group = sum(before > 0 for before, _ in marks[:index])
+            table = file.read_row_group(group) if count else _SCHEMA.empty_table()
+            if len(table) != count or (count and _checksum(table) != checksum):
+                raise ValueError(f"its values of step {population.step} are not those that were written")
             return _modules(table, population)
     except (OSError, pa.ArrowException, KeyError, ValueError, TypeError) as error:
         raise AssetError(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -15,12 +16,12 @@ from forestgen.community.branch_modules.changes import parameters_at
 from forestgen.community.branch_modules.parameters import BranchModulesParameters
 from forestgen.community.branch_modules.traits import STAND_IN
 from forestgen.community.population import Population
-from forestgen.core.errors import RecipeError
+from forestgen.core.errors import OutputError, RecipeError
 from forestgen.stages.plan import Plan
 
 
 def check_graphs(plan: Plan, paths: Sequence[Path]) -> None:
-    """Refuse, before anything is simulated, graphs of plants without branches and files of no known format."""
+    """Refuse, before anything is simulated, graphs of plants without branches and files that cannot be written."""
     if paths and not isinstance(plan.model_parameters, BranchModulesParameters):
         raise RecipeError(
             "plants of this community have no branches of their own",
@@ -36,6 +37,13 @@ def check_graphs(plan: Plan, paths: Sequence[Path]) -> None:
                 where="--graph",
                 expected=f"a name that ends with {', '.join(GRAPH_FORMATS)}",
                 got=str(path),
+            )
+        if path.is_dir() or not os.access(path.parent, os.W_OK):
+            raise OutputError(
+                "the graph cannot be written",
+                where=str(path),
+                expected="a file in a folder that there is, and that may be written to",
+                got="a folder" if path.is_dir() else "no such folder" if not path.parent.is_dir() else "no permission",
             )
 
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from forestgen.architecture.plant_type import PlantType
 from forestgen.architecture.prototypes import load_prototypes
 from forestgen.community.branch_modules.changes import check_changes
 from forestgen.community.branch_modules.parameters import BranchModulesParameters, Obstacle
@@ -54,7 +55,20 @@ def check_branch_modules(drawn: DrawnRecipe, parameters: CommunityParameters) ->
                 )
     for index, one in enumerate(parameters.obstacles):
         _check_obstacle(drawn, index, one)
-    check_changes(parameters, types, drawn.parse, lambda *keys: drawn.where("community", *keys))
+    _check_plantings(drawn, parameters, types)
+    check_changes(parameters, types, names, drawn.parse, lambda *keys: drawn.where("community", *keys))
+
+
+def _check_plantings(drawn: DrawnRecipe, parameters: BranchModulesParameters, types: Mapping[str, PlantType]) -> None:
+    """Plantings are of species that grow."""
+    for index, one in enumerate(parameters.disturbances):
+        if one.plant is not None and one.plant.species not in types:
+            raise RecipeError(
+                "this species does not grow by branch modules",
+                where=drawn.where("community", "disturbances", index, "plant", "species"),
+                expected="one of " + (", ".join(types) or "none: no species has a section modules"),
+                got=one.plant.species,
+            )
 
 
 def check_dead_are_drawn(

@@ -14,7 +14,7 @@ simulation that resumes there goes by the same. Changes of one step are made in 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Protocol, Self, TypeVar
 
 from pydantic import BaseModel, Field, model_validator
@@ -134,12 +134,17 @@ def _values(model: BaseModel) -> dict[str, Any]:
 
 
 def check_changes(
-    parameters: BranchModulesParameters, types: Mapping[str, PlantType], parse: Parse, where: Callable[..., str]
+    parameters: BranchModulesParameters,
+    types: Mapping[str, PlantType],
+    prototypes: Sequence[str],
+    parse: Parse,
+    where: Callable[..., str],
 ) -> None:
     """Refuse, before anything is simulated, changes that could not be made.
 
     Parameters
     ----------
+    prototypes : names of those that there are.
     parse : checks values of a class as the recipe checks its own (`DrawnRecipe.parse`).
     where : place of a key path of the parameters, for messages.
 
@@ -156,6 +161,7 @@ def check_changes(
         if own:
             places = {key: where(*place, key) for key in own}
             changed = _told(type(parameters), {**_values(changed), **own}, places, parse)
+            _refuse_strangers(changed, own, kinds, places)
         for name, values in of_species.items():
             places = {key: where(*place, f"species.{name}.{key}") for key in values}
             if name not in kinds:
@@ -166,6 +172,31 @@ def check_changes(
                     got=repr(name),
                 )
             kinds[name] = _told(PlantType, {**_values(kinds[name]), **values}, places, parse)
+            unknown = [one for one in kinds[name].prototypes if one not in prototypes]
+            if "prototypes" in values and unknown:
+                raise RecipeError(
+                    "no such prototype of a module",
+                    where=places["prototypes"],
+                    expected="one of " + ", ".join(prototypes),
+                    got=unknown[0],
+                )
+
+
+def _refuse_strangers(
+    changed: BranchModulesParameters,
+    own: Mapping[str, Any],
+    kinds: Mapping[str, PlantType],
+    places: Mapping[str, str],
+) -> None:
+    """Refuse species of new values that do not grow by branch modules."""
+    for keys, name in changed.named_species():
+        if keys[0] in own and name not in kinds:
+            raise RecipeError(
+                "this species does not grow by branch modules",
+                where=places[str(keys[0])],
+                expected="one of " + (", ".join(kinds) or "none: no species of the recipe has a section modules"),
+                got=repr(name),
+            )
 
 
 def _told(model: type[M], data: dict[str, Any], places: Mapping[str, str], parse: Parse) -> M:

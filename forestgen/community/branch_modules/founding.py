@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from forestgen.architecture.prototype import Prototype
 from forestgen.community.arrivals import new_ids
 from forestgen.community.branch_modules.kinds import kinds_at
+from forestgen.community.branch_modules.limits import refuse_more_modules
 from forestgen.community.branch_modules.parameters import BranchModulesParameters, is_blocked
 from forestgen.community.branch_modules.seeding import begun
 from forestgen.community.branch_modules.state import Plants, State, appended, no_modules, no_snags, without_modules
@@ -36,6 +37,7 @@ def founded(
     )
     growing = [index for index, one in enumerate(species) if one.modules is not None]
     wanted = parameters.counts([species[index].name for index in growing]) if growing else np.zeros(0, np.int64)
+    refuse_more_modules(int(wanted.sum()), parameters.most_modules)
     sp = np.repeat(np.array(growing, dtype=np.uint16), wanted)
     place = _open_places(len(sp), parameters, site, child_rng(seed, "community", 0))
     notes = () if len(place) == len(sp) else (f"only {len(place)} of {len(sp)} plants found open ground",)

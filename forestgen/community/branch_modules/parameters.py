@@ -97,6 +97,8 @@ class Biome(Section):
 def _number_or_by_species(value: Any) -> Any:
     """One number as it is; what is neither that nor a mapping is refused here, with both forms named."""
     if isinstance(value, Mapping):
+        if _ALL in value and len(value) > 1:
+            raise mistake("numbers by species, or one number for all", got=", ".join(map(str, value)))
         return value
     whole = isinstance(value, int | float) and not isinstance(value, bool) and 0 <= value <= MOST_PLANTS
     if not whole or value != int(value):
@@ -125,7 +127,7 @@ class BranchModulesParameters(CommunityParameters):
     """What a recipe says about the model besides its species."""
 
     steps: Whole = Field(200, ge=0, le=100_000, description="number of steps")
-    step_yr: float = Field(1.0, gt=0, le=10, description="duration of a step, years")
+    step_yr: float = Field(1.0, ge=1e-3, le=10, description="duration of a step, years")
     periodic: bool = Field(False, description="the site is a torus, without edges; false: a bounded site")
     initial_plants: InitialPlants = Field(
         100,

@@ -14,6 +14,7 @@ from forestgen.architecture.prototypes import choose_prototype
 from forestgen.community.arrivals import new_ids
 from forestgen.community.branch_modules.climate import LocalClimate, adaptation
 from forestgen.community.branch_modules.identity import along, uniform
+from forestgen.community.branch_modules.limits import refuse_more_seeds
 from forestgen.community.branch_modules.parameters import is_blocked
 from forestgen.community.branch_modules.state import Plants, State, seedling_modules
 from forestgen.community.branch_modules.surroundings import ground_at
@@ -63,6 +64,7 @@ def seedlings(
     traits, parameters, plants = kinds.traits, kinds.parameters, standing.plants
     sp = plants.species
     mean = np.where(plants.flowering, traits.seeds_per_yr[sp] * standing.adapted * parameters.step_yr, 0.0)
+    refuse_more_seeds(float(mean.sum()) + len(arriving.species))
     count = rng.poisson(mean)
     mother = np.repeat(np.arange(len(plants)), count)
     place = plants.position_m[mother] + rng.normal(size=(len(mother), 2)) * traits.seeding_radius_m[sp[mother], None]
@@ -75,7 +77,9 @@ def seedlings(
     fit = _germinates(place, species, needed, state, kinds, around, climate)
     place, species = place[fit], species[fit]
     alive = standing.alive
-    order = rng.permutation(len(place))  # by chance, not by mothers' rows: these go by species
+    own = int(fit[: len(mother)].sum())
+    # By chance, not by mothers' rows, which go by species; and those of the stand as if no others arrived.
+    order = np.concatenate([rng.permutation(own), own + rng.permutation(len(place) - own)])
     room = np.empty(len(place), dtype=np.bool_)
     room[order] = _with_room(place[order], plants.position_m[alive], 0.5 * standing.trunk_m[alive], state, kinds)
     return begun(place[room], species[room], state, kinds, state.step + 1)

@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 
 from forestgen.community.branch_modules.boxes import NO_BOXES, Boxes
 from forestgen.core.compiled import compiled
+from forestgen.core.errors import ResourceError
 
 UNITS = 2.0**24  # of optical depth of a cell in whole numbers
 _MOST_LAYERS = 2000
@@ -238,8 +239,10 @@ def shade(
 
     Raises
     ------
+    ResourceError
+        More than 2000 layers.
     ValueError
-        More than 2000 layers, or positions that are not finite.
+        Positions that are not finite.
     """
     position, height = np.array(position_m[:, :2], dtype=np.float64), np.ascontiguousarray(height_m, dtype=np.float64)
     radius = np.maximum(np.ascontiguousarray(radius_m, dtype=np.float64), 1e-6)
@@ -254,7 +257,13 @@ def shade(
     covers = _covers(boxes, grid)
     top = max([int(max(height.max(initial=0.0), 0.0) // grid.layer_m) + 1, *(layers for layers, _ in covers)])
     if top > _MOST_LAYERS:
-        raise ValueError(f"modules {height.max():.0f} m above the ground need {top} layers, more than {_MOST_LAYERS}")
+        raise ResourceError(
+            "the trees are too tall for layers of light so thin",
+            where="community.cell_m",
+            expected=f"at most {_MOST_LAYERS:,} layers of {grid.layer_m:g} m",
+            got=f"modules {height.max():,.0f} m above the ground",
+            hint="make cell_m larger",
+        )
     start, order = np.zeros(top + 2, dtype=np.int64), np.empty(len(height), dtype=np.int64)
     _by_layer(height, grid.layer_m, top, start, order)
     light = np.empty(len(height), dtype=np.float32)

@@ -14,13 +14,13 @@ from forestgen.community.branch_modules.climate import LocalClimate, adaptation
 from forestgen.community.branch_modules.growth import Rows, grow, on_axis, rows_after
 from forestgen.community.branch_modules.identity import along, uniform
 from forestgen.community.branch_modules.kinds import Kinds, kinds_at
+from forestgen.community.branch_modules.limits import refuse_more_modules
 from forestgen.community.branch_modules.seeding import NOBODY, Arriving, Standing, seedlings
 from forestgen.community.branch_modules.shedding import overgrown, shed
 from forestgen.community.branch_modules.snags import died_back, snags_after
 from forestgen.community.branch_modules.state import Plants, State, appended, rows_of_plants
 from forestgen.community.branch_modules.surroundings import Surroundings, surroundings_of, turned
 from forestgen.community.branch_modules.vigour import Flow, distribute, net_gain, stature_of
-from forestgen.core.errors import ResourceError
 from forestgen.core.randomness import child_rng
 
 
@@ -81,7 +81,7 @@ def advanced(state: State, climate: LocalClimate | None = None, arriving: Arrivi
     if not alive.all():
         modules, plants = rows_of_plants(modules, alive), plants.where(alive)
     modules = appended(modules, seeded)
-    _refuse_more(len(modules) + len(snags.modules), kinds.parameters.most_modules)
+    refuse_more_modules(len(modules) + len(snags.modules), kinds.parameters.most_modules)
     return replace(
         state,
         step=state.step + 1,
@@ -90,17 +90,6 @@ def advanced(state: State, climate: LocalClimate | None = None, arriving: Arrivi
         modules=modules,
         snags=snags,
     )
-
-
-def _refuse_more(modules: int, most: int) -> None:
-    if modules > most:
-        raise ResourceError(
-            "the community has too many branch modules",
-            where="community.most_modules",
-            expected=f"at most {most:,}",
-            got=f"{modules:,}",
-            hint="make the site smaller, or raise most_modules",
-        )
 
 
 def _vitality(state: State, kinds: Kinds) -> NDArray[np.float64]:

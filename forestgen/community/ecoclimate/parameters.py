@@ -187,7 +187,7 @@ class GlobalSeeding(Section):
 class EcoclimateParameters(BranchModulesParameters):
     """What a recipe says about the model besides its species."""
 
-    step_yr: float = Field(1 / 12, gt=0, le=10, description="duration of a step of the plants, years: whole months")
+    step_yr: float = Field(1 / 12, ge=1e-3, le=10, description="duration of a step of the plants, years: whole months")
     climate: Climate = Field(
         description="normals by month: of a place, or twelve temperatures and twelve precipitations"
     )

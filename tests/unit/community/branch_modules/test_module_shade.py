@@ -7,6 +7,7 @@ import pytest
 
 from forestgen.community.branch_modules.boxes import Boxes
 from forestgen.community.branch_modules.shade import ShadowGrid, shade
+from forestgen.core.errors import ResourceError
 
 SITE = ShadowGrid((40.0, 60.0), periodic=True)
 
@@ -116,7 +117,7 @@ def test_beyond_the_site() -> None:
 
 
 def test_what_no_grid_can_hold() -> None:
-    with pytest.raises(ValueError, match="layers"):
+    with pytest.raises(ResourceError, match="too tall"):
         shade(np.zeros((1, 2)), np.full(1, 1e9), np.ones(1), np.ones(1), SITE)
     with pytest.raises(ValueError, match="finite"):
         shade(np.full((1, 2), np.nan), np.zeros(1), np.ones(1), np.ones(1), SITE)
