@@ -1,0 +1,87 @@
+"""What a forest of branch modules cannot do is refused where the recipe says it, before anything is simulated."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from forestgen.architecture.graph_files import write_graph
+from forestgen.architecture.prototypes import load_prototypes
+from forestgen.architecture.skeletal_graph import skeletal_graph
+from forestgen.architecture.tables import tables_of
+from forestgen.community.branch_modules.limits import MOST_SEEDS, refuse_more_seeds
+from forestgen.community.branch_modules.state import no_modules
+from forestgen.community.branch_modules.traits import STAND_IN
+from forestgen.core.errors import OutputError, RecipeError, ResourceError
+from forestgen.core.progress import Silent
+from forestgen.recipe.load import load_recipe
+from forestgen.stages.community import snapshots
+from forestgen.stages.graphs import check_graphs
+from forestgen.stages.plan import check_plan
+
+STAND = """
+forestgen: 1
+site: {size_m: [12, 12]}
+species: {pine: , house: }
+community: {model: branch_modules, initial_plants: 8, steps: 4}
+cameras: [{position_m: [0, -10, 2]}]
+"""
+
+
+def plan_of(tmp_path, *settings):
+    (tmp_path / "stand.yaml").write_text(STAND)
+    return check_plan(load_recipe(tmp_path / "stand.yaml", settings), simulate_only=True)
+
+
+@pytest.mark.parametrize(
+    ("setting", "place"),
+    [
+        ("community.changes=[{at_yr: 1, set: {species.pine.prototypes: [nonesuch]}}]", "changes.0.set.species.pine"),
+        ("community.disturbances=[{at_yr: 1, plant: {species: house, count: 2}}]", "disturbances.0.plant.species"),
+        ("community.initial_plants={'*': 5, pine: 2}", "initial_plants"),
+    ],
+)
+def test_what_nobody_can_grow_is_told_at_its_place(tmp_path, setting, place):
+    with pytest.raises(RecipeError) as told:
+        plan_of(tmp_path, setting)
+    assert place in str(told.value)
+
+
+def test_seeds_from_elsewhere_of_a_stranger_are_refused_in_a_change_too(tmp_path):
+    with pytest.raises(RecipeError) as told:
+        plan_of(
+            tmp_path,
+            "community={model: ecoclimate, initial_plants: 8, steps: 4, climate: {place: Juneau}, "
+            "changes: [{at_yr: 1, set: {global_seeding: [{species: [house], seeds_per_ha: 1000}]}}]}",
+        )
+    assert "changes.0.set.global_seeding" in str(told.value)
+
+
+def test_a_graph_that_cannot_be_written_is_refused_before_anything_grows(tmp_path):
+    plan = plan_of(tmp_path)
+    for path, what in ((tmp_path / "no" / "x.glb", "no such folder"), (tmp_path / "x.glb", "a folder")):
+        if what == "a folder":
+            path.mkdir()
+        with pytest.raises(OutputError) as told:
+            check_graphs(plan, [path])
+        assert told.value.got == what
+    check_graphs(plan, [tmp_path / "y.glb"])
+
+
+@pytest.mark.parametrize("suffix", [".glb", ".gltf", ".obj", ".csv", ".parquet"])
+def test_the_graph_of_a_stand_without_plants_is_an_empty_file(tmp_path, suffix):
+    tables = tables_of(load_prototypes(), [STAND_IN])
+    graph = skeletal_graph(tables, no_modules(), np.empty(0, np.uint16), np.empty(0, np.int64))
+    write_graph(tmp_path / f"x{suffix}", graph, foot_m=np.empty((0, 3)), columns={})
+    assert (tmp_path / f"x{suffix}").exists()
+
+
+def test_more_plants_than_modules_may_be_are_refused_at_the_start(tmp_path):
+    with pytest.raises(ResourceError, match="too many branch modules"):
+        list(snapshots(plan_of(tmp_path, "community.most_modules=1", "species={pine: }"), Silent()))
+
+
+def test_more_seeds_than_memory_holds_are_refused():
+    refuse_more_seeds(MOST_SEEDS)
+    with pytest.raises(ResourceError, match="more seeds"):
+        refuse_more_seeds(4e8)
