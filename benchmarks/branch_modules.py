@@ -176,7 +176,7 @@ def linear(quick: bool, young: State) -> bool:
     os.sched_setaffinity(0, {min(cores)})
     try:
         best = np.full(len(sizes), np.inf)
-        for _ in range(2 if quick else 3):
+        for _ in range(2 if quick else 8):
             for index, forest in enumerate(forests):
                 again = max(1, 200_000 // len(forest.modules))
                 own = min(times(lambda forest=forest: MODEL.step(forest))[1] for _ in range(again))
