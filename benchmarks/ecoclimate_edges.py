@@ -75,9 +75,13 @@ def from_edge(stand: Stand, population: Population) -> Floats:
 
 def from_strip(population: Population) -> Floats:
     """(N,) metres of plants from the margins of the felled strip, below 0 within it; inf beside the forest's middle."""
-    x, y = population.position_m[:, 0], population.position_m[:, 1]
-    near = np.abs(y - MIDDLE_M[1]) <= ALONG_M
-    return np.where(near, np.maximum(STRIP_M[0] - x, x - STRIP_M[1]), np.inf)
+    return strip_distance(population.position_m[:, 0], population.position_m[:, 1])
+
+
+def strip_distance(x_m: Floats, y_m: Floats) -> Floats:
+    """The same of points, of any shape."""
+    near = np.abs(y_m - MIDDLE_M[1]) <= ALONG_M
+    return np.where(near, np.maximum(STRIP_M[0] - x_m, x_m - STRIP_M[1]), np.inf)
 
 
 def shares(population: Population, distance_m: Floats, bands_m: Floats) -> Floats:
@@ -235,8 +239,7 @@ def judge_edges(report: Report, stands: dict[str, list[Stand]]) -> None:
     warmer, drier = [], []
     for stand in on:
         warm, wet = microclimate_of(stand, stand.at(OPEN_YR))
-        x, y = np.moveaxis(middles(stand.plan.site.size_m, warm.shape), -1, 0)
-        far = np.where(np.abs(y - MIDDLE_M[1]) <= ALONG_M, np.maximum(STRIP_M[0] - x, x - STRIP_M[1]), np.inf)
+        far = strip_distance(*np.moveaxis(middles(stand.plan.site.size_m, warm.shape), -1, 0))
         rim, within = np.abs(far) <= EDGE_M, (far > EDGE_M) & (far <= STRIP_BANDS_M[-1])
         warmer.append(float(warm[rim].mean() - warm[within].mean()))
         drier.append(float(wet[rim].mean() / wet[within].mean()))
