@@ -5,7 +5,8 @@ One wet stand of each seed, recipes/ecoclimates/dryland.yaml, and four futures: 
 homology (degree 1); chance is as many plants at random places. The last rain, the years that
 follow it, means over a generation and the bound on abruptness were settled by trials with seed 100. Bounds on holes
 were ratios to chance, written before any run; without microclimate one seed reached 1.22 where 1.2 was allowed, which
-few plants do by chance, so they now count its deviations. That plants stand more evenly after the slow change, as in the paper, was a check, too; it is not
+few plants do by chance, so they now count its deviations.
+That plants stand more evenly after the slow change, as in the paper, was a check, too; it is not
 so here and is told as a line.
 
 Plants that came up together die together, so numbers swing by generations whatever the rain does: what is left is a
