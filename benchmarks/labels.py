@@ -132,7 +132,7 @@ class Subject:
         return identity, surface, pixels
 
     def views(self, identity: Identity, surface: Surface, pixels: PixelLabels, amodal: Amodal | None) -> object:
-        masks = None if amodal is None else amodal_masks(amodal, pixels.instance)
+        masks = None if amodal is None else amodal_masks(amodal, identity.plant_id, pixels.instance)
         dark = np.zeros((*pixels.instance.shape, 3), dtype=np.float32)
         frame = Frame(self.camera, Radiance(dark, dark, None, 1), identity, surface, amodal)
         return plant_views(frame, self.population.plant_id, pixels, self.measures, masks)
@@ -145,7 +145,7 @@ class Subject:
             amodal = trace_amodal(
                 self.tracer, self.camera, chosen, samples=SAMPLES, timer=Timings(), advance=lambda rows: None
             )
-            amodal_masks(amodal, pixels.instance)
+            amodal_masks(amodal, identity.plant_id, pixels.instance)
 
         watch.run(f"amodal of {len(chosen)} plants", work)
 

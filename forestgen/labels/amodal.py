@@ -16,7 +16,8 @@ class AmodalMasks:
     """One row a plant that the identity pass saw, by rising plant_id.
 
     A pixel is in a plant's amodal mask if more than half of its samples hit the plant when it stands alone (a tie goes
-    to the background, as in the instance mask), or if the plant wins it in the instance mask.
+    to the background, as in the instance mask), or if the plant wins it in the instance mask. So whatever device traced
+    the two, and however it rounds at an edge, what is visible lies within what is amodal, in pixels and in area.
     """
 
     plant_id: NDArray[np.uint32]  # (M,)
@@ -24,7 +25,9 @@ class AmodalMasks:
     first: NDArray[np.int64]  # (M + 1,) where each box' pixels begin, row by row
     inside: NDArray[np.bool_]  # (first[M],) pixel of the box is in the mask
     pixels: NDArray[np.int64]  # (M,) in the mask
-    area_px: NDArray[np.float64]  # (M,) sum of the plant's coverage alone, in the image
+    area_px: NDArray[
+        np.float64
+    ]  # (M,) sum over the image of the plant's coverage alone, or in the scene if that is more
     full_box_px: NDArray[np.float64]  # (M, 4) left, top, right, bottom of the projected plant, beyond the image too
 
     def mask_of(self, row: int) -> NDArray[np.bool_]:
@@ -33,12 +36,13 @@ class AmodalMasks:
         return self.inside[self.first[row] : self.first[row + 1]].reshape(height, width)
 
 
-def amodal_masks(amodal: Amodal, instance: NDArray[np.uint32]) -> AmodalMasks:
-    """Masks of the plants of `amodal`. O(pixels of its windows + pixels of the image x log plants).
+def amodal_masks(amodal: Amodal, plant_id: NDArray[np.uint32], instance: NDArray[np.uint32]) -> AmodalMasks:
+    """Masks of the plants of `amodal`. O(pixels of its windows + samples of the image x log plants).
 
     Parameters
     ----------
-    instance : (H, W) uint32, the instance mask of the same view; plants that `amodal` does not hold are left out.
+    plant_id : (H, W, S) uint32, the samples of the same view.
+    instance : (H, W) uint32, their instance mask. Plants that `amodal` does not hold are left out.
     """
     height, width = instance.shape
     far = amodal.window_px[:, :2] + amodal.window_px[:, 2:]
@@ -46,6 +50,7 @@ def amodal_masks(amodal: Amodal, instance: NDArray[np.uint32]) -> AmodalMasks:
         raise ValueError(f"windows reach to {far.max(axis=0).tolist()}, beyond the image of {width} x {height} px")
     args = (amodal.window_px, amodal.first, amodal.hits, amodal.samples, amodal.plant_id, instance)
     box, area = _measure(*args)
+    area += _more_in_the_scene(*args[:3], amodal.plant_id, plant_id)
     first = np.concatenate([[0], np.cumsum(box[:, 2].astype(np.int64) * box[:, 3])]).astype(np.int64)
     inside, pixels = _fill(*args, box, first)
     return AmodalMasks(
@@ -86,6 +91,33 @@ def _measure(window, first, hits, samples, plant_id, instance):  # type: ignore[
             box[plant, :2] = low[plant]
             box[plant, 2:] = high[plant] - low[plant] + 1
     return box, total
+
+
+@compiled
+def _more_in_the_scene(window, first, hits, plant_id, seen):  # type: ignore[no-untyped-def]
+    """(M,) samples by which a plant has more in a pixel of the scene than alone, summed: rays along an edge."""
+    more = np.zeros(len(window), dtype=np.int64)
+    samples, row = seen.shape[2], -1
+    for y in range(seen.shape[0]):
+        for x in range(seen.shape[1]):
+            pixel = np.sort(seen[y, x]) if (seen[y, x] != seen[y, x, 0]).any() else seen[y, x]
+            start = 0
+            for end in range(1, samples + 1):
+                if end < samples and pixel[end] == pixel[start]:
+                    continue
+                row = _row(plant_id, pixel[start], row)
+                if row >= 0:
+                    more[row] += max(0, end - start - _hits_at(window, first, hits, row, x, y))
+                start = end
+    return more
+
+
+@compiled
+def _hits_at(window, first, hits, plant, x, y):  # type: ignore[no-untyped-def]
+    across, down = x - window[plant, 0], y - window[plant, 1]
+    if across < 0 or down < 0 or across >= window[plant, 2] or down >= window[plant, 3]:
+        return 0
+    return np.int64(hits[first[plant] + np.int64(down) * window[plant, 2] + across])
 
 
 @compiled

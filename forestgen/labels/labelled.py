@@ -66,7 +66,7 @@ def label_frame(
     identity = frame.identity
     species = classes.species_index(population.species_names)[population.species]
     pixels = pixel_labels(identity.plant_id, identity.part, population.plant_id, species, classes)
-    amodal = None if frame.amodal is None else amodal_masks(frame.amodal, pixels.instance)
+    amodal = None if frame.amodal is None else amodal_masks(frame.amodal, identity.plant_id, pixels.instance)
     return LabelledFrame(
         frame=frame,
         population=population,

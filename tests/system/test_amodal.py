@@ -146,7 +146,7 @@ def test_visible_samples_are_within_amodal_samples(samples):
         hidden += int((alone > visible).sum())
     assert hidden > 30 * samples, "nothing is hidden: the test compares nothing"
     instance = instance_mask(seen)
-    masks = amodal_masks(found, instance)
+    masks = amodal_masks(found, seen, instance)
     for row, plant in enumerate(ids):
         x, y, width, height = masks.box_px[row]
         inside = np.zeros_like(instance, dtype=bool)
@@ -241,7 +241,9 @@ def test_no_plant_is_asked_for():
     assert found.plant_id.shape == (0,)
     assert found.window_px.shape == found.full_box_px.shape == (0, 4)
     assert found.first.tolist() == [0]
-    assert amodal_masks(found, np.ones((90, 160), dtype=np.uint32)).pixels.shape == (0,)
+    assert amodal_masks(found, *(np.ones((90, 160, *more), dtype=np.uint32) for more in ((16,), ()))).pixels.shape == (
+        0,
+    )
 
 
 def test_unknown_plants_and_impossible_samples_are_refused():

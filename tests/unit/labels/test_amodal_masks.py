@@ -34,6 +34,11 @@ def packed(images: dict[int, np.ndarray], samples: int) -> Amodal:
     )
 
 
+def nothing(shape: tuple[int, int], samples: int) -> tuple[np.ndarray, np.ndarray]:
+    """Samples and an instance mask without plants."""
+    return np.zeros((*shape, samples), dtype=np.uint32), np.zeros(shape, dtype=np.uint32)
+
+
 def by_the_rule(counts: np.ndarray, samples: int, instance: np.ndarray, plant: int) -> np.ndarray:
     return (counts > samples / 2) | (instance == plant)
 
@@ -53,15 +58,18 @@ def test_masks_follow_the_rule(seed, samples, plants):
     ids = np.sort(rng.choice([1, 2, 3, 65_536, 2**31, 2**32 - 1, 2**32 - 2], plants, replace=False))
     images = {int(i): rng.integers(0, samples + 1, shape) * (rng.random(shape) < rng.random()) for i in ids}
     instance = rng.choice([0, 7, *ids], shape).astype(np.uint32)
+    seen = rng.choice([0, 7, *ids], (*shape, samples)).astype(np.uint32)
+    seen[rng.random(shape) < 0.5] = rng.choice([0, 7, *ids])
     amodal = packed(images, samples)
-    masks = amodal_masks(amodal, instance)
+    masks = amodal_masks(amodal, seen, instance)
     assert masks.first[-1] == len(masks.inside)
     np.testing.assert_array_equal(masks.plant_id, ids)
     for row, plant in enumerate(ids.tolist()):
         expected = by_the_rule(images[plant], samples, instance, plant)
         np.testing.assert_array_equal(unpacked(masks, row, shape), expected)
         assert masks.pixels[row] == expected.sum()
-        assert masks.area_px[row] == pytest.approx(images[plant].sum() / samples)
+        visible = (seen == plant).sum(axis=2)
+        assert masks.area_px[row] == pytest.approx(np.maximum(images[plant], visible).sum() / samples)
         y, x = np.nonzero(expected)
         box = (x.min(), y.min(), np.ptp(x) + 1, np.ptp(y) + 1) if len(x) else (0, 0, 0, 0)
         assert tuple(masks.box_px[row]) == box
@@ -71,13 +79,13 @@ def test_masks_follow_the_rule(seed, samples, plants):
 @pytest.mark.parametrize(("hits", "samples", "inside"), [(8, 16, False), (9, 16, True), (0, 1, False), (1, 1, True)])
 def test_half_of_the_samples_are_not_enough(hits, samples, inside):
     counts = np.array([[0, hits]])
-    masks = amodal_masks(packed({5: counts}, samples), np.zeros((1, 2), dtype=np.uint32))
+    masks = amodal_masks(packed({5: counts}, samples), *nothing((1, 2), samples))
     assert bool(masks.pixels[0]) == inside
 
 
 def test_a_won_pixel_is_in_the_mask_with_however_few_samples():
     instance = np.array([[0, 5, 0]], dtype=np.uint32)
-    masks = amodal_masks(packed({5: np.array([[0, 3, 16]])}, 16), instance)
+    masks = amodal_masks(packed({5: np.array([[0, 3, 16]])}, 16), np.zeros((1, 3, 16), dtype=np.uint32), instance)
     assert masks.box_px.tolist() == [[1, 0, 2, 1]]
     assert masks.area_px[0] == pytest.approx(19 / 16)
 
@@ -96,11 +104,11 @@ def test_seventy_thousand_plants():
         hits=np.full(count, 7, dtype=np.uint16),
         full_box_px=np.zeros((count, 4)),
     )
-    masks = amodal_masks(amodal, instance)
+    masks = amodal_masks(amodal, instance[..., None], instance)
     np.testing.assert_array_equal(masks.box_px, window)
     assert masks.inside.all()
 
 
 def test_windows_beyond_the_image_are_refused():
     with pytest.raises(ValueError, match="beyond the image"):
-        amodal_masks(packed({5: np.ones((3, 4))}, 4), np.zeros((3, 3), dtype=np.uint32))
+        amodal_masks(packed({5: np.ones((3, 4))}, 4), *nothing((3, 3), 4))
