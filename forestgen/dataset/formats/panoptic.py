@@ -55,6 +55,19 @@ MOST_PLANT_ID = png.MAX_PNG_ID - 2
 _SHARD: dict[str, type] = {"segments_info": list[dict[str, Any]], "image": dict}
 
 
+def require_fitting(instance: NDArray[np.uint32], where: str) -> None:
+    """Raise `OutputError` if an (H, W) mask of plants has an id that the pictures cannot hold."""
+    largest = int(instance.max(initial=0))
+    if largest > MOST_PLANT_ID:
+        raise OutputError(
+            "a plant_id does not fit the 24 bits of a panoptic picture, of which two ids are ground and sky",
+            where=where,
+            expected=f"ids up to {MOST_PLANT_ID}",
+            got=str(largest),
+            hint="leave panoptic out of dataset.formats: coco.json and frame.exr hold ids of 32 bits",
+        )
+
+
 def write_frame(folder: Path, labelled: LabelledFrame, settings: DatasetSettings) -> None:
     """Write the frame's picture and segments into its folder.
 
@@ -64,15 +77,7 @@ def write_frame(folder: Path, labelled: LabelledFrame, settings: DatasetSettings
         When a plant's id does not fit, before anything is written, or when a file cannot be written.
     """
     instance = labelled.pixels.instance
-    largest = int(instance.max(initial=0))
-    if largest > MOST_PLANT_ID:
-        raise OutputError(
-            "a plant_id does not fit the 24 bits of a panoptic picture, of which two ids are ground and sky",
-            where=str(folder / PICTURE_NAME),
-            expected=f"ids up to {MOST_PLANT_ID}",
-            got=str(largest),
-            hint="leave panoptic out of dataset.formats: coco.json and frame.exr hold ids of 32 bits",
-        )
+    require_fitting(instance, str(folder / PICTURE_NAME))
     segments = segment_ids(instance, labelled.pixels.part)
     width, height = labelled.frame.camera.size_px
     shard = {
