@@ -47,7 +47,7 @@ class Tables:
     longest_segment_m: NDArray[np.float64]  # (T,)
     tropism_strength: NDArray[np.float64]  # (T,) g_2
     tropism_decay: NDArray[np.float64]  # (T,) g_1
-    thickening_m: NDArray[np.float64]  # (T,) diameter of a grown terminal segment of thickness 1
+    thickening_m: NDArray[np.float64]  # (T,) `pipe_diameter_m`, of a grown terminal segment of thickness 1
     opacity: NDArray[np.float64]  # (T,)
     sphere_scale: float  # of the spheres' radii
     sphere_centre_m: NDArray[np.float64]  # (T, S, SPHERE_AGES, 3) module's frame, no tropism
@@ -121,12 +121,17 @@ def tables_of(prototypes: Sequence[Prototype], types: Sequence[PlantType], *, sp
         longest_segment_m=longest,
         tropism_strength=of_types([one.tropism_strength for one in types]),
         tropism_decay=of_types([one.tropism_decay for one in types]),
-        thickening_m=of_types([one.thickening_cm / 100.0 for one in types]),
+        thickening_m=of_types([pipe_diameter_m(one) for one in types]),
         opacity=of_types([one.opacity for one in types]),
         sphere_scale=sphere_scale,
         sphere_centre_m=centre,
         sphere_radius_m=radius * sphere_scale,
     )
+
+
+def pipe_diameter_m(one: PlantType) -> float:
+    """Of the pipes that a grown terminal segment adds to the wood below: n shoots of phi have sqrt(n) phi (Eq. 10)."""
+    return float(one.thickening_cm / 100.0 * np.sqrt(one.shoots_per_terminal))
 
 
 def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:

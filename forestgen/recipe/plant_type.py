@@ -61,6 +61,12 @@ class PlantType(Section):
     thickening_cm: Annotated[Positive, Field(le=50, description="Diameter of a grown terminal segment [phi], cm.")] = (
         2.0
     )
+    shoots_per_terminal: Annotated[
+        Number,
+        Field(
+            ge=1, le=1000, description="Shoots of that diameter that a terminal stands for: wood is so much thicker."
+        ),
+    ] = 1.0
     length_per_age_m: Annotated[
         Positive, Field(le=50, description="Length of a segment per physiological age [beta], metres.")
     ] = 1.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import unicodedata
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 
 from forestgen.core.errors import AssetError, ForestgenError, RecipeError
+from forestgen.recipe.draws import copied
 from forestgen.recipe.sources import Keys, Place, SourceMap, dotted
 
 MAX_BYTES = 1_000_000  # more than any hand writes; ruamel reads some 20 kB a second
@@ -20,6 +22,7 @@ MAX_DEPTH = 40
 LARGEST = 1e100
 MAX_NODES = 100_000  # keys and values, aliases aside
 MAX_ALIAS_NODES = 100_000  # values that aliases (*name) may add: a few lines of nested aliases can mean billions
+_LONG = 100_000  # characters of text that is not kept
 _TAG = "tag:yaml.org,2002:"
 _NUMBERS_AND_FLAGS = {_TAG + kind for kind in ("int", "float", "bool", "null")}
 _TEXTS = {_TAG + "str", _TAG + "timestamp", "!"}
@@ -45,7 +48,17 @@ def read_yaml(path: Path, *, error: type[ForestgenError] = RecipeError) -> tuple
 def parse_yaml(
     text: str, origin: str, *, error: type[ForestgenError] = RecipeError, lines: bool = True
 ) -> tuple[Any, SourceMap]:
-    """Plain data of YAML text; `origin` names the text in messages. No content is None."""
+    """Plain data of YAML text; `origin` names the text in messages. No content is None.
+
+    Text that was parsed before is not parsed again: recipes name the same few species, whose files take 0.1 s each.
+    """
+    parse = _parse if len(text) < _LONG else _parse.__wrapped__
+    data, sources = parse(text, origin, error, lines)  # type: ignore[arg-type]  # a class is hashable
+    return copied(data), SourceMap(dict(sources.places))
+
+
+@lru_cache(maxsize=64)
+def _parse(text: str, origin: str, error: type[ForestgenError], lines: bool) -> tuple[Any, SourceMap]:
     reader = _Reader(origin, error, lines)
     try:
         node = reader.yaml.compose(text)

@@ -34,7 +34,6 @@ class Traits:
     tropism_angle_rad: NDArray[np.float64]
     tropism_weight: NDArray[np.float64]
     collision_weight: NDArray[np.float64]
-    thickening_cm: NDArray[np.float64]
     mature_age: NDArray[np.float64]
     vigour_min: NDArray[np.float64]
     vigour_max: NDArray[np.float64]

@@ -73,8 +73,9 @@ from forestgen.plants.skeleton import Skeleton
 from forestgen.recipe.curves import PositiveCurve
 
 # For who writes a species' file: what matters most, in this order.
-#   bearing.thinner_than_m   which wood bears twigs. A grown terminal segment has PlantType.thickening_cm (0.01 m);
-#                            where n terminals lie beyond, sqrt(n) times that. 3 to 5 times a terminal is a good start.
+#   bearing.thinner_than_m   which wood bears twigs. A grown terminal segment has PlantType.thickening_cm (0.01 m) times
+#                            the root of its shoots_per_terminal; where n terminals lie beyond, sqrt(n) times that.
+#                            3 to 5 times a terminal is a good start.
 #   bearing.spacing_m        between twigs along it; 0.1 to 0.25 m. Every free terminal bears one more along its axis.
 #   twigs[0].longest_m       length of a full twig: about 0.6 of a grown segment's length fills the space between.
 #   twigs[1]                 side twigs on the twigs: branch_angle_deg and branch_length of twigs[0] rule where they go.

@@ -14,6 +14,7 @@ from forestgen.recipe.hashing import recipe_hash
 from forestgen.recipe.load import dump_yaml, load_recipe
 from forestgen.recipe.schema import Recipe
 from forestgen.recipe.sources import dotted
+from forestgen.recipe.yaml_source import parse_yaml
 
 Write = Callable[..., Path]
 MINIMAL = "forestgen: 1\nspecies: {oak: ./oak.yaml}\ncommunity: {model: lattice}\n"
@@ -228,3 +229,13 @@ def test_the_shipped_story_has_one_stand_and_eight_skies() -> None:
     drawn = [loaded.draw(index) for index in range(loaded.images)]
     assert len({one.image_seed for one in drawn}) == 1
     assert len({one.recipe.sky.clouds.time_s for one in drawn}) == 8
+
+
+def test_text_that_was_parsed_before_is_given_anew_each_time() -> None:
+    first, sources = parse_yaml("a: [1, {b: 2}]", "one")
+    first["a"][1]["b"] = 3
+    sources.drop(("a",))
+    again, places = parse_yaml("a: [1, {b: 2}]", "one")
+    assert again == {"a": [1, {"b": 2}]}
+    assert str(places.place(("a", 1, "b"))) == "one:1"
+    assert str(parse_yaml("a: 1", "other")[1].place(("a",))) == "other:1"
