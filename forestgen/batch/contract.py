@@ -11,6 +11,7 @@ The data set's folder::
       train/  val/  test/          a split each, as `forestgen render` writes a folder: frames, coco.json, ...
       thumbnails/                  FRAME.jpg
       maps/                        those that recipe.yaml names
+      yolo_boxes.yaml  yolo_segmentation.yaml       of the format yolo, where there are train and val
       .forestgen/
         lock                       held by the run that writes here
         jobs/KEY.json              the records

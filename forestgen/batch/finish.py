@@ -37,6 +37,7 @@ from forestgen.core.errors import DatasetError
 from forestgen.dataset.card import CARD_NAME, CardCounts, card_text
 from forestgen.dataset.checksums import SUMS_NAME, file_sum, write_sums
 from forestgen.dataset.files import disk_errors
+from forestgen.dataset.formats import yolo
 from forestgen.dataset.index import INDEX_NAME, DrawTypes, write_index
 from forestgen.dataset.maps import write_map
 from forestgen.dataset.settings import DatasetSettings
@@ -113,6 +114,10 @@ def write_data_set(
     for split in ledger.splits:
         write_split(place, split, ledger, settings, parts, dict(made_with[0]))
     kept = {path: content for number, part in enumerate(parts, start=1) for path, content in part.kept_as(number)}
+    if "yolo" in settings.formats:
+        kept |= yolo.whole_files(list(ledger.splits), settings)
+    for path in set(yolo.WHOLE_NAMES.values()) - kept.keys():
+        place.remove(path)
     for path, content in kept.items():
         _enter(ledger, path, content)
     _remove_strangers(place, folders, ledger)

@@ -9,11 +9,13 @@ import random
 import shutil
 import subprocess
 import tracemalloc
+from dataclasses import replace
 from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
 from batch_pieces import copied, finished, jobs_of, recipe, shown
+from ruamel.yaml import YAML
 
 from forestgen.batch import ledger
 from forestgen.batch.contract import Job, JobRecord
@@ -98,6 +100,29 @@ def test_merged_pictures_are_links(whole):
     """On a file system with links, no picture is there twice."""
     placed = whole / "train/yolo/boxes/images/000000-near.png"
     assert placed.stat().st_ino == (whole / "train/000000-near/preview.png").stat().st_ino
+
+
+def test_trainers_find_each_split_in_one_file(whole, loaded, tmp_path):
+    for task in ("boxes", "segmentation"):
+        read = YAML(typ="safe").load(whole / f"yolo_{task}.yaml")
+        own = YAML(typ="safe").load(whole / f"train/yolo/{task}/data.yaml")
+        assert read["names"] == own["names"]
+        frames = {}
+        for split in ("train", "val"):
+            images = sorted((whole / read[split]).glob("*.png"))
+            frames[split] = {path.stem for path in images}
+            assert frames[split] == {path.parent.name for path in whole.glob(f"{split}/*/preview.png")}
+            labels = [path.parent.parent / "labels" / f"{path.stem}.txt" for path in images]
+            assert all(path.is_file() for path in labels)
+        assert frames["train"]
+        assert frames["val"]
+        assert not frames["train"] & frames["val"]
+    # A recipe that asks for no YOLO any more leaves none behind.
+    root = copied(whole, tmp_path / "set")
+    settings = data_set_of(loaded.draw(0))
+    bare = replace(settings, formats=("coco",))
+    finish(LocalPlace(root), loaded, bare, known_jobs(root, loaded), list(records_of(LocalPlace(root))))
+    assert not list(root.glob("yolo*"))
 
 
 def test_what_no_record_vouches_for_goes(whole, loaded, tmp_path):

@@ -5,7 +5,9 @@
 
 A line is a plant that wins a pixel of the instance mask, by rising plant_id; lengths are shares of the image's width
 and height; a class is coco.json's category less 1. An image without plants has an empty file. `train` and `val` of
-data.yaml both name all images, the same ones: a score on val says nothing until they are split as the task asks.
+data.yaml both name all images, the same ones: a score on val says nothing until they are split as the task asks. A
+batch with the splits train and val has, beside them, yolo_segmentation.yaml and yolo_boxes.yaml, which name each
+split's own images: train with those.
 
 What the format cannot hold: plant_id (a line's number is the annotation's place among its image's in coco.json), and
 any label besides class and outline.
@@ -27,7 +29,7 @@ Files in the frame's folder: ``yolo_segmentation.txt`` and ``yolo_boxes.txt``; m
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from pathlib import Path
 
 import numpy as np
@@ -40,6 +42,7 @@ from forestgen.labels.labelled import LabelledFrame
 
 FOLDER_NAME = "yolo"
 TASKS = ("segmentation", "boxes")
+WHOLE_NAMES = {task: f"yolo_{task}.yaml" for task in TASKS}  # of a data set of several splits
 _DIGITS = 7
 
 
@@ -58,7 +61,6 @@ def merge(root: Path, folders: Iterable[Path | str], settings: DatasetSettings) 
         When a frame's file is missing or cut short, or cannot be placed.
     """
     frames = in_order(folders)
-    names = "".join(f"  {i}: {json.dumps(name)}\n" for i, name in enumerate(settings.category_names))
     for task in TASKS:
         home = root / FOLDER_NAME / task
         make_folder(home / "images")
@@ -68,7 +70,24 @@ def merge(root: Path, folders: Iterable[Path | str], settings: DatasetSettings) 
             _check_whole(shard)
             place(shard, home / "labels" / f"{folder}.txt")
             place(root / folder / "preview.png", home / "images" / f"{folder}.png")
-        write_bytes(home / "data.yaml", f"train: images\nval: images\nnames:\n{names}".encode())
+        write_bytes(home / "data.yaml", f"train: images\nval: images\n{_names(settings)}".encode())
+
+
+def whole_files(splits: Collection[str], settings: DatasetSettings) -> dict[str, bytes]:
+    """Files of a data set of several splits: each task's yaml, with the images of each split; none without a val."""
+    if not {"train", "val"} <= set(splits):
+        return {}
+    files = {}
+    for task in TASKS:
+        images = "".join(f"{json.dumps(split)}: {split}/{FOLDER_NAME}/{task}/images\n" for split in splits)
+        files[WHOLE_NAMES[task]] = (images + _names(settings)).encode()
+    return files
+
+
+def _names(settings: DatasetSettings) -> str:
+    """The classes of a trainer's yaml."""
+    names = "".join(f"  {i}: {json.dumps(name)}\n" for i, name in enumerate(settings.category_names))
+    return f"names:\n{names}"
 
 
 def outline_lines(labelled: LabelledFrame) -> list[str]:
