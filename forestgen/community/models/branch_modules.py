@@ -106,7 +106,7 @@ from forestgen.community.branch_modules.founding import founded
 from forestgen.community.branch_modules.kinds import kinds_at
 from forestgen.community.branch_modules.parameters import BranchModulesParameters
 from forestgen.community.branch_modules.seeding import begun
-from forestgen.community.branch_modules.snapshot import population_of, state_of
+from forestgen.community.branch_modules.snapshot import check_resumable, population_of, state_of
 from forestgen.community.branch_modules.state import State, appended, rows_of_plants
 from forestgen.community.branch_modules.step import advanced
 from forestgen.community.disturbance import Planting, planted
@@ -153,6 +153,17 @@ class BranchModules:
         """The state of a snapshot; it needs the snapshot's modules."""
         _refuse_without_modules(parameters, species)
         return state_of(parameters, site, species, seed, population)
+
+    def check_snapshot(
+        self,
+        parameters: BranchModulesParameters,
+        site: Site,
+        species: Sequence[SpeciesEcology],
+        population: Population,
+    ) -> None:
+        """Refuse plants, obstacles and snags that no snapshot has; modules have their own checksum."""
+        _refuse_without_modules(parameters, species)
+        check_resumable(parameters, species, population)
 
     def remove(self, state: State, plant_id: NDArray[np.uint32]) -> State:
         """The forest without these plants; obstacles stay."""

@@ -45,11 +45,14 @@ from forestgen.community.model import Site, SpeciesEcology
 from forestgen.community.models.branch_modules import MODEL as FOREST
 from forestgen.community.models.branch_modules import most_seedlings, with_dead
 from forestgen.community.population import Population
+from forestgen.community.snapshot_checks import ImpossibleValueError, check_number
 from forestgen.community.soil_water.model import Water
 from forestgen.core.errors import RecipeError
 
 _BYTES_PER_CELL = 400  # some fifty arrays of the water's sub-steps
 _BYTES_PER_SEED = 200  # from elsewhere, of one step: places, climate and light there
+_MOST_CELSIUS = 1000.0
+_MOST_WATER_MM = 1e12
 _MAPS = (
     "soil_water_mm",
     "surface_water_mm",
@@ -124,6 +127,19 @@ class EcoclimateModel:
             wetness,
             _books(told["water"]),
         )
+
+    def check_snapshot(
+        self, parameters: EcoclimateParameters, site: Site, species: Sequence[SpeciesEcology], population: Population
+    ) -> None:
+        """Refuse what no snapshot of a forest has, and books of water that no ground has; maps have a checksum."""
+        FOREST.check_snapshot(parameters, site, species, population)
+        told = population.state
+        check_number(told, "temperature_mean_c", -_MOST_CELSIUS, _MOST_CELSIUS)
+        water = told.get("water")
+        if not isinstance(water, Mapping):
+            raise ImpossibleValueError("water", "a table", f"{water!s:.80}")
+        for name in Books.__dataclass_fields__:
+            check_number(water, name, -_MOST_WATER_MM, _MOST_WATER_MM, within="water")
 
     def remove(self, state: Ecoclimate, plant_id: NDArray[np.uint32]) -> Ecoclimate:
         """The forest without these plants."""
