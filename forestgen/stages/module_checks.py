@@ -55,8 +55,33 @@ def check_branch_modules(drawn: DrawnRecipe, parameters: CommunityParameters) ->
                 )
     for index, one in enumerate(parameters.obstacles):
         _check_obstacle(drawn, index, one)
+    _check_all_grow(drawn, parameters)
     _check_plantings(drawn, parameters, types)
     check_changes(parameters, types, names, drawn.parse, lambda *keys: drawn.where("community", *keys))
+
+
+def _check_all_grow(drawn: DrawnRecipe, parameters: BranchModulesParameters) -> None:
+    """Every species grows by branch modules, or is that of an obstacle."""
+    stands = {one.species for one in parameters.obstacles}
+    for name, one in drawn.species.items():
+        if one.modules is not None or name in stands:
+            continue
+        if is_built(one):
+            raise RecipeError(
+                f"{name} is no plant, and none stands anywhere",
+                where=drawn.where("species", name),
+                expected="an obstacle of this species, or no such species",
+                got="no obstacle" if not parameters.obstacles else "obstacles of " + ", ".join(sorted(stands)),
+                hint=f"community.obstacles: [{{species: {name}, position_m: [...]}}], or leave {name} out",
+            )
+        raise RecipeError(
+            f"{name} does not grow by branch modules",
+            where=drawn.where("species", name),
+            expected="a section `modules` with life_span_yr, root_vigour_max, growth_rate_per_yr and so on",
+            got="none",
+            hint="take a species that has one, such as those of scenes/species with `modules:`; or another "
+            "community.model",
+        )
 
 
 def _check_plantings(drawn: DrawnRecipe, parameters: BranchModulesParameters, types: Mapping[str, PlantType]) -> None:

@@ -23,7 +23,11 @@ STAND = """
 forestgen: 1
 site: {size_m: [12, 12]}
 species: {pine: , house: }
-community: {model: branch_modules, initial_plants: 8, steps: 4}
+community:
+  model: branch_modules
+  initial_plants: 8
+  steps: 4
+  obstacles: [{species: house, position_m: [6, 6], size_m: [2, 2, 2]}]
 cameras: [{position_m: [0, -10, 2]}]
 """
 
@@ -47,11 +51,36 @@ def test_what_nobody_can_grow_is_told_at_its_place(tmp_path, setting, place):
     assert place in str(told.value)
 
 
+@pytest.mark.parametrize("model", ["branch_modules", "ecoclimate"])
+@pytest.mark.parametrize(
+    ("species", "obstacles", "line", "problem"),
+    [
+        ("{pine: , house: }", "[]", "species.house", "house is no plant, and none stands anywhere"),
+        ("{pine: , house: , barn: {from: house}}", "[{species: house, position_m: [6, 6], size_m: [2, 2, 2]}]",
+         "species.barn", "barn is no plant"),
+        ("{pine: , fireweed: }", "[]", "species.fireweed", "fireweed does not grow by branch modules"),
+    ],
+)  # fmt: skip
+def test_a_species_that_neither_grows_nor_stands_is_told_at_its_place(
+    tmp_path, model, species, obstacles, line, problem
+):
+    climate = ", climate: {place: Juneau}" * (model == "ecoclimate")
+    with pytest.raises(RecipeError) as told:
+        plan_of(
+            tmp_path,
+            f"species={species}",
+            f"community={{model: {model}, initial_plants: 8, steps: 4, obstacles: {obstacles}{climate}}}",
+        )
+    assert line in str(told.value.where)
+    assert problem in told.value.problem
+
+
 def test_seeds_from_elsewhere_of_a_stranger_are_refused_in_a_change_too(tmp_path):
     with pytest.raises(RecipeError) as told:
         plan_of(
             tmp_path,
             "community={model: ecoclimate, initial_plants: 8, steps: 4, climate: {place: Juneau}, "
+            "obstacles: [{species: house, position_m: [6, 6], size_m: [2, 2, 2]}], "
             "changes: [{at_yr: 1, set: {global_seeding: [{species: [house], seeds_per_ha: 1000}]}}]}",
         )
     assert "changes.0.set.global_seeding" in str(told.value)
@@ -78,7 +107,7 @@ def test_the_graph_of_a_stand_without_plants_is_an_empty_file(tmp_path, suffix):
 
 def test_more_plants_than_modules_may_be_are_refused_at_the_start(tmp_path):
     with pytest.raises(ResourceError, match="too many branch modules"):
-        list(snapshots(plan_of(tmp_path, "community.most_modules=1", "species={pine: }"), Silent()))
+        list(snapshots(plan_of(tmp_path, "community.most_modules=1"), Silent()))
 
 
 def test_more_seeds_than_memory_holds_are_refused():
