@@ -14,7 +14,7 @@ from forestgen.community.branch_modules.changes import check_changes
 from forestgen.community.branch_modules.parameters import BranchModulesParameters, Obstacle
 from forestgen.community.model import CommunityParameters
 from forestgen.community.population import Population
-from forestgen.core.errors import RecipeError
+from forestgen.core.errors import RecipeError, ResourceError
 from forestgen.plants.build import built
 from forestgen.plants.exemplar import Exemplar
 from forestgen.plants.parameters import PlantParameters
@@ -28,7 +28,7 @@ def check_branch_modules(drawn: DrawnRecipe, parameters: CommunityParameters) ->
 
     Raises
     ------
-    RecipeError : with the line of the key.
+    RecipeError, ResourceError : with the line of the key.
     """
     if not isinstance(parameters, BranchModulesParameters):
         return
@@ -85,8 +85,17 @@ def _check_all_grow(drawn: DrawnRecipe, parameters: BranchModulesParameters) -> 
 
 
 def _check_plantings(drawn: DrawnRecipe, parameters: BranchModulesParameters, types: Mapping[str, PlantType]) -> None:
-    """Plantings are of species that grow."""
+    """Plantings are of species that grow, and not of more plants than there may be modules; each begins as one."""
     for index, one in enumerate(parameters.disturbances):
+        if one.plant is not None and one.plant.number > parameters.most_modules:
+            key = "count" if one.plant.positions_m is None else "positions_m"
+            raise ResourceError(
+                "more plants than there may be branch modules",
+                where=drawn.where("community", "disturbances", index, "plant", key),
+                expected=f"at most community.most_modules = {parameters.most_modules:,}",
+                got=f"{one.plant.number:,}",
+                hint="plant fewer, or raise most_modules",
+            )
         if one.plant is not None and one.plant.species not in types:
             raise RecipeError(
                 "this species does not grow by branch modules",

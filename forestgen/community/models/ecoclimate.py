@@ -37,9 +37,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.community.branch_modules.limits import refuse_more_seeds
 from forestgen.community.disturbance import Planting
 from forestgen.community.ecoclimate.months import advanced_ecoclimate, begun
-from forestgen.community.ecoclimate.parameters import EcoclimateParameters
+from forestgen.community.ecoclimate.parameters import EcoclimateParameters, GlobalSeeding, seedings_in_time
 from forestgen.community.ecoclimate.state import Books, Ecoclimate
 from forestgen.community.model import Site, SpeciesEcology
 from forestgen.community.models.branch_modules import MODEL as FOREST
@@ -152,23 +153,36 @@ class EcoclimateModel:
     def expected_plants(self, parameters: EcoclimateParameters, site: Site, species: Sequence[SpeciesEcology]) -> float:
         """Upper bound: as without water, and as many seedlings of seeds from elsewhere as find room."""
         total = FOREST.expected_plants(parameters, site, species)
-        arrive = parameters.global_seeding and parameters.steps > 0
+        arrive = _seeds_arrive(parameters) and parameters.steps > 0
         return total + most_seedlings(parameters, site) * with_dead(parameters) if arrive else total
 
     def why_barren(self, parameters: EcoclimateParameters, site: Site, species: Sequence[SpeciesEcology]) -> str | None:
         """Why no plant can ever grow, or None if one may."""
-        return None if parameters.global_seeding else FOREST.why_barren(parameters, site, species)
+        return None if _seeds_arrive(parameters) else FOREST.why_barren(parameters, site, species)
 
     def estimate_bytes(self, parameters: EcoclimateParameters, site: Site, species: Sequence[SpeciesEcology]) -> int:
         """Of the forest, of the maps of water, and of the seeds from elsewhere that fall in a step."""
         _refuse_strangers(parameters, species)
         cells = math.ceil(site.area_m2 / parameters.soil_water.cell_m**2)
-        seeds = sum(
-            math.ceil(parameters.step_yr / one.every_yr) * one.seeds_per_ha * (len(one.species) or len(species))
-            for one in parameters.global_seeding
-        )
+        seeds = 0.0
+        for place, one in seedings_in_time(parameters):
+            seeds = max(seeds, _seeds_of_step(parameters, one, len(species)))
+            refuse_more_seeds(seeds * site.area_ha, f"community.{place}")
         water_and_seeds = _BYTES_PER_CELL * cells + _BYTES_PER_SEED * math.ceil(seeds * site.area_ha)
         return FOREST.estimate_bytes(parameters, site, species) + water_and_seeds
+
+
+def _seeds_arrive(parameters: EcoclimateParameters) -> bool:
+    """Whether seeds come from elsewhere at any time."""
+    return any(one for _, one in seedings_in_time(parameters))
+
+
+def _seeds_of_step(parameters: EcoclimateParameters, seedings: Sequence[GlobalSeeding], kinds: int) -> float:
+    """The most seeds from elsewhere on a hectare in a step, in the mean; of so many species where all seed."""
+    return sum(
+        math.ceil(parameters.step_yr / one.every_yr) * one.seeds_per_ha * (len(one.species) or kinds)
+        for one in seedings
+    )
 
 
 def _refuse_strangers(parameters: EcoclimateParameters, species: Sequence[SpeciesEcology]) -> None:
