@@ -21,6 +21,7 @@ from forestgen.plants.parameters import PlantParameters
 from forestgen.plants.registry import GENERATORS
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.species import Species
+from forestgen.stages.views import check_outside_of_houses
 
 
 def check_branch_modules(drawn: DrawnRecipe, parameters: CommunityParameters) -> None:
@@ -56,8 +57,21 @@ def check_branch_modules(drawn: DrawnRecipe, parameters: CommunityParameters) ->
     for index, one in enumerate(parameters.obstacles):
         _check_obstacle(drawn, index, one)
     _check_all_grow(drawn, parameters)
+    notes_on_houses(drawn, parameters)
     _check_plantings(drawn, parameters, types)
     check_changes(parameters, types, names, drawn.parse, lambda *keys: drawn.where("community", *keys))
+
+
+def notes_on_houses(drawn: DrawnRecipe, parameters: CommunityParameters) -> list[str]:
+    """Notes on cameras inside of the community's houses; refused where an entry's `obstructed` is an error.
+
+    Raises
+    ------
+    RecipeError : with the camera's line.
+    """
+    if not isinstance(parameters, BranchModulesParameters):
+        return []
+    return check_outside_of_houses(drawn, parameters.obstacles)
 
 
 def _check_all_grow(drawn: DrawnRecipe, parameters: BranchModulesParameters) -> None:
