@@ -26,6 +26,7 @@ from forestgen.recipe.json_schema import recipe_json_schema
 from forestgen.recipe.load import LoadedRecipe, load_recipe
 from forestgen.recipe.sources import dotted
 from forestgen.scene.exemplars import SizeError
+from forestgen.stages.module_checks import notes_on_houses
 from forestgen.stages.plan import Plan, check_plan, estimate_bytes, views_below_ground, why_barren
 
 if TYPE_CHECKING:
@@ -170,7 +171,8 @@ def validate(recipe: Path, overrides: Sequence[str]) -> None:
         _say(out, f"  {name:<10} {text}")
     reason = why_barren(plan)
     below = [f"the camera {name} stands below the ground" for name in views_below_ground(plan)]
-    _say_notes(out, [*([reason] if reason else []), *below])
+    inside = notes_on_houses(plan.drawn, plan.model_parameters)
+    _say_notes(out, [*([reason] if reason else []), *below, *inside])
 
 
 def _described(loaded: LoadedRecipe, plan: Plan) -> Iterator[tuple[str, str]]:

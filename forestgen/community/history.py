@@ -16,16 +16,18 @@ metadata then has their number in every snapshot, and null where they were left 
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
-from itertools import accumulate
+from itertools import accumulate, pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+from numpy.typing import NDArray
 
 from forestgen.community.map_history import NAME as MAPS
 from forestgen.community.map_history import MapWriter, read_maps
@@ -224,8 +226,8 @@ class History:
                 yield self._population(table, index)
 
     def _population(self, table: Any, index: int) -> Population:
-        columns = {name: table.column(name).to_numpy() for name in table.column_names}
         time_yr, _, step, state = self._snapshots[index]
+        columns = {name: _values(table, name, step) for name in table.column_names}
         return Population(
             time_yr=time_yr,
             species_names=self.species_names,
@@ -240,6 +242,18 @@ class History:
             step=step,
             state=state,
         )
+
+
+def _values(table: Any, name: str, step: int) -> NDArray[Any]:
+    """A column of a snapshot, of its type and without gaps."""
+    column = table.column(name)
+    expected = _COLUMNS.get(name, column.type)
+    if column.type != expected:
+        raise ValueError(f"column {name} of step {step} is of type {column.type}, not {expected}")
+    if column.null_count:
+        raise ValueError(f"column {name} of step {step} lacks values: {column.null_count:,} are empty")
+    values: NDArray[Any] = column.to_numpy()
+    return values
 
 
 def _check_rows(file: Any, group: int, plants: int) -> None:
@@ -270,7 +284,16 @@ def _readable(path: Path) -> Iterator[Any]:
     try:
         with pq.ParquetFile(path) as file:
             yield file
-    except (OSError, pa.ArrowException, KeyError, ValueError, TypeError) as error:
+    except (
+        OSError,
+        pa.ArrowException,
+        LookupError,
+        ValueError,
+        TypeError,
+        AttributeError,
+        ArithmeticError,
+        RecursionError,
+    ) as error:
         raise AssetError(
             "not a readable history of a community",
             where=str(path),
@@ -293,7 +316,26 @@ def open_history(path: Path) -> History:
         snapshots = [(float(time_yr), int(n), int(step), state) for time_yr, n, step, state in about["snapshots"]]
         names, modules = tuple(about["species_names"]), about.get("modules")
         maps, sums = tuple(about.get("maps", ())), tuple(about["map_sums"] if "maps" in about else ())
-        return History(path, names, about["origin"], snapshots, "modules" in about, modules, maps, sums)
+        history = History(path, names, about["origin"], snapshots, "modules" in about, modules, maps, sums)
+        _check_told(history)
+        return history
+
+
+def _check_told(history: History) -> None:
+    """Raise `ValueError` unless what a file's metadata tells of its snapshots fits together."""
+    snapshots, steps = history._snapshots, history.steps
+    if not snapshots or steps[0] < 0 or any(one >= other for one, other in pairwise(steps)):
+        raise ValueError("its steps do not rise from 0 or more")
+    if not all(math.isfinite(time_yr) and n >= 0 for time_yr, n, _, _ in snapshots):
+        raise ValueError("a snapshot's time or number of plants is impossible")
+    if not all(isinstance(one, dict) for one in [history.origin, *(state for *_, state in snapshots)]):
+        raise ValueError("its origin, or the state of a snapshot, is no table")
+    if not all(isinstance(name, str) for name in (*history.species_names, *history.maps)):
+        raise ValueError("names of species and maps must be texts")
+    told = len(snapshots)
+    marks = told if history._modules is None else len(history._modules)
+    if marks != told or len(history._map_sums) != (told if history.maps else 0):
+        raise ValueError("modules or maps are told of another number of snapshots")
 
 
 def read_history(path: Path) -> list[Population]:

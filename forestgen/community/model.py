@@ -164,6 +164,15 @@ class CommunityModel(Protocol[P, S]):
         """The state that a snapshot was made of; the inverse of `population`."""
         ...
 
+    def check_snapshot(
+        self, parameters: P, site: Site, species: Sequence[SpeciesEcology], population: Population
+    ) -> None:
+        """Raise `ImpossibleValueError` for a model's own columns or state that no snapshot of it has.
+
+        Of a snapshot from a file, before `resume`; `snapshot_checks.check_snapshot` has been through it.
+        """
+        ...
+
     def remove(self, state: S, plant_id: NDArray[np.uint32]) -> S:
         """A disturbance: the state without these plants, in the same step; ids of no plant are ignored."""
         ...

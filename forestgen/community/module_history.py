@@ -126,7 +126,7 @@ def read_modules(path: Path, population: Population, marks: Sequence[Sequence[in
             if len(table) != count or (count and _checksum(table) != checksum):
                 raise ValueError(f"its values of step {population.step} are not those that were written")
             return _modules(table, population)
-    except (OSError, pa.ArrowException, KeyError, ValueError, TypeError) as error:
+    except (OSError, pa.ArrowException, LookupError, ValueError, TypeError, AttributeError, ArithmeticError) as error:
         raise AssetError(
             "the modules of this history cannot be read",
             where=str(path),

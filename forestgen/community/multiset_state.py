@@ -27,9 +27,10 @@ from forestgen.community.plant_words import (
 )
 from forestgen.community.population import Population, Status
 from forestgen.community.registry import ENVIRONMENTS
+from forestgen.community.snapshot_checks import ImpossibleValueError, Limits, arrival_limits, check_columns
 from forestgen.core.errors import LsystemError, ResourceError
 from forestgen.lsystem.derivation import Derivation
-from forestgen.lsystem.multiset import words_as_lists
+from forestgen.lsystem.multiset import Kind, words_as_lists
 from forestgen.lsystem.program import Program
 
 
@@ -179,6 +180,53 @@ def restored(state: State, population: Population) -> State:
         joined, population.step, int(population.state["next_id"]), np.array(population.state["globals"])
     )
     return replace(state, derivation=derivation)
+
+
+def check_restorable(program: Program, form: Form, step_yr: float, population: Population) -> None:
+    """Raise `ImpossibleValueError` unless `restored` can make words of the plants, and of the state's words."""
+    own = {name: Limits("f8", finite=False) for name in form.names}
+    check_columns(population, {**arrival_limits(population, step_yr), ORDER: Limits("u4", 0), **own})
+    numbers = population.state.get("globals")
+    if not (isinstance(numbers, list) and len(numbers) == len(program.globals) and all(map(_is_number, numbers))):
+        raise ImpossibleValueError("globals", f"a list of {len(program.globals)} numbers", f"{numbers!s:.80}")
+    words = population.state.get("words")
+    if not isinstance(words, list):
+        raise ImpossibleValueError("words", "a list of words", f"{words!s:.80}")
+    for index, word in enumerate(words):
+        if not _is_word(word, program, population):
+            expected = "[place, id, step of birth, [[symbol, parameter, ...], ...]] in symbols of the program"
+            raise ImpossibleValueError(f"words.{index}", expected, f"{word!s:.80}")
+    known = [*population.plant_id.tolist(), *(word[1] for word in words)]
+    if len(set(known)) != len(known):
+        raise ImpossibleValueError("words", "an id of its own for every word and plant", "one that is there twice")
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _is_word(word: object, program: Program, population: Population) -> bool:
+    """Whether a list is a word of the state that is no plant: [place, id, step of birth, modules], brackets paired."""
+    if not (isinstance(word, list) and len(word) == 4 and all(type(one) is int for one in word[:3])):
+        return False
+    place, word_id, born, modules = word
+    next_id = population.state["next_id"]
+    if not (0 <= place < 2**32 and 0 < word_id < next_id and 0 <= born <= population.step):
+        return False
+    return isinstance(modules, list) and bool(modules) and _are_modules(modules, program)
+
+
+def _are_modules(modules: list[Any], program: Program) -> bool:
+    depth = 0
+    for one in modules:
+        if not (isinstance(one, list) and one and isinstance(one[0], str) and all(map(_is_number, one[1:]))):
+            return False
+        if Kind(one[0], len(one) - 1) not in program.kinds:
+            return False
+        depth += (one[0] == "[") - (one[0] == "]")
+        if depth < 0:
+            return False
+    return depth == 0
 
 
 def too_many(state: State, step: int) -> ResourceError:

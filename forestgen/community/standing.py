@@ -17,7 +17,10 @@ from forestgen.community.arrivals import new_ids, of_species, refuse_overflow
 from forestgen.community.disturbance import Planting
 from forestgen.community.model import CommunityParameters, Site, SpeciesEcology
 from forestgen.community.population import Population, Status
+from forestgen.community.snapshot_checks import ImpossibleValueError, Limits, check_columns, check_finite
 from forestgen.core.randomness import child_rng
+
+_FOUND = ("clustering",)  # keys of what a placement works out for itself
 
 
 @dataclass(frozen=True)
@@ -141,9 +144,25 @@ class Standing:
             plant_id=population.plant_id,
             first_step=population.columns["first_step"],
         )
-        next_id, notes = int(population.state["next_id"]), tuple(population.state["notes"])
+        next_id, notes = int(population.state["next_id"]), tuple(population.state.get("notes", ()))
         found = {key: value for key, value in population.state.items() if key not in ("next_id", "notes")}
         return State(parameters, tuple(species), seed, population.step, next_id, plants, notes, found)
+
+    def check_snapshot(
+        self, parameters: CommunityParameters, site: Site, species: Sequence[SpeciesEcology], population: Population
+    ) -> None:
+        """Refuse turns, ages and arrivals that no plant of a snapshot has, and numbers that JSON does not know."""
+        own = {
+            "azimuth_deg": Limits("f8"),
+            "first_age_yr": Limits("f8", 0),
+            "first_step": Limits("i4", 0, population.step),
+            "status": Limits("u1", 0, Status.MATURE),
+        }
+        check_columns(population, own)
+        for key, value in population.state.items():
+            if key not in ("next_id", "notes", *_FOUND):
+                raise ImpossibleValueError(key, f"one of next_id, notes, {', '.join(_FOUND)}", "this key")
+            check_finite(value, key)
 
     def remove(self, state: State, plant_id: NDArray[np.uint32]) -> State:
         """The others."""

@@ -127,8 +127,8 @@ class Camera(Section):
     obstructed: Annotated[
         Literal["error", "note"],
         Field(
-            description="What a camera below the ground or in a trunk is: a mistake, told before it is rendered; or "
-            "a note, for data sets whose cameras stand at random."
+            description="What a camera below the ground, in a house or in a trunk is: a mistake, told before it is "
+            "rendered; or a note, for data sets whose cameras stand at random."
         ),
     ] = "error"
     path: Annotated[

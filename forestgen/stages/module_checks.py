@@ -14,13 +14,14 @@ from forestgen.community.branch_modules.changes import check_changes
 from forestgen.community.branch_modules.parameters import BranchModulesParameters, Obstacle
 from forestgen.community.model import CommunityParameters
 from forestgen.community.population import Population
-from forestgen.core.errors import RecipeError
+from forestgen.core.errors import RecipeError, ResourceError
 from forestgen.plants.build import built
 from forestgen.plants.exemplar import Exemplar
 from forestgen.plants.parameters import PlantParameters
 from forestgen.plants.registry import GENERATORS
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.species import Species
+from forestgen.stages.views import check_outside_of_houses
 
 
 def check_branch_modules(drawn: DrawnRecipe, parameters: CommunityParameters) -> None:
@@ -28,7 +29,7 @@ def check_branch_modules(drawn: DrawnRecipe, parameters: CommunityParameters) ->
 
     Raises
     ------
-    RecipeError : with the line of the key.
+    RecipeError, ResourceError : with the line of the key.
     """
     if not isinstance(parameters, BranchModulesParameters):
         return
@@ -55,13 +56,60 @@ def check_branch_modules(drawn: DrawnRecipe, parameters: CommunityParameters) ->
                 )
     for index, one in enumerate(parameters.obstacles):
         _check_obstacle(drawn, index, one)
+    _check_all_grow(drawn, parameters)
+    notes_on_houses(drawn, parameters)
     _check_plantings(drawn, parameters, types)
     check_changes(parameters, types, names, drawn.parse, lambda *keys: drawn.where("community", *keys))
 
 
+def notes_on_houses(drawn: DrawnRecipe, parameters: CommunityParameters) -> list[str]:
+    """Notes on cameras inside of the community's houses; refused where an entry's `obstructed` is an error.
+
+    Raises
+    ------
+    RecipeError : with the camera's line.
+    """
+    if not isinstance(parameters, BranchModulesParameters):
+        return []
+    return check_outside_of_houses(drawn, parameters.obstacles)
+
+
+def _check_all_grow(drawn: DrawnRecipe, parameters: BranchModulesParameters) -> None:
+    """Every species grows by branch modules, or is that of an obstacle."""
+    stands = {one.species for one in parameters.obstacles}
+    for name, one in drawn.species.items():
+        if one.modules is not None or name in stands:
+            continue
+        if is_built(one):
+            raise RecipeError(
+                f"{name} is no plant, and none stands anywhere",
+                where=drawn.where("species", name),
+                expected="an obstacle of this species, or no such species",
+                got="no obstacle" if not parameters.obstacles else "obstacles of " + ", ".join(sorted(stands)),
+                hint=f"community.obstacles: [{{species: {name}, position_m: [...]}}], or leave {name} out",
+            )
+        raise RecipeError(
+            f"{name} does not grow by branch modules",
+            where=drawn.where("species", name),
+            expected="a section `modules` with life_span_yr, root_vigour_max, growth_rate_per_yr and so on",
+            got="none",
+            hint="take a species that has one, such as those of scenes/species with `modules:`; or another "
+            "community.model",
+        )
+
+
 def _check_plantings(drawn: DrawnRecipe, parameters: BranchModulesParameters, types: Mapping[str, PlantType]) -> None:
-    """Plantings are of species that grow."""
+    """Plantings are of species that grow, and not of more plants than there may be modules; each begins as one."""
     for index, one in enumerate(parameters.disturbances):
+        if one.plant is not None and one.plant.number > parameters.most_modules:
+            key = "count" if one.plant.positions_m is None else "positions_m"
+            raise ResourceError(
+                "more plants than there may be branch modules",
+                where=drawn.where("community", "disturbances", index, "plant", key),
+                expected=f"at most community.most_modules = {parameters.most_modules:,}",
+                got=f"{one.plant.number:,}",
+                hint="plant fewer, or raise most_modules",
+            )
         if one.plant is not None and one.plant.species not in types:
             raise RecipeError(
                 "this species does not grow by branch modules",

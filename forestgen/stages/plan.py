@@ -233,7 +233,7 @@ def estimate_bytes(plan: Plan, *, simulate_only: bool = False, plants: int = 0) 
     recipe = plan.drawn.recipe
     try:
         community = plan.model.estimate_bytes(plan.model_parameters, plan.site, plan.ecologies)
-    except RecipeError as cause:
+    except (RecipeError, ResourceError) as cause:
         raise _located(cause, plan.drawn) from cause
     if simulate_only:
         return {"community": community + _FILM_BYTES, "libraries": _LOADED_SIMULATOR_BYTES}
@@ -259,13 +259,13 @@ def estimate_bytes(plan: Plan, *, simulate_only: bool = False, plants: int = 0) 
     }
 
 
-def _located(cause: RecipeError, drawn: DrawnRecipe) -> RecipeError:
+def _located(cause: RecipeError | ResourceError, drawn: DrawnRecipe) -> RecipeError | ResourceError:
     """A model's error with the file and line of the key that it names: models know keys only."""
-    keys = tuple((cause.where or "").split("."))
+    keys = tuple(int(key) if key.isdigit() else key for key in (cause.where or "").split("."))
     if keys[0] != "community":
         return cause
     where = drawn.where(*keys)
-    return RecipeError(cause.problem, where=where, expected=cause.expected, got=cause.got, hint=cause.hint)
+    return type(cause)(cause.problem, where=where, expected=cause.expected, got=cause.got, hint=cause.hint)
 
 
 def _exemplar_triangles(plan: Plan) -> int:

@@ -21,7 +21,8 @@ from forestgen.community.history import open_history
 from forestgen.community.model import SpeciesEcology
 from forestgen.community.module_history import NAME
 from forestgen.community.population import Population
-from forestgen.core.errors import RecipeError
+from forestgen.community.snapshot_checks import ImpossibleValueError, check_snapshot
+from forestgen.core.errors import AssetError, RecipeError
 from forestgen.recipe.hashing import recipe_hash
 from forestgen.recipe.messages import show
 from forestgen.stages.plan import Plan
@@ -80,7 +81,7 @@ def snapshot_to_resume(plan: Plan, path: Path, step: int | None) -> Population:
 
     Raises
     ------
-    AssetError : no such file, or not a history.
+    AssetError : no such file, not a history, or one with values that no simulation gives.
     RecipeError : the history has no such step, the recipe ends before, or it is not the one that made the history.
     """
     history = open_history(path)
@@ -106,7 +107,24 @@ def snapshot_to_resume(plan: Plan, path: Path, step: int | None) -> Population:
             got="one row a plant",
             hint="simulate it again with --set community.history_modules=true, and resume that",
         )
-    return history.whole(chosen)
+    population = history.whole(chosen)
+    _check_values(plan, population, path)
+    return population
+
+
+def _check_values(plan: Plan, population: Population, path: Path) -> None:
+    """Refuse a snapshot with values that no simulation gives, as they are when somebody has changed the file."""
+    try:
+        check_snapshot(population, plan.site, plan.ecologies)
+        plan.model.check_snapshot(plan.model_parameters, plan.site, plan.ecologies, population)
+    except ImpossibleValueError as error:
+        raise AssetError(
+            f"{error.where} of step {population.step} cannot be of a simulation",
+            where=str(path),
+            expected=error.expected,
+            got=error.got,
+            hint="the history as forestgen wrote it, or simulate it again",
+        ) from error
 
 
 def _check_same_simulation(theirs: Mapping[str, Any], ours: Mapping[str, Any], step: int, path: Path) -> None:
@@ -114,7 +132,17 @@ def _check_same_simulation(theirs: Mapping[str, Any], ours: Mapping[str, Any], s
     if not theirs:
         got = "nothing"
         raise RecipeError(f"{path} does not say what it was started with", where="--resume", expected="that", got=got)
-    before, now = dict(_until(theirs, step)), dict(_until(ours, step))
+    now = dict(_until(ours, step))
+    try:
+        before = dict(_until(theirs, step))
+    except (KeyError, TypeError, AttributeError, ValueError, ArithmeticError) as error:
+        raise AssetError(
+            "the history does not say rightly what it was started with",
+            where=str(path),
+            expected="the origin that forestgen wrote into its metadata",
+            got=f"no {error}" if isinstance(error, KeyError) else str(error).splitlines()[0],
+            hint="simulate it again",
+        ) from error
     differ = [key for key in {**now, **before} if before.get(key) != now.get(key)]
     if not differ:
         return

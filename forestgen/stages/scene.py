@@ -38,7 +38,7 @@ from forestgen.stages.clouds import clouds_of
 from forestgen.stages.dead_plants import species_seen
 from forestgen.stages.exemplar_library import library_of, modelled_species, origin_of
 from forestgen.stages.ground import height_field
-from forestgen.stages.module_checks import turned_obstacles
+from forestgen.stages.module_checks import notes_on_houses, turned_obstacles
 from forestgen.stages.own_requests import has_own, own_requests, plan_own_plants
 from forestgen.stages.own_weather import own_weather
 from forestgen.stages.plan import Plan
@@ -112,7 +112,11 @@ def build_scene(plan: Plan, population: Population, progress: Progress, timer: T
         trunks = Trunks(exemplars, instances)
         views = drawn_cameras(plan.drawn, trunks)
         materials = materials_of(species_seen(plan.drawn.species, population), recipe.plants.season)
-        notes = [*check_trunks(plan.drawn, views, trunks), *infrared_notes(materials, cameras)]
+        notes = [
+            *check_trunks(plan.drawn, views, trunks),
+            *notes_on_houses(plan.drawn, plan.model_parameters),
+            *infrared_notes(materials, cameras),
+        ]
         spec = SceneSpec(
             exemplars=exemplars,
             materials=materials,

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
+from forestgen.community.branch_modules.parameters import Obstacle
 from forestgen.core.errors import RecipeError
 from forestgen.core.spectrum import Band
 from forestgen.recipe.cameras import Camera as CameraSection
@@ -19,6 +22,7 @@ from forestgen.stages.ground import height_field
 
 LEAST_ABOVE_GROUND_M = 0.01
 LEAST_FROM_TRUNKS_M = 0.05
+_ROOF_M = 0.5  # its thickness, and more: a camera on the roof is outside
 
 
 def drawn_cameras(drawn: DrawnRecipe, trunks: Trunks | None = None) -> list[list[Camera]]:
@@ -89,6 +93,62 @@ def check_above_ground(drawn: DrawnRecipe) -> None:
                 got=f"{above_m:.3g} m",
                 hint="raise it; or set obstructed: note, to look at it all the same",
             )
+
+
+def in_houses(drawn: DrawnRecipe, obstacles: Sequence[Obstacle]) -> list[tuple[int, Camera, int]]:
+    """Number of the entry, camera, and number of the obstacle within whose walls and roof it surely stands."""
+    if not obstacles:
+        return []
+    feet = np.array([one.position_m for one in obstacles])
+    ground_m, found = height_field(drawn)(feet[:, 0], feet[:, 1]), []
+    for index, cameras in enumerate(drawn_cameras(drawn)):
+        at = np.array([camera.position_m for camera in cameras])
+        for number, one in enumerate(obstacles):
+            inside = _is_within(one, at - [*one.position_m, float(ground_m[number])])
+            found += [(index, cameras[k], number) for k in np.flatnonzero(inside)]
+    return found
+
+
+def _is_within(house: Obstacle, at_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """(N,) whether points lie inside, (N, 3) metres from the middle of the ground plan; walls, eaves left out.
+
+    Whatever the parameters of its generator: walls stand at most a tenth of the house inside of its ground plan, and a
+    roof falls by at most half of the height.
+    """
+    cos, sin = math.cos(house.turn_rad), math.sin(house.turn_rad)
+    along, across = np.abs(at_m[:, 0] * cos + at_m[:, 1] * sin), np.abs(at_m[:, 1] * cos - at_m[:, 0] * sin)
+    width, depth, height = house.size_m
+    eaves = 0.1 * min(width, depth)
+    below_roof = at_m[:, 2] < height * (1.0 - across / depth) - _ROOF_M
+    return np.asarray((along < 0.5 * width - eaves) & (across < 0.5 * depth - eaves) & (at_m[:, 2] > 0) & below_roof)
+
+
+def check_outside_of_houses(drawn: DrawnRecipe, obstacles: Sequence[Obstacle]) -> list[str]:
+    """Refuse cameras inside of houses, which see dark walls; notes on those of entries whose `obstructed` is a note.
+
+    Raises
+    ------
+    RecipeError : with the camera's line.
+    """
+    notes = []
+    for index, camera, number in in_houses(drawn, obstacles):
+        section, house = drawn.recipe.cameras[index], obstacles[number]
+        problem = f"the camera {camera.name} stands inside of a {house.species}"
+        if section.obstructed == "note":
+            notes.append(problem)
+            continue
+        raise RecipeError(
+            problem,
+            where=drawn.where("cameras", index, *_place_key(section)),
+            expected=f"a place outside of community.obstacles.{number}, at [{_numbers(house.position_m)}]",
+            got=f"[{_numbers(camera.position_m)}]",
+            hint="move it; or set obstructed: note, to look at it all the same",
+        )
+    return notes
+
+
+def _numbers(values: Sequence[float]) -> str:
+    return ", ".join(f"{value:.2f}" for value in values)
 
 
 def _place_key(section: CameraSection) -> tuple[str, ...]:

@@ -115,6 +115,19 @@ def in_order(parameters: BranchModulesParameters) -> list[Change]:
     return sorted(parameters.changes, key=lambda one: one.step(parameters.step_yr))
 
 
+def values_in_time(parameters: BranchModulesParameters, key: str) -> list[tuple[str, Any]]:
+    """Place and value of a key at the start and in every change, for estimates; `check_changes` has seen the values."""
+    changed = [
+        (f"changes.{index}.set.{key}", one.set[key]) for index, one in enumerate(parameters.changes) if key in one.set
+    ]
+    return [(key, getattr(parameters, key)), *changed]
+
+
+def numbers_in_time(parameters: BranchModulesParameters, key: str) -> list[float]:
+    """The values alone of a key whose values are numbers."""
+    return [float(value) for _, value in values_in_time(parameters, key)]
+
+
 def split(change: Change) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
     """A change's new values: those of the section, and those of each species' modules."""
     own: dict[str, Any] = {}

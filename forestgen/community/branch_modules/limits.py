@@ -19,13 +19,14 @@ def refuse_more_modules(modules: int, most: int) -> None:
         )
 
 
-def refuse_more_seeds(seeds: float) -> None:
-    """Raise `ResourceError` for more seeds in a step than can be drawn at once."""
+def refuse_more_seeds(seeds: float, where: str = "community.step_yr") -> None:
+    """Raise `ResourceError` for more seeds in a step than can be drawn; `where` is the key that asks for them."""
     if seeds > MOST_SEEDS:
         raise ResourceError(
             "more seeds would fall in one step than can be drawn",
-            where="community.step_yr",
+            where=where,
             expected=f"at most {MOST_SEEDS:,}",
             got=f"about {seeds:,.0f}",
-            hint="lower species' modules.seeds_per_yr, make steps shorter, or the site smaller",
+            hint="lower species' modules.seeds_per_yr, or seeds_per_ha of global_seeding; make steps shorter, or the "
+            "site smaller",
         )

@@ -37,6 +37,7 @@ from forestgen.core.errors import ResourceError
 UNITS = 2.0**24  # of optical depth of a cell in whole numbers
 _MOST_LAYERS = 2000
 _PER_SIDE = 8  # points of a cell that decide how much of it a box covers
+_CELLS_AT_ONCE = 16_384  # of which these points are held
 
 Floats = NDArray[np.float64]
 
@@ -175,34 +176,56 @@ def _by_layer(height, layer_m, layers, start, order):  # type: ignore[no-untyped
         start[k] += 1
 
 
-def _covers(boxes: Boxes, grid: ShadowGrid) -> list[tuple[int, Floats]]:
-    """Of each box its number of layers, and the share of each cell that it covers (ny, nx)."""
+class _Covers:
+    """What boxes take of a layer's cells, for layers from the highest to the ground; one plane, however many boxes."""
+
+    def __init__(self, boxes: Boxes, grid: ShadowGrid) -> None:
+        self.layers = np.ceil(boxes.size_m[:, 2] / grid.layer_m - 1e-9).astype(np.int64)  # (B,) of each box
+        self._boxes, self._grid = boxes, grid
+        self._waiting = np.argsort(self.layers, kind="stable").tolist()  # the highest last
+        self._taken = np.zeros(grid.cells[::-1])
+
+    def open_share(self, layer: int) -> Floats:
+        """(ny, nx) share of each cell of a layer that no box takes: more light than that cannot be in it.
+
+        To be asked for from layer to layer downwards.
+        """
+        while self._waiting and layer < self.layers[self._waiting[-1]]:
+            _add_cover(self._boxes, self._waiting.pop(), self._grid, self._taken)
+        return np.asarray(np.maximum(1.0 - self._taken, 0.0))
+
+
+def _add_cover(boxes: Boxes, k: int, grid: ShadowGrid, taken: Floats) -> None:
+    """Add to `taken` (ny, nx) the share of each cell that box k covers: that of points; O(cells near it)."""
     (nx, ny), (per_x, per_y) = grid.cells, grid.per_m
+    one = Boxes(boxes.base_m[k : k + 1], boxes.size_m[k : k + 1], boxes.azimuth_rad[k : k + 1])
+    period_m = grid.size_m if grid.periodic else None
+    cell_reach = float(np.hypot(0.5 / per_x, 0.5 / per_y)) * (1 + 1e-6)
+    reach = float(np.hypot(*boxes.size_m[k, :2])) / 2 + cell_reach
+    columns, lines = (
+        np.flatnonzero(_near(np.asarray((np.arange(n) + 0.5) / per, np.float64), boxes.base_m[k, d], reach, grid, d))
+        for d, (n, per) in enumerate(((nx, per_x), (ny, per_y)))
+    )
+    rows, cols = (one.ravel() for one in np.meshgrid(lines, columns, indexing="ij"))
+    middle = np.column_stack([(cols + 0.5) / per_x, (rows + 0.5) / per_y])
+    if not grid.periodic:  # on a torus, two points of a cell may be nearest to different images of a box
+        wider = boxes.size_m[k] + [2 * cell_reach, 2 * cell_reach, 0.0]
+        may_meet = Boxes(one.base_m, wider[None], one.azimuth_rad).cover(middle)
+        rows, cols, middle = rows[may_meet], cols[may_meet], middle[may_meet]
+    narrower = boxes.size_m[k] - [2 * cell_reach, 2 * cell_reach, 0.0]
+    whole = np.zeros(len(rows), dtype=np.bool_)
+    if narrower.min() > 0 and not grid.periodic:
+        whole = Boxes(one.base_m, narrower[None], one.azimuth_rad).cover(middle)
+    taken[rows[whole], cols[whole]] += 1.0
+    rows, cols = rows[~whole], cols[~whole]
     point = (np.arange(_PER_SIDE) + 0.5) / _PER_SIDE
-    x, y = (np.arange(nx)[:, None] + point).ravel() / per_x, (np.arange(ny)[:, None] + point).ravel() / per_y
-    covers = []
-    for k in range(len(boxes)):
-        one = Boxes(boxes.base_m[k : k + 1], boxes.size_m[k : k + 1], boxes.azimuth_rad[k : k + 1])
-        share = np.zeros((ny, nx))
-        reach = float(np.hypot(*boxes.size_m[k, :2])) / 2
-        near_x, near_y = (_near(at, boxes.base_m[k, d], reach, grid, d) for d, at in enumerate((x, y)))
-        if near_x.any() and near_y.any():
-            at = np.stack(np.meshgrid(x[near_x], y[near_y]), axis=-1).reshape(-1, 2)
-            inside = one.cover(at, grid.size_m if grid.periodic else None)
-            columns, lines = np.flatnonzero(near_x) // _PER_SIDE, np.flatnonzero(near_y) // _PER_SIDE
-            cell = (lines[:, None] * nx + columns[None, :]).ravel()
-            share = np.bincount(cell[inside], minlength=nx * ny).reshape(ny, nx) / _PER_SIDE**2
-        covers.append((int(np.ceil(boxes.size_m[k, 2] / grid.layer_m - 1e-9)), share))
-    return covers
-
-
-def _open_share(covers: list[tuple[int, Floats]], layer: int, shape: tuple[int, int]) -> Floats:
-    """(rows, cols) share of each cell of a layer that no box takes: more light than that cannot be in it."""
-    taken = np.zeros(shape)
-    for layers, cover in covers:
-        if layer < layers:
-            taken += cover
-    return np.asarray(np.maximum(1.0 - taken, 0.0))
+    for begin in range(0, len(rows), _CELLS_AT_ONCE):
+        row, col = rows[begin : begin + _CELLS_AT_ONCE], cols[begin : begin + _CELLS_AT_ONCE]
+        x, y = np.broadcast_arrays(
+            (col[:, None, None] + point[None, None, :]) / per_x, (row[:, None, None] + point[None, :, None]) / per_y
+        )
+        inside = one.cover(np.column_stack([x.ravel(), y.ravel()]), period_m)
+        taken[row, col] += np.count_nonzero(inside.reshape(len(row), -1), axis=1) / _PER_SIDE**2
 
 
 def _near(at: Floats, middle: float, reach: float, grid: ShadowGrid, axis: int) -> NDArray[np.bool_]:
@@ -254,8 +277,8 @@ def shade(
         np.clip(position, 0.0, np.array(grid.size_m) * (1 - 1e-12), out=position)
     if not (np.isfinite(position).all() and np.isfinite(height).all()):
         raise ValueError("modules need finite positions")
-    covers = _covers(boxes, grid)
-    top = max([int(max(height.max(initial=0.0), 0.0) // grid.layer_m) + 1, *(layers for layers, _ in covers)])
+    covers = _Covers(boxes, grid)
+    top = max(int(max(height.max(initial=0.0), 0.0) // grid.layer_m) + 1, int(covers.layers.max(initial=0)))
     if top > _MOST_LAYERS:
         raise ResourceError(
             "the trees are too tall for layers of light so thin",
@@ -271,15 +294,15 @@ def shade(
     plane, nothing = np.zeros((ny, nx), dtype=np.int64), np.zeros((ny, nx), dtype=np.int64)
     for k in range(top - 1, -1, -1):
         rows = order[start[k] : start[k + 1]]
-        if covers:
-            np.minimum(share, _open_share(covers, k, (ny, nx)), out=share)
+        if len(boxes):
+            np.minimum(share, covers.open_share(k), out=share)
         plane[:] = 0
         _deposit(rows, position, radius, opaque, per_x, per_y, grid.periodic, plane)
         _read(rows, position, radius, opaque, per_x, per_y, grid.periodic, plane, above, share, light)
         if k:
             _spread(above, plane, grid.spread, grid.periodic, following)
             above, following = following, above
-            if covers:
+            if len(boxes):
                 share_below = np.empty((ny, nx))
                 _spread(share, nothing, grid.spread, grid.periodic, share_below)
                 share = share_below

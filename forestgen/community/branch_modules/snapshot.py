@@ -16,6 +16,7 @@ from forestgen.community.branch_modules.state import Plants, Snags, State, appen
 from forestgen.community.branch_modules.surroundings import ground_at
 from forestgen.community.model import Site, SpeciesEcology
 from forestgen.community.population import Population, Status
+from forestgen.community.snapshot_checks import ImpossibleValueError, Limits, arrival_limits, check_columns, place_of
 from forestgen.core.errors import RecipeError
 
 LEAST_SIZE_M = 0.01  # of a seed, which has no length yet
@@ -148,3 +149,57 @@ def state_of(
         Snags(plants.where(dead), rows_of_plants(population.modules, dead), died[dead]),
         tuple(population.notes),
     )
+
+
+def check_resumable(
+    parameters: BranchModulesParameters, species: Sequence[SpeciesEcology], population: Population
+) -> None:
+    """Raise `ImpossibleValueError` unless `state_of` can make a state of a snapshot with its modules."""
+    keeps_dead = parameters.standing_dead_yr > 0
+    limits = {
+        **arrival_limits(population, parameters.step_yr, dead=keeps_dead),
+        "flowering": Limits("u1", 0, 1),
+        "next_module": Limits("u4", 0),
+        "adaptation": Limits("f4", 0, 1),
+    }
+    if keeps_dead:
+        limits["dead_yr"] = Limits("f4", 0, limits["age_yr"].most)
+    if parameters.dieback_share > 0:
+        limits["tallest_m"] = Limits("f4", 0)
+    check_columns(population, limits)
+    _check_obstacles(parameters, species, population)
+    if population.modules is not None:
+        _check_module_numbers(population.modules, population)
+
+
+def _check_obstacles(
+    parameters: BranchModulesParameters, species: Sequence[SpeciesEcology], population: Population
+) -> None:
+    """The recipe's obstacles are the first rows, stand, and no other row is of a species that does not grow."""
+    names = [one.name for one in species]
+    wanted, row = [names.index(one.species) for one in parameters.obstacles], 0
+    expected = f"the {len(wanted)} obstacles of the recipe first"
+    for row, sp in enumerate(wanted):
+        if row >= len(population) or population.plant_id[row] != row + 1:
+            raise ImpossibleValueError("column plant_id", expected, f"no plant {row + 1}")
+        if population.species[row] != sp:
+            raise ImpossibleValueError(place_of("species", population, row), expected, names[population.species[row]])
+        if population.status[row] == Status.DEAD:
+            raise ImpossibleValueError(place_of("status", population, row), "an obstacle, which cannot die", "dead")
+    grows = np.array([one.modules is not None for one in species], dtype=np.bool_)
+    wrong = np.flatnonzero(~grows[population.species[len(wanted) :]]) + len(wanted)
+    if len(wrong):
+        row = int(wrong[0])
+        got = names[population.species[row]]
+        raise ImpossibleValueError(place_of("species", population, row), "a species that grows by branch modules", got)
+
+
+def _check_module_numbers(modules: Modules, population: Population) -> None:
+    """The next module of each plant has a number above all that it has."""
+    plant = modules.plant()
+    wrong = np.flatnonzero(population.columns["next_module"][plant] <= modules.number)
+    if len(wrong):
+        row = int(plant[wrong[0]])
+        expected = f"more than {modules.number[wrong[0]]}, the number of one of its modules"
+        got = str(population.columns["next_module"][row])
+        raise ImpossibleValueError(place_of("model.next_module", population, row), expected, got)

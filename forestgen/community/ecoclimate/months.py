@@ -22,6 +22,7 @@ from functools import lru_cache
 import numpy as np
 
 from forestgen.community.branch_modules.climate import LocalClimate
+from forestgen.community.branch_modules.limits import refuse_more_seeds
 from forestgen.community.branch_modules.seeding import NOBODY, Arriving
 from forestgen.community.branch_modules.state import State
 from forestgen.community.branch_modules.step import advanced
@@ -210,12 +211,15 @@ def _arriving(forest: State, parameters: EcoclimateParameters) -> Arriving:
     if not parameters.global_seeding:
         return NOBODY
     growing = {one.name: k for k, one in enumerate(forest.species) if one.modules is not None}
-    places, species, needed = [], [], []
+    places, species, needed, expected = [], [], [], 0.0
     for index, one in enumerate(parameters.global_seeding):
         month = forest.step * parameters.months_per_step
         times = one.times_before(month + parameters.months_per_step) - one.times_before(month)
         rng = child_rng(forest.seed, "arrivals", index, forest.step)
-        for name in one.species or growing:
+        kinds = one.species or tuple(growing)
+        expected += times * one.seeds_per_ha * forest.site.area_ha * len(kinds)
+        refuse_more_seeds(expected)  # before they are drawn
+        for name in kinds:
             count = int(rng.poisson(times * one.seeds_per_ha * forest.site.area_ha))
             places.append(rng.random((count, 2)) * forest.site.size_m)
             species.append(np.full(count, growing[name], dtype=np.uint16))

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
+from forestgen.community.branch_modules.changes import values_in_time
 from forestgen.community.branch_modules.parameters import BranchModulesParameters
 from forestgen.community.ecoclimate.climate import MONTHS_PER_YR, MonthlyClimate, Turn, climate_of
 from forestgen.community.ecoclimate.weather_section import WeatherSection
@@ -269,3 +270,9 @@ class EcoclimateParameters(BranchModulesParameters):
         yield from super().named_species()
         for index, one in enumerate(self.global_seeding):
             yield from ((("global_seeding", index, "species", k), name) for k, name in enumerate(one.species))
+
+
+def seedings_in_time(parameters: EcoclimateParameters) -> list[tuple[str, tuple[GlobalSeeding, ...]]]:
+    """The seeds from elsewhere at the start, and as each change gives them, with their places."""
+    told = values_in_time(parameters, "global_seeding")
+    return [(place, tuple(GlobalSeeding.model_validate(one) for one in value or ())) for place, value in told]

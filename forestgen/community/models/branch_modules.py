@@ -102,11 +102,13 @@ from numpy.typing import NDArray
 
 from forestgen.architecture.prototypes import load_prototypes
 from forestgen.community.arrivals import refuse_overflow
+from forestgen.community.branch_modules.changes import numbers_in_time
 from forestgen.community.branch_modules.founding import founded
 from forestgen.community.branch_modules.kinds import kinds_at
+from forestgen.community.branch_modules.limits import refuse_more_modules
 from forestgen.community.branch_modules.parameters import BranchModulesParameters
 from forestgen.community.branch_modules.seeding import begun
-from forestgen.community.branch_modules.snapshot import population_of, state_of
+from forestgen.community.branch_modules.snapshot import check_resumable, population_of, state_of
 from forestgen.community.branch_modules.state import State, appended, rows_of_plants
 from forestgen.community.branch_modules.step import advanced
 from forestgen.community.disturbance import Planting, planted
@@ -154,6 +156,17 @@ class BranchModules:
         _refuse_without_modules(parameters, species)
         return state_of(parameters, site, species, seed, population)
 
+    def check_snapshot(
+        self,
+        parameters: BranchModulesParameters,
+        site: Site,
+        species: Sequence[SpeciesEcology],
+        population: Population,
+    ) -> None:
+        """Refuse plants, obstacles and snags that no snapshot has; modules have their own checksum."""
+        _refuse_without_modules(parameters, species)
+        check_resumable(parameters, species, population)
+
     def remove(self, state: State, plant_id: NDArray[np.uint32]) -> State:
         """The forest without these plants; obstacles stay."""
         grows = np.array([one.modules is not None for one in state.species], dtype=np.bool_)
@@ -166,6 +179,9 @@ class BranchModules:
             one = state.species[int(sp)]
             if one.modules is None:
                 raise _without_modules(one.name)
+        refuse_more_modules(
+            len(state.modules) + len(state.snags.modules) + len(planting), state.parameters.most_modules
+        )
         plants, modules = begun(planting.position_m, planting.species, state, kinds_at(state), state.step)
         return replace(
             state,
@@ -197,11 +213,11 @@ class BranchModules:
         return "no plant can grow: community.initial_plants is 0, and none is planted"
 
     def estimate_bytes(self, parameters: BranchModulesParameters, site: Site, species: Sequence[SpeciesEcology]) -> int:
-        """Bytes for so many modules as the light feeds, at most most_modules, and for the shadow grid."""
+        """Bytes for so many modules as the light feeds, at most most_modules, and for the finest shadow grid."""
         plants = self.expected_plants(parameters, site, species)
         alive = site.area_m2 * _MODULES_PER_M2 + 10 * _founders(parameters, species)
         modules = min(alive * with_dead(parameters), parameters.most_modules)
-        cells = site.area_m2 / parameters.cell_m**2
+        cells = site.area_m2 / min(numbers_in_time(parameters, "cell_m")) ** 2
         return _BYTES_AT_LEAST + math.ceil(
             modules * _BYTES_PER_MODULE + min(plants, modules) * _BYTES_PER_PLANT + 80 * cells
         )
@@ -209,7 +225,7 @@ class BranchModules:
 
 def most_seedlings(parameters: BranchModulesParameters, site: Site) -> float:
     """How many points lie at least a spacing apart on the site, discs of half of it, packed; at most most_modules."""
-    spacing = max(parameters.seedling_spacing_m, 0.01)
+    spacing = max(min(numbers_in_time(parameters, "seedling_spacing_m")), 0.01)
     return min(site.area_m2 * 2 / (math.sqrt(3) * spacing**2), float(parameters.most_modules))
 
 

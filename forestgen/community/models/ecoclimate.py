@@ -37,19 +37,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.community.branch_modules.limits import refuse_more_seeds
 from forestgen.community.disturbance import Planting
 from forestgen.community.ecoclimate.months import advanced_ecoclimate, begun
-from forestgen.community.ecoclimate.parameters import EcoclimateParameters
+from forestgen.community.ecoclimate.parameters import EcoclimateParameters, GlobalSeeding, seedings_in_time
 from forestgen.community.ecoclimate.state import Books, Ecoclimate
 from forestgen.community.model import Site, SpeciesEcology
 from forestgen.community.models.branch_modules import MODEL as FOREST
 from forestgen.community.models.branch_modules import most_seedlings, with_dead
 from forestgen.community.population import Population
+from forestgen.community.snapshot_checks import ImpossibleValueError, check_number
 from forestgen.community.soil_water.model import Water
 from forestgen.core.errors import RecipeError
 
 _BYTES_PER_CELL = 400  # some fifty arrays of the water's sub-steps
 _BYTES_PER_SEED = 200  # from elsewhere, of one step: places, climate and light there
+_MOST_CELSIUS = 1000.0
+_MOST_WATER_MM = 1e12
 _MAPS = (
     "soil_water_mm",
     "surface_water_mm",
@@ -125,6 +129,19 @@ class EcoclimateModel:
             _books(told["water"]),
         )
 
+    def check_snapshot(
+        self, parameters: EcoclimateParameters, site: Site, species: Sequence[SpeciesEcology], population: Population
+    ) -> None:
+        """Refuse what no snapshot of a forest has, and books of water that no ground has; maps have a checksum."""
+        FOREST.check_snapshot(parameters, site, species, population)
+        told = population.state
+        check_number(told, "temperature_mean_c", -_MOST_CELSIUS, _MOST_CELSIUS)
+        water = told.get("water")
+        if not isinstance(water, Mapping):
+            raise ImpossibleValueError("water", "a table", f"{water!s:.80}")
+        for name in Books.__dataclass_fields__:
+            check_number(water, name, -_MOST_WATER_MM, _MOST_WATER_MM, within="water")
+
     def remove(self, state: Ecoclimate, plant_id: NDArray[np.uint32]) -> Ecoclimate:
         """The forest without these plants."""
         return replace(state, forest=FOREST.remove(state.forest, plant_id))
@@ -136,23 +153,36 @@ class EcoclimateModel:
     def expected_plants(self, parameters: EcoclimateParameters, site: Site, species: Sequence[SpeciesEcology]) -> float:
         """Upper bound: as without water, and as many seedlings of seeds from elsewhere as find room."""
         total = FOREST.expected_plants(parameters, site, species)
-        arrive = parameters.global_seeding and parameters.steps > 0
+        arrive = _seeds_arrive(parameters) and parameters.steps > 0
         return total + most_seedlings(parameters, site) * with_dead(parameters) if arrive else total
 
     def why_barren(self, parameters: EcoclimateParameters, site: Site, species: Sequence[SpeciesEcology]) -> str | None:
         """Why no plant can ever grow, or None if one may."""
-        return None if parameters.global_seeding else FOREST.why_barren(parameters, site, species)
+        return None if _seeds_arrive(parameters) else FOREST.why_barren(parameters, site, species)
 
     def estimate_bytes(self, parameters: EcoclimateParameters, site: Site, species: Sequence[SpeciesEcology]) -> int:
         """Of the forest, of the maps of water, and of the seeds from elsewhere that fall in a step."""
         _refuse_strangers(parameters, species)
         cells = math.ceil(site.area_m2 / parameters.soil_water.cell_m**2)
-        seeds = sum(
-            math.ceil(parameters.step_yr / one.every_yr) * one.seeds_per_ha * (len(one.species) or len(species))
-            for one in parameters.global_seeding
-        )
+        seeds = 0.0
+        for place, one in seedings_in_time(parameters):
+            seeds = max(seeds, _seeds_of_step(parameters, one, len(species)))
+            refuse_more_seeds(seeds * site.area_ha, f"community.{place}")
         water_and_seeds = _BYTES_PER_CELL * cells + _BYTES_PER_SEED * math.ceil(seeds * site.area_ha)
         return FOREST.estimate_bytes(parameters, site, species) + water_and_seeds
+
+
+def _seeds_arrive(parameters: EcoclimateParameters) -> bool:
+    """Whether seeds come from elsewhere at any time."""
+    return any(one for _, one in seedings_in_time(parameters))
+
+
+def _seeds_of_step(parameters: EcoclimateParameters, seedings: Sequence[GlobalSeeding], kinds: int) -> float:
+    """The most seeds from elsewhere on a hectare in a step, in the mean; of so many species where all seed."""
+    return sum(
+        math.ceil(parameters.step_yr / one.every_yr) * one.seeds_per_ha * (len(one.species) or kinds)
+        for one in seedings
+    )
 
 
 def _refuse_strangers(parameters: EcoclimateParameters, species: Sequence[SpeciesEcology]) -> None:

@@ -77,6 +77,7 @@ from forestgen.community.disturbance import Planting, planted
 from forestgen.community.environments import grid
 from forestgen.community.model import CommunityParameters, Site, SpeciesEcology
 from forestgen.community.population import Population, Status
+from forestgen.community.snapshot_checks import Limits, arrival_limits, check_columns, check_radii
 from forestgen.core.compiled import compiled
 from forestgen.core.randomness import child_rng
 from forestgen.recipe.fields import Name, NonNegative, Number, Whole
@@ -306,6 +307,14 @@ class ForestFootprints:
         )
         next_id = int(population.state["next_id"])
         return State(parameters, site, tuple(species), seed, population.step, next_id, plants)
+
+    def check_snapshot(
+        self, parameters: FootprintParameters, site: Site, species: Sequence[SpeciesEcology], population: Population
+    ) -> None:
+        """Refuse ages, sizes, vigour and health that no plant of a snapshot has."""
+        check_radii(population, species)
+        own = {"vigour": Limits("f8"), "health": Limits("f8", 0, 1)}
+        check_columns(population, {**arrival_limits(population, parameters.step_yr), **own})
 
     def remove(self, state: State, plant_id: NDArray[np.uint32]) -> State:
         """The forest without these plants; those that they dominated are free."""

@@ -106,6 +106,7 @@ from forestgen.community.placement.kernels import (
     species_named,
 )
 from forestgen.community.population import Population, Status
+from forestgen.community.snapshot_checks import Limits, arrival_limits, check_columns, check_radii
 from forestgen.core.randomness import child_rng
 from forestgen.recipe.fields import Name, NonNegative, Number, Whole, mistake
 from forestgen.recipe.sources import Keys
@@ -304,6 +305,14 @@ class KernelGrowth:
         next_id = int(population.state["next_id"])
         bare = _bare(parameters, site, species, seed)
         return replace(bare, step=population.step, next_id=next_id, plants=plants)
+
+    def check_snapshot(
+        self, parameters: KernelGrowthParameters, site: Site, species: Sequence[SpeciesEcology], population: Population
+    ) -> None:
+        """Refuse ages, sizes and qualities that no plant of a snapshot has."""
+        check_radii(population, species)
+        limits = arrival_limits(population, parameters.step_yr)
+        check_columns(population, {**limits, "quality": Limits("f8", 0, 1)})
 
     def remove(self, state: State, plant_id: NDArray[np.uint32]) -> State:
         """The community without these plants; those that they held down fare better at once."""

@@ -88,7 +88,7 @@ from forestgen.community.arrivals import new_ids
 from forestgen.community.disturbance import Planting, planted
 from forestgen.community.model import Site, SpeciesEcology
 from forestgen.community.multiset_parameters import MultisetParameters, program_of
-from forestgen.community.multiset_state import State, answered, restored, snapshot, too_many
+from forestgen.community.multiset_state import State, answered, check_restorable, restored, snapshot, too_many
 from forestgen.community.plant_words import OWN, RADIUS, SPECIES, join_words, plant_words, plants_of, take_words
 from forestgen.community.population import Population
 from forestgen.core.errors import RecipeError
@@ -145,6 +145,13 @@ class MultisetLSystem:
         """The state of a snapshot: its words in their order."""
         program, form = program_of(parameters, site, species)
         return restored(State(parameters, site, tuple(species), seed, program, form, _NOTHING), population)
+
+    def check_snapshot(
+        self, parameters: MultisetParameters, site: Site, species: Sequence[SpeciesEcology], population: Population
+    ) -> None:
+        """Refuse plants, words and globals that the program cannot have written."""
+        program, form = program_of(parameters, site, species)
+        check_restorable(program, form, parameters.step_yr, population)
 
     def remove(self, state: State, plant_id: NDArray[np.uint32]) -> State:
         """The multiset without these plants; the environment answers anew."""

@@ -15,6 +15,7 @@ from forestgen.community.disturbance import Planting
 from forestgen.community.history import open_history, write_history
 from forestgen.community.model import CommunityParameters, Site, simulate
 from forestgen.community.registry import COMMUNITY_MODELS
+from forestgen.community.snapshot_checks import check_snapshot
 from forestgen.recipe.plant_type import PlantType
 
 MODELS = COMMUNITY_MODELS.ids()
@@ -75,13 +76,16 @@ def identical(a, b) -> bool:
     return all(plain(getattr(a, f.name)) == plain(getattr(b, f.name)) for f in dataclasses.fields(a))
 
 
-def run(name, species, seed, **more):
-    model = COMMUNITY_MODELS.load(name)
-    chosen = {"disturbances": DISTURBANCES, **NEEDED.get(name, {}), **more.pop("parameters", {})}
+def parameters_of(name, **more):
+    chosen = {"disturbances": DISTURBANCES, **NEEDED.get(name, {}), **more}
     if name == "ecoclimate":  # steps of whole months
         chosen["step_yr"] = round(chosen.get("step_yr", 0.5) * 12) / 12
-    parameters = model.Parameters(steps=STEPS, **chosen)
-    return list(simulate(model, parameters, SITE, species, seed, steps=STEPS, **more))
+    return COMMUNITY_MODELS.load(name).Parameters(steps=STEPS, **chosen)
+
+
+def run(name, species, seed, **more):
+    parameters = parameters_of(name, **more.pop("parameters", {}))
+    return list(simulate(COMMUNITY_MODELS.load(name), parameters, SITE, species, seed, steps=STEPS, **more))
 
 
 @pytest.mark.parametrize(
@@ -115,6 +119,9 @@ def check_that_it_resumes(name, parameters, species, tmp_path, seed, step):
     write_history(tmp_path / "a.parquet", whole, modules=name in FOUNDED)
     history = open_history(tmp_path / "a.parquet")
     start = history.whole(step) if name in FOUNDED else history.snapshot(step)
+    check_snapshot(start, SITE, species)
+    model = COMMUNITY_MODELS.load(name)
+    model.check_snapshot(parameters_of(name, **parameters), SITE, species, start)
     again = run(name, species, seed, parameters=parameters, start=start)
     assert [one.step for one in again] == list(range(step, STEPS + 1))
     assert all(identical(one, other) for one, other in zip(again, whole[step:], strict=True))

@@ -149,15 +149,15 @@ MISTAKES: dict[str, tuple[str, str, list[str]]] = {
         "size_m: [5000, 5000]",
         ["more memory than is free", "community"],
     ),
-    "more seeds than memory": (
+    "more seeds than can be drawn": (
         "size_m: [20, 15]",
         "size_m: [5000, 5000]",
-        ["more memory than is free", "community"],
+        ["more seeds would fall", "community.global_seeding"],
     ),
 }
 EXTRA = {
     "more cells than memory": "\n  soil_water: {cell_m: 0.25}\n  most_modules: 1000",
-    "more seeds than memory": "\n  soil_water: {cell_m: 100}\n  most_modules: 1000\n"
+    "more seeds than can be drawn": "\n  soil_water: {cell_m: 100}\n  most_modules: 1000\n"
     "  global_seeding: [{seeds_per_ha: 1.0e5, every_yr: 0.01}]",
 }
 
