@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import inspect
 import json
 import math
@@ -25,6 +24,7 @@ from forestgen.recipe.assets import find_asset, list_assets, recipes_dir, scenes
 from forestgen.recipe.json_schema import recipe_json_schema
 from forestgen.recipe.load import LoadedRecipe, load_recipe
 from forestgen.recipe.sources import dotted
+from forestgen.recipe.suggestions import did_you_mean
 from forestgen.scene.exemplars import SizeError
 from forestgen.stages.plan import Plan, check_plan, estimate_bytes, views_below_ground, why_barren
 
@@ -246,10 +246,9 @@ def _page(name: str) -> str:
         return "\n\n".join(pages)
     known = [one for registry in _REGISTRIES for one in registry.ids()]
     known += [one for kind in _ASSETS for one in list_assets(kind)]
-    near = difflib.get_close_matches(name, known, n=1)
     raise RecipeError(
         "there is no page of this name",
         expected="one of " + ", ".join(known),
         got=repr(name),
-        hint=f"did you mean {near[0]!r}?" if near else None,
+        hint=did_you_mean(name, known),
     )
