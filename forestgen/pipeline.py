@@ -203,13 +203,15 @@ def simulate(
     """
     from forestgen.stages.graphs import check_graphs, write_graphs
     from forestgen.stages.history import check_map_steps, write_community
-    from forestgen.stages.resume import snapshot_to_resume
+    from forestgen.stages.resume import note_of_other_code, snapshot_to_resume
 
     plan = check_plan(loaded, simulate_only=True)
     start = snapshot_to_resume(plan, resume, from_step) if resume is not None else None
     check_graphs(plan, graphs)
     check_map_steps(plan, map_steps, first=start.step if start is not None else 0)
     summary = RunSummary(target)
+    other_code = note_of_other_code(resume) if resume is not None else None
+    summary.notes += [other_code] if other_code else []
     with OutputFolder(target, overwrite=overwrite) as folder:
         with timings("community"):
             last = write_community(folder, plan, snapshots(plan, progress, start), map_steps)
