@@ -16,6 +16,7 @@ from rich.text import Text
 
 from forestgen.cli.console import Bars, count, output, seconds
 from forestgen.community.registry import COMMUNITY_MODELS, ENVIRONMENTS
+from forestgen.community.statistics import STEM_HEIGHT_M
 from forestgen.core.errors import RecipeError
 from forestgen.core.registry import Registry
 from forestgen.core.timing import Timings
@@ -29,7 +30,7 @@ from forestgen.scene.exemplars import SizeError
 from forestgen.stages.plan import Plan, check_plan, estimate_bytes, views_below_ground, why_barren
 
 if TYPE_CHECKING:
-    from forestgen.pipeline import RunSummary
+    from forestgen.pipeline import RunSummary, Stems
 
 _MOST_NOTES = 5
 _REGISTRIES = (COMMUNITY_MODELS, ENVIRONMENTS, GENERATORS)
@@ -145,10 +146,26 @@ def simulate(
         )
     out = output()
     _say_counts(out, summary)
+    _say_stems(out, summary.stems)
     _say_biome(out, loaded)
     _say_notes(out, summary.notes)
     _say(out, f"simulated in {seconds(summary.timings_s['community'])}")
     _say(out, f"files: {summary.folder}/ ({', '.join(sorted(path.name for path in summary.folder.iterdir()))})")
+
+
+def _say_stems(out: Console, stems: Sequence[Stems]) -> None:
+    """What a forester counts, by species: living plants over breast height."""
+    if not any(one.plants for one in stems):
+        return
+    table = Table("living", box=None, pad_edge=False, header_style="")
+    for title in ("plants", f"stems over {STEM_HEIGHT_M} m", "stems per ha"):
+        table.add_column(title, justify="right")
+    for one in stems:
+        table.add_row(Text(one.species), f"{one.plants:,}", f"{one.stems:,}", f"{one.per_ha:,.0f}")
+    if len(stems) > 1:
+        sums = (sum(one.plants for one in stems), sum(one.stems for one in stems), sum(one.per_ha for one in stems))
+        table.add_row("all", *(f"{value:,.0f}" for value in sums))
+    out.print(table)
 
 
 def _say_biome(out: Console, loaded: LoadedRecipe) -> None:
