@@ -206,7 +206,8 @@ def _described(loaded: LoadedRecipe, plan: Plan) -> Iterator[tuple[str, str]]:
     yield "drawn anew", ", ".join(dotted(keys) for keys in loaded.distributions) or "nothing but the random numbers"
     if loaded.draws.sampler is not None:
         yield "sampling", loaded.draws.sampler.describe()
-    yield "memory", f"up to about {sum(estimate_bytes(plan).values()) / 1e9:.1f} GB"
+    community, whole = (sum(estimate_bytes(plan, simulate_only=only).values()) for only in (True, False))
+    yield "memory", f"up to about {whole / 1e9:.1f} GB to render, {community / 1e9:.1f} GB to simulate alone"
     yield "hash", loaded.hash
 
 
