@@ -10,7 +10,9 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from forestgen.community.model import Site
 from forestgen.community.population import Population, Status
+from forestgen.community.statistics import count_by_species, stems_by_species
 from forestgen.core.progress import Progress
 from forestgen.core.timing import Timings
 from forestgen.dataset.folder import OutputFolder
@@ -39,6 +41,16 @@ _MOST_CHANNELS = 13  # of a sensor, at a guess
 _PIXELS_A_PLANT = 40  # and no more than one in so many
 
 
+@dataclass(frozen=True)
+class Stems:
+    """How many plants of a species live, and how many of them a forester counts."""
+
+    species: str
+    plants: int  # that live
+    stems: int  # of these, over `STEM_HEIGHT_M`
+    per_ha: float  # stems
+
+
 @dataclass
 class RunSummary:
     """What a run made, for people."""
@@ -51,6 +63,7 @@ class RunSummary:
     relative_errors: list[float] = field(default_factory=list)  # of the frames' radiance, render/noise.py
     size_errors: list[SizeError] = field(default_factory=list)
     counts: dict[str, int] = field(default_factory=dict)
+    stems: list[Stems] = field(default_factory=list)  # of a simulation's last step, by species
     images: list[dict[str, Any]] = field(default_factory=list)  # a report of each, for the manifest
     notes: list[str] = field(default_factory=list)
     rows: list[dict[str, Any]] = field(default_factory=list)  # of the frames, for an index: dataset/index.py
@@ -203,22 +216,27 @@ def simulate(
     """
     from forestgen.stages.graphs import check_graphs, write_graphs
     from forestgen.stages.history import check_map_steps, write_community
-    from forestgen.stages.resume import snapshot_to_resume
+    from forestgen.stages.module_checks import ground_plans
+    from forestgen.stages.resume import note_of_other_code, snapshot_to_resume
 
     plan = check_plan(loaded, simulate_only=True)
     start = snapshot_to_resume(plan, resume, from_step) if resume is not None else None
     check_graphs(plan, graphs)
     check_map_steps(plan, map_steps, first=start.step if start is not None else 0)
     summary = RunSummary(target)
+    other_code = note_of_other_code(resume) if resume is not None else None
+    summary.notes += [other_code] if other_code else []
     with OutputFolder(target, overwrite=overwrite) as folder:
         with timings("community"):
             last = write_community(folder, plan, snapshots(plan, progress, start), map_steps)
         write_graphs(plan, last, graphs)
-        summary.plants, summary.counts, summary.standing_dead = len(last), _counts(last), _dead(last)
+        plants = ground_plans(plan.model_parameters, plan.drawn.species).left_out_of(last)
+        summary.plants, summary.counts, summary.standing_dead = len(plants), _counts(plants), _dead(plants)
+        summary.stems = _stems(plants, plan.site)
         summary.notes += last.notes
-        if not len(last):
+        if not len(plants):
             summary.notes.append(_empty_site(plan))
-        elif only_snags(last):
+        elif only_snags(plants):
             summary.notes.append(f"all plants at step {plan.steps} are standing dead trees: none lives")
         summary.timings_s, summary.total_s = dict(timings.seconds), timings.total()
         write_manifest(folder, _manifest(folder, loaded, [plan.drawn.image_seed], summary))
@@ -242,6 +260,11 @@ def _disk_bytes(loaded: LoadedRecipe, plan: Plan) -> int:
 
 def _counts(population: Population) -> dict[str, int]:
     return {name: int((population.species == index).sum()) for index, name in enumerate(population.species_names)}
+
+
+def _stems(population: Population, site: Site) -> list[Stems]:
+    alive, stems = count_by_species(population), stems_by_species(population)
+    return [Stems(name, alive[name], number, number / site.area_m2 * 1e4) for name, number in stems.items()]
 
 
 def _dead(population: Population) -> int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import inspect
 import json
 import math
@@ -17,6 +16,7 @@ from rich.text import Text
 
 from forestgen.cli.console import Bars, count, output, seconds
 from forestgen.community.registry import COMMUNITY_MODELS, ENVIRONMENTS
+from forestgen.community.statistics import STEM_HEIGHT_M
 from forestgen.core.errors import RecipeError
 from forestgen.core.registry import Registry
 from forestgen.core.timing import Timings
@@ -25,12 +25,13 @@ from forestgen.recipe.assets import find_asset, list_assets, recipes_dir, scenes
 from forestgen.recipe.json_schema import recipe_json_schema
 from forestgen.recipe.load import LoadedRecipe, load_recipe
 from forestgen.recipe.sources import dotted
+from forestgen.recipe.suggestions import did_you_mean
 from forestgen.scene.exemplars import SizeError
 from forestgen.stages.module_checks import notes_on_houses
 from forestgen.stages.plan import Plan, check_plan, estimate_bytes, views_below_ground, why_barren
 
 if TYPE_CHECKING:
-    from forestgen.pipeline import RunSummary
+    from forestgen.pipeline import RunSummary, Stems
 
 _MOST_NOTES = 5
 _REGISTRIES = (COMMUNITY_MODELS, ENVIRONMENTS, GENERATORS)
@@ -146,10 +147,26 @@ def simulate(
         )
     out = output()
     _say_counts(out, summary)
+    _say_stems(out, summary.stems)
     _say_biome(out, loaded)
     _say_notes(out, summary.notes)
     _say(out, f"simulated in {seconds(summary.timings_s['community'])}")
     _say(out, f"files: {summary.folder}/ ({', '.join(sorted(path.name for path in summary.folder.iterdir()))})")
+
+
+def _say_stems(out: Console, stems: Sequence[Stems]) -> None:
+    """What a forester counts, by species: living plants over breast height."""
+    if not any(one.plants for one in stems):
+        return
+    table = Table("living", box=None, pad_edge=False, header_style="")
+    for title in ("plants", f"stems over {STEM_HEIGHT_M} m", "stems per ha"):
+        table.add_column(title, justify="right")
+    for one in stems:
+        table.add_row(Text(one.species), f"{one.plants:,}", f"{one.stems:,}", f"{one.per_ha:,.0f}")
+    if len(stems) > 1:
+        sums = (sum(one.plants for one in stems), sum(one.stems for one in stems), sum(one.per_ha for one in stems))
+        table.add_row("all", *(f"{value:,.0f}" for value in sums))
+    out.print(table)
 
 
 def _say_biome(out: Console, loaded: LoadedRecipe) -> None:
@@ -191,7 +208,8 @@ def _described(loaded: LoadedRecipe, plan: Plan) -> Iterator[tuple[str, str]]:
     yield "drawn anew", ", ".join(dotted(keys) for keys in loaded.distributions) or "nothing but the random numbers"
     if loaded.draws.sampler is not None:
         yield "sampling", loaded.draws.sampler.describe()
-    yield "memory", f"up to about {sum(estimate_bytes(plan).values()) / 1e9:.1f} GB"
+    community, whole = (sum(estimate_bytes(plan, simulate_only=only).values()) for only in (True, False))
+    yield "memory", f"up to about {whole / 1e9:.1f} GB to render, {community / 1e9:.1f} GB to simulate alone"
     yield "hash", loaded.hash
 
 
@@ -248,10 +266,9 @@ def _page(name: str) -> str:
         return "\n\n".join(pages)
     known = [one for registry in _REGISTRIES for one in registry.ids()]
     known += [one for kind in _ASSETS for one in list_assets(kind)]
-    near = difflib.get_close_matches(name, known, n=1)
     raise RecipeError(
         "there is no page of this name",
         expected="one of " + ", ".join(known),
         got=repr(name),
-        hint=f"did you mean {near[0]!r}?" if near else None,
+        hint=did_you_mean(name, known),
     )

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from PIL import Image, ImageColor, ImageDraw, ImageFont
 
 from forestgen.community.model import Site
-from forestgen.community.plots import colours_of
+from forestgen.community.obstacles import NO_OBSTACLES, Obstacles
+from forestgen.community.plots import OBSTACLE, colours_of
 from forestgen.community.population import Population, Status
 from forestgen.core.errors import OutputError
 
@@ -36,17 +37,24 @@ class Film:
     Parameters
     ----------
     periodic : circles that reach over an edge go on at the opposite one.
+    obstacles : drawn as their ground plans, below the circles; the snapshots must not hold them as plants.
     """
 
     def __init__(
-        self, site: Site, species_names: Sequence[str], species_colours: Mapping[str, str], *, periodic: bool
+        self,
+        site: Site,
+        species_names: Sequence[str],
+        species_colours: Mapping[str, str],
+        *,
+        periodic: bool,
+        obstacles: Obstacles = NO_OBSTACLES,
     ) -> None:
-        self._site, self._periodic = site, periodic
+        self._site, self._periodic, self._obstacles = site, periodic, obstacles
         colours = colours_of(species_colours, species_names)
         self._rgb = [_rgb(colours[name]) for name in species_names]
         scale = _LONGEST_PX / max(site.size_m)
         self._size_px = max(1, round(site.size_m[0] * scale)), max(1, round(site.size_m[1] * scale))
-        self._palette = _palette(self._rgb)
+        self._palette = _palette([*self._rgb, _rgb(OBSTACLE)] if obstacles.outlines else self._rgb)
         self._frames: list[Image.Image] = []
 
     def add(self, population: Population) -> None:
@@ -68,6 +76,9 @@ class Film:
         centre = population.position_m[order, :2] * (scale, -scale) + (0, height)
         radius, kind = population.radius_m[order] * scale, population.species[order]
         ground = Image.new("RGB", (width, height), _GROUND)
+        for one in self._obstacles.outlines:
+            corners = one.corners_m * (scale, -scale) + (0, height)
+            ImageDraw.Draw(ground).polygon([(x, y) for x, y in corners.tolist()], fill=_rgb(OBSTACLE))
         large = int(np.count_nonzero(radius >= _SMALL_PX))
         self._draw_large(ImageDraw.Draw(ground), centre[:large], radius[:large], kind[:large])
         pixels = np.array(ground)

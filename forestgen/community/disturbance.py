@@ -282,6 +282,9 @@ class Plant(Region):
         return Planting(np.full(n, index, dtype=np.uint16), position_m, np.full(n, radius_m), columns)
 
 
+KINDS = ("fell", "burn", "plant")
+
+
 class Disturbance(Section):
     """Something that happens to a community at one time."""
 
@@ -295,10 +298,10 @@ class Disturbance(Section):
     def _one_time_one_kind(self) -> Self:
         if (self.at_yr is None) == (self.at_step is None):
             raise mistake("either at_yr or at_step", problem="it must be clear when this happens")
-        kinds = [key for key in ("fell", "burn", "plant") if getattr(self, key) is not None]
+        kinds = [key for key in KINDS if getattr(self, key) is not None]
         if len(kinds) != 1:
             raise mistake(
-                "one of fell, burn, plant", problem="one thing happens at a time", got=", ".join(kinds) or "none"
+                f"one of {', '.join(KINDS)}", problem="one thing happens at a time", got=", ".join(kinds) or "none"
             )
         return self
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from forestgen.community.model import Site
+from forestgen.community.obstacles import NO_OBSTACLES, Obstacles
 from forestgen.community.population import Population, Status
 from forestgen.community.statistics import count_by_species
 from forestgen.core.errors import OutputError
@@ -17,11 +18,16 @@ from forestgen.core.errors import OutputError
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
 
 HERB, DECIDUOUS, CONIFER = "#D6409F", "#F08C00", "#14532D"  # apart in lightness too, for the colour-blind and in grey
 _OTHERS = ("#0072B2", "#56B4E9", "#7A5195", "#8C564B", "#666666")
 _DPI = 160
 _MAP_IN = 6.3  # longer side of a map
+OBSTACLE, _OBSTACLE_EDGE = "#9A9A9A", "#4D4D4D"  # grey, as no species is unless its file says so
+_LEGEND_COLUMNS, _LEGEND_COLUMN_IN, _LEGEND_ROW_IN = 3, 2.0, 0.235
+_MARGINS_IN = (0.75, 0.35, 0.6, 0.4)  # left, right, below without the legend, above
+_LEAST_WIDTH_IN, _LEAST_HEIGHT_IN = 2.5, 0.6  # of what lies between: a narrow site has a title, too
 _DARKER, _LIGHTEST = 0.7, 0.35  # edges and dots: times their fill's colour; and their lightness at most, 0 to 1
 _EDGE_PT, _EDGE_SHARE = 0.4, 0.35  # thickness of edges at most, and of a small circle's in its radii
 _MOST_NAMED = 29  # species below a map, or they would leave it no room
@@ -113,27 +119,63 @@ def plot_map(
     path: Path,
     *,
     periodic: bool = True,
+    obstacles: Obstacles = NO_OBSTACLES,
 ) -> None:
     """Circles of all living plants to scale, as a PNG; `periodic` repeats those that reach over an edge.
 
-    A plant that would be smaller than a dot is drawn as a dot.
+    A plant that would be smaller than a dot is drawn as a dot; an obstacle, which is no plant of the population
+    (`Obstacles.left_out_of`), is its grey ground plan.
     """
+    colours, counts = colours_of(species_colours, population.species_names), count_by_species(population)
+    figure, axes = _map_figure(site, _map_legend(colours, counts, obstacles))
+    axes.set(xlabel="x, east (m)", ylabel="y, north (m)")
+    axes.set_title(f"{population.time_yr:g} years, {sum(counts.values()):,} plants", fontsize=12)
+    _draw_outlines(axes, obstacles)
+    _draw_circles(axes, population, site, colours, periodic)
+    save_figure(figure, path)
+
+
+def _map_figure(site: Site, handles: Sequence[Line2D]) -> tuple[Figure, Axes]:
+    """A figure with room for the site to scale, a title above, and a legend below.
+
+    All is placed in inches: matplotlib's own layout cuts the title off axes of a fixed aspect.
+    """
+    width, height = (_MAP_IN * side / max(site.size_m) for side in site.size_m)
+    left, right, below, above = _MARGINS_IN
+    wide, high = left + max(width, _LEAST_WIDTH_IN) + right, max(height, _LEAST_HEIGHT_IN)
+    columns = max(1, min(_LEGEND_COLUMNS, int(wide / _LEGEND_COLUMN_IN)))
+    foot = below + _LEGEND_ROW_IN * -(-len(handles) // columns)
+    figure = new_figure(wide, foot + high + above)
+    figure.set_layout_engine("none")
+    tall = foot + high + above
+    corner = (left + (wide - left - right - width) / 2) / wide, (foot + (high - height) / 2) / tall
+    axes = figure.add_axes((*corner, width / wide, height / tall))
+    axes.set(xlim=(0, site.size_m[0]), ylim=(0, site.size_m[1]), facecolor="#FAF8F3")
+    figure.legend(
+        handles=handles, loc="lower center", ncols=columns, frameon=False, fontsize=11, borderaxespad=0.2,
+    )  # fmt: skip
+    return figure, axes
+
+
+def _draw_outlines(axes: Axes, obstacles: Obstacles) -> None:
+    """Below the circles: crowns may hang over a roof."""
+    from matplotlib.patches import Polygon
+
+    for one in obstacles.outlines:
+        axes.add_patch(Polygon(one.corners_m, closed=True, fc=OBSTACLE, ec=_OBSTACLE_EDGE, lw=1.0, zorder=0.5))
+
+
+def _map_legend(colours: Mapping[str, str], counts: Mapping[str, int], obstacles: Obstacles) -> list[Line2D]:
+    """A mark for each species and its number of plants, and for each kind of obstacle."""
     from matplotlib.lines import Line2D
 
-    colours = colours_of(species_colours, population.species_names)
-    width, height = site.size_m
-    longest = max(width, height)
-    figure = new_figure(1.2 + _MAP_IN * max(width / longest, 0.4), 1.7 + _MAP_IN * max(height / longest, 0.1))
-    axes = figure.add_subplot(aspect="equal", xlim=(0, width), ylim=(0, height), facecolor="#FAF8F3")
-    axes.set(xlabel="x, east (m)", ylabel="y, north (m)")
-    counts = count_by_species(population)
-    axes.set_title(f"{population.time_yr:g} years, {sum(counts.values()):,} plants", fontsize=12)
-    _draw_circles(axes, population, site, colours, periodic)
     handles = [
         Line2D([], [], ls="", marker="o", ms=9, mfc=(one, 0.55), mec=darker(one), label=f"{name} ({counts[name]:,})")
         for name, one in list(colours.items())[:_MOST_NAMED]
     ]
     if len(colours) > _MOST_NAMED:
         handles.append(Line2D([], [], ls="", label=f"and {len(colours) - _MOST_NAMED} more species"))
-    figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False, fontsize=11)
-    save_figure(figure, path)
+    for name, number in obstacles.counts.items():
+        label = f"{name}, obstacle ({number:,})"
+        handles.append(Line2D([], [], ls="", marker="s", ms=9, mfc=OBSTACLE, mec=_OBSTACLE_EDGE, label=label))
+    return handles

@@ -11,11 +11,20 @@ from forestgen.community.model import Site
 from forestgen.community.point_patterns import SAMPLES, Window, hopkins, measure_distances
 from forestgen.community.population import Population, Status
 
+STEM_HEIGHT_M = 1.3  # breast height: a plant that does not reach it has no stem to measure
+
 
 def count_by_species(population: Population) -> dict[str, int]:
     """Number of living plants of each species, dominated ones included."""
     alive = population.species[population.status != Status.DEAD]
     counts = np.bincount(alive, minlength=len(population.species_names))
+    return {name: int(n) for name, n in zip(population.species_names, counts, strict=True)}
+
+
+def stems_by_species(population: Population) -> dict[str, int]:
+    """Number of living plants of each species that are higher than `STEM_HEIGHT_M`: what a forester counts."""
+    stems = population.species[(population.status != Status.DEAD) & (population.height_m > STEM_HEIGHT_M)]
+    counts = np.bincount(stems, minlength=len(population.species_names))
     return {name: int(n) for name, n in zip(population.species_names, counts, strict=True)}
 
 

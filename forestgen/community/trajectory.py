@@ -21,7 +21,7 @@ from forestgen.community.point_patterns import (
 )
 from forestgen.community.population import Population, Status
 from forestgen.community.size_statistics import Slope, fit_log_normal, reineke_slope, self_thinning_slope
-from forestgen.community.statistics import count_by_species, cover_by_species, plant_mass, shares
+from forestgen.community.statistics import count_by_species, cover_by_species, plant_mass, shares, stems_by_species
 from forestgen.core.randomness import child_rng
 
 ALL = "all"  # of the plants, beside each species
@@ -129,7 +129,7 @@ def describe_step(population: Population, site: Site, seed: int) -> dict[str, An
 
     The same snapshot and seed give the same numbers.
     """
-    counts = count_by_species(population)
+    counts, stems = count_by_species(population), stems_by_species(population)
     n = sum(counts.values())
     mass, _ = plant_mass(population)
     alive = population.status != Status.DEAD
@@ -143,6 +143,8 @@ def describe_step(population: Population, site: Site, seed: int) -> dict[str, An
         "density_per_m2": n / site.area_m2,
         "counts": counts,
         "shares": shares(counts),
+        "stems_over_1_3_m": stems,
+        "stems_over_1_3_m_per_ha": {name: number / site.area_m2 * 1e4 for name, number in stems.items()},
         "cover": cover_by_species(population, site),
         "mean_mass": float(mass[alive].mean()) if n else None,
         "hopkins": {name: one[0] for name, one in patterns.items()},

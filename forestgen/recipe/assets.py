@@ -5,11 +5,11 @@ In an installed wheel they lie in ``forestgen/_data``; in a checkout at the repo
 
 from __future__ import annotations
 
-import difflib
 from pathlib import Path
 
 from forestgen.core.errors import AssetError
 from forestgen.recipe.paths import inside
+from forestgen.recipe.suggestions import did_you_mean
 
 PACKAGE = Path(__file__).resolve().parents[1]
 SUFFIXES = {
@@ -88,22 +88,20 @@ def find_asset(
         if _is_file(path):
             return path
         if _shipped(kind, name) is None:
-            near = difflib.get_close_matches(name, list_assets(kind), n=1)
-            hint = f"did you mean {near[0]!r}?" if near else None
+            hint = did_you_mean(name, list_assets(kind))
             raise AssetError(f"no such {kind} file", where=where, expected="an existing file", got=str(path), hint=hint)
     shipped = _shipped(kind, name)
     if shipped is not None:
         return shipped
     names = list_assets(kind)
     if name not in names:
-        near = difflib.get_close_matches(name, names, n=1)
         path_like = f"./{name or 'name'}{suffixes[0]}"
         raise AssetError(
             f"nothing in {kind} has this name",
             where=where,
             expected=f"one of {', '.join(names) or '(there are none)'}, or a path such as {path_like}",
             got=repr(name),
-            hint=f"did you mean {near[0]!r}?" if near else None,
+            hint=did_you_mean(name, names),
         )
     return _files(kind)[name]
 

@@ -7,7 +7,8 @@ suits best, by their adaptation
     o = exp(-(T - T_A)^2 / (2 s_T^2)) exp(-(P - P_A)^2 / (2 s_P^2))
 
 (Makowski 2023, Eq. 13), and initial plants in proportion to it. Where the recipe names species, these are what grows.
-A place's two numbers come from the climate normals in ``scenes/climate/stations.csv``.
+A place's two numbers come from the climate normals in ``scenes/climate/stations.csv``; a number that stands beside the
+place goes before its own, so a stored recipe, which has both, is that recipe again.
 """
 
 from __future__ import annotations

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from forestgen.core.parts import Part
+from forestgen.recipe.suggestions import did_you_mean
 
 OTHERS = "others"  # all species that no class names
 RESERVED = ("nothing", "ground")  # classes that there always are
@@ -56,8 +56,7 @@ def _wrong_member(name: str, species: Sequence[str]) -> tuple[str, str, str, str
     known = [*species, *PARTS, OTHERS]
     if name in known:
         return None
-    near = difflib.get_close_matches(name.lower(), known, n=1)
-    hint = f"did you mean {near[0]!r}?" if near else None
+    hint = did_you_mean(name.lower(), known)
     return "neither a species of the recipe nor a part", "one of " + ", ".join(known), repr(name), hint
 
 

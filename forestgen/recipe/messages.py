@@ -14,6 +14,7 @@ from forestgen.core.errors import RecipeError
 from forestgen.recipe.distributions import KINDS, is_distribution
 from forestgen.recipe.fields import NAME_PATTERN
 from forestgen.recipe.sources import Keys, SourceMap
+from forestgen.recipe.suggestions import did_you_mean
 
 MOST_SHOWN = 10
 UNDRAWN: tuple[Keys, ...] = (
@@ -179,8 +180,7 @@ class Explainer:
             where = self.sources.where(self.prefix + keys)
             return _Finding(where, f"the key {discriminator!r} is missing", expected)
         tag = value[discriminator]
-        near = difflib.get_close_matches(str(tag), tags, n=1, cutoff=0.5)
-        hint = f"did you mean {near[0]!r}?" if near else None
+        hint = did_you_mean(str(tag), tags, cutoff=0.5)
         return self._at((*keys, discriminator), "bad value", expected, show(tag), hint)
 
     def _unknown_key(self, keys: Keys) -> _Finding:
@@ -188,13 +188,12 @@ class Explainer:
         names = list(owner.model_fields) if owner is not None else []
         if not self.prefix and len(keys) == 3 and keys[0] == "species":
             names.append("from")
-        near = difflib.get_close_matches(str(keys[-1]), names, n=1, cutoff=0.5)
         return _Finding(
             self.sources.where(self.prefix + self._written_keys(keys)),
             f"unknown key {str(keys[-1])!r}",
             f"one of {', '.join(names)}" if names else "no further key",
             None,
-            f"did you mean {near[0]!r}?" if near else None,
+            did_you_mean(str(keys[-1]), names, cutoff=0.5),
         )
 
     def _tuple_length(self, keys: Keys, kind: str) -> int | None:

@@ -58,8 +58,12 @@ def community_key(plan: Plan) -> str | None:
         )
     except _UnknownError:
         return None
-    code = code_hash(_SOURCES, _COMPUTE_WITH, (scenes_dir() / "modules", scenes_dir() / "climate"))
-    return hashlib.blake2b(repr((code, content)).encode(), digest_size=20).hexdigest()
+    return hashlib.blake2b(repr((simulation_code(), content)).encode(), digest_size=20).hexdigest()
+
+
+def simulation_code() -> str:
+    """Hash, hexadecimal, of the code and tables that a simulated community depends on."""
+    return code_hash(_SOURCES, _COMPUTE_WITH, (scenes_dir() / "modules", scenes_dir() / "climate"))
 
 
 def load_community(store: DiskCache, key: str) -> Population | None:

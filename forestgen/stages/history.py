@@ -20,6 +20,7 @@ from forestgen.community.population import Population
 from forestgen.community.statistics import plant_mass
 from forestgen.community.trajectory import Moment, Trajectory, describe_step, describe_thinning, moment, thinning_slope
 from forestgen.core.errors import OutputError, RecipeError
+from forestgen.stages.module_checks import ground_plans
 from forestgen.stages.plan import Plan
 from forestgen.stages.resume import origin
 
@@ -43,7 +44,8 @@ class _Told:
     film: Film
     moments: list[Moment]
     described: list[dict[str, Any]]
-    last: Population
+    last: Population  # as it is
+    plants: Population  # the same without obstacles
     placement: dict[str, Any] | None = None  # of the plants of step 0
     water: list[tuple[float, Mapping[str, Any]]] = field(default_factory=list)  # of every snapshot with its time
 
@@ -55,7 +57,7 @@ def write_community(folder: Path, plan: Plan, snapshots: Iterator[Population], m
     statistics.json; if there are steps, animation.gif, curves.png and thinning.png too; of a model that places plants
     by densities, densities.png; of one with water, maps.nc and water.png; on request, modules.parquet. No snapshot is
     held but the current one. Fellings and plantings thin a stand as no crowding does: with them there is no
-    self-thinning line.
+    self-thinning line. Obstacles, which are in the history, are no plants in pictures and statistics.
 
     `check_map_steps` tells whether the simulation reaches `map_steps`.
     """
@@ -64,7 +66,7 @@ def write_community(folder: Path, plan: Plan, snapshots: Iterator[Population], m
     write_history(folder / "history.parquet", watched, origin(plan), modules=modules, size_m=plan.site.size_m)
     (end,) = told
     thinning = _write_course(folder, plan, end) if plan.steps else None
-    plot_sizes(end.last, map_colours(plan), folder / "sizes.png")
+    plot_sizes(end.plants, map_colours(plan), folder / "sizes.png")
     _write_statistics(folder / "statistics.json", plan, end, thinning)
     return end.last
 
@@ -76,8 +78,8 @@ def keeps_modules(plan: Plan) -> bool:
 
 def _write_course(folder: Path, plan: Plan, end: _Told) -> dict[str, Any] | None:
     """The pictures of a community in time; its self-thinning line as `describe_thinning` tells it."""
-    colours, unit = map_colours(plan), plant_mass(end.last)[1]
-    trajectory = Trajectory.of(end.moments, end.last.species_names, plan.site, unit)
+    colours, unit = map_colours(plan), plant_mass(end.plants)[1]
+    trajectory = Trajectory.of(end.moments, end.plants.species_names, plan.site, unit)
     plot_curves(trajectory, colours, folder / "curves.png")
     slope = None if plan.model_parameters.disturbances else thinning_slope(trajectory)
     plot_thinning(trajectory, slope, colours, folder / "thinning.png")
@@ -93,26 +95,29 @@ def _watched(
     """The snapshots, of which `told` takes notes and maps are drawn on their way."""
     wanted, site, seed = set(map_steps) or {plan.steps}, plan.site, plan.drawn.image_seed
     periodic, colours = plan.model_parameters.periodic, map_colours(plan)
+    obstacles = ground_plans(plan.model_parameters, plan.drawn.species)
     for population in snapshots:
-        step = population.step
+        step, plants = population.step, obstacles.left_out_of(population)
         if not told:
-            told.append(_Told(Film(site, population.species_names, colours, periodic=periodic), [], [], population))
+            film = Film(site, plants.species_names, colours, periodic=periodic, obstacles=obstacles)
+            told.append(_Told(film, [], [], population, plants))
             on_curve, in_film, is_described = (
                 evenly(step, plan.steps, most) for most in (_CURVE_POINTS, MOST_FRAMES, _DESCRIBED_STEPS)
             )
             if step == 0:
                 told[0].placement = _placement(folder, plan, population)
-        told[0].last = population
+        told[0].last, told[0].plants = population, plants
         if "water" in population.state:
             told[0].water.append((population.time_yr, population.state["water"]))
         if on_curve(step):
-            told[0].moments.append(moment(population, site))
+            told[0].moments.append(moment(plants, site))
         if plan.steps and in_film(step):
-            told[0].film.add(population)
+            told[0].film.add(plants)
         if is_described(step):
-            told[0].described.append(describe_step(population, site, seed))
+            told[0].described.append(describe_step(plants, site, seed))
         if step in wanted:
-            plot_map(population, site, colours, folder / f"map-{step:06d}.png", periodic=periodic)
+            path = folder / f"map-{step:06d}.png"
+            plot_map(plants, site, colours, path, periodic=periodic, obstacles=obstacles)
         yield population
 
 
@@ -133,7 +138,7 @@ def _write_statistics(path: Path, plan: Plan, end: _Told, thinning: dict[str, An
     document: dict[str, Any] = {
         "version": 1,
         "site_size_m": list(plan.site.size_m),
-        "species": list(plan.drawn.species),
+        "species": list(end.plants.species_names),
         "mass_unit": "kg" if plant_mass(end.last)[1] == "kg" else "m3 (radius cubed)",
         "steps": end.described,
         "self_thinning": thinning,

@@ -13,6 +13,7 @@ from forestgen.architecture.prototypes import load_prototypes
 from forestgen.community.branch_modules.changes import check_changes
 from forestgen.community.branch_modules.parameters import BranchModulesParameters, Obstacle
 from forestgen.community.model import CommunityParameters
+from forestgen.community.obstacles import NO_OBSTACLES, Obstacles, Outline
 from forestgen.community.population import Population
 from forestgen.core.errors import RecipeError, ResourceError
 from forestgen.plants.build import built
@@ -181,6 +182,14 @@ def obstacles_of(parameters: CommunityParameters, population: Population) -> dic
         return {}
     rows = np.searchsorted(population.plant_id, np.arange(1, len(parameters.obstacles) + 1))
     return {int(row): one for row, one in zip(rows, parameters.obstacles, strict=True)}
+
+
+def ground_plans(parameters: CommunityParameters, species: Mapping[str, Species]) -> Obstacles:
+    """The obstacles of a recipe as a map shows them."""
+    if not isinstance(parameters, BranchModulesParameters):
+        return NO_OBSTACLES
+    outlines = tuple(Outline(one.species, one.corners_m()) for one in parameters.obstacles)
+    return Obstacles(outlines, frozenset(name for name, one in species.items() if is_built(one)))
 
 
 def turned_obstacles(parameters: CommunityParameters, population: Population) -> Population:

@@ -6,7 +6,6 @@ machine's memory by estimate.
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -27,6 +26,7 @@ from forestgen.plants.parameters import PlantParameters
 from forestgen.plants.registry import GENERATORS
 from forestgen.recipe.load import DrawnRecipe, LoadedRecipe
 from forestgen.recipe.species import Plant, Species
+from forestgen.recipe.suggestions import did_you_mean
 from forestgen.scene.exemplars import check_traits
 from forestgen.stages.clouds import check_clouds, cloud_bytes, known_base_m
 from forestgen.stages.ground import community_site
@@ -155,13 +155,12 @@ def views_below_ground(plan: Plan) -> list[str]:
 def _check_named_species(drawn: DrawnRecipe, parameters: CommunityParameters) -> None:
     for keys, name in parameters.named_species():
         if name not in drawn.species:
-            near = difflib.get_close_matches(name, drawn.species, n=1)
             raise RecipeError(
                 "the recipe has no species of this name",
                 where=drawn.where("community", *keys),
                 expected="one of " + ", ".join(drawn.species),
                 got=repr(name),
-                hint=f"did you mean {near[0]!r}?" if near else None,
+                hint=did_you_mean(name, drawn.species),
             )
 
 

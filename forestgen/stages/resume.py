@@ -24,10 +24,11 @@ from forestgen.community.population import Population
 from forestgen.community.snapshot_checks import ImpossibleValueError, check_snapshot
 from forestgen.core.errors import AssetError, RecipeError
 from forestgen.recipe.hashing import recipe_hash
-from forestgen.recipe.messages import show
+from forestgen.stages.community_cache import simulation_code
+from forestgen.stages.differences import differences, shown
 from forestgen.stages.plan import Plan
 
-_MOST_SHOWN = 3
+_MOST_SHOWN = 5
 _TIMED: Mapping[str, type[Disturbance | Change | ClimateChange | GlobalSeeding]] = {
     "disturbances": Disturbance,
     "changes": Change,
@@ -43,6 +44,7 @@ def origin(plan: Plan) -> dict[str, Any]:
     about = {
         "recipe_hash": recipe_hash(drawn.data),
         "forestgen": __version__,
+        "code": simulation_code(),
         "seed": drawn.recipe.seed,
         "image": drawn.image_index,
         "model": drawn.recipe.community.model,
@@ -127,6 +129,22 @@ def _check_values(plan: Plan, population: Population, path: Path) -> None:
         ) from error
 
 
+def note_of_other_code(path: Path) -> str | None:
+    """What there is to tell if the history was simulated by other code than the present; None: by the same.
+
+    Other versions are refused. Of one version, the code may have been changed, a library, or the kind of machine.
+    """
+    theirs, ours = open_history(path).origin.get("code"), simulation_code()
+    if theirs == ours:
+        return None
+    what = "does not say which code simulated it" if theirs is None else "was simulated by other code"
+    codes = f"now {ours[:8]}" if theirs is None else f"{theirs[:8]}, now {ours[:8]}"
+    return (
+        f"{path} {what} ({codes}: a hash of forestgen's files, its libraries' versions and the kind of machine); "
+        "what follows may differ from one simulation in one go"
+    )
+
+
 def _check_same_simulation(theirs: Mapping[str, Any], ours: Mapping[str, Any], step: int, path: Path) -> None:
     """Raise `RecipeError` unless both origins have the same future from `step` on, but for what is still to come."""
     if not theirs:
@@ -143,17 +161,17 @@ def _check_same_simulation(theirs: Mapping[str, Any], ours: Mapping[str, Any], s
             got=f"no {error}" if isinstance(error, KeyError) else str(error).splitlines()[0],
             hint="simulate it again",
         ) from error
-    differ = [key for key in {**now, **before} if before.get(key) != now.get(key)]
+    differ = list(differences(before, now))
     if not differ:
         return
-    shown, more = differ[:_MOST_SHOWN], len(differ) - _MOST_SHOWN
+    told, more = differ[:_MOST_SHOWN], len(differ) - _MOST_SHOWN
     *others, last = [key for key in _TIMED if key in ours["parameters"]]
     timed = ", ".join(others) + " and " * bool(others) + last
     raise RecipeError(
         f"{path} is the history of another simulation",
         where="--resume",
-        expected="; ".join(f"{key} {_show(before.get(key))}" for key in shown) + ", as in the history",
-        got="; ".join(f"{key} {_show(now.get(key))}" for key in shown) + (f", and {more} more" if more > 0 else ""),
+        expected="; ".join(f"{one.key} {shown(one.before)}" for one in told) + ", as in the history",
+        got="; ".join(f"{one.key} {shown(one.now)}" for one in told) + (f", and {more} more" if more > 0 else ""),
         hint=f"only community.steps and later {timed} may change; leave --resume out to start anew",
     )
 
@@ -176,14 +194,3 @@ def _until(about: Mapping[str, Any], step: int) -> Iterator[tuple[str, Any]]:
                     yield f"community.{key}.{index}", one
         elif key not in _FREE:
             yield f"community.{key}", value
-
-
-def _show(value: Any) -> str:
-    return "(none)" if value is None else show(_without_defaults(value))
-
-
-def _without_defaults(value: Any) -> Any:
-    """A disturbance without the keys that it does not use."""
-    if isinstance(value, Mapping):
-        return {key: _without_defaults(one) for key, one in value.items() if one is not None}
-    return value

@@ -179,6 +179,9 @@ def test_simulate_writes_history_maps_and_curves(tmp_path: Path) -> None:
         "thinning.png",
     }
     assert re.search(r"^\d+ plants? \(\d+ fireweed\)$", answer.out, re.MULTILINE)
+    assert re.search(
+        r"^living +plants +stems over 1.3 m +stems per ha\nfireweed +\d+ +\d+ +[\d,]+$", answer.out, re.MULTILINE
+    )
     run("simulate", tmp_path / "tiny.yaml", "-o", tmp_path / "b", "--map-step", "13").refused(
         2, "--map-step", "0 to 12", "13"
     )

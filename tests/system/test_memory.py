@@ -58,20 +58,28 @@ def test_the_estimate_holds(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_simulations_estimate_holds(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("recipe", "overrides"),
+    [
+        (QUICKSTART, ["site.size_m=[1500,1500]", "community.steps=60"]),
+        (QUICKSTART.with_name("branch_modules.yaml"), []),
+        (QUICKSTART.parent / "biomes" / "tundra.yaml", []),  # short segments: the most modules a square metre
+    ],
+)
+def test_a_simulations_estimate_holds(recipe: Path, overrides: list[str], tmp_path: Path) -> None:
     from forestgen.recipe.load import load_recipe
     from forestgen.stages.plan import check_plan, estimate_bytes
 
-    overrides = ["site.size_m=[1500,1500]", "community.steps=60"]
     options = [text for one in overrides for text in ("--set", one)]
-    process = start("simulate", QUICKSTART, "-o", tmp_path / "out", *options)
+    process = start("simulate", recipe, "-o", tmp_path / "out", *options)
     _, err = process.communicate(timeout=600)
     assert process.returncode == 0, err
     peak = json.loads((tmp_path / "out" / "manifest.json").read_text())["peak_memory_bytes"]
-    estimate = sum(estimate_bytes(check_plan(load_recipe(QUICKSTART, overrides)), simulate_only=True).values())
+    estimate = sum(estimate_bytes(check_plan(load_recipe(recipe, overrides)), simulate_only=True).values())
     print(f"simulate: estimate {estimate / 1e6:.0f} MB, peak {peak / 1e6:.0f} MB")  # noqa: T201
     assert peak < estimate < MOST_OVER * peak
 
 
 def test_validate_tells_the_estimate() -> None:
-    assert re.search(r"memory +up to about \d+\.\d GB", run("validate", QUICKSTART).out)
+    told = run("validate", QUICKSTART).out
+    assert re.search(r"memory +up to about \d+\.\d GB to render, \d+\.\d GB to simulate alone$", told, re.MULTILINE)

@@ -20,10 +20,12 @@ from typing import TYPE_CHECKING, Any, Protocol, Self, TypeVar
 from pydantic import BaseModel, Field, model_validator
 
 from forestgen.architecture.plant_type import PlantType
+from forestgen.community.disturbance import KINDS
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.fields import NonNegative, Section, mistake
 from forestgen.recipe.messages import show
 from forestgen.recipe.sources import Keys
+from forestgen.recipe.suggestions import nearest
 
 if TYPE_CHECKING:
     from forestgen.community.branch_modules.parameters import BranchModulesParameters
@@ -51,6 +53,20 @@ class Change(Section):
     set: dict[str, Any] = Field(
         min_length=1, description="New values by key: of this section, or species.NAME.KEY of a species' modules."
     )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _is_no_disturbance(cls, data: Any) -> Any:
+        for key in data if isinstance(data, Mapping) else ():
+            kind = None if key in cls.model_fields else nearest(str(key), KINDS)
+            if kind is not None:
+                raise mistake(
+                    "at_yr and set",
+                    problem=f"unknown key {str(key)!r}",
+                    hint=f"a change sets numbers; write disturbances: [{{at_yr: ..., {kind}: ...}}] beside changes",
+                    at=(str(key),),
+                )
+        return data
 
     @model_validator(mode="after")
     def _can_be_changed(self) -> Self:

@@ -91,7 +91,11 @@ class Biome(Section):
 
     temperature_c: Temperature | None = Field(None, description="Mean temperature, deg C, -10 to 33.")
     precipitation_mm_per_yr: Precipitation | None = Field(None, description="Precipitation, mm/year, 10 to 4300.")
-    place: Text | None = Field(None, description="A station of the climate normals that come with forestgen.")
+    place: Text | None = Field(
+        None,
+        description="A station of the climate normals that come with forestgen. Where a number stands beside it, that "
+        "number goes before the place's.",
+    )
 
 
 def _number_or_by_species(value: Any) -> Any:
@@ -133,7 +137,8 @@ class BranchModulesParameters(CommunityParameters):
         100,
         validate_default=True,
         description="plants at the start, at random places: one number, shared evenly by the species that grow; or "
-        "numbers by species, where those not named have none",
+        "numbers by species, where those not named have none. Where a biome chooses the species, 0.2 a square metre if "
+        "not given, 2000 at most; these, or any one number, are then shared by how well the climate suits each species",
     )
     temperature_c: Temperature | None = Field(
         None, description="mean temperature at z = 0, deg C, -10 to 33; null: what each species likes best"
@@ -143,8 +148,9 @@ class BranchModulesParameters(CommunityParameters):
     )
     biome: Biome | None = Field(
         None,
-        description="instead of the two: the same numbers, or a place; species then need not be named, and are chosen "
-        "by climate",
+        description="instead of the two: the same numbers, or a place, beside which a number given goes before the "
+        "place's; species then need not be named, and are chosen by climate. temperature_c and "
+        "precipitation_mm_per_yr of this section, where given, go before the biome's for growth, not for that choice",
     )
     lapse_rate_k_per_km: Number = Field(
         -6.5, ge=-20, le=0, description="change of temperature with elevation above z = 0, K/km, not above 0"

@@ -5,14 +5,16 @@ import sys
 
 import numpy as np
 import pytest
+from matplotlib.colors import to_rgb
 from PIL import Image
 
 from forestgen.community import animation
 from forestgen.community.animation import Film
 from forestgen.community.model import Site
+from forestgen.community.obstacles import NO_OBSTACLES, Obstacles, Outline
 from forestgen.community.plot_series import plot_curves, plot_thinning
 from forestgen.community.plot_sizes import plot_sizes
-from forestgen.community.plots import CONIFER, plot_map
+from forestgen.community.plots import CONIFER, OBSTACLE, plot_map
 from forestgen.community.population import Population, Status
 from forestgen.community.trajectory import Trajectory, moment, thinning_slope
 from forestgen.core.errors import OutputError
@@ -69,6 +71,43 @@ def test_a_map_shows_more_colour_where_plants_stand(site, tmp_path):
     plot_map(stand(0), site, {}, tmp_path / "empty.png")
     plot_map(stand(300), site, {"tree": CONIFER, "b": CONIFER}, tmp_path / "full.png")
     assert changed(tmp_path / "empty.png", tmp_path / "full.png") > 0.05
+
+
+def test_an_obstacle_is_its_grey_ground_plan(site, tmp_path):
+    corners = np.array([[10, 10], [30, 10], [30, 25], [10, 25.0]])
+    house = Obstacles((Outline("house", corners),), frozenset({"house"}))
+    grey = tuple(round(255 * one) for one in to_rgb(OBSTACLE))
+    shares = []
+    for obstacles in (NO_OBSTACLES, house):
+        plot_map(stand(0), site, {}, tmp_path / "map.png", obstacles=obstacles)
+        film = Film(site, NAMES, {}, periodic=True, obstacles=obstacles)
+        film.add(stand(0))
+        film.write(tmp_path / "a.gif")
+        shares.append([np.all(pixels(tmp_path / name) == grey, axis=2).mean() for name in ("map.png", "a.gif")])
+    assert max(shares[0]) < 0.001
+    assert shares[1] == pytest.approx([0.080, 0.116], rel=0.05)  # 1/8 of the site, without margins
+
+
+def test_plants_without_obstacles_keep_their_species():
+    population = stand(9, names=("oak", "house", "pine"))
+    plants = Obstacles(species=frozenset({"house"})).left_out_of(population)
+    assert plants.species_names == ("oak", "pine")
+    assert plants.plant_id.tolist() == [1, 3, 4, 6, 7, 9]
+    assert plants.species.tolist() == [0, 1] * 3
+    assert NO_OBSTACLES.left_out_of(population) is population
+
+
+@pytest.mark.parametrize("rows", [1, 2, 3, 5])
+@pytest.mark.parametrize("size", [(40.0, 40.0), (60.0, 30.0), (30.0, 60.0)])
+def test_a_maps_title_and_legend_are_whole(rows, size, tmp_path):
+    names = tuple(f"species {k}" for k in range(3 * rows - 1))
+    plot_map(stand(60, size=size, names=names), Site(size), {}, tmp_path / "a.png")
+    picture = pixels(tmp_path / "a.png")
+    assert (picture[0] == 255).all()
+    assert (picture[-1] == 255).all()
+    inked = np.flatnonzero((picture < 128).any(axis=(1, 2)))
+    assert 1 < inked[0] < 40
+    assert len(picture) - 40 < inked[-1] < len(picture) - 1
 
 
 @pytest.mark.parametrize("size", [(1000.0, 10.0), (10.0, 1000.0), (0.5, 0.5)])

@@ -125,6 +125,9 @@ def test_a_step_is_told_in_full_and_alike_each_time():
     assert told["hopkins"] != describe_step(population, SITE, 6)["hopkins"]
     assert (told["step"], told["time_yr"], told["n"], told["density_per_m2"]) == (4, 2.0, 400, 0.08)
     assert told["shares"] == {"a": 0.5, "b": 0.5}
+    high = np.count_nonzero(population.height_m > 1.3)
+    assert sum(told["stems_over_1_3_m"].values()) == high
+    assert sum(told["stems_over_1_3_m_per_ha"].values()) == pytest.approx(high / SITE.area_m2 * 1e4)
     h = told["hopkins"]
     assert set(h) == {ALL, "a", "b"}
     assert h["a"]["value"] - 1 > 3 * h["a"]["error"]

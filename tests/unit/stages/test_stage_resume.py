@@ -12,8 +12,9 @@ from forestgen.core.errors import AssetError, RecipeError
 from forestgen.core.progress import Silent
 from forestgen.recipe.load import load_recipe
 from forestgen.stages.community import final_population, snapshots
+from forestgen.stages.differences import differences, shown
 from forestgen.stages.plan import Plan, check_plan
-from forestgen.stages.resume import origin, snapshot_to_resume
+from forestgen.stages.resume import note_of_other_code, origin, snapshot_to_resume
 
 QUICKSTART = Path(__file__).parents[3] / "recipes" / "quickstart.yaml"
 STAND = (
@@ -22,6 +23,8 @@ STAND = (
     "community.disturbances=[{at_step: 3, fell: {share: 0.5}}, {at_step: 8, burn: {survival: 0.2}}]",
 )
 BASE = ("community={model: forest_footprints, steps: 12}", *STAND)
+
+ANOTHER = ("community.health_loss_per_yr=0.1", "community.step_yr=2", "community.disturbances=[]")
 
 
 def planned(*overrides: str) -> Plan:
@@ -55,8 +58,12 @@ def test_the_future_is_the_same_to_the_byte(history: Path) -> None:
         (("species.poplar={from: poplar, height_m: 9}",), 3, "species.poplar.height_scale"),
         (("community.model=multiset_lsystem",), 3, "community.model"),
         (("community.step_yr=0.25",), 3, "community.step_yr 1.0, as in the history"),
-        (("community.health_loss_per_yr=0.1", "seed=9", "first_image=3", "site.size_m=[9,9]"), 3, "and 1 more"),
-        (("community.disturbances.0.fell.share=0.6",), 3, "disturbances.0 .*share: 0.5"),
+        (
+            (*ANOTHER, "seed=9", "first_image=3", "site.size_m=[9,9]"),
+            3,
+            "and [1-9] more",
+        ),
+        (("community.disturbances.0.fell.share=0.6",), 3, r"disturbances.0.fell.share 0.5,[\s\S]*fell.share 0.6\n"),
         (("community.disturbances=[]",), 10, "disturbances.0 .*disturbances.1 "),
         (("community.disturbances.1.at_step=2",), 3, r"disturbances.1 \(none\)"),
         ((), None, r"nothing is left to simulate after step 12[\s\S]*more than 12 steps"),
@@ -94,6 +101,26 @@ def test_a_stand_left_alone_has_more_plants_than_one_that_burns(history: Path) -
     ends = [list(snapshots(one, Silent(), snapshot_to_resume(one, history, 7)))[1] for one in (alone, burnt)]
     assert len(ends[0]) > 2 * len(ends[1])
     assert np.isin(ends[1].plant_id, ends[0].plant_id).all()
+
+
+def test_other_code_is_told(history: Path, tmp_path: Path) -> None:
+    assert note_of_other_code(history) is None
+    for code, said in (("0123456789", "other code (01234567, now "), (None, "does not say which code")):
+        path = tmp_path / "other.parquet"
+        write_history(path, open_history(history), {**origin(planned()), "code": code})
+        assert said in (note_of_other_code(path) or "")
+        assert snapshot_to_resume(planned(), path, 3).step == 3
+
+
+def test_differences_are_told_key_by_key_and_values_whole() -> None:
+    before = {"a": {"b": 1, "c": [1, 2], "same": 0}, "list": [{"x": 1, "y": 2}], "gone": {"k": None, "v": 3}}
+    now = {"a": {"b": 2, "c": [1, 3], "same": 0}, "list": [{"x": 1, "y": 5}]}
+    told = {one.key: (one.before, one.now) for one in differences(before, now)}
+    assert told == {"a.b": (1, 2), "a.c": ([1, 2], [1, 3]), "list.0.y": (2, 5), "gone": ({"k": None, "v": 3}, None)}
+    assert shown(told["gone"][0]) == "{v: 3}"
+    assert shown(None) == "(none)"
+    long = {f"key{k}": "x" * 30 for k in range(9)}
+    assert shown(long).endswith(f"key2: '{'x' * 30}', and 6 more}}")
 
 
 def test_no_history(history: Path, tmp_path: Path) -> None:
