@@ -27,7 +27,7 @@ dataset: {formats: [coco, panoptic, yolo, bop, depth_png, cryptomatte, points, n
 VIEWS = """\
 cameras:
   - {name: crown, position_m: [10, 10, 8], look_at_m: [10, 20, 8], size_px: [48, 32]}
-  - {name: zenith, position_m: [10, 10, 0.5], look_at_m: [10, 10, 10], size_px: [32, 48]}
+  - {name: zenith, position_m: [10, 10, 0.5], look_at_m: [10, 10, 10], size_px: [32, 48], obstructed: note}
   - {name: sky, position_m: [10, -6, 60], look_at_m: [10, -6, 200], size_px: [24, 16]}
   - {name: below, position_m: [10, -6, -3], look_at_m: [10, 10, -3], size_px: [24, 16], obstructed: note}
   - {name: behind, position_m: [10, 25, 2], look_at_m: [10, 60, 2], size_px: [24, 16]}
