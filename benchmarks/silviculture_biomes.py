@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 from scipy.stats import spearmanr
 from silviculture_stands import Course, Report, grow_recipe
 
-from forestgen.architecture.sizes import BREAST_HEIGHT_M
 from forestgen.community.plots import new_figure
+from forestgen.core.forestry import BREAST_HEIGHT_M
 
 FOLDER = Path(__file__).parents[1] / "recipes" / "biomes"
 

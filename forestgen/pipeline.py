@@ -47,7 +47,7 @@ class Stems:
 
     species: str
     plants: int  # that live
-    stems: int  # of these, over `STEM_HEIGHT_M`
+    stems: int  # of these, over `BREAST_HEIGHT_M`
     per_ha: float  # stems
 
 

@@ -24,7 +24,6 @@ from forestgen.architecture.kernels import fill_sizes
 from forestgen.architecture.modules import Modules
 from forestgen.architecture.tables import Tables
 
-BREAST_HEIGHT_M = 1.3
 _MOST_OPACITY = 0.99
 
 

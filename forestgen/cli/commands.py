@@ -16,8 +16,8 @@ from rich.text import Text
 
 from forestgen.cli.console import Bars, count, output, seconds
 from forestgen.community.registry import COMMUNITY_MODELS, ENVIRONMENTS
-from forestgen.community.statistics import STEM_HEIGHT_M
 from forestgen.core.errors import RecipeError
+from forestgen.core.forestry import BREAST_HEIGHT_M
 from forestgen.core.registry import Registry
 from forestgen.core.timing import Timings
 from forestgen.plants.registry import GENERATORS
@@ -159,7 +159,7 @@ def _say_stems(out: Console, stems: Sequence[Stems]) -> None:
     if not any(one.plants for one in stems):
         return
     table = Table("living", box=None, pad_edge=False, header_style="")
-    for title in ("plants", f"stems over {STEM_HEIGHT_M} m", "stems per ha"):
+    for title in ("plants", f"stems over {BREAST_HEIGHT_M} m", "stems per ha"):
         table.add_column(title, justify="right")
     for one in stems:
         table.add_row(Text(one.species), f"{one.plants:,}", f"{one.stems:,}", f"{one.per_ha:,.0f}")

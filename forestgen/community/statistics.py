@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from forestgen.community.model import Site
 from forestgen.community.point_patterns import SAMPLES, Window, hopkins, measure_distances
 from forestgen.community.population import Population, Status
-
-STEM_HEIGHT_M = 1.3  # breast height: a plant that does not reach it has no stem to measure
+from forestgen.core.forestry import BREAST_HEIGHT_M
 
 
 def count_by_species(population: Population) -> dict[str, int]:
@@ -22,8 +21,8 @@ def count_by_species(population: Population) -> dict[str, int]:
 
 
 def stems_by_species(population: Population) -> dict[str, int]:
-    """Number of living plants of each species that are higher than `STEM_HEIGHT_M`: what a forester counts."""
-    stems = population.species[(population.status != Status.DEAD) & (population.height_m > STEM_HEIGHT_M)]
+    """Number of living plants of each species that are higher than `BREAST_HEIGHT_M`: what a forester counts."""
+    stems = population.species[(population.status != Status.DEAD) & (population.height_m > BREAST_HEIGHT_M)]
     counts = np.bincount(stems, minlength=len(population.species_names))
     return {name: int(n) for name, n in zip(population.species_names, counts, strict=True)}
 

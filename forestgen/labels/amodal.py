@@ -25,9 +25,7 @@ class AmodalMasks:
     first: NDArray[np.int64]  # (M + 1,) where each box' pixels begin, row by row
     inside: NDArray[np.bool_]  # (first[M],) pixel of the box is in the mask
     pixels: NDArray[np.int64]  # (M,) in the mask
-    area_px: NDArray[
-        np.float64
-    ]  # (M,) sum over the image of the plant's coverage alone, or in the scene if that is more
+    area_px: NDArray[np.float64]  # (M,) sum of the plant's coverage alone, or in the scene where that is more
     full_box_px: NDArray[np.float64]  # (M, 4) left, top, right, bottom of the projected plant, beyond the image too
 
     def mask_of(self, row: int) -> NDArray[np.bool_]:

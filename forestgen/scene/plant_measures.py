@@ -22,6 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.core.forestry import BREAST_HEIGHT_M
 from forestgen.core.parts import Part
 from forestgen.geometry.hull import hull_of
 from forestgen.geometry.sections import section_area_m2
@@ -30,7 +31,6 @@ from forestgen.scene.spec import Instances, SceneSpec
 
 Floats = NDArray[np.float64]
 
-BREAST_HEIGHT_M = 1.3
 _DIRECTIONS_AT_ONCE = 1024
 _MOST_SECTIONS = 64  # of an exemplar: its instances are of many scales
 

@@ -132,19 +132,21 @@ def check_outside_of_houses(drawn: DrawnRecipe, obstacles: Sequence[Obstacle]) -
     """
     notes = []
     for index, camera, number in in_houses(drawn, obstacles):
-        section, house = drawn.recipe.cameras[index], obstacles[number]
+        house = obstacles[number]
         problem = f"the camera {camera.name} stands inside of a {house.species}"
-        if section.obstructed == "note":
-            notes.append(problem)
-            continue
-        raise RecipeError(
-            problem,
-            where=drawn.where("cameras", index, *_place_key(section)),
-            expected=f"a place outside of community.obstacles.{number}, at [{_numbers(house.position_m)}]",
-            got=f"[{_numbers(camera.position_m)}]",
-            hint="move it; or set obstructed: note, to look at it all the same",
-        )
+        expected = f"a place outside of community.obstacles.{number}, at [{_numbers(house.position_m)}]"
+        hint = "move it; or set obstructed: note, to look at it all the same"
+        notes.append(_note_or_error(drawn, index, camera, problem, expected, hint))
     return notes
+
+
+def _note_or_error(drawn: DrawnRecipe, index: int, camera: Camera, problem: str, expected: str, hint: str) -> str:
+    """The problem as a note, where the camera's entry lets it be one; else a `RecipeError`."""
+    section = drawn.recipe.cameras[index]
+    if section.obstructed == "note":
+        return problem
+    where, got = drawn.where("cameras", index, *_place_key(section)), f"[{_numbers(camera.position_m)}]"
+    raise RecipeError(problem, where=where, expected=expected, got=got, hint=hint)
 
 
 def _numbers(values: Sequence[float]) -> str:
@@ -166,21 +168,14 @@ def check_trunks(drawn: DrawnRecipe, cameras: Sequence[Sequence[Camera]], trunks
     RecipeError : with the camera's line.
     """
     notes = []
-    for index, (section, entry) in enumerate(zip(drawn.recipe.cameras, cameras, strict=True)):
+    for index, entry in enumerate(cameras):
         for camera in entry:
             apart_m, plant = trunks.clearance_m(np.array(camera.position_m), LEAST_FROM_TRUNKS_M)
             if not plant:
                 continue
             stands = "in" if apart_m < 0 else f"{apart_m * 100:.2g} cm from"
             problem = f"the camera {camera.name} stands {stands} the trunk of plant {plant}"
-            if section.obstructed == "note":
-                notes.append(problem)
-                continue
-            raise RecipeError(
-                problem,
-                where=drawn.where("cameras", index, *_place_key(section)),
-                expected=f"at least {LEAST_FROM_TRUNKS_M * 100:g} cm to any trunk",
-                got="[" + ", ".join(f"{value:.2f}" for value in camera.position_m) + "]",
-                hint="move it; rig: {kind: walk} goes around trunks; or set obstructed: note",
-            )
+            expected = f"at least {LEAST_FROM_TRUNKS_M * 100:g} cm to any trunk"
+            hint = "move it; rig: {kind: walk} goes around trunks; or set obstructed: note"
+            notes.append(_note_or_error(drawn, index, camera, problem, expected, hint))
     return notes

@@ -20,10 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.architecture.modules import Modules
-from forestgen.architecture.sizes import BREAST_HEIGHT_M, plant_sizes
+from forestgen.architecture.sizes import plant_sizes
 from forestgen.community.branch_modules.identity import uniform
 from forestgen.community.branch_modules.kinds import Kinds
 from forestgen.community.branch_modules.state import Plants, Snags, State, appended, rows_of_plants
+from forestgen.core.forestry import BREAST_HEIGHT_M
 
 _NO_MODULE = 2**32 - 1  # number of the draw: no plant has so many modules
 

@@ -66,7 +66,7 @@ Decided where the print is silent or wrong:
   with a handful of terminals have far fewer than a tree has shoots, and by Eq. 10 alone crowded beeches and birches are
   250 to 400 times as high as thick. So a terminal stands for `shoots_per_terminal` (1) shoots of φ: wood is the
   root of that thicker, which feeds back on nothing but where seeds find room beside a foot. The shipped trees have
-  2 to 7, so that the tallest of a crowded stand are some 70 to 150 times as high as thick.
+  2 to 7, so that the tallest of a crowded stand are some 60 to 150 times as high as thick.
 - v_max is 1, the vigour of one module in full light.
 - l_max is not given: 0.8 m, a whole module of Table 1's trees is then 1.5 to 2 m long. a_mature is 1.
 - F_eff is limited to flowering_delay_max (1.2) times F_age: seen from v_rootmax = 600, a young stem of λ = 1 never
