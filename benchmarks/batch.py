@@ -16,12 +16,12 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from forestgen.batch.contract import Done, Failed, Job, JobRecord, JobRun, Notice, Outcome, Work
-from forestgen.batch.engines.local import LocalEngine
-from forestgen.batch.records import record_bytes, record_path
-from forestgen.batch.run import run_batch
-from forestgen.batch.work import make_job
 from forestgen.recipe.load import load_recipe
+from forestgen.runs.contract import Done, Failed, Job, JobRecord, JobRun, Notice, Outcome, Work
+from forestgen.runs.engines.local import LocalEngine
+from forestgen.runs.records import record_bytes, record_path
+from forestgen.runs.run import run_batch
+from forestgen.runs.work import make_job
 
 JOBS, QUICK_JOBS, WORKERS = 1000, 200, 2
 OVERHEAD_BOUND_S, GROWTH_BOUND, SETTLED_JOBS = 0.050, 0.05, 100

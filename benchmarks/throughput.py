@@ -17,15 +17,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from statistics import fmean, median
 
-from forestgen.batch.contract import Done, Engine, Notice, Work
-from forestgen.batch.engines.local import LocalEngine
-from forestgen.batch.estimate import Estimate, estimate
-from forestgen.batch.run import check_recipe, run_batch
-from forestgen.batch.work import make_job
 from forestgen.core.figures import show_bytes
 from forestgen.core.progress import Silent
 from forestgen.core.threads import cores
 from forestgen.recipe.load import LoadedRecipe, load_recipe
+from forestgen.runs.contract import Done, Engine, Notice, Work
+from forestgen.runs.engines.local import LocalEngine
+from forestgen.runs.estimate import Estimate, estimate
+from forestgen.runs.run import check_recipe, run_batch
+from forestgen.runs.work import make_job
 
 ROOT = Path(__file__).resolve().parents[1]
 IMAGES = {"sapling_stand": 6, "mixed_stand": 6, "vista": 4}

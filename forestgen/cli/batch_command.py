@@ -11,23 +11,23 @@ from pathlib import Path
 import typer
 from rich.text import Text
 
-from forestgen.batch.contract import TRANSIENT, Engine, Failed, Notice, Place, Work
-from forestgen.batch.discards import Standing, check_discards, standing
-from forestgen.batch.engines.local import LocalEngine
-from forestgen.batch.estimate import BUDGET_S, LEAST_IMAGES, Estimate, check_fits, estimate
-from forestgen.batch.estimate_text import lines
-from forestgen.batch.folder import check_ours, check_resume, fingerprint
-from forestgen.batch.keys import versions_hash
-from forestgen.batch.places import place_of
-from forestgen.batch.run import check_recipe, run_batch
-from forestgen.batch.summary import BatchSummary
-from forestgen.batch.work import make_job
 from forestgen.cli.batch_display import Display, span, tell
 from forestgen.cli.console import Bars, count, output, stops_keep
 from forestgen.core.errors import DatasetError
 from forestgen.core.figures import show_bytes, three_digits
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.recipe.load import LoadedRecipe, load_recipe
+from forestgen.runs.contract import TRANSIENT, Engine, Failed, Notice, Place, Work
+from forestgen.runs.discards import Standing, check_discards, standing
+from forestgen.runs.engines.local import LocalEngine
+from forestgen.runs.estimate import BUDGET_S, LEAST_IMAGES, Estimate, check_fits, estimate
+from forestgen.runs.estimate_text import lines
+from forestgen.runs.folder import check_ours, check_resume, fingerprint
+from forestgen.runs.keys import versions_hash
+from forestgen.runs.places import place_of
+from forestgen.runs.run import check_recipe, run_batch
+from forestgen.runs.summary import BatchSummary
+from forestgen.runs.work import make_job
 
 _UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "t": 10**12, "ki": 2**10, "mi": 2**20, "gi": 2**30, "ti": 2**40}
 _MOST_FAILURES = 5  # that are shown
@@ -160,7 +160,7 @@ def _expect(
 def _engine(asked: Asked, expected: Estimate) -> Callable[[Work, Notice], Engine]:
     if asked.engine == "local":
         return lambda work, _: LocalEngine(work, expected.workers, make_job, timeout_s=asked.timeout_s)
-    from forestgen.batch.engines.dask import DaskEngine  # loads Dask
+    from forestgen.runs.engines.dask import DaskEngine  # loads Dask
 
     return lambda work, notice: DaskEngine(
         work,

@@ -8,16 +8,16 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from forestgen.batch.meter import Meter
 from forestgen.cli.console import count
 from forestgen.core.figures import three_digits
+from forestgen.runs.meter import Meter
 
 _LINE_EVERY_S = 60.0
 _MOST_STAGES = 4
 
 
 class Display:
-    """A `batch.meter.Listener`."""
+    """A `runs.meter.Listener`."""
 
     def __init__(self) -> None:
         self.meter: Meter | None = None

@@ -28,7 +28,7 @@ def merge(
     to the last byte. Data sets of different recipes can be merged if species, classes and the dataset section agree and
     their images have different numbers (--set first_image=N).
     """
-    from forestgen.batch.merge import merge as merge_pieces
+    from forestgen.runs.merge import merge as merge_pieces
 
     with Bars().running() as bars:
         done = merge_pieces(sources, target, link=link, progress=bars)

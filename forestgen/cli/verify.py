@@ -10,7 +10,7 @@ import typer
 from forestgen.cli.console import Bars, count, output, seconds
 
 if TYPE_CHECKING:
-    from forestgen.batch.verify import Verdict
+    from forestgen.runs.verify import Verdict
 
 
 def verify(
@@ -44,7 +44,7 @@ def verify(
 
     Exit code 0 if all is right, 6 if not, 2 if the folder is no data set.
     """
-    from forestgen.batch.verify import verify as check
+    from forestgen.runs.verify import verify as check
 
     with Bars().running() as bars:
         verdict = check(folder, rerender=rerender, seed=seed, jobs=jobs, hashes=hashes, progress=bars)

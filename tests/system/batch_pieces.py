@@ -10,13 +10,13 @@ from pathlib import Path
 import pytest
 from filelock import FileLock
 
-from forestgen.batch.contract import Job, JobRecord, Work
-from forestgen.batch.finish import Finished, finish
-from forestgen.batch.keys import job_key, versions_hash
-from forestgen.batch.places import LocalPlace
-from forestgen.batch.records import record_bytes, record_path, records_of
-from forestgen.batch.work import make_job
 from forestgen.recipe.load import LoadedRecipe, load_recipe
+from forestgen.runs.contract import Job, JobRecord, Work
+from forestgen.runs.finish import Finished, finish
+from forestgen.runs.keys import job_key, versions_hash
+from forestgen.runs.places import LocalPlace
+from forestgen.runs.records import record_bytes, record_path, records_of
+from forestgen.runs.work import make_job
 from forestgen.stages.data_set import data_set_of
 
 RECIPE = """\

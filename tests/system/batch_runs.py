@@ -7,13 +7,13 @@ import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from forestgen.batch.contract import Job, Outcome, Work
-from forestgen.batch.engines.local import LocalEngine
-from forestgen.batch.places import LocalPlace
-from forestgen.batch.records import records_of
-from forestgen.batch.run import run_batch
-from forestgen.batch.summary import BatchSummary
 from forestgen.recipe.load import load_recipe
+from forestgen.runs.contract import Job, Outcome, Work
+from forestgen.runs.engines.local import LocalEngine
+from forestgen.runs.places import LocalPlace
+from forestgen.runs.records import records_of
+from forestgen.runs.run import run_batch
+from forestgen.runs.summary import BatchSummary
 
 Make = Callable[[Work, Job, int], Outcome]
 

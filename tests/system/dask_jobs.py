@@ -8,8 +8,8 @@ import signal
 import time
 from pathlib import Path
 
-from forestgen.batch.contract import Done, Job, JobRecord, JobRun, Outcome, Work
-from forestgen.batch.records import record_bytes, record_path
+from forestgen.runs.contract import Done, Job, JobRecord, JobRun, Outcome, Work
+from forestgen.runs.records import record_bytes, record_path
 
 DOOMED = (
     "FORESTGEN_TEST_DOOMED"  # a folder: the jobs whose numbers are files in it kill their worker, and take the file

@@ -12,8 +12,8 @@ import signal
 import time
 from pathlib import Path
 
-from forestgen.batch.contract import Done, Failed, Job, JobRecord, JobRun, Outcome, Work
-from forestgen.batch.records import record_bytes, record_path
+from forestgen.runs.contract import Done, Failed, Job, JobRecord, JobRun, Outcome, Work
+from forestgen.runs.records import record_bytes, record_path
 
 FAULTS = "FORESTGEN_TEST_FAULTS"
 TWO_CAMERAS = ("left", "right")

@@ -22,12 +22,12 @@ from batch_runs import (
 from command_line import run
 from pretend_jobs import FAULTS, begun, make
 
-from forestgen.batch.contract import Job, Notice, Outcome, Work
-from forestgen.batch.meter import SilentListener
-from forestgen.batch.run import run_batch
-from forestgen.batch.work import make_job
 from forestgen.core.errors import DatasetError, OutputError, RecipeError
 from forestgen.recipe.load import load_recipe
+from forestgen.runs.contract import Job, Notice, Outcome, Work
+from forestgen.runs.meter import SilentListener
+from forestgen.runs.run import run_batch
+from forestgen.runs.work import make_job
 
 
 @pytest.fixture
@@ -171,7 +171,7 @@ def test_frames_that_were_deleted_or_doubled_by_hand_are_mended(tmp_path: Path, 
 
 def test_two_records_of_one_image_vouch_for_nothing(tmp_path: Path, faults: Path) -> None:
     """A worker that was thought dead has written, too: the frames may be either's, and are made again."""
-    from forestgen.batch.records import read_record, record_bytes
+    from forestgen.runs.records import read_record, record_bytes
 
     path, target = recipe(tmp_path), tmp_path / "data"
     serial(path, target, 3, make)
@@ -207,7 +207,7 @@ def test_what_a_run_notes_down_may_be_damaged(tmp_path: Path, faults: Path) -> N
     """Its own file, by a disk or by a stranger, and lines of the log: no image is lost, nothing else is removed."""
     path, target = recipe(tmp_path), tmp_path / "data"
     serial(path, target, 3, make)
-    whole, marks = shown(target), target / ".forestgen/batch.json"
+    whole, marks = shown(target), target / ".forestgen/runs.json"
     said = json.loads(marks.read_text())
     texts = [json.dumps({**said, "splits": names}) for names in (["", "."], ["run", ".."], [3, None], "x")]
     for text in ("", "{", "[" * 100_000, *texts):
@@ -383,8 +383,8 @@ def test_the_map_of_a_resumed_recipe_may_have_changed_meanwhile(tmp_path: Path, 
     """A file that changes between the run's draw and the worker's is no silent mixture: the job fails, and says why."""
     path = recipe(tmp_path)
     loaded = load_recipe(path)
-    from forestgen.batch.contract import Job, Work
-    from forestgen.batch.places import LocalPlace
+    from forestgen.runs.contract import Job, Work
+    from forestgen.runs.places import LocalPlace
     from forestgen.stages.data_set import data_set_of
 
     work = Work(loaded, data_set_of(loaded.draw(0)), LocalPlace(tmp_path / "data"), "versions")

@@ -22,11 +22,11 @@ from batch_runs import assert_records_hold, assert_same, faults_folder, local, p
 from command_line import start, wait_for_handler
 from pretend_jobs import FAULTS, begun, make
 
-from forestgen.batch.places import LocalPlace
-from forestgen.batch.records import done_keys
-from forestgen.batch.work import make_job
 from forestgen.core.errors import OutputError
 from forestgen.pipeline import RunSummary
+from forestgen.runs.places import LocalPlace
+from forestgen.runs.records import done_keys
+from forestgen.runs.work import make_job
 
 IMAGES = 10
 
@@ -40,7 +40,7 @@ def faults(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def in_a_process(*arguments: Any) -> BaseProcess:
     """`batch_runs.local` in a process of its own, forked from one that has all modules loaded."""
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["forestgen.batch.run", "forestgen.batch.engines.local"])
+    context.set_forkserver_preload(["forestgen.runs.run", "forestgen.runs.engines.local"])
     process = context.Process(target=_run, args=(os.environ[FAULTS], *map(str, arguments)))
     process.start()
     return process
@@ -227,7 +227,7 @@ def test_a_disk_that_fills_while_frames_are_placed(
     """At each call that gives a file its name: no record without its files, no frame without its record."""
     import errno
 
-    monkeypatch.setattr("forestgen.batch.work.render_image", two_frames)
+    monkeypatch.setattr("forestgen.runs.work.render_image", two_frames)
     path, target = recipe(tmp_path), tmp_path / "data"
     left = 0  # calls that still work
     replace, rename = Path.replace, Path.rename
@@ -281,7 +281,7 @@ def test_a_run_that_is_killed_at_any_rename_goes_on(tmp_path: Path, faults: Path
     serial(path, tmp_path / "whole", 3, make)
     target = tmp_path / "killed"
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["forestgen.batch.run", "forestgen.batch.engines.local"])
+    context.set_forkserver_preload(["forestgen.runs.run", "forestgen.runs.engines.local"])
     for moves in (0, 2, 3, 5, 6, 8, 9, 11, 14):
         process = context.Process(target=_killed_at, args=(str(faults), str(target), str(path), moves))
         process.start()

@@ -18,11 +18,11 @@ import batch_pieces
 import dask_jobs
 import pytest
 
-from forestgen.batch.contract import Done, Failed, Job, Outcome, Work
-from forestgen.batch.engines.dask import DaskEngine
-from forestgen.batch.keys import versions_hash
-from forestgen.batch.places import LocalPlace
 from forestgen.core.errors import ForestgenError, ResourceError
+from forestgen.runs.contract import Done, Failed, Job, Outcome, Work
+from forestgen.runs.engines.dask import DaskEngine
+from forestgen.runs.keys import versions_hash
+from forestgen.runs.places import LocalPlace
 from forestgen.stages.data_set import data_set_of
 
 _BOUND_S = 240.0  # of anything here
@@ -331,7 +331,7 @@ def test_a_scheduler_that_dies_ends_the_run_soon(cluster: Cluster, tmp_path: Pat
 def test_addresses_that_nobody_answers(
     address: str | None, expected: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("forestgen.batch.engines.dask._CONNECT_S", 1.0)
+    monkeypatch.setattr("forestgen.runs.engines.dask._CONNECT_S", 1.0)
     start = time.monotonic()
     with (
         pytest.raises(ForestgenError, match=expected),

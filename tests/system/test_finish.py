@@ -17,17 +17,17 @@ import pytest
 from batch_pieces import copied, finished, jobs_of, recipe, shown
 from ruamel.yaml import YAML
 
-from forestgen.batch import ledger
-from forestgen.batch.contract import Job, JobRecord
-from forestgen.batch.finish import finish
-from forestgen.batch.places import LocalPlace
-from forestgen.batch.records import record_bytes, record_path, records_of
 from forestgen.core.errors import OutputError
 from forestgen.dataset.check import check_dataset
 from forestgen.dataset.manifest import is_run_folder
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.recipe.hashing import recipe_hash
 from forestgen.recipe.load import load_recipe
+from forestgen.runs import ledger
+from forestgen.runs.contract import Job, JobRecord
+from forestgen.runs.finish import finish
+from forestgen.runs.places import LocalPlace
+from forestgen.runs.records import record_bytes, record_path, records_of
 from forestgen.stages.data_set import data_set_of
 
 
@@ -191,7 +191,7 @@ def test_a_disk_that_fills_meanwhile_is_told(whole, loaded, tmp_path, monkeypatc
         raise full
 
     with monkeypatch.context() as patched:
-        patched.setattr("forestgen.batch.finish.shutil.copyfile", copyfile)
+        patched.setattr("forestgen.runs.finish.shutil.copyfile", copyfile)
         with pytest.raises(OutputError, match=r"set/SHA256SUMS: cannot write[\s\S]*free some space"):
             finished(loaded, known_jobs(root, loaded), root)
     assert not (root / "dataset.json").exists() or shown(root) == shown(whole)
@@ -201,7 +201,7 @@ def test_a_disk_that_fills_meanwhile_is_told(whole, loaded, tmp_path, monkeypatc
 
 def test_a_full_temporary_folder_is_told(whole, loaded, tmp_path, monkeypatch):
     """By the table of all files, which SQLite keeps there."""
-    monkeypatch.setattr("forestgen.batch.ledger._TABLES", ledger._TABLES + "PRAGMA max_page_count = 12;")
+    monkeypatch.setattr("forestgen.runs.ledger._TABLES", ledger._TABLES + "PRAGMA max_page_count = 12;")
     with pytest.raises(OutputError, match=r"forestgen-finish-[\s\S]*full[\s\S]*TMPDIR"):
         finished(loaded, known_jobs(whole, loaded), copied(whole, tmp_path / "set"))
 

@@ -7,13 +7,13 @@ from pathlib import Path
 import pytest
 
 from forestgen import pipeline
-from forestgen.batch.contract import RUN_DEPENDENT, Engine, Notice, Work
-from forestgen.batch.engines.local import LocalEngine
-from forestgen.batch.run import run_batch
-from forestgen.batch.work import make_job
 from forestgen.core.progress import Silent
 from forestgen.core.timing import Timings
 from forestgen.recipe.load import load_recipe
+from forestgen.runs.contract import RUN_DEPENDENT, Engine, Notice, Work
+from forestgen.runs.engines.local import LocalEngine
+from forestgen.runs.run import run_batch
+from forestgen.runs.work import make_job
 
 RECIPE = """
 forestgen: 1

@@ -11,13 +11,13 @@ import pytest
 from batch_pieces import copied, finished, jobs_of, make, recipe, shown
 from command_line import run, tree
 
-from forestgen.batch.contract import Job
-from forestgen.batch.merge import merge
-from forestgen.batch.places import LocalPlace
-from forestgen.batch.records import read_record, record_bytes, records_of
-from forestgen.batch.verify import verify
 from forestgen.core.errors import DatasetError, OutputError, RecipeError
 from forestgen.recipe.load import load_recipe
+from forestgen.runs.contract import Job
+from forestgen.runs.merge import merge
+from forestgen.runs.places import LocalPlace
+from forestgen.runs.records import read_record, record_bytes, records_of
+from forestgen.runs.verify import verify
 
 
 def piece(whole: Path, target: Path, *images: int) -> Path:

@@ -12,16 +12,16 @@ from typing import Any
 import batch_pieces
 import pytest
 
-from forestgen.batch import remote_lock, remote_store
-from forestgen.batch.contract import Done, Job, JobRun, Notice, Outcome, Place, Work
-from forestgen.batch.places import LocalPlace, place_of
-from forestgen.batch.records import records_of
-from forestgen.batch.remote_lock import RemoteLock
-from forestgen.batch.remote_place import RemotePlace
-from forestgen.batch.run import run_batch
-from forestgen.batch.work import failure_kind, make_job
 from forestgen.core.errors import ForestgenError, OutputError
 from forestgen.recipe.load import load_recipe
+from forestgen.runs import remote_lock, remote_store
+from forestgen.runs.contract import Done, Job, JobRun, Notice, Outcome, Place, Work
+from forestgen.runs.places import LocalPlace, place_of
+from forestgen.runs.records import records_of
+from forestgen.runs.remote_lock import RemoteLock
+from forestgen.runs.remote_place import RemotePlace
+from forestgen.runs.run import run_batch
+from forestgen.runs.work import failure_kind, make_job
 
 _SECRET = "vErYsEcReTkEy"
 Make = Callable[[Work, Job, int], Outcome]

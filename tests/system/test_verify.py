@@ -14,9 +14,9 @@ import pytest
 from batch_pieces import copied
 from command_line import run
 
-from forestgen.batch.records import read_record, record_bytes
-from forestgen.batch.verify import Verdict, verify
 from forestgen.dataset.index import read_index, write_index
+from forestgen.runs.records import read_record, record_bytes
+from forestgen.runs.verify import Verdict, verify
 
 
 @pytest.fixture

@@ -7,11 +7,11 @@ from typing import Any
 
 import pytest
 
-from forestgen.batch.contract import Failed, FailureKind, Job
-from forestgen.batch.discards import Standing
-from forestgen.batch.summary import BatchSummary
 from forestgen.cli import batch_command
 from forestgen.cli.batch_command import Asked
+from forestgen.runs.contract import Failed, FailureKind, Job
+from forestgen.runs.discards import Standing
+from forestgen.runs.summary import BatchSummary
 
 
 def asked(count: int = 1000, workers: int | None = None, threads: int | None = None) -> Asked:

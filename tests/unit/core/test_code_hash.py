@@ -86,9 +86,9 @@ def test_tables_and_versions_count(package: Path, monkeypatch: pytest.MonkeyPatc
 
 def test_every_user_of_it_names_parts_that_exist() -> None:
     from forestgen.atmosphere import simulate
-    from forestgen.batch import keys
     from forestgen.plants import cache
     from forestgen.render import unfinished
+    from forestgen.runs import keys
     from forestgen.stages import community_cache
 
     root = Path(module.forestgen.__file__).parent
@@ -99,18 +99,18 @@ def test_every_user_of_it_names_parts_that_exist() -> None:
 
 def test_jobs_are_known_by_all_code_that_makes_their_files() -> None:
     """What a batch's key counts, and what a worker calls, imports nothing of forestgen's that it does not count."""
-    from forestgen.batch import keys
+    from forestgen.runs import keys
 
     root = Path(module.forestgen.__file__).parent
     counted = set(module.source_files(keys._SOURCES, keys._WITHOUT))
     left_out = set(module.source_files(keys._SOURCES)) - counted
     assert {one.partition("/")[0] for one in keys._WITHOUT} == {"dataset"}
     assert all((root / one).exists() for one in keys._WITHOUT)
-    for path in (root / "batch" / "work.py", *(one for one in counted if one.suffix == ".py")):
+    for path in (root / "runs" / "work.py", *(one for one in counted if one.suffix == ".py")):
         for imported in imports_of(path, root) - counted:
             assert path.name == "work.py", (path, imported)
             assert imported not in left_out
-            assert imported.parent == root / "batch"
+            assert imported.parent == root / "runs"
 
 
 def imports_of(path: Path, root: Path) -> set[Path]:

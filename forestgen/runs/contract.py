@@ -1,0 +1,191 @@
+"""What the parts of a batch tell one another.
+
+A *job* is one scene with its cameras: an image of the recipe. Its key is the hash of all that its files depend on, so
+that done work is recognised and changed work is done again. A worker makes a job's files in a folder of its own, puts
+them into the data set's place, and writes the job's *record* last: a job is done if, and only if, its record is there.
+
+The data set's folder::
+
+    DIR/
+      README.md  recipe.yaml  dataset.json  index.parquet  SHA256SUMS      of the whole, written last
+      train/  val/  test/          a split each, as `forestgen render` writes a folder: frames, coco.json, ...
+      thumbnails/                  FRAME.jpg
+      maps/                        those that recipe.yaml names
+      yolo_boxes.yaml  yolo_segmentation.yaml       of the format yolo, where there are train and val
+      .forestgen/
+        lock                       held by the run that writes here
+        jobs/KEY.json              the records
+        staging/                   work in progress; what lies here when a run starts is left from a dead one
+      run/                         how it went: log.jsonl, jobs.parquet. With report.html all that two runs differ in
+
+Everything outside `run/`, `report.html` and `.forestgen/` is the same to the last byte for the same recipe, count and
+versions: whatever the number of workers, the engine, and the interruptions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Literal, Protocol
+
+from forestgen.dataset.settings import DatasetSettings
+from forestgen.recipe.load import LoadedRecipe
+
+HIDDEN = ".forestgen"  # folder of records, lock and staging
+RUN = "run"  # folder of what belongs to a run, not to the data set
+RUN_DEPENDENT = (RUN, HIDDEN, "report.html")  # names in the data set's folder that no promise of equal bytes covers
+
+
+@dataclass(frozen=True)
+class Job:
+    """One image to make."""
+
+    index: int  # argument of LoadedRecipe.draw
+    image: int  # number in the frames' names: the recipe's first_image + index
+    split: str
+    key: str  # the image's number and the hash of all that its files depend on; see runs/keys.py
+
+
+@dataclass(frozen=True)
+class JobRecord:
+    """What a finished job left in the data set: the same for every run that makes it."""
+
+    key: str
+    image: int
+    split: str
+    image_seed: int
+    recipe_hash: str  # of the drawn recipe
+    rows: tuple[dict[str, Any], ...]  # of its frames, dataset/index.py
+    files: Mapping[str, Mapping[str, Any]]  # path below the data set's folder -> {"bytes": , "sha256": }
+    report: Mapping[str, Any] = field(default_factory=dict)  # its row in the split's manifest.json
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class JobRun:
+    """How a job went: differs between runs."""
+
+    image: int
+    attempt: int  # from 1
+    worker: str  # who did it, such as host:pid
+    seconds: float
+    timings_s: Mapping[str, float] = field(default_factory=dict)  # by stage
+    peak_memory_bytes: int = 0
+
+
+@dataclass(frozen=True)
+class Done:
+    """A job that was finished; its record is written."""
+
+    job: Job
+    record: JobRecord
+    run: JobRun
+
+
+FailureKind = Literal["recipe", "memory", "output", "renderer", "worker", "time", "bug"]
+# A failure of these kinds may pass: the job is tried again. The others would fail again.
+TRANSIENT: tuple[FailureKind, ...] = ("memory", "output", "worker", "time")
+
+Notice = Callable[[str, Mapping[str, str]], None]  # told an event of the log and its fields: worker, message
+
+
+@dataclass(frozen=True)
+class Failed:
+    """A job that was not finished; nothing of it is left in the data set."""
+
+    job: Job
+    attempt: int
+    kind: FailureKind
+    message: str  # for people: where, expected, got, hint; of a bug its type and text
+    seconds: float = 0.0
+    worker: str = ""
+
+
+Outcome = Done | Failed
+
+
+class Lock(Protocol):
+    """A context manager that keeps other runs out of a place; entering it raises `OutputError` if one works there."""
+
+    def __enter__(self) -> Lock: ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None: ...
+
+    def check(self) -> None:
+        """Raise `OutputError` if it was lost to another run; cheap."""
+
+
+class Place(Protocol):
+    """Where a data set lies: a folder, or an object store. Picklable; paths are relative, with forward slashes."""
+
+    @property
+    def name(self) -> str:
+        """As the user wrote it, for messages."""
+
+    def lock(self, say: Callable[[str], None]) -> Lock:
+        """For the run that writes there; `say` takes a sentence when there is something to wait for."""
+
+    def staging(self) -> Path:
+        """A new empty folder of this machine for one job's files; `put_folder` and `put_file` take from it."""
+
+    def discard(self, staging: Path) -> None:
+        """Remove a staging folder; nothing happens if it is gone."""
+
+    def put_folder(self, source: Path, target: str) -> None:
+        """Give a staged folder its final name, replacing what has it; it appears whole (on an object store: each file
+        does, and the record, which comes last, vouches for all). A failure raises `OutputError`."""
+
+    def put_file(self, source: Path, target: str) -> None:
+        """The same for one file."""
+
+    def write(self, target: str, content: bytes) -> None:
+        """A small file: appears whole, replaces what has the name."""
+
+    def read(self, path: str) -> bytes | None:
+        """A file's bytes; None if there is none."""
+
+    def exists(self, path: str) -> bool: ...
+
+    def size_bytes(self, path: str) -> int | None:
+        """Of a file; None if there is none."""
+
+    def names(self, folder: str) -> list[str]:
+        """Names of what lies in a folder, sorted; empty if there is no such folder."""
+
+    def remove(self, path: str) -> None:
+        """Remove a file, or a folder with all in it; nothing happens if it is not there."""
+
+
+@dataclass(frozen=True)
+class Work:
+    """What a worker needs for any job of a batch; sent to it once."""
+
+    loaded: LoadedRecipe
+    settings: DatasetSettings
+    place: Place
+    versions: str  # hash of code and packages, as it is where the batch was started: runs/keys.py
+    threads: int | None = None  # of the renderer in each worker; None: all cores
+    memory_bytes: int | None = None  # that a worker may take; None: no bound
+
+
+class Engine(Protocol):
+    """A context manager that does jobs. It never tries a job twice: runs/run.py decides that."""
+
+    def __enter__(self) -> Engine: ...
+
+    def __exit__(self, *_: object) -> None:
+        """Stop all workers at once; jobs in flight are given up."""
+
+    @property
+    def workers(self) -> int:
+        """How many there are now."""
+
+    def submit(self, job: Job, attempt: int) -> None:
+        """Queue a job."""
+
+    def wait(self, timeout_s: float) -> list[Outcome]:
+        """Outcomes since the last call, in any order; waits for the first one, at most so long."""

@@ -1,0 +1,206 @@
+"""dataset.json: what a data set is, of what recipes and with what versions it was made, and what it lacks."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import platform
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import PurePosixPath
+from typing import Any
+
+from forestgen.core.errors import DatasetError
+from forestgen.dataset.manifest import package_versions
+from forestgen.dataset.settings import DatasetSettings
+from forestgen.dataset.thumbnails import FOLDER_NAME as THUMBNAILS
+from forestgen.runs.keys import versions_hash
+from forestgen.runs.ledger import FileSum, Ledger
+
+MOST_IMAGES = 100_000_000  # of a recipe; a number from a stranger's file is counted up to
+DATASET_NAME = "dataset.json"
+SCHEMA = "forestgen-dataset/1"
+_FRAME = re.compile(r"\d{6,}-.+")
+
+Range = tuple[int, int]  # first and last image number
+
+
+@dataclass(frozen=True)
+class RecipePart:
+    """A recipe that images of a data set were drawn from, and which of its images were asked for."""
+
+    hash: str  # of all that it says, but for `images` and `first_image`: pieces of a data set share it
+    root_seed: int
+    asked: tuple[Range, ...]
+    splits: Mapping[str, float] = field(default_factory=dict)  # name -> share, in the recipe's order
+    draws: Mapping[str, Any] = field(default_factory=dict)  # key -> its distribution as written
+    yaml: str = field(default="", repr=False)
+    maps: Mapping[str, bytes] = field(default_factory=dict, repr=False)  # maps/NAME -> content
+
+    def kept_as(self, number: int) -> Iterator[tuple[str, bytes]]:
+        """Path and content of its files in the data set, as the n-th recipe, from 1: it makes the images asked for."""
+        first, last = (self.asked[0][0], self.asked[-1][1]) if self.asked else (0, 0)
+        text = re.sub(r"(?m)^first_image: \d+$", f"first_image: {first}", self.yaml)
+        text = re.sub(r"(?m)^images: \d+$", f"images: {last - first + 1}", text)
+        yield recipe_file(number), text.encode()
+        yield from self.maps.items()
+
+
+def ranges_of(numbers: Iterable[int]) -> list[Range]:
+    """Rising numbers as ranges of neighbours."""
+    found: list[Range] = []
+    for number in numbers:
+        if found and number == found[-1][1] + 1:
+            found[-1] = (found[-1][0], number)
+        else:
+            found.append((number, number))
+    return found
+
+
+def numbers_in(ranges: Iterable[Sequence[int]]) -> Iterator[int]:
+    """The numbers of ranges."""
+    return (number for first, last in ranges for number in range(first, last + 1))
+
+
+def this_version() -> dict[str, Any]:
+    """What this machine makes images with."""
+    return {
+        "versions_hash": versions_hash(),
+        "packages": package_versions(),
+        "python": platform.python_version(),
+        "platform": {"system": platform.system(), "machine": platform.machine()},
+    }
+
+
+def describe(
+    ledger: Ledger, parts: Sequence[RecipePart], settings: DatasetSettings, made_with: Sequence[Mapping[str, Any]]
+) -> dict[str, Any]:
+    """The content of dataset.json.
+
+    Parameters
+    ----------
+    ledger : with all records, and the files over all images of each split.
+    made_with : `this_version` of all machines that made images, each once.
+    """
+    splits = _in_order(ledger.splits, parts)
+    licence = {"name": settings.licence_name, "url": settings.licence_url}
+    return {
+        "schema": SCHEMA,
+        "description": settings.description,
+        "contributor": settings.contributor,
+        "licence": licence if settings.licence_name else None,
+        "recipes": [_recipe(part, number, ledger.images()) for number, part in enumerate(parts, start=1)],
+        "images": sum(ledger.image_count(split) for split in splits),
+        "frames": sum(ledger.frame_count(split) for split in splits),
+        "splits": {
+            split: {"images": ledger.image_count(split), "frames": ledger.frame_count(split)} for split in splits
+        },
+        "image_seeds_sha256": _digest(ledger.seeds()),
+        "settings": asdict(settings),
+        "made_with": [dict(one) for one in made_with],
+        "files": _groups(ledger.files()),
+    }
+
+
+def _in_order(splits: Sequence[str], parts: Sequence[RecipePart]) -> list[str]:
+    """Splits as the recipes name them, such as train, val, test."""
+    named = list(dict.fromkeys(name for part in parts for name in part.splits))
+    return sorted(splits, key=lambda split: (named.index(split) if split in named else len(named), split))
+
+
+def recipe_file(number: int) -> str:
+    """Name of the n-th recipe's file, counted from 1."""
+    return "recipe.yaml" if number == 1 else f"recipe-{number}.yaml"
+
+
+def _recipe(part: RecipePart, number: int, made: Iterator[int]) -> dict[str, Any]:
+    return {
+        "file": recipe_file(number),
+        "hash": part.hash,
+        "root_seed": part.root_seed,
+        "first_image": part.asked[0][0] if part.asked else 0,
+        "images": sum(last - first + 1 for first, last in part.asked),
+        "asked": [list(one) for one in part.asked],
+        "missing": [list(one) for one in ranges_of(_without(numbers_in(part.asked), made))],
+        "splits": dict(part.splits),
+        "draws": dict(part.draws),
+    }
+
+
+def _without(numbers: Iterable[int], others: Iterator[int]) -> Iterator[int]:
+    """Rising numbers that are not among others, rising as well."""
+    other = next(others, None)
+    for number in numbers:
+        while other is not None and other < number:
+            other = next(others, None)
+        if other != number:
+            yield number
+
+
+def _digest(numbers: Iterable[int]) -> str:
+    """SHA-256 of numbers, a line each."""
+    digest = hashlib.sha256()
+    for number in numbers:
+        digest.update(b"%d\n" % number)
+    return digest.hexdigest()
+
+
+def _groups(files: Iterable[FileSum]) -> dict[str, dict[str, int]]:
+    """Kind of file -> how many there are, and their size together."""
+    groups: dict[str, dict[str, int]] = {}
+    for file in files:
+        group = groups.setdefault(_group(file.path), {"files": 0, "bytes": 0})
+        group["files"] += 1
+        group["bytes"] += file.bytes
+    return dict(sorted(groups.items()))
+
+
+def _group(path: str) -> str:
+    """A path with SPLIT and FRAME for their names; of what lies deeper the folder alone."""
+    parts = PurePosixPath(path).parts
+    if len(parts) == 1 or parts[0] == THUMBNAILS:
+        return parts[0]
+    if len(parts) == 2:
+        return f"SPLIT/{parts[1]}"
+    return "/".join(("SPLIT", *(("FRAME", parts[2]) if _FRAME.fullmatch(parts[1]) else parts[1:2])))
+
+
+def dataset_bytes(description: Mapping[str, Any]) -> bytes:
+    """dataset.json."""
+    return (json.dumps(description, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode()
+
+
+def read_description(content: bytes | None, where: str) -> dict[str, Any]:
+    """dataset.json's content.
+
+    Raises
+    ------
+    DatasetError : there is none, or it is damaged.
+    """
+    hint = "forestgen batch writes it when it ends; with --resume it goes on"
+    if content is None:
+        raise DatasetError("this is no finished data set", where=where, expected=DATASET_NAME, got="none", hint=hint)
+    try:
+        data = json.loads(content)
+        if data["schema"] != SCHEMA:
+            raise ValueError(f"schema {data['schema']!r:.40}")
+        for one in data["recipes"]:
+            _ = one["hash"], one["file"], int(one["root_seed"]), dict(one["splits"]), dict(one["draws"])
+            if any(not 0 <= first <= last for first, last in one["asked"]):
+                raise ValueError("a range of images ends before it begins")
+            if sum(last - first + 1 for first, last in one["asked"]) > MOST_IMAGES:
+                raise ValueError(f"more than {MOST_IMAGES:,} images")
+        settings_of(data)
+        _ = data["splits"].keys(), list(data["made_with"])
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        got = f"{type(error).__name__}: {error}"
+        raise DatasetError("dataset.json is damaged", where=where, expected=SCHEMA, got=got, hint=hint) from error
+    return dict(data)
+
+
+def settings_of(description: Mapping[str, Any]) -> DatasetSettings:
+    """The data set's settings, from dataset.json."""
+    said = {key: tuple(one) if isinstance(one, list) else one for key, one in description["settings"].items()}
+    known: dict[str, Any] = {one.name: said[one.name] for one in fields(DatasetSettings)}
+    return DatasetSettings(**known)

@@ -1,0 +1,290 @@
+"""The files over all images, from the records: what a run writes when its jobs are done.
+
+`finish` gives the same bytes for the same jobs and records, whatever their order and however often it is called. It
+opens no frame's file but the shares of merged formats, and holds one record in memory at a time.
+"""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+import os
+import shutil
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from forestgen.core.errors import DatasetError
+from forestgen.dataset.card import CARD_NAME, CardCounts, card_text
+from forestgen.dataset.checksums import SUMS_NAME, file_sum, write_sums
+from forestgen.dataset.files import disk_errors
+from forestgen.dataset.formats import yolo
+from forestgen.dataset.index import INDEX_NAME, DrawTypes, write_index
+from forestgen.dataset.maps import write_map
+from forestgen.dataset.settings import DatasetSettings
+from forestgen.dataset.thumbnails import FOLDER_NAME as THUMBNAILS
+from forestgen.recipe.hashing import recipe_hash
+from forestgen.recipe.load import LoadedRecipe, yaml_text
+from forestgen.recipe.map_files import is_map_file
+from forestgen.recipe.paths import MAPS
+from forestgen.recipe.sources import dotted
+from forestgen.runs.contract import Job, JobRecord, Place
+from forestgen.runs.description import (
+    DATASET_NAME,
+    Range,
+    RecipePart,
+    dataset_bytes,
+    describe,
+    numbers_in,
+    ranges_of,
+    read_description,
+    settings_of,
+    this_version,
+)
+from forestgen.runs.ledger import FileSum, Ledger
+from forestgen.runs.records import JOBS, record_path
+from forestgen.runs.split_files import write_split
+
+
+@dataclass(frozen=True)
+class Finished:
+    """What a data set holds."""
+
+    frames: int
+    bytes: int  # of all files that SHA256SUMS lists
+    missing: tuple[int, ...]  # images that were asked for and are not there
+    notes: tuple[str, ...]  # for people
+
+
+def finish(
+    place: Place,
+    loaded: LoadedRecipe,
+    settings: DatasetSettings,
+    jobs: Sequence[Job],
+    records: Iterable[JobRecord],
+) -> Finished:
+    """Write each split's merged files, and those of the whole data set.
+
+    Parameters
+    ----------
+    jobs : the images of the data set. Frames and records of no job of these are removed.
+    records : of finished jobs, in any order; those of other jobs do not count. An image whose files are not all there
+        in their sizes loses its record, so that the next run makes it again.
+
+    Raises
+    ------
+    OutputError : a file cannot be written, or a frame's share of a format is damaged.
+    DatasetError : two records contradict each other.
+    """
+    part = recipe_part(loaded, ranges_of(sorted(job.image for job in jobs)))
+    wanted = {job.key for job in jobs}
+    splits = {job.split for job in jobs}
+    with TemporaryDirectory(prefix="forestgen-finish-") as scratch, Ledger(Path(scratch)) as ledger:
+        for record in records:
+            if record.key in wanted:
+                ledger.add(record)
+        return write_data_set(place, ledger, [part], settings, [this_version()], splits, Path(scratch))
+
+
+@disk_errors()
+def write_data_set(
+    place: Place,
+    ledger: Ledger,
+    parts: Sequence[RecipePart],
+    settings: DatasetSettings,
+    made_with: Sequence[Mapping[str, Any]],
+    splits: Iterable[str],
+    scratch: Path,
+) -> Finished:
+    """Write all that is not an image's own.
+
+    Parameters
+    ----------
+    ledger : with the records of the images.
+    parts, made_with : see `describe`.
+    splits : whose folders may hold what no record vouches for.
+    scratch : an empty folder.
+    """
+    folders = sorted({*splits, *ledger.splits, *_splits_before(place), THUMBNAILS, MAPS})
+    _look(place, folders, ledger)
+    notes = _drop_absent(place, ledger)
+    for split in ledger.splits:
+        write_split(place, split, ledger, settings, parts, dict(made_with[0]))
+    kept = {path: content for number, part in enumerate(parts, start=1) for path, content in part.kept_as(number)}
+    if "yolo" in settings.formats:
+        kept |= yolo.whole_files(list(ledger.splits), settings)
+    for path in set(yolo.WHOLE_NAMES.values()) - kept.keys():
+        place.remove(path)
+    for path, content in kept.items():
+        _enter(ledger, path, content)
+    _remove_strangers(place, folders, ledger)
+    description = describe(ledger, parts, settings, made_with)
+    _write_whole(place, ledger, kept, description, scratch)
+    missing = tuple(image for one in description["recipes"] for image in numbers_in(one["missing"]))
+    if missing:
+        are = "image is" if len(missing) == 1 else "images are"
+        notes.append(f"{len(missing)} {are} missing: {_named(missing)}")
+    total = sum(file.bytes for file in ledger.files())
+    return Finished(int(description["frames"]), total, missing, tuple(notes))
+
+
+def recipe_part(loaded: LoadedRecipe, asked: Sequence[Range]) -> RecipePart:
+    """A recipe with its maps, as the data set keeps it.
+
+    Raises
+    ------
+    AssetError : a map has changed since the recipe was loaded.
+    """
+    data, home = copy.deepcopy(loaded.complete), loaded.path.parent
+    identity = recipe_hash({key: value for key, value in data.items() if key not in ("images", "first_image")})
+    with TemporaryDirectory(prefix="forestgen-maps-") as folder:
+        _store_maps(data, home, Path(folder))
+        found = sorted(Path(folder, MAPS).glob("*"))
+        maps = {f"{MAPS}/{path.name}": path.read_bytes() for path in found}
+    draws = {dotted(keys): written for keys, written in loaded.written.items()}
+    return RecipePart(identity, loaded.seed, tuple(asked), dict(loaded.splits), draws, yaml_text(data), maps)
+
+
+def _store_maps(value: Any, home: Path, folder: Path) -> None:
+    """Write the maps that a recipe's data name, and name them by where the data set keeps them."""
+    if isinstance(value, dict):
+        if is_map_file(value):
+            value["file"] = f"{MAPS}/{write_map(folder, value, home)}"
+            return
+        for key, item in value.items():
+            if isinstance(item, list) and item and all(map(is_map_file, item)):
+                # A distribution's choices: names alone, to which the loader adds the sums again.
+                value[key] = [f"{MAPS}/{write_map(folder, one, home)}" for one in item]
+            else:
+                _store_maps(item, home, folder)
+    elif isinstance(value, list):
+        for item in value:
+            _store_maps(item, home, folder)
+
+
+def _splits_before(place: Place) -> set[str]:
+    """The splits that the data set had when it was last finished: another recipe may have had others."""
+    try:
+        return set(read_description(place.read(DATASET_NAME), place.name)["splits"])
+    except DatasetError:
+        return set()
+
+
+def _look(place: Place, folders: Sequence[str], ledger: Ledger) -> None:
+    """Enter what lies in the folders."""
+    root: Path | None = getattr(place, "root", None)
+    remote: Any = place
+    for folder in folders:
+        if root is not None:
+            ledger.note_found(files_below(root, folder))
+        else:
+            ledger.note_found((path, size, 0) for path, size in remote.files(folder).items())
+
+
+def files_below(root: Path, folder: str = "") -> Iterator[tuple[str, int, int]]:
+    """Path relative to `root`, size in bytes and inode of each file below a folder of it."""
+    waiting = [folder]
+    while waiting:
+        inside = waiting.pop()
+        with suppress(FileNotFoundError, NotADirectoryError), os.scandir(root / inside) as entries:
+            for entry in entries:
+                path = f"{inside}/{entry.name}" if inside else entry.name
+                if entry.is_dir(follow_symlinks=False):
+                    waiting.append(path)
+                else:
+                    status = entry.stat(follow_symlinks=False)
+                    yield path, status.st_size, status.st_ino
+
+
+def _drop_absent(place: Place, ledger: Ledger) -> list[str]:
+    """Forget images that have lost a file, and their records, so that the next run makes them again."""
+    notes = []
+    for image, path in ledger.absent():
+        notes.append(f"image {image} counts as missing: {path} is not there as it was written; --resume makes it again")
+        place.remove(record_path(ledger.key_of(image)))
+        ledger.drop_image(image)
+    return notes
+
+
+def _remove_strangers(place: Place, folders: Sequence[str], ledger: Ledger) -> None:
+    """Remove what no record vouches for: records of other jobs, then files; a whole folder where all of it goes."""
+    for name in place.names(JOBS):
+        if not ledger.has_key(name.removesuffix(".json")):
+            place.remove(f"{JOBS}/{name}")
+    removed = ""
+    for path in ledger.strangers():
+        if removed and path.startswith(f"{removed}/"):
+            continue
+        parts = path.split("/")
+        above = ("/".join(parts[:depth]) for depth in range(1, len(parts)))
+        removed = next((folder for folder in above if not ledger.has_below(folder)), path)
+        place.remove(removed)
+    root: Path | None = getattr(place, "root", None)
+    if root is not None:
+        _remove_empty_folders(root, folders)
+
+
+def _remove_empty_folders(root: Path, folders: Sequence[str]) -> None:
+    """Of frames that never came to a file, and of splits that have no images any more."""
+    for folder in folders:
+        with suppress(FileNotFoundError, NotADirectoryError), os.scandir(root / folder) as entries:
+            for entry in entries:
+                with suppress(OSError):  # it is a file, or not empty
+                    Path(entry.path).rmdir()
+        with suppress(OSError):
+            (root / folder).rmdir()
+
+
+def _write_whole(
+    place: Place, ledger: Ledger, kept: Mapping[str, bytes], description: dict[str, Any], scratch: Path
+) -> None:
+    """The files of the whole data set; dataset.json comes last, and says that all others are there."""
+    for path, content in kept.items():
+        place.write(path, content)
+    counts = _write_index(place, ledger, scratch)
+    for name, content in (
+        (CARD_NAME, card_text(description, counts, settings_of(description)).encode()),
+        (DATASET_NAME, dataset_bytes(description)),
+    ):
+        _enter(ledger, name, content)
+        if name != DATASET_NAME:
+            place.write(name, content)
+    write_sums(scratch / SUMS_NAME, ((file.path, file.sha256) for file in ledger.files()))
+    _put(place, scratch / SUMS_NAME, SUMS_NAME)
+    place.write(DATASET_NAME, dataset_bytes(description))
+
+
+def _write_index(place: Place, ledger: Ledger, scratch: Path) -> CardCounts:
+    """Write index.parquet; what the data card tells of its rows."""
+    types, counts = DrawTypes(), CardCounts()
+    for row in ledger.rows():
+        types.add(row)
+        counts.add(row)
+    path = scratch / INDEX_NAME
+    write_index(path, ledger.rows(), types.columns)
+    ledger.add_file(FileSum(INDEX_NAME, path.stat().st_size, file_sum(path)))
+    _put(place, path, INDEX_NAME)
+    return counts
+
+
+def _put(place: Place, path: Path, target: str) -> None:
+    """Put a file of this machine's temporary folder into place, by way of the place's own staging."""
+    staging = place.staging()
+    try:
+        shutil.copyfile(path, staging / path.name)
+        place.put_file(staging / path.name, target)
+    finally:
+        place.discard(staging)
+
+
+def _enter(ledger: Ledger, path: str, content: bytes) -> None:
+    ledger.add_file(FileSum(path, len(content), hashlib.sha256(content).hexdigest()))
+
+
+def _named(numbers: Sequence[int]) -> str:
+    """Some of many numbers, for people."""
+    shown = [f"{first}-{last}" if last > first else f"{first}" for first, last in ranges_of(numbers)]
+    return ", ".join(shown[:8]) + (", ..." if len(shown) > 8 else "")

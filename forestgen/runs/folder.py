@@ -1,0 +1,183 @@
+"""The data set's folder as a run finds it: ours or not, which images are done, what does not belong any more."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+from forestgen.core.errors import DatasetError, OutputError
+from forestgen.dataset.thumbnails import FOLDER_NAME as THUMBNAILS
+from forestgen.recipe.hashing import recipe_hash
+from forestgen.recipe.load import LoadedRecipe
+from forestgen.recipe.paths import MAPS
+from forestgen.runs.contract import HIDDEN, JobRecord, Place
+from forestgen.runs.places import LocalPlace
+from forestgen.runs.records import JOBS, is_split, read_record, record_path, records_of
+
+BATCH = f"{HIDDEN}/batch.json"
+TAKEN = ("maps", "run", "thumbnails")  # names in the data set's folder that no split can have
+_SCHEMA = "forestgen-batch/1"
+_WHOLE = ("dataset.json", "SHA256SUMS")  # they say that the data set is complete: while a run works, it is not
+_FRAME = re.compile(r"\d{6,}-")
+
+
+@dataclass
+class Known:
+    """Images whose records are there."""
+
+    keys: dict[int, str]  # image -> key
+    stale: frozenset[int]  # those of them that the recipe, or these versions, would make otherwise now
+
+
+def fingerprint(loaded: LoadedRecipe, versions: str) -> str:
+    """Hash of all that any image of the recipe depends on.
+
+    Where it is the same as before, so are all jobs' keys, and a batch of 50,000 images is resumed without drawing each.
+    The recipe at the ends of its distributions brings in every file that some image may name.
+    """
+    whole = recipe_hash({name: value for name, value in loaded.complete.items() if name != "images"})
+    ends = [recipe_hash(drawn.data) for drawn in loaded.probes()]
+    return hashlib.sha256(repr((versions, whole, ends)).encode()).hexdigest()
+
+
+def check_ours(place: Place) -> None:
+    """Refuse a place that holds something else: nothing in it is touched.
+
+    Raises
+    ------
+    OutputError
+    """
+    names = place.names("")
+    if names and names != [HIDDEN] and not _is_batch(place):
+        raise OutputError(
+            "the folder is not empty and holds no batch",
+            where=place.name,
+            expected="a new or empty folder, or one that `forestgen batch` has made",
+            got=", ".join(names[:4]) + (", ..." if len(names) > 4 else ""),
+            hint="choose another folder",
+        )
+    linked = [name for name in names if isinstance(place, LocalPlace) and (place.root / name).is_symlink()]
+    if linked:
+        raise OutputError(
+            "a part of the data set is a link to elsewhere: what a run removes and replaces must lie here",
+            where=f"{place.name}/{linked[0]}",
+            hint="move it here; the whole folder may be a link",
+        )
+
+
+def check_resume(place: Place, *, resume: bool) -> None:
+    """Refuse to go on in a batch unasked. Raises `OutputError`."""
+    if not resume and _is_batch(place):
+        raise OutputError(
+            "the folder already holds a batch",
+            where=place.name,
+            hint="--resume goes on with it: images that are done stay, if the recipe still makes them; "
+            "or choose another folder",
+        )
+
+
+def is_made_from(place: Place, mark: str) -> bool:
+    """Whether all finished images were made from the recipe and by the versions of this `fingerprint`."""
+    return (_state(place) or {}).get("fingerprint") == mark
+
+
+def open_batch(
+    place: Place,
+    images: range,
+    splits: Iterable[str],
+    mark: str,
+    note: Callable[[str], None],
+    stale: frozenset[int] = frozenset(),
+) -> Known:
+    """Which images are done; removes what does not belong, and what killed runs have left.
+
+    Parameters
+    ----------
+    images : numbers of the images that are wanted.
+    splits : that some of these images are in.
+    mark : the `fingerprint`.
+    note : told of damaged records.
+    stale : finished images that would be made otherwise now; they stay until their turn comes.
+    """
+    for name in _WHOLE:
+        place.remove(name)
+    splits = tuple(splits)
+    state = _state(place) or {}
+    listing = state.get("splits")
+    names = listing if isinstance(listing, list) else []
+    before = [name for name in names if is_split(name) and name not in TAKEN]
+    listed = {split: set(place.names(split)) for split in {*splits, *before}}
+    keys: dict[int, str] = {}
+    vouched: set[str] = set()
+    for record in records_of(place, note):
+        frames = _frames(record)
+        whole = record.image in images and record.image not in keys and record.split in splits
+        if whole and all(frame in listed[record.split] for frame in frames):
+            keys[record.image] = record.key
+            vouched.update(f"{record.split}/{frame}" for frame in frames)
+            vouched.update(f"{THUMBNAILS}/{frame}.jpg" for frame in frames)
+        else:
+            forget(place, record)
+            if record.image in keys:  # two records of one image: the frames were those of either, and are gone
+                place.remove(record_path(keys.pop(record.image)))
+    _remove_unvouched(place, listed, vouched)
+    for split in set(before) - set(splits):
+        place.remove(split)
+    stale = stale & keys.keys()
+    settle_batch(place, splits, "" if stale else mark)
+    return Known(keys, stale)
+
+
+def settle_batch(place: Place, splits: Iterable[str], mark: str) -> None:
+    """Write down what all records were made from; "" while some may be of another recipe."""
+    content = {"schema": _SCHEMA, "fingerprint": mark, "splits": list(splits)}
+    place.write(BATCH, (json.dumps(content) + "\n").encode())
+
+
+def forget_key(place: Place, key: str) -> None:
+    """Remove a record and its frames."""
+    content = place.read(record_path(key))
+    try:
+        forget(place, read_record(content or b"", record_path(key)))
+    except DatasetError:
+        place.remove(record_path(key))  # its frames are found at the end: nothing vouches for them
+
+
+def forget(place: Place, record: JobRecord) -> None:
+    """Remove a record, then what it vouched for: never a record without its files."""
+    place.remove(record_path(record.key))
+    for frame in _frames(record):
+        place.remove(f"{record.split}/{frame}")
+        place.remove(f"{THUMBNAILS}/{frame}.jpg")
+
+
+def _frames(record: JobRecord) -> list[str]:
+    """Names of a record's frames."""
+    inside = (path.split("/") for path in record.files if path.startswith(f"{record.split}/"))
+    return sorted({parts[1] for parts in inside if len(parts) > 2 and parts[1] != MAPS})
+
+
+def _remove_unvouched(place: Place, listed: dict[str, set[str]], vouched: set[str]) -> None:
+    """Frames and thumbnails of jobs that never came to their records."""
+    for folder, names in {**listed, THUMBNAILS: set(place.names(THUMBNAILS))}.items():
+        for name in sorted(names):
+            if _FRAME.match(name) and f"{folder}/{name}" not in vouched:
+                place.remove(f"{folder}/{name}")
+
+
+def _is_batch(place: Place) -> bool:
+    """Whether a batch's file is there or, if a disk has damaged that one, images' records."""
+    return _state(place) is not None or bool(place.names(JOBS))
+
+
+def _state(place: Place) -> dict[str, object] | None:
+    """What batch.json says; None if there is none of ours."""
+    content = place.read(BATCH)
+    try:
+        state = json.loads(content or b"")
+    except (ValueError, RecursionError):
+        return None
+    return state if isinstance(state, dict) and state.get("schema") == _SCHEMA else None

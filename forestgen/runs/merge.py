@@ -1,0 +1,344 @@
+"""Several data sets made one: pieces that machines have made apart, or data sets of different recipes.
+
+Pieces of one recipe become what one run of all their images would have made, to the last byte. Data sets of different
+recipes go together if they agree on species, classes and all else that one file says of all images, and if no image of
+two has the same number.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import heapq
+import json
+import os
+import shutil
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from forestgen.core.errors import DatasetError, OutputError, RecipeError
+from forestgen.core.progress import Progress, Silent
+from forestgen.dataset.files import output_error
+from forestgen.dataset.folder import OutputFolder
+from forestgen.dataset.settings import DatasetSettings
+from forestgen.recipe.paths import MAPS
+from forestgen.runs.contract import JobRecord
+from forestgen.runs.description import (
+    MOST_IMAGES,
+    RecipePart,
+    numbers_in,
+    ranges_of,
+    settings_of,
+)
+from forestgen.runs.finish import Finished, write_data_set
+from forestgen.runs.folder import settle_batch
+from forestgen.runs.ledger import Ledger
+from forestgen.runs.places import LocalPlace
+from forestgen.runs.records import JOBS, record_bytes, record_path, records_of
+from forestgen.runs.verify import open_data_set, refuse_address
+
+_BLOCK_BYTES = 1 << 20
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A data set to merge."""
+
+    root: Path
+    said: dict[str, Any]  # its dataset.json
+
+    @property
+    def place(self) -> LocalPlace:
+        return LocalPlace(self.root)
+
+    @property
+    def settings(self) -> DatasetSettings:
+        return settings_of(self.said)
+
+
+def merge(sources: Sequence[Path], target: Path, *, link: bool = False, progress: Progress | None = None) -> Finished:
+    """Merge finished data sets into a new one, which appears whole or not at all.
+
+    Parameters
+    ----------
+    sources : folders of data sets; their order does not matter to the result.
+    target : absent, or an empty folder.
+    link : make hard links instead of copies, which are not read: files are shared with the sources. Copies are compared
+        with the images' records on their way.
+
+    Raises
+    ------
+    RecipeError : a folder is no finished data set, or two cannot be one.
+    DatasetError : a piece is damaged, or two pieces have different images of one number.
+    OutputError : the target cannot be written.
+    """
+    _check_target(target, sources)
+    pieces = [_piece(root) for root in sources]
+    _check_settings(pieces)
+    parts = _parts(pieces)
+    made_with = sorted(_unique(one for piece in pieces for one in piece.said["made_with"]), key=_text)
+    needed = 0 if link else sum(_size(piece) for piece in pieces)
+    total = sum(int(piece.said["images"]) for piece in pieces)
+    with (
+        OutputFolder(target, required_bytes=needed) as folder,
+        TemporaryDirectory(prefix="forestgen-merge-") as scratch,
+    ):
+        place = LocalPlace(folder, str(target))
+        with Ledger(Path(scratch)) as ledger:
+            with (progress or Silent()).stage("images", total) as advance:
+                for piece, record in _records(pieces):
+                    advance(1)
+                    if piece is not None:
+                        _take(piece, record, place, link)
+                        ledger.add(record)
+            _check_seeds(ledger)
+            done = write_data_set(place, ledger, parts, pieces[0].settings, made_with, ledger.splits, Path(scratch))
+            settle_batch(place, ledger.splits, "")
+        place.clear_staging()
+    if len(made_with) > 1:
+        done = replace(done, notes=(*done.notes, f"{len(made_with)} versions have made its images: see dataset.json"))
+    return done
+
+
+def _check_target(target: Path, sources: Sequence[Path]) -> None:
+    refuse_address(target)
+    if target.exists() and (not target.is_dir() or any(target.iterdir())):
+        got = "a file" if not target.is_dir() else "a folder with files in it"
+        raise OutputError("the output is in use", where=str(target), expected="a new or empty folder", got=got)
+    inside = [source for source in sources if target.resolve().is_relative_to(source.resolve())]
+    if inside:
+        raise OutputError("the output lies in a data set that is merged", where=str(target), got=str(inside[0]))
+    if len({source.resolve() for source in sources}) < len(sources):
+        raise RecipeError("a data set is named twice", got=", ".join(map(str, sources)))
+
+
+def _piece(root: Path) -> Piece:
+    said = open_data_set(root)
+    if said["images"] and not (root / JOBS).is_dir():
+        raise RecipeError(
+            "this copy of a data set has no records, by which images are merged",
+            where=str(root),
+            expected=f"a folder {JOBS}",
+            hint="copy the whole folder, with what is hidden in it",
+        )
+    return Piece(root, said)
+
+
+def _check_settings(pieces: Sequence[Piece]) -> None:
+    """One file describes all images: species, classes and the dataset section must be the same."""
+    first = pieces[0]
+    for other in pieces[1:]:
+        for field in fields(DatasetSettings):
+            expected, got = getattr(first.settings, field.name), getattr(other.settings, field.name)
+            if expected != got:
+                raise RecipeError(
+                    f"these data sets differ in {_KEYS.get(field.name, f'dataset.{field.name}')}: they cannot be one",
+                    where=str(other.root),
+                    expected=f"{_shown(expected)}, as in {first.root}",
+                    got=_shown(got),
+                    hint="make one of them with the other's value; or train on both, each by its own",
+                )
+
+
+_KEYS = {
+    "species_names": "species",
+    "class_names": "labels.classes",
+    "category_names": "labels.classes",
+    "species_category": "labels.classes",
+    "licence_name": "dataset.licence.name",
+    "licence_url": "dataset.licence.url",
+}
+
+
+def _shown(value: object) -> str:
+    return ", ".join(map(str, value)) if isinstance(value, tuple) else repr(value)
+
+
+def _parts(pieces: Sequence[Piece]) -> list[RecipePart]:
+    """The recipes, each once, by their first image."""
+    by_hash: dict[str, RecipePart] = {}
+    for piece in pieces:
+        for said in piece.said["recipes"]:
+            part = _part(piece, said)
+            known = by_hash.get(part.hash)
+            if known is not None:
+                asked = sorted({*numbers_in(known.asked), *numbers_in(part.asked)})
+                part = replace(known, asked=tuple(ranges_of(asked)), maps={**known.maps, **part.maps})
+            by_hash[part.hash] = part
+    parts = sorted(by_hash.values(), key=lambda part: (part.asked, part.hash))
+    if len(parts) == 1:  # a hole between two pieces is what one run would have left out
+        first, last = parts[0].asked[0][0], parts[0].asked[-1][1]
+        if last - first >= MOST_IMAGES:
+            raise RecipeError(
+                "the pieces lie too far apart: all images between them would be missing",
+                expected=f"numbers that differ by less than {MOST_IMAGES:,}",
+                got=f"images {first} to {last}",
+            )
+        return [replace(parts[0], asked=((first, last),))]
+    _check_numbers(parts, pieces)
+    return parts
+
+
+def _part(piece: Piece, said: dict[str, Any]) -> RecipePart:
+    yaml = piece.place.read(said["file"])
+    if yaml is None:
+        raise DatasetError("the data set has lost its recipe", where=str(piece.root / said["file"]))
+    maps = {f"{MAPS}/{name}": piece.place.read(f"{MAPS}/{name}") or b"" for name in piece.place.names(MAPS)}
+    asked = tuple((int(first), int(last)) for first, last in said["asked"])
+    return RecipePart(said["hash"], int(said["root_seed"]), asked, said["splits"], said["draws"], yaml.decode(), maps)
+
+
+def _check_numbers(parts: Sequence[RecipePart], pieces: Sequence[Piece]) -> None:
+    """Images of different recipes need different numbers: frames are named by them."""
+    taken: dict[int, RecipePart] = {}
+    for part in parts:
+        for image in numbers_in(part.asked):
+            if image in taken:
+                highest = max(last for one in parts for _, last in one.asked)
+                raise RecipeError(
+                    "two recipes have images of the same numbers",
+                    where=", ".join(str(piece.root) for piece in pieces),
+                    expected="numbers that differ: frames are named by them",
+                    got=f"image {image} in both",
+                    hint=f"make one of the data sets with --set first_image={highest + 1}",
+                )
+            taken[image] = part
+
+
+def _records(pieces: Sequence[Piece]) -> Iterator[tuple[Piece | None, JobRecord]]:
+    """Records by image with the piece to take them from; None for one that an earlier piece has as well.
+
+    Raises
+    ------
+    DatasetError : two pieces have different images of one number, or a record is damaged.
+    """
+    notes: list[str] = []
+    streams = [_numbered(number, piece, notes) for number, piece in enumerate(pieces)]
+    before: tuple[Piece, JobRecord] | None = None
+    counts = [0] * len(pieces)
+    for _, number, record in heapq.merge(*streams, key=lambda one: one[:2]):
+        counts[number] += 1
+        if before is not None and before[1].image == record.image:
+            _check_same(before, (pieces[number], record))
+            yield None, record
+            continue
+        before = pieces[number], record
+        yield before
+    for piece, count in zip(pieces, counts, strict=True):
+        if count != piece.said["images"]:
+            raise DatasetError(
+                "the data set has not a record for each image",
+                where=str(piece.root / JOBS),
+                expected=f"{piece.said['images']} records",
+                got=f"{count}" + (f"; {notes[0]}" if notes else ""),
+                hint=f"forestgen verify {piece.root}; forestgen batch ... --resume makes images again",
+            )
+
+
+def _numbered(number: int, piece: Piece, notes: list[str]) -> Iterator[tuple[int, int, JobRecord]]:
+    for record in records_of(piece.place, notes.append):
+        yield record.image, number, record
+
+
+def _check_same(one: tuple[Piece, JobRecord], other: tuple[Piece, JobRecord]) -> None:
+    (first, expected), (second, got) = one, other
+    if record_bytes(expected) == record_bytes(got):
+        return
+    paths = sorted(set(expected.files) | set(got.files))
+    differing = [path for path in paths if expected.files.get(path) != got.files.get(path)]
+    raise DatasetError(
+        f"two data sets have different images of the number {got.image}",
+        where=str(second.root / (differing[0] if differing else record_path(got.key))),
+        expected=f"the same as in {first.root}",
+        got="made by other versions, or from another recipe" if expected.key != got.key else "other files",
+        hint="leave one of them out, or make the image again in one",
+    )
+
+
+def _check_seeds(ledger: Ledger) -> None:
+    """No stand may be in two splits: pieces of ``same_stand`` recipes may each be sound, and not together."""
+    seed = next(ledger.shared_seeds(), None)
+    if seed is not None:
+        images = ledger.images_of_seed(seed)
+        first = images[0]
+        other = next(one for one in images if one[1] != first[1])
+        raise RecipeError(
+            "two splits would show one stand: what is tested would have been learned",
+            expected="another seed of the recipe in each, or one split",
+            got=f"image {first[0]} ({first[1]}) and image {other[0]} ({other[1]}) of the seed {seed}",
+        )
+
+
+def _take(piece: Piece, record: JobRecord, place: LocalPlace, link: bool) -> None:
+    """Copy or link an image's files, then write its record."""
+    for path, said in record.files.items():
+        source, target = piece.root / path, place.root / path
+        if target.exists():  # a map that images share; the ledger compares its sums
+            continue
+        try:
+            target.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise output_error(error, target) from error
+        found = _linked(source, target) if link else None
+        digest, size = found if found is not None else _copied(source, target)
+        if size != said["bytes"] or digest not in ("", said["sha256"]):
+            raise DatasetError(
+                "the file has changed since it was made",
+                where=str(source),
+                expected=f"{said['bytes']} bytes, sha256 {said['sha256']}",
+                got=f"{size} bytes" + (f", sha256 {digest}" if digest else ""),
+                hint=f"forestgen verify {piece.root} names all such files",
+            )
+    place.write(record_path(record.key), record_bytes(record))
+
+
+def _linked(source: Path, target: Path) -> tuple[str, int] | None:
+    """No sum, and size in bytes, of a file that has a second name now; None where it cannot have one."""
+    if not source.is_file():
+        raise _lost(source)
+    try:
+        os.link(source, target)
+    except OSError:  # another file system, or one without links
+        return None
+    return "", target.stat().st_size
+
+
+def _copied(source: Path, target: Path) -> tuple[str, int]:
+    """SHA-256 and size of what was copied."""
+    digest, size = hashlib.sha256(), 0
+    try:
+        stream = source.open("rb")
+    except OSError as error:
+        raise _lost(source) from error
+    with stream:
+        try:
+            with target.open("wb") as copy:
+                while block := stream.read(_BLOCK_BYTES):
+                    digest.update(block)
+                    copy.write(block)
+                    size += len(block)
+        except OSError as error:
+            raise output_error(error, target) from error
+    shutil.copystat(source, target)
+    return digest.hexdigest(), size
+
+
+def _lost(path: Path) -> DatasetError:
+    return DatasetError(
+        "a file of the data set is missing", where=str(path), hint="forestgen verify names all such files"
+    )
+
+
+def _size(piece: Piece) -> int:
+    return sum(int(group["bytes"]) for group in piece.said["files"].values())
+
+
+def _unique(items: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Each once, in their first order."""
+    return list({_text(one): one for one in items}.values())
+
+
+def _text(one: dict[str, Any]) -> str:
+    return json.dumps(one, sort_keys=True)

@@ -1,0 +1,167 @@
+"""Where a data set lies: a folder of this machine, or what `batch.remote_place` reaches.
+
+In a folder, work is staged in ``.forestgen/staging``, on the same file system, and renamed into place: a name shows a
+whole file or frame, or nothing. Files reach the disk before they get their names, and file systems keep the order of
+names; so no power cut, and no quota that a network share reports late, leaves a record without its files.
+"""
+
+from __future__ import annotations
+
+import os
+import secrets
+import shutil
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+
+from forestgen.core.errors import DatasetError, OutputError
+from forestgen.dataset.files import output_error
+from forestgen.runs.contract import HIDDEN, Place
+from forestgen.runs.lock import LocalLock
+
+STAGING = f"{HIDDEN}/staging"
+_SYNCED_AT_ONCE = 16
+
+
+def place_of(target: str) -> Place:
+    """The place of a data set: a folder's path, or a URL such as ``s3://bucket/forests``."""
+    scheme, separator, rest = target.partition("://")
+    if not separator:
+        return LocalPlace(Path(target).absolute(), target)
+    if scheme == "file":
+        return LocalPlace(Path(rest).absolute(), target)
+    from forestgen.runs.remote_place import RemotePlace  # loads fsspec
+
+    return RemotePlace(target)
+
+
+@dataclass(frozen=True)
+class LocalPlace:
+    """A folder; see `contract.Place`."""
+
+    root: Path
+    shown: str = ""  # as the user wrote it
+
+    @property
+    def name(self) -> str:
+        return self.shown or str(self.root)
+
+    def lock(self, say: Callable[[str], None] = lambda _: None) -> LocalLock:
+        """A context manager that keeps other runs out of here."""
+        return LocalLock(self.root / HIDDEN, self.name, say)
+
+    def staging(self) -> Path:
+        folder = self._hidden("job")
+        with _writing(folder):
+            folder.mkdir()
+        return folder
+
+    def discard(self, staging: Path) -> None:
+        shutil.rmtree(staging, ignore_errors=True)
+
+    def put_folder(self, source: Path, target: str) -> None:
+        final = self._path(target)
+        with _writing(final):
+            _sync([path for path in source.rglob("*") if path.is_file()])
+            final.parent.mkdir(parents=True, exist_ok=True)
+            self.remove(target)
+            source.rename(final)
+
+    def put_file(self, source: Path, target: str) -> None:
+        final = self._path(target)
+        with _writing(final):
+            _sync([source])
+            final.parent.mkdir(parents=True, exist_ok=True)
+            source.replace(final)
+
+    def write(self, target: str, content: bytes) -> None:
+        staged = self._hidden("file")
+        try:
+            with _writing(self._path(target)):
+                staged.write_bytes(content)
+                self.put_file(staged, target)
+        finally:
+            staged.unlink(missing_ok=True)
+
+    def read(self, path: str) -> bytes | None:
+        file = self._path(path)
+        with _reading(file), suppress(FileNotFoundError, NotADirectoryError, IsADirectoryError):
+            return file.read_bytes()
+        return None
+
+    def exists(self, path: str) -> bool:
+        return self._path(path).exists()
+
+    def size_bytes(self, path: str) -> int | None:
+        file = self._path(path)
+        return file.stat().st_size if file.is_file() else None
+
+    def names(self, folder: str) -> list[str]:
+        found = self._path(folder)
+        with _reading(found), suppress(FileNotFoundError, NotADirectoryError):
+            return sorted(path.name for path in found.iterdir())
+        return []
+
+    def remove(self, path: str) -> None:
+        """See `contract.Place`; a folder loses its name at once, then its content."""
+        found = self._path(path)
+        if not os.path.lexists(found):
+            return
+        with _writing(found):
+            if not found.is_dir() or found.is_symlink():
+                found.unlink()
+                return
+            aside = self._hidden("removed")
+            found.rename(aside)
+            shutil.rmtree(aside, ignore_errors=True)  # what stays is cleared with the staging folder
+
+    def clear_staging(self) -> None:
+        """Remove what runs that were killed have left."""
+        shutil.rmtree(self.root / STAGING, ignore_errors=True)
+
+    def _path(self, relative: str) -> Path:
+        """A path below the root: records and recipes may come from strangers."""
+        parts = PurePosixPath(relative)
+        if parts.is_absolute() or ".." in parts.parts or "\\" in relative:
+            raise DatasetError("this path leaves the data set's folder", where=self.name, got=repr(relative))
+        return self.root / parts
+
+    def _hidden(self, kind: str) -> Path:
+        """A name for work in progress that nothing has."""
+        folder = self.root / STAGING
+        with _writing(folder):
+            folder.mkdir(parents=True, exist_ok=True)
+        return folder / f"{kind}-{os.getpid()}-{secrets.token_hex(6)}"
+
+
+@contextmanager
+def _writing(path: Path) -> Iterator[None]:
+    """Storage that fails, as an `OutputError` that names `path`."""
+    try:
+        yield
+    except OSError as error:
+        raise output_error(error, path) from error
+
+
+@contextmanager
+def _reading(path: Path) -> Iterator[None]:
+    """What is there and cannot be read, as an `OutputError` that names `path`."""
+    try:
+        yield
+    except OSError as error:
+        raise OutputError(
+            f"cannot read: {error.strerror or error}", where=str(path), hint="check the folder's permissions and disk"
+        ) from error
+
+
+def _sync(files: Sequence[Path]) -> None:
+    """Wait until files are on the disk: many at a time, or each would wait for a turn of its own."""
+    with ThreadPoolExecutor(min(_SYNCED_AT_ONCE, max(1, len(files)))) as threads:
+        list(threads.map(_sync_one, files))
+
+
+def _sync_one(file: Path) -> None:
+    with file.open("rb+") as stream:
+        os.fsync(stream.fileno())

@@ -1,0 +1,139 @@
+"""Each frame's files against its row of the index, and whether splits share a seed or a plant community."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from forestgen.core.errors import DatasetError
+from forestgen.core.progress import Progress
+from forestgen.dataset.check.files import read_json, read_picture, read_table
+from forestgen.dataset.check.offence import Offence, UnreadableError
+from forestgen.dataset.index import INDEX_NAME, read_index
+from forestgen.runs.parallel import in_order
+
+Check = tuple[str, str, int, list[Offence]]  # name, what holds, how many it looked at, offences
+_HINT = "give the recipe one split, or let it draw each image's plants"
+
+
+@dataclass(frozen=True)
+class FrameFacts:
+    """What a frame's files say."""
+
+    row: Mapping[str, Any]  # the index' own
+    community: bytes  # hash of the plants' species and places; empty: bare ground
+    offences: tuple[Offence, ...]
+
+
+def check_frames(root: Path, said: Mapping[str, Any], jobs: int | None, progress: Progress) -> list[Check]:
+    """The checks that open every frame.
+
+    Parameters
+    ----------
+    said : dataset.json.
+    jobs : threads; by default the cores.
+    """
+    class_names = said["settings"]["class_names"]
+    frames: list[Offence] = []
+    seeds, communities = _Shared("seed"), _Shared("plant community")
+    with ThreadPoolExecutor(jobs) as pool, progress.stage("frames", int(said["frames"])) as advance:
+        for facts in in_order(pool, partial(_facts, root, class_names), _rows(root)):
+            advance(1)
+            frames += facts.offences
+            seeds.add(str(facts.row["image_seed"]).encode(), facts.row)
+            communities.add(facts.community, facts.row)
+    images = int(said["images"])
+    return [
+        ("frames", "the index tells of frames what their files show", int(said["frames"]), frames),
+        ("seeds", "no image's seed is in two splits", images, seeds.offences),
+        ("communities", "no plant community is in two splits", images, communities.offences),
+    ]
+
+
+def _rows(root: Path) -> Iterator[dict[str, Any]]:
+    """Rows of the index, as far as it can be read: its own check says where it ends."""
+    try:
+        yield from read_index(root / INDEX_NAME)
+    except DatasetError:
+        return
+
+
+class _Shared:
+    """What only one split may have."""
+
+    def __init__(self, what: str) -> None:
+        self._what = what
+        self._first: dict[bytes, tuple[str, str]] = {}  # what -> split and frame that had it first
+        self.offences: list[Offence] = []
+
+    def add(self, mark: bytes, row: Mapping[str, Any]) -> None:
+        if not mark:
+            return
+        split, frame = self._first.setdefault(mark, (row["split"], row["folder"]))
+        if split != row["split"]:
+            problem = f"two splits share a {self._what}"
+            expected = f"another than that of {frame} ({_HINT})"
+            self.offences.append(Offence(str(row["folder"]), problem, expected, f"the same in {row['split']}"))
+
+
+def _facts(root: Path, class_names: Sequence[str], row: Mapping[str, Any]) -> FrameFacts:
+    folder = str(row["folder"])
+    try:
+        plants = read_table(root, f"{folder}/plants.parquet")
+        semantic = read_picture(root, f"{folder}/semantic.png")
+        camera = read_json(root, f"{folder}/camera.json")
+        shown = {
+            **_plants_shown(plants),
+            "class_pixels": _counts(semantic, class_names),
+            "height_px": semantic.shape[0],
+            "width_px": semantic.shape[1],
+            "camera": camera.get("name"),
+        }
+        offences = [_wrong(row, key, value) for key, value in shown.items() if row[key] != value]
+        return FrameFacts(row, _community(plants), tuple(offences))
+    except UnreadableError as error:
+        return FrameFacts(row, b"", (error.offence,))
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+        got = f"{type(error).__name__}: {error}"
+        return FrameFacts(row, b"", (Offence(folder, "a file is not of its format", got=got[:200]),))
+
+
+def _wrong(row: Mapping[str, Any], key: str, value: Any) -> Offence:
+    problem = f"{key} of {row['folder']} is not what its files show"
+    return Offence(INDEX_NAME, problem, f"{value!r:.120}", f"{row[key]!r:.120}")
+
+
+def _plants_shown(plants: Mapping[str, Any]) -> dict[str, Any]:
+    pixels = plants["visible_pixels"]
+    seen = pixels > 0
+    species = plants["species"][seen]
+    names = sorted(set(species))
+    return {
+        "plants": len(pixels),
+        "plants_in_view": int(seen.sum()),
+        "plants_truncated": int(plants["truncated"][seen].sum()),
+        "species_instances": {name: int((species == name).sum()) for name in names},
+        "species_pixels": {name: int(pixels[seen][species == name].sum()) for name in names},
+    }
+
+
+def _counts(semantic: Any, class_names: Sequence[str]) -> dict[str, int]:
+    counts = np.bincount(semantic.ravel(), minlength=len(class_names))
+    return {class_names[number]: int(counts[number]) for number in np.flatnonzero(counts).tolist()}
+
+
+def _community(plants: Mapping[str, Any]) -> bytes:
+    """Hash of species and places."""
+    if not len(plants["species"]):
+        return b""
+    digest = hashlib.sha256("\n".join(plants["species"].tolist()).encode())
+    for axis in ("x_m", "y_m"):
+        digest.update(np.ascontiguousarray(plants[axis], dtype=np.float64).tobytes())
+    return digest.digest()[:16]

@@ -1,0 +1,201 @@
+"""A job, done: an image's frames made in a staging folder, put into the data set, and their record written last."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+import time
+import traceback
+from collections.abc import Iterable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from forestgen.core.errors import (
+    AssetError,
+    ForestgenError,
+    LsystemError,
+    OutputError,
+    RecipeError,
+    RenderError,
+    ResourceError,
+)
+from forestgen.core.memory import whole_bytes
+from forestgen.core.progress import Silent
+from forestgen.core.threads import limit_cores
+from forestgen.core.timing import Timings
+from forestgen.dataset.files import STORAGE_ERRNOS, output_error
+from forestgen.dataset.manifest import peak_memory_bytes
+from forestgen.dataset.thumbnails import thumbnail_name, write_thumbnail
+from forestgen.pipeline import RunSummary, render_image
+from forestgen.recipe.hashing import recipe_hash
+from forestgen.recipe.load import DrawnRecipe
+from forestgen.recipe.paths import MAPS
+from forestgen.render.variant import mitsuba
+from forestgen.runs.contract import Done, Failed, FailureKind, Job, JobRecord, JobRun, Outcome, Place, Work
+from forestgen.runs.keys import job_key
+from forestgen.runs.records import record_bytes, record_path
+from forestgen.stages.data_set import check_one_data_set
+from forestgen.stages.plan import check_memory, make_plan
+
+_FRAMES = "frames"  # of a staging folder: what belongs into the split's folder
+
+
+class _NotPlacedError(Exception):
+    """The data set's place has failed; the cause tells how."""
+
+
+def make_job(work: Work, job: Job, attempt: int) -> Outcome:
+    """Do a job: draw, check, render, label, put into place. Its failure is an outcome, never an exception."""
+    start = time.perf_counter()
+    timings = Timings()
+    try:
+        record = _make(work, job, timings)
+    except Exception as error:  # noqa: BLE001 - whatever an image breaks on, the other images go on
+        return Failed(job, attempt, failure_kind(error), explained(error), time.perf_counter() - start, worker_name())
+    seconds = time.perf_counter() - start
+    run = JobRun(job.image, attempt, worker_name(), seconds, dict(timings.seconds), peak_memory_bytes())
+    return Done(job, record, run)
+
+
+def worker_name() -> str:
+    """Who this process is, in logs."""
+    return f"{platform.node()}:{os.getpid()}"
+
+
+def failure_kind(error: BaseException) -> FailureKind:
+    """What went wrong, as far as it decides whether another attempt may help."""
+    if isinstance(error, MemoryError | ResourceError):
+        return "memory"
+    if _storage_failed(error):
+        return "output"
+    if isinstance(error, RecipeError | AssetError | LsystemError | OutputError):
+        return "recipe"  # also what a format cannot hold, however often it is tried
+    return "renderer" if isinstance(error, RenderError) else "bug"
+
+
+def _storage_failed(error: BaseException | None) -> bool:
+    """Whether a disk, a quota or a network is behind an error."""
+    while error is not None:
+        if isinstance(error, _NotPlacedError) or (isinstance(error, OutputError) and error.__cause__ is not None):
+            return True  # an `OutputError` without a cause tells of what a format cannot hold
+        if isinstance(error, OSError) and (error.errno in STORAGE_ERRNOS or isinstance(error, ConnectionError)):
+            return True
+        error = error.__cause__
+    return False
+
+
+def explained(error: BaseException) -> str:
+    """An error for people; of a bug also the place in the code."""
+    if isinstance(error, _NotPlacedError) and error.__cause__ is not None:
+        return explained(error.__cause__)
+    if isinstance(error, ForestgenError):
+        return str(error)
+    if isinstance(error, MemoryError):
+        return "memory ran out\n  try       fewer workers, smaller images or a smaller site"
+    if isinstance(error, OSError) and _storage_failed(error):
+        return str(output_error(error))
+    frames = traceback.extract_tb(error.__traceback__)
+    place = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
+    return f"a bug in forestgen: {type(error).__name__}: {error}{place}"
+
+
+def _make(work: Work, job: Job, timings: Timings) -> JobRecord:
+    _settle(work, timings)
+    with timings("recipe"):
+        drawn = work.loaded.draw(job.index)
+        _check_unchanged(drawn, job, work)
+        check_one_data_set(drawn, work.settings)
+        plan = make_plan(drawn)
+        # What is free now says nothing: the estimate is an upper one, and the other workers hold their part already.
+        room_bytes = whole_bytes()
+        check_memory(plan, room_bytes=room_bytes)
+    staging = work.place.staging()
+    try:
+        frames = staging / _FRAMES
+        frames.mkdir()
+        summary = RunSummary(frames)
+        folders = render_image(
+            plan, work.loaded.seed, work.settings, frames, summary, Silent(), timings, room_bytes=room_bytes
+        )
+        with timings("write"):
+            _add_thumbnails(staging, folders)
+            record = _record_of(job, drawn, summary, _staged_files(staging, job.split))
+            _put_into_place(work.place, staging, job, record)
+    finally:
+        work.place.discard(staging)
+    return record
+
+
+def _settle(work: Work, timings: Timings) -> None:
+    """Load the renderer with the work's threads; at once from the second job on."""
+    if work.threads is not None:
+        limit_cores(work.threads)
+    with timings("load Mitsuba"):
+        mitsuba(work.threads)
+
+
+def _check_unchanged(drawn: DrawnRecipe, job: Job, work: Work) -> None:
+    if job_key(drawn, work.versions) != job.key:
+        raise AssetError(
+            "a file that the recipe names has changed since the batch was started",
+            where=str(work.loaded.path),
+            expected=f"a drawn recipe of the key {job.key}",
+            hint="start the batch again with --resume: what has changed is made anew",
+        )
+
+
+def _add_thumbnails(staging: Path, folders: Iterable[Path]) -> None:
+    for folder in folders:
+        write_thumbnail(folder, staging / thumbnail_name(folder.name))
+
+
+def _staged_files(staging: Path, split: str) -> dict[str, dict[str, Any]]:
+    """Path in the data set's folder -> size and SHA-256, of all staged files."""
+    files = {}
+    for path in sorted(one for one in staging.rglob("*") if one.is_file()):
+        relative = path.relative_to(staging)
+        inside = relative.relative_to(_FRAMES) if relative.parts[0] == _FRAMES else None
+        name = relative.as_posix() if inside is None else f"{split}/{inside.as_posix()}"
+        with path.open("rb") as stream:
+            digest = hashlib.file_digest(stream, "sha256").hexdigest()
+        files[name] = {"bytes": path.stat().st_size, "sha256": digest}
+    return dict(sorted(files.items()))
+
+
+def _record_of(job: Job, drawn: DrawnRecipe, summary: RunSummary, files: dict[str, dict[str, Any]]) -> JobRecord:
+    return JobRecord(
+        key=job.key,
+        image=job.image,
+        split=job.split,
+        image_seed=drawn.image_seed,
+        recipe_hash=recipe_hash(drawn.data),
+        rows=tuple(summary.rows),
+        files=files,
+        report=summary.images[0],
+        notes=tuple(summary.notes),
+    )
+
+
+def _put_into_place(place: Place, staging: Path, job: Job, record: JobRecord) -> None:
+    """Maps, frames, thumbnails, and last the record. If one fails, no frame of the image stays."""
+    frames = sorted(path for path in (staging / _FRAMES).iterdir() if path.name != MAPS)
+    maps = sorted((staging / _FRAMES / MAPS).glob("*"))
+    try:
+        for path in maps:
+            target = f"{job.split}/{MAPS}/{path.name}"
+            if place.size_bytes(target) != path.stat().st_size:  # named by content: other jobs bring the same
+                place.put_file(path, target)
+        for folder in frames:
+            place.put_folder(folder, f"{job.split}/{folder.name}")
+        for name in (thumbnail_name(folder.name) for folder in frames):
+            place.put_file(staging / name, name)
+        place.write(record_path(job.key), record_bytes(record))
+    except BaseException as error:
+        for name in (record_path(job.key), *(f"{job.split}/{folder.name}" for folder in frames)):
+            with suppress(ForestgenError, OSError):
+                place.remove(name)
+        if isinstance(error, OutputError | OSError):
+            raise _NotPlacedError from error
+        raise
