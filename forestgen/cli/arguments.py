@@ -1,4 +1,4 @@
-"""Arguments that several commands have."""
+"""Options that commands share: one name, one meaning, everywhere."""
 
 from __future__ import annotations
 
@@ -7,10 +7,94 @@ from typing import Annotated, Optional
 
 import typer
 
+from forestgen.core.progress import Progress
+
 RecipePath = Annotated[Path, typer.Argument(metavar="RECIPE", help="The recipe, a YAML file.", show_default=False)]
+DatasetPath = Annotated[
+    Path, typer.Argument(metavar="DIR", help="A data set's folder, of render, batch or merge.", show_default=False)
+]
 Overrides = Annotated[
     Optional[list[str]],  # noqa: UP045 - typer reads annotations at run time
     typer.Option(
         "--set", metavar="KEY=VALUE", help="Override a value of the recipe, such as sky.turbidity=5. May be repeated."
     ),
 ]
+Count = Annotated[
+    Optional[int],  # noqa: UP045
+    typer.Option(
+        "--count",
+        metavar="N",
+        min=1,
+        max=100_000_000,
+        help="How many images, in all; by default as many as the recipe says.",
+        show_default=False,
+    ),
+]
+Threads = Annotated[
+    Optional[int],  # noqa: UP045
+    typer.Option(
+        "--threads",
+        metavar="N",
+        min=1,
+        max=4096,
+        help="Threads of each worker; by default all cores are shared out. Results do not depend on it.",
+        show_default=False,
+    ),
+]
+Workers = Annotated[
+    Optional[int],  # noqa: UP045
+    typer.Option(
+        "--workers",
+        "-w",
+        metavar="N",
+        min=1,
+        max=1024,
+        help="Worker processes; by default as many as cores and memory allow. Results do not depend on it.",
+        show_default=False,
+    ),
+]
+Device = Annotated[
+    Optional[str],  # noqa: UP045
+    typer.Option(
+        "--device",
+        metavar="llvm|cuda",
+        help="What traces rays: the processor (llvm) or a GPU (cuda); by default FORESTGEN_TRACING, else llvm.",
+        show_default=False,
+    ),
+]
+Resume = Annotated[
+    bool, typer.Option("--resume", help="Go on in a data set that is there: make what is missing or has changed.")
+]
+Discard = Annotated[
+    bool,
+    typer.Option(
+        "--discard",
+        help="With --resume: remove finished images that are too many now, or of which recipe or versions have "
+        "changed. Without it they are counted, and kept.",
+    ),
+]
+First = Annotated[
+    Optional[int],  # noqa: UP045
+    typer.Option(
+        "--first",
+        metavar="N",
+        min=0,
+        help="Number of the first image; short for --set first_image=N. For parts that are merged later.",
+        show_default=False,
+    ),
+]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace a previous output of forestgen.")]
+Seed = Annotated[int, typer.Option("--seed", metavar="N", min=0, help="Another seed draws other random numbers.")]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress, and print nothing but errors.")]
+Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Print all notes, and where the time went.")]
+
+
+def progress_of(quiet: bool) -> bool | Progress | None:
+    """The API's argument `progress`."""
+    return False if quiet else None
+
+
+def with_first(overrides: list[str] | None, first: int | None) -> list[str]:
+    """Overrides with the number of the first image."""
+    return [*(overrides or []), *([f"first_image={first}"] if first is not None else [])]

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Optional
 
 import typer
 
-from forestgen.cli.arguments import Overrides, RecipePath
-from forestgen.cli.console import Bars, output, seconds
-from forestgen.cli.light import normal_of, point_of
+from forestgen.cli.arguments import Overrides, Overwrite, Quiet, RecipePath, progress_of
+from forestgen.cli.console import Printer, seconds
 
 if TYPE_CHECKING:
     from forestgen.stages.calibrate import Calibration
@@ -19,13 +18,12 @@ if TYPE_CHECKING:
 
 def calibrate(
     recipe: RecipePath,
-    target: Annotated[
+    out: Annotated[
         Optional[Path],  # noqa: UP045 - typer reads annotations at run time
         typer.Option(
-            "--output",
-            "-o",
             "--out",
-            metavar="FOLDER",
+            "-o",
+            metavar="DIR",
             help="Folder for the sheet; by default outputs/NAME-calibration, ...-2, ...",
             show_default=False,
         ),
@@ -55,96 +53,59 @@ def calibrate(
         bool, typer.Option("--absolute-z", help="Count z from z = 0, not from the ground below.")
     ] = False,
     overrides: Overrides = None,
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Replace a previous forestgen output in that folder.")
-    ] = False,
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
 ) -> None:
     """Check the colours: a ColorChecker and a grey card in the recipe's scene.
 
-    Renders them at 81 wavelengths, in the spectral and in the rgb mode. Tells CIE delta E 2000 of each patch against
+    Renders them at 81 wavelengths, in the spectral and in the rgb mode. Prints CIE delta E 2000 of each patch against
     colour-science, illuminance and colour temperature, and writes a sheet (calibration.html) and its numbers.
 
     Exit code 0 if mean delta E is below 0.5, max below 1.5, and the grey card agrees with a light meter; 5 if not.
     """
-    _calibrate(recipe, target, at or [], normal, width_px, samples, absolute_z, overrides or [], overwrite)
-
-
-def _calibrate(
-    recipe: Path,
-    target: Path | None,
-    at: Sequence[str],
-    normal: str,
-    width_px: int,
-    samples: int,
-    absolute_z: bool,
-    overrides: Sequence[str],
-    overwrite: bool,
-) -> None:
-    from forestgen.cli.commands import output_folder
+    from forestgen import load
     from forestgen.core.errors import RecipeError
-    from forestgen.core.timing import Timings
-    from forestgen.dataset.folder import OutputFolder
-    from forestgen.dataset.manifest import build_manifest, write_manifest
-    from forestgen.recipe.load import load_recipe
-    from forestgen.stages import calibrate as stage
-    from forestgen.stages.calibration_files import SHEET, write_calibration
+    from forestgen.stages.calibration_files import SHEET
 
-    if len(at) > 1:
+    if at is not None and len(at) > 1:
         raise RecipeError("one chart at a time", where="--at", expected="one point", got=f"{len(at)}")
-    point, towards = (point_of(at[0]) if at else None), normal_of(normal)
-    timings, bars = Timings(), Bars()
-    loaded = load_recipe(recipe, overrides)
-    folder = output_folder(target, recipe.with_name(f"{recipe.stem}-calibration"))
-    with bars.running(), OutputFolder(folder, overwrite=overwrite) as staging:
-        found = stage.calibrate(
-            loaded,
-            at=point,
-            normal=towards,
-            above_ground=not absolute_z,
-            width_px=width_px,
-            samples=samples,
-            progress=bars,
-            timings=timings,
-        )
-        write_calibration(staging, found, loaded, samples)
-        manifest = build_manifest(
-            staging,
-            recipe_hash=loaded.hash,
-            root_seed=loaded.seed,
-            image_seeds=[],
-            timings_s=timings.seconds,
-            extra={"calibration_holds": found.holds},
-        )
-        write_manifest(staging, manifest)
-    _print(found)
-    out = output()
-    out.print(f"calibrated in {seconds(timings.total())}", markup=False)
-    out.print(f"files: {folder}/ (look at {folder / SHEET})", markup=False)
+    started, say = time.perf_counter(), Printer(quiet)
+    found, folder = load(recipe, set=overrides or ()).calibrate(
+        out,
+        at=at[0].split(",") if at else None,
+        normal=normal,
+        width_px=width_px,
+        samples=samples,
+        absolute_z=absolute_z,
+        overwrite=overwrite,
+        progress=progress_of(quiet),
+    )
+    _print(found, say)
+    say(f"calibrated in {seconds(time.perf_counter() - started)}")
+    say(f"files: {folder}/ (look at {folder / SHEET})")
     _fail_if_missed(found, folder)
 
 
-def _print(found: Calibration) -> None:
+def _print(found: Calibration, say: Printer) -> None:
     from forestgen.stages.calibrate import MODES
 
-    out = output()
     x, y, _ = found.point_m
-    out.print(f"chart at {x:g} {y:g}, {found.above_ground_m:.2f} m above the ground", markup=False)
-    out.print(f"{'delta E 2000':<24}" + "".join(f"{title:>16}" for title in MODES.values()), markup=False)
+    say(f"chart at {x:g} {y:g}, {found.above_ground_m:.2f} m above the ground")
+    say(f"{'delta E 2000':<24}" + "".join(f"{title:>16}" for title in MODES.values()))
     for patch in found.patches:
-        out.print(f"{patch.name:<24}" + "".join(f"{patch.delta_e[mode]:>16.2f}" for mode in MODES), markup=False)
+        say(f"{patch.name:<24}" + "".join(f"{patch.delta_e[mode]:>16.2f}" for mode in MODES))
     for word in ("mean", "max"):
         values = (float(getattr(found.delta_e(mode), word)()) for mode in MODES)
-        out.print(f"{word:<24}" + "".join(f"{value:>16.2f}" for value in values), markup=False)
+        say(f"{word:<24}" + "".join(f"{value:>16.2f}" for value in values))
     meter, white = found.meter, found.white
-    out.print(
+    say(
         f"illuminance {found.illuminance_lux:,.0f} lux by the grey card, {meter.illuminance_lux.value:,.0f} ± "
-        f"{meter.illuminance_lux.error:,.0f} by a light meter; {100 * meter.from_sun.value:.0f}% straight from the sun",
-        markup=False,
+        f"{meter.illuminance_lux.error:,.0f} by a light meter; {100 * meter.from_sun.value:.0f}% straight from the sun"
     )
     cct = "none" if math.isnan(white.cct_k) else f"{white.cct_k:,.0f} K"
-    out.print(f"correlated colour temperature {cct}, Duv {white.duv:+.4f}", markup=False)
+    say(f"correlated colour temperature {cct}, Duv {white.duv:+.4f}")
     for note in found.notes:
-        out.print(f"note: {note}", markup=False)
+        say(f"note: {note}")
 
 
 def _fail_if_missed(found: Calibration, folder: Path) -> None:

@@ -1,4 +1,4 @@
-"""What the command line shows: bars while it works, errors in plain words, exit codes for scripts.
+"""What the command line shows: results, errors in plain words, exit codes for scripts.
 
 0    done
 1    a forestgen error of no other kind
@@ -14,13 +14,15 @@
 
 from __future__ import annotations
 
+import json
+import math
 import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from typing import TYPE_CHECKING, Any, NoReturn, cast
+from typing import TYPE_CHECKING, NoReturn, cast
 
 import typer
 
@@ -30,57 +32,8 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 INTERNAL_ERROR = 70
-_MOST_BARS = 12  # more would not fit into a terminal's usual height
 # The base of all errors of the command line's syntax, which typer does not export.
 _UsageError: type[Exception] = cast("type[Exception]", typer.BadParameter.__base__)
-
-
-class Bars:
-    """Progress bars with time left, on standard error; silent where that is no terminal."""
-
-    def __init__(self) -> None:
-        self._progress: Any = None
-        self._tasks: dict[str, Any] = {}  # by title, oldest first
-
-    @contextmanager
-    def running(self) -> Iterator[Bars]:
-        from rich import progress as bars
-        from rich.console import Console
-
-        columns = (
-            bars.TextColumn("{task.description:<18}", markup=False),
-            bars.BarColumn(bar_width=24),
-            bars.MofNCompleteColumn(),
-            bars.TimeElapsedColumn(),
-            bars.TextColumn("left"),
-            bars.TimeRemainingColumn(),
-        )
-        console = Console(stderr=True)
-        with bars.Progress(*columns, console=console, disable=not console.is_terminal, refresh_per_second=5) as shown:
-            self._progress = shown
-            yield self
-
-    @contextmanager
-    def stage(self, title: str, total: int) -> Iterator[Callable[[int], None]]:
-        """A bar for one piece of work; the next image's work of the same title takes the same bar."""
-        if title in self._tasks:
-            task = self._tasks[title]
-            self._progress.reset(task, total=total)
-        else:
-            task = self._tasks[title] = self._progress.add_task(title, total=total)
-            if len(self._tasks) > _MOST_BARS:
-                self._remove_oldest()
-        try:
-            yield lambda steps: self._progress.advance(task, steps)
-        finally:
-            self._progress.stop_task(task)
-
-    def _remove_oldest(self) -> None:
-        done = {task.id for task in self._progress.tasks if task.finished}
-        for title, task in self._tasks.items():
-            if task in done:
-                self._progress.remove_task(self._tasks.pop(title))
-                return
 
 
 def output() -> Console:
@@ -92,6 +45,37 @@ def output() -> Console:
             raise  # rich calls this while it handles the BrokenPipeError, which is ours to answer
 
     return Output(highlight=False, soft_wrap=True)
+
+
+class Printer:
+    """Prints results on standard output, line by line; nothing where quiet was asked for."""
+
+    def __init__(self, quiet: bool = False) -> None:
+        self._quiet = quiet
+
+    def __call__(self, text: str = "") -> None:
+        if not self._quiet:
+            output().print(text, markup=False)  # names may hold brackets
+
+    def table(self, rows: Sequence[Sequence[str]]) -> None:
+        """Rows as wide as they must be, the first column to the left and the others to the right."""
+        widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+        for row in rows:
+            first = row[0].ljust(widths[0])
+            rest = (text.rjust(width) for text, width in zip(row[1:], widths[1:], strict=True))
+            self("  ".join([first, *rest]).rstrip())
+
+    def json(self, content: object) -> None:
+        """Plain values; NaN, which JSON lacks, as null."""
+        sys.stdout.write(json.dumps(_finite(content), indent=2, allow_nan=False) + "\n")
+
+
+def _finite(content: object) -> object:
+    if isinstance(content, Mapping):
+        return {str(key): _finite(value) for key, value in content.items()}
+    if isinstance(content, list | tuple):
+        return [_finite(value) for value in content]
+    return None if isinstance(content, float) and not math.isfinite(content) else content
 
 
 class _StoppedError(BaseException):

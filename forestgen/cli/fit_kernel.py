@@ -1,13 +1,23 @@
-"""`forestgen fit-kernel` as the command line reads it; `fit_report.py` does what it says."""
+"""The command `fit-kernel`: kernels of a measured stand, as a recipe that places new ones."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Optional
+from typing import TYPE_CHECKING, Annotated, Optional
 
 import typer
 
-from forestgen.cli.console import Bars
+from forestgen.cli.arguments import Overwrite, Quiet, Seed, progress_of
+from forestgen.cli.console import Printer, count, seconds
+
+if TYPE_CHECKING:
+    from forestgen.api.points import FittedKernel
+    from forestgen.community.fitting.envelopes import Envelope
+    from forestgen.community.fitting.fit import Fit
+    from forestgen.community.fitting.stand import MeasuredStand
+
+_HEAD, _WIDEST = 8, 110  # lines of the recipe that are shown, and characters of a line
+_FUNCTIONS = (("K", "pairs"), ("g", "pair correlation"), ("G", "nearest neighbours"))
 
 
 def fit_kernel(
@@ -38,17 +48,17 @@ def fit_kernel(
             show_default=False,
         ),
     ] = None,
-    target: Annotated[
+    out: Annotated[
         Optional[Path],  # noqa: UP045
         typer.Option(
-            "--output",
+            "--out",
             "-o",
             metavar="PATH",
             help="A recipe, NAME.yaml, beside which NAME.png and NAME.json are written; or a folder for all three.",
             show_default=False,
         ),
     ] = None,
-    seed: Annotated[int, typer.Option("--seed", metavar="N", help="Another seed fits by other new stands.")] = 0,
+    seed: Seed = 0,
     reach_m: Annotated[
         Optional[float],  # noqa: UP045
         typer.Option(
@@ -68,10 +78,88 @@ def fit_kernel(
             help="Where one kernel leaves nearest neighbours far off, let some plants come first and draw the others.",
         ),
     ] = True,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace existing files.")] = False,
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
 ) -> None:
     """Fit deformation kernels to a measured stand: a recipe that places new stands like it."""
-    from forestgen.cli import fit_report
+    import forestgen
 
-    settings = {"seed": seed, "checks": checks, "reach_m": reach_m, "founders": founders}
-    fit_report.fit_kernel(points, window, species, target, settings, Bars(), overwrite=overwrite)
+    fitted = forestgen.fit_kernel(
+        points,
+        window=window,
+        species=species,
+        out=out or Path("outputs") / f"{points.stem}-kernel.yaml",
+        seed=seed,
+        reach_m=reach_m,
+        checks=checks,
+        founders=founders,
+        overwrite=overwrite,
+        progress=progress_of(quiet),
+    )
+    _print(fitted, Printer(quiet))
+
+
+def _print(fitted: FittedKernel, say: Printer) -> None:
+    fit, stand, files = fitted.fit, fitted.fit.stand, fitted.files
+    assert files is not None
+    size = f"{stand.size_m[0]:g} x {stand.size_m[1]:g} m"
+    placed = count(fit.placed, "new stand")
+    say(f"{count(stand.n, 'plant')} in {size}; {placed} placed for the fit, {seconds(fit.took_s)}")
+    say()
+    lines = fitted.recipe.rstrip().splitlines()
+    for line in lines[:_HEAD]:
+        say(line if len(line) <= _WIDEST else line[: _WIDEST - 4] + " ...")
+    if len(lines) > _HEAD:
+        say(f"... and {count(len(lines) - _HEAD, 'more line')} in {files[0]}")
+    say()
+    for one in fit.checks[0]:
+        say(_verdict(one, stand))
+    if len(fit.checks) > 1:
+        for name, what in _FUNCTIONS:
+            say(
+                f"{name}, {what}: within at all radii in {fit.held(name)} of {len(fit.checks)} such checks; "
+                f"a fortieth new stand in {fit.own_held(name)}"
+            )
+    for note in fitted.notes:
+        say(f"note: {note}")
+    say(f"files: {', '.join(str(path) for path in files)}")
+    say(f"place one: forestgen simulate {files[0]} --set seed=1")
+    say(_in_words(fit))
+
+
+def _in_words(fit: Fit) -> str:
+    """Whether new stands agree with the measured one.
+
+    A function agrees if it stays within its envelope at all distances in half of the sets, or as often as that of one
+    more new stand does: at 50 distances even such a one leaves its envelope now and then.
+    """
+    from forestgen.community.fitting.envelopes import RADII
+
+    sets = len(fit.checks)
+    enough = {name: sets / 2 if sets == 1 else min(sets / 2, fit.own_held(name)) for name, _ in _FUNCTIONS}
+    off = [what for name, what in _FUNCTIONS if fit.held(name) < enough[name]]
+    inside = ", ".join(f"{name} ({what}) in {fit.held(name)} of {sets}" for name, what in _FUNCTIONS)
+    verdict = f"differ from the measured one in {' and '.join(off)}" if off else "agree with the measured one"
+    more = "; a single set is severe: --checks 20 tells more" if off and sets == 1 else ""
+    sort = "fresh set" if sets == 1 else "fresh sets"
+    return f"new stands {verdict}: inside the envelope at all {RADII} distances are {inside} {sort}{more}"
+
+
+def _verdict(one: Envelope, stand: MeasuredStand) -> str:
+    from forestgen.community.fitting.envelopes import RADII, STANDS
+
+    whose = "the stand" if len(stand.names) == 1 else _between(one, stand)
+    left = one.left
+    if not left.any():
+        return f"{one.name}(r) of {whose} lies within the envelope of {STANDS} new stands at all {RADII} radii"
+    where = ", ".join(f"{r:.3g}" for r in one.radii_m[left][:6]) + (", ..." if left.sum() > 6 else "")
+    inside = RADII - int(left.sum())
+    return (
+        f"{one.name}(r) of {whose} lies within the envelope of {STANDS} new stands at {inside} of {RADII} radii; "
+        f"not at r = {where} m"
+    )
+
+
+def _between(one: Envelope, stand: MeasuredStand) -> str:
+    i, j = one.species
+    return stand.names[i] if i == j else f"{stand.names[i]} to {stand.names[j]}"

@@ -5,20 +5,20 @@ from __future__ import annotations
 import itertools
 import math
 import re
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Optional
 
 import typer
 
-from forestgen.cli.arguments import Overrides, RecipePath
-from forestgen.cli.console import Bars, output, seconds
+from forestgen.cli.arguments import Overrides, Overwrite, Quiet, RecipePath, progress_of
+from forestgen.cli.console import Printer, seconds
 
 if TYPE_CHECKING:
-    from forestgen.stages.light import LightMeter, Point, Quantity
+    from forestgen.stages.light import LightMeter, Quantity
 
 _LIKE_A_NUMBER = re.compile(r"[-+]?\.?\d|[-+]?(nan|inf)", re.IGNORECASE)
-_ENDINGS = (".csv", ".json")
 
 
 class PointsCommand(typer.core.TyperCommand):
@@ -29,7 +29,7 @@ class PointsCommand(typer.core.TyperCommand):
 
 
 def join_points(arguments: Sequence[str]) -> list[str]:
-    """`--at x y z` as `--at=x,y,z`; what is no point is left for `point_of` to refuse."""
+    """`--at x y z` as `--at=x,y,z`; what is no point is left for the API to refuse."""
     joined: list[str] = []
     rest = list(arguments)
     while rest:
@@ -43,50 +43,6 @@ def join_points(arguments: Sequence[str]) -> list[str]:
         joined.append("--at=" + ",".join(numbers))
         del rest[: len(numbers)]
     return joined
-
-
-def point_of(text: str) -> Point:
-    """A point of three numbers.
-
-    Raises
-    ------
-    RecipeError : there are more or fewer, or one is no number.
-    """
-    from forestgen.core.errors import RecipeError
-
-    try:
-        x, y, z = (float(one) for one in text.split(","))
-    except ValueError:
-        raise RecipeError(
-            "this is no point",
-            where="--at",
-            expected="three numbers, metres: --at 30 40 1.5",
-            got=text.replace(",", " "),
-        ) from None
-    return x, y, z
-
-
-def normal_of(text: str) -> Point:
-    """A direction by its name or its components.
-
-    Raises
-    ------
-    RecipeError : neither.
-    """
-    from forestgen.core.errors import RecipeError
-    from forestgen.recipe.cameras import DIRECTIONS
-
-    if text.lower() in DIRECTIONS:
-        return DIRECTIONS[text.lower()]
-    try:
-        x, y, z = (float(one) for one in text.split(","))
-        length = math.sqrt(x * x + y * y + z * z)
-    except ValueError:
-        length = math.nan
-    if not (math.isfinite(length) and length > 1e-9):
-        expected = ", ".join(DIRECTIONS) + ", or x,y,z such as 0,0.5,1"
-        raise RecipeError("this is no direction", where="--normal", expected=expected, got=text)
-    return x / length, y / length, z / length
 
 
 def light(
@@ -117,9 +73,9 @@ def light(
             show_default=False,
         ),
     ] = None,
-    target: Annotated[
+    out: Annotated[
         Optional[Path],  # noqa: UP045
-        typer.Option("--output", "-o", "--out", metavar="FILE", help="A .csv or .json file.", show_default=False),
+        typer.Option("--out", "-o", metavar="FILE", help="A .csv or .json file.", show_default=False),
     ] = None,
     samples: Annotated[
         int,
@@ -131,64 +87,38 @@ def light(
         bool, typer.Option("--absolute-z", help="Count z from z = 0, not from the ground below.")
     ] = False,
     overrides: Overrides = None,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an existing file.")] = False,
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
 ) -> None:
     """Measure light at points: lux, sun and sky, colour temperature, PAR, W/m², spectrum.
 
     A flat meter with a cosine response, from all directions above it: sun, sky and what plants and ground scatter.
     Every figure has a standard error, from eight independent replicates.
     """
-    _measure(recipe, at or [], normals or ["up"], spectrum, target, samples, absolute_z, overrides or [], overwrite)
-
-
-def _measure(
-    recipe: Path,
-    at: Sequence[str],
-    normals: Sequence[str],
-    spectrum: float | None,
-    target: Path | None,
-    samples: int,
-    absolute_z: bool,
-    overrides: Sequence[str],
-    overwrite: bool,
-) -> None:
+    from forestgen import load
     from forestgen.core.errors import RecipeError
-    from forestgen.core.timing import Timings
-    from forestgen.recipe.load import load_recipe
-    from forestgen.stages import light as stage
-    from forestgen.stages.plant_files import FileSet, check_writable
 
     if not at:
         raise RecipeError("no point was given", where="--at", expected="--at X Y Z, metres", hint="--at 30 40 1.5")
-    if target is not None:
-        if target.suffix.lower() not in _ENDINGS:
-            raise RecipeError("no such kind of file", where="--output", expected=" or ".join(_ENDINGS), got=str(target))
-        check_writable([target], overwrite=overwrite)
-    points = [point_of(one) for one in at]
-    directions = [normal_of(one) for one in normals]
-    timings, bars = Timings(), Bars()
-    loaded = load_recipe(recipe, overrides)
-    with bars.running():
-        meters = stage.light_at(
-            loaded, points, directions, samples=samples, above_ground=not absolute_z, progress=bars, timings=timings
-        )
-    _print(meters, spectrum)
-    out = output()
-    if target is not None:
-        step = spectrum or 10.0
-        content = (
-            stage.as_json(meters, loaded, samples=samples, step_nm=step)
-            if target.suffix.lower() == ".json"
-            else stage.as_csv(meters, step_nm=spectrum)
-        )
-        with FileSet(overwrite=overwrite) as files:
-            files.write(target, content)
-    out.print(f"measured in {seconds(timings.seconds['light'])}", markup=False)
-    if target is not None:
-        out.print(f"files: {target}", markup=False)
+    started = time.perf_counter()
+    readings = load(recipe, set=overrides or ()).light(
+        [one.split(",") for one in at],
+        normals=normals or ["up"],
+        samples=samples,
+        absolute_z=absolute_z,
+        out=out,
+        spectrum=spectrum,
+        overwrite=overwrite,
+        progress=progress_of(quiet),
+    )
+    say = Printer(quiet)
+    _print(readings, spectrum, say)
+    say(f"measured in {seconds(time.perf_counter() - started)}")
+    if out is not None:
+        say(f"files: {out}")
 
 
-def _print(meters: Sequence[LightMeter], step_nm: float | None) -> None:
+def _print(meters: Sequence[LightMeter], step_nm: float | None, say: Printer) -> None:
     turned = {meter.normal for meter in meters} != {(0.0, 0.0, 1.0)}
     rows = [
         ["x", "y", "z", *(["normal"] if turned else []), "lux", "sun", "sky", "scattered", "CCT (K)", "PAR", "W/m²"]
@@ -208,34 +138,32 @@ def _print(meters: Sequence[LightMeter], step_nm: float | None) -> None:
                 told(meter.irradiance_w_per_m2),
             ]
         )
-    out = output()
-    _columns(rows)
-    out.print("x, y and z (above ground) in metres; PAR: µmol/m²/s of 400 to 700 nm; W/m² of 300 to 2500 nm")
-    out.print("sun, sky: their direct shares of the lux; the rest was scattered by plants and ground; ± standard error")
+    _columns(rows, say)
+    say("x, y and z (above ground) in metres; PAR: µmol/m²/s of 400 to 700 nm; W/m² of 300 to 2500 nm")
+    say("sun, sky: their direct shares of the lux; the rest was scattered by plants and ground; ± standard error")
     if step_nm is not None:
-        _spectra(meters, step_nm)
+        _spectra(meters, step_nm, say)
     for number, meter in enumerate(meters, start=1):
         if meter.note:
-            out.print(f"note: point {number}: {meter.note}", markup=False)
+            say(f"note: point {number}: {meter.note}")
 
 
-def _columns(rows: Sequence[Sequence[str]]) -> None:
-    """Right-aligned columns as wide as they must be: rich would cut them to the terminal's width."""
+def _columns(rows: Sequence[Sequence[str]], say: Printer) -> None:
+    """Right-aligned columns as wide as they must be."""
     widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
     for row in rows:
-        line = "  ".join(text.rjust(width) for text, width in zip(row, widths, strict=True))
-        output().print(line, markup=False)
+        say("  ".join(text.rjust(width) for text, width in zip(row, widths, strict=True)))
 
 
-def _spectra(meters: Sequence[LightMeter], step_nm: float) -> None:
+def _spectra(meters: Sequence[LightMeter], step_nm: float, say: Printer) -> None:
     from forestgen.stages.light import sampled
 
     columns = [sampled(meter, step_nm) for meter in meters]
     rows = [["nm", *(f"point {number + 1}" for number in range(len(meters)))]]
     rows += [[f"{row[0][0]:g}", *(f"{value:.4g}" for _, value, _ in row)] for row in zip(*columns, strict=True)]
-    output().print()
-    _columns(rows)
-    output().print("W/m²/nm, means over each step")
+    say()
+    _columns(rows, say)
+    say("W/m²/nm, means over each step")
 
 
 def told(one: Quantity) -> str:

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Optional
 
 import typer
 
-from forestgen.cli.console import Bars, count, output, seconds
+from forestgen.api.display import Bars
+from forestgen.cli.console import count, output, seconds
 
 if TYPE_CHECKING:
     from forestgen.runs.verify import Verdict

@@ -121,21 +121,33 @@ def plot_map(
     periodic: bool = True,
     obstacles: Obstacles = NO_OBSTACLES,
 ) -> None:
-    """Circles of all living plants to scale, as a PNG; `periodic` repeats those that reach over an edge.
+    """Write `map_figure` as a PNG."""
+    save_figure(map_figure(population, site, species_colours, periodic=periodic, obstacles=obstacles), path)
+
+
+def map_figure(
+    population: Population,
+    site: Site,
+    species_colours: Mapping[str, str],
+    *,
+    periodic: bool = True,
+    obstacles: Obstacles = NO_OBSTACLES,
+) -> Figure:
+    """Circles of all living plants to scale; `periodic` repeats those that reach over an edge.
 
     A plant that would be smaller than a dot is drawn as a dot; an obstacle, which is no plant of the population
     (`Obstacles.left_out_of`), is its grey ground plan.
     """
     colours, counts = colours_of(species_colours, population.species_names), count_by_species(population)
-    figure, axes = _map_figure(site, _map_legend(colours, counts, obstacles))
+    figure, axes = _map_axes(site, _map_legend(colours, counts, obstacles))
     axes.set(xlabel="x, east (m)", ylabel="y, north (m)")
     axes.set_title(f"{population.time_yr:g} years, {sum(counts.values()):,} plants", fontsize=12)
     _draw_outlines(axes, obstacles)
     _draw_circles(axes, population, site, colours, periodic)
-    save_figure(figure, path)
+    return figure
 
 
-def _map_figure(site: Site, handles: Sequence[Line2D]) -> tuple[Figure, Axes]:
+def _map_axes(site: Site, handles: Sequence[Line2D]) -> tuple[Figure, Axes]:
     """A figure with room for the site to scale, a title above, and a legend below.
 
     All is placed in inches: matplotlib's own layout cuts the title off axes of a fixed aspect.

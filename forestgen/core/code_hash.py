@@ -7,6 +7,7 @@ result anew: that costs time, and showing an old result would cost trust.
 from __future__ import annotations
 
 import hashlib
+import importlib.util
 import platform
 from collections.abc import Iterator
 from functools import cache
@@ -14,12 +15,12 @@ from importlib.metadata import version
 from pathlib import Path
 
 import forestgen
+from forestgen.core.registry import Registration, registrations
 
 SOURCES = (".py", ".lark")
 TABLES = (".csv", ".npz", ".yaml")
 
 
-@cache
 def code_hash(
     parts: tuple[str, ...], packages: tuple[str, ...], tables: tuple[Path, ...] = (), without: tuple[str, ...] = ()
 ) -> str:
@@ -31,7 +32,20 @@ def code_hash(
     packages : that they compute with; their versions count, and those of forestgen and Python, and the machine's kind.
     tables : folders of tables that they read.
     without : folders and files of the parts that do not shape the results.
+
+    Parts that other packages have registered count too, by the files of their modules.
     """
+    return _code_hash(parts, packages, tables, without, registrations())
+
+
+@cache
+def _code_hash(
+    parts: tuple[str, ...],
+    packages: tuple[str, ...],
+    tables: tuple[Path, ...],
+    without: tuple[str, ...],
+    registered: tuple[Registration, ...],
+) -> str:
     root = Path(forestgen.__file__).parent
     digest = hashlib.blake2b(digest_size=20)
     versions = [version(name) for name in packages]
@@ -41,6 +55,11 @@ def code_hash(
     for folder in tables:
         for path in _files(folder, TABLES):
             _add(digest, folder, path)
+    for one in registered:
+        spec = importlib.util.find_spec(one.path.partition(":")[0])
+        digest.update(f"\n{one.kind} {one.name} {one.path}\n".encode())
+        if spec is not None and spec.origin is not None:
+            _add(digest, Path(spec.origin).parent, Path(spec.origin))
     return digest.hexdigest()
 
 

@@ -38,7 +38,8 @@ class ForestgenError(Exception):
     hint : what to do about it.
     """
 
-    exit_code = 1
+    code = "forestgen"  # the kind of error, for programs
+    exit_code = 1  # of the command line
 
     def __init__(
         self,
@@ -56,6 +57,11 @@ class ForestgenError(Exception):
         self.hint = hint
         super().__init__(str(self))
 
+    @property
+    def place(self) -> str | None:
+        """The same as `where`: file, line and key."""
+        return self.where
+
     def __str__(self) -> str:
         head = f"{self.where}: {self.problem}" if self.where else self.problem
         rows = [("expected", self.expected), ("got", self.got), ("try", self.hint)]
@@ -65,40 +71,47 @@ class ForestgenError(Exception):
 class RecipeError(ForestgenError):
     """The recipe, an override or a command's argument is wrong."""
 
+    code = "recipe"
     exit_code = 2
 
 
 class AssetError(ForestgenError):
     """A file that the recipe names is missing or unreadable."""
 
+    code = "asset"
     exit_code = 2
 
 
 class LsystemError(ForestgenError):
     """An L-system program is wrong, or asks for the impossible when it runs."""
 
+    code = "lsystem"
     exit_code = 2
 
 
 class ResourceError(ForestgenError):
     """This machine lacks the memory or the library that the task needs."""
 
+    code = "resource"
     exit_code = 3
 
 
 class OutputError(ForestgenError):
     """A result cannot be written."""
 
+    code = "output"
     exit_code = 4
 
 
 class RenderError(ForestgenError):
     """The renderer failed."""
 
+    code = "render"
     exit_code = 5
 
 
 class DatasetError(ForestgenError):
     """A data set's files are damaged or contradict each other."""
 
+    code = "dataset"
     exit_code = 6

@@ -19,9 +19,9 @@ _ALONE = threading.local()
 _limit: list[int] = []  # of this process, once it is set
 
 
-def limit_cores(most: int) -> None:
-    """Let this process use at most so many cores: one of several workers. No result depends on it."""
-    _limit[:] = [max(1, most)]
+def limit_cores(most: int | None) -> None:
+    """Let this process use at most so many cores, as one of several workers; None: all. No result depends on it."""
+    _limit[:] = [] if most is None else [max(1, most)]
 
 
 def cores() -> int:

@@ -91,7 +91,7 @@ def write_exr(path: Path, labelled: LabelledFrame, attributes: Mapping[str, str]
     labelled : what is known of the frame.
     attributes : name -> text, written as ``forestgen/name`` in every part's header.
     """
-    parts, radiance = _parts(labelled), labelled.frame.radiance
+    parts, radiance = frame_parts(labelled), labelled.frame.radiance
     names = {"classes": classes_text(labelled.classes.names), "parts": parts_text()}
     header = _header(labelled.frame.camera, {**names, **light_attributes(radiance, parts), **attributes})
     write_parts(path, parts, header, own_attributes(radiance))
@@ -167,7 +167,8 @@ def _header(camera: Camera, attributes: Mapping[str, str]) -> dict[str, Any]:
     }
 
 
-def _parts(labelled: LabelledFrame) -> dict[str, Channels]:
+def frame_parts(labelled: LabelledFrame) -> dict[str, Channels]:
+    """Part -> channel -> (H, W) array, float32 or uint32, as the table above has them."""
     frame, labels = labelled.frame, labelled.pixels
     wanted = labelled.channels
     parts = {

@@ -58,11 +58,11 @@ class OutputFolder:
     def __enter__(self) -> Path:
         try:
             self._final = self.target.resolve()  # a link to a folder stays a link: what it points at is replaced
-            _clear_leftovers(self._final)
+            clear_leftovers(self._final)
             self._check_target()
             self._make_parents()
             self._check_space()
-            staging = self._final.parent / _hidden_name(self._final, "partial")
+            staging = self._final.parent / hidden_name(self._final, "partial")
             self._staging = staging
             staging.mkdir()
         except BaseException as error:
@@ -146,7 +146,7 @@ class OutputFolder:
         if not self._final.exists():
             self._staging.rename(self._final)
             return
-        aside = self._final.parent / _hidden_name(self._final, "replaced")
+        aside = self._final.parent / hidden_name(self._final, "replaced")
         try:
             self._final.rename(aside)
             self._staging.rename(self._final)
@@ -205,11 +205,11 @@ def _host() -> str:
     return hashlib.sha256(platform.node().encode()).hexdigest()[:8]
 
 
-def _hidden_name(target: Path, kind: str) -> str:
+def hidden_name(target: Path, kind: str) -> str:
     return f"{_stem(target)}{kind}-{_host()}-{os.getpid()}-{secrets.token_hex(4)}"
 
 
-def _clear_leftovers(target: Path) -> None:
+def clear_leftovers(target: Path) -> None:
     """Remove staging folders of dead processes, and finish what a process killed while replacing had begun."""
     import psutil
 

@@ -59,8 +59,16 @@ _SIDES = ("x", "y", "w", "h")
 
 def write_plants(path: Path, labelled: LabelledFrame) -> None:
     """Write what is known of each plant: the table above."""
-    import pyarrow as pa
     import pyarrow.parquet as pq
+
+    buffer = io.BytesIO()
+    pq.write_table(plants_table(labelled), buffer, compression="zstd")
+    write_bytes(path, buffer.getvalue())
+
+
+def plants_table(labelled: LabelledFrame) -> Any:
+    """The table above, a `pyarrow.Table`."""
+    import pyarrow as pa
 
     if not np.array_equal(labelled.population.plant_id, labelled.views.visible.plant_id):
         raise ValueError("population and views must be of the same plants in the same order")
@@ -71,10 +79,7 @@ def write_plants(path: Path, labelled: LabelledFrame) -> None:
         **_amodal(labelled.views),
         **_keypoints(labelled.views),
     }
-    table = pa.table(columns, metadata={"forestgen.status": json.dumps(STATUS_NAMES)})
-    buffer = io.BytesIO()
-    pq.write_table(table, buffer, compression="zstd")
-    write_bytes(path, buffer.getvalue())
+    return pa.table(columns, metadata={"forestgen.status": json.dumps(STATUS_NAMES)})
 
 
 def _community(population: Population) -> dict[str, Any]:

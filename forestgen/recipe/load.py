@@ -258,9 +258,11 @@ def load_recipe(path: Path | str, overrides: Sequence[str] = ()) -> LoadedRecipe
     return _loaded(path, data, sources, overrides)
 
 
-def load_recipe_data(data: Mapping[str, Any], name: str, folder: Path = Path()) -> LoadedRecipe:
-    """A recipe that a command makes itself; errors name it `name`, and its paths are relative to `folder`."""
-    return _loaded(folder / name, copy.deepcopy(dict(data)), SourceMap({(): Place(name)}), ())
+def load_recipe_data(
+    data: Mapping[str, Any], name: str, folder: Path = Path(), overrides: Sequence[str] = ()
+) -> LoadedRecipe:
+    """A recipe that is no file; errors name it `name`, and its paths are relative to `folder`."""
+    return _loaded(folder / name, copy.deepcopy(dict(data)), SourceMap({(): Place(name)}), overrides)
 
 
 def _loaded(path: Path, data: dict[str, Any], sources: SourceMap, overrides: Sequence[str]) -> LoadedRecipe:

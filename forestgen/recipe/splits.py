@@ -10,7 +10,7 @@ and without looking at the images before it.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from functools import lru_cache
 from typing import TYPE_CHECKING
@@ -46,14 +46,24 @@ def place_in_splits(splits: Mapping[str, float], image: int) -> tuple[str, int]:
     raise AssertionError("the last share ends at 1")
 
 
-def check_splits(loaded: LoadedRecipe) -> None:
-    """Refuse a batch that would show one stand in several splits.
+def used_splits(splits: Mapping[str, float], images: range) -> list[str]:
+    """Names of the splits that some of these images are in, in the order of the images."""
+    used: list[str] = []
+    for image in images:
+        if (split := split_of(splits, image)) not in used:
+            used.append(split)
+            if len(used) == len(splits):
+                break
+    return used
+
+
+def check_splits(loaded: LoadedRecipe, splits: Sequence[str]) -> None:
+    """Refuse a run that would show one stand in several of the splits that it uses.
 
     Raises
     ------
-    RecipeError : the recipe has ``same_stand: true`` and more than one split.
+    RecipeError : the recipe has ``same_stand: true`` and there is more than one split.
     """
-    splits = loaded.splits
     if loaded.data.get("same_stand") is True and len(splits) > 1:
         raise RecipeError(
             "one stand cannot be in several splits: what is tested would have been learned",

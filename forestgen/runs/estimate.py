@@ -163,8 +163,12 @@ def check_fits(expected: Estimate, place: Place, *, workers_here: bool = True) -
     """
     if workers_here:
         _check_memory(expected)
-    if isinstance(place, LocalPlace) and expected.counts.images:
-        _check_disk(expected, place)
+    _check_disk(place, expected.counts.images, expected.disk_bytes.mean)
+
+
+def check_disk(loaded: LoadedRecipe, place: Place, count: int) -> None:
+    """Refuse `count` images of which the disk might not hold all, by an upper estimate."""
+    _check_disk(place, count, _most_disk_bytes(loaded.draw(0)))
 
 
 def count_images(loaded: LoadedRecipe, count: int) -> Counts:
@@ -266,17 +270,19 @@ def _check_memory(expected: Estimate) -> None:
         )
 
 
-def _check_disk(expected: Estimate, place: LocalPlace) -> None:
+def _check_disk(place: Place, images: int, image_bytes: float) -> None:
+    if not (isinstance(place, LocalPlace) and images):
+        return
     folder = place.root.absolute()
     while not folder.exists() and folder != folder.parent:
         folder = folder.parent
-    free, need = shutil.disk_usage(folder).free, expected.total_disk_bytes
+    free, need = shutil.disk_usage(folder).free, round(images * image_bytes)
     if need + _ROOM_BYTES > free:
-        fits = max(0, int((free - _ROOM_BYTES) / max(expected.disk_bytes.mean, 1.0)))
+        fits = max(0, int((free - _ROOM_BYTES) / max(image_bytes, 1.0)))
         raise ResourceError(
             "the data set would be larger than what is free on the disk",
             where=place.name,
             expected=f"at most {show_bytes(max(0, free - _ROOM_BYTES))}",
-            got=f"about {show_bytes(need)} for {expected.counts.images:,} images",
+            got=f"about {show_bytes(need)} for {images:,} images",
             hint=f"another disk, or --count {fits}" if fits else "another disk",
         )

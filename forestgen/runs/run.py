@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 from forestgen.core.errors import DatasetError, ForestgenError, OutputError, RecipeError
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.recipe.load import LoadedRecipe
-from forestgen.recipe.splits import check_splits, split_of
-from forestgen.runs.contract import TRANSIENT, Done, Engine, Failed, Lock, Notice, Outcome, Place, Work
+from forestgen.recipe.splits import check_splits, used_splits
+from forestgen.runs.contract import TRANSIENT, Done, Engine, Failed, JobRecord, Lock, Notice, Outcome, Place, Work
 from forestgen.runs.discards import check_discards, standing
 from forestgen.runs.finish import Finished, finish
 from forestgen.runs.folder import TAKEN, check_ours, check_resume, fingerprint, open_batch, settle_batch
@@ -21,7 +21,7 @@ from forestgen.runs.log import Log, done_fields, failed_fields
 from forestgen.runs.meter import Listener, Meter, SilentListener
 from forestgen.runs.places import LocalPlace, place_of
 from forestgen.runs.records import records_of
-from forestgen.runs.summary import BatchSummary, write_jobs_table
+from forestgen.runs.summary import RunSummary, write_jobs_table, write_summary
 from forestgen.stages.data_set import check_one_data_set, check_stands, data_set_of
 from forestgen.stages.plan import check_plan
 
@@ -44,6 +44,8 @@ class _Run:
     listener: Listener
     retries: int
     failed: list[Failed] = field(default_factory=list)
+    last: JobRecord | None = None  # of the image that was finished last
+    peak_memory_bytes: int = 0
     logged_s: float = 0.0
 
     def notice(self, event: str, fields: Mapping[str, str]) -> None:
@@ -64,7 +66,7 @@ def run_batch(
     threads: int | None = None,
     memory_bytes: int | None = None,
     listener: Listener | None = None,
-) -> BatchSummary:
+) -> RunSummary:
     """Make the first `count` images of a recipe into a data set: all of them, or those that it lacks.
 
     Parameters
@@ -84,10 +86,9 @@ def run_batch(
     DatasetError : the first images all fail.
     """
     listener = listener or SilentListener()
-    settings, splits = check_recipe(loaded)
+    images = images_of(loaded, count)
+    settings, splits = check_recipe(loaded, images)
     work = Work(loaded, settings, place_of(target), versions_hash(), threads, memory_bytes)
-    first = int(loaded.complete["first_image"])
-    images = range(first, first + count)
     check_ours(work.place)
     with work.place.lock(listener.say) as lock:
         check_resume(work.place, resume=resume)
@@ -95,7 +96,7 @@ def run_batch(
         before = standing(work.place, loaded, images, mark, work.versions, listener.say)
         check_discards(before, work.place.name, agreed=discard)
         _clear_staging(work.place)
-        used = list(dict.fromkeys(split_of(splits, image) for image in images))
+        used = used_splits(splits, images)
         known = open_batch(work.place, images, used, mark, listener.say, before.stale)
         queue = JobQueue(work, images, splits, known)
         with Log(work.place) as log:
@@ -112,8 +113,18 @@ def run_batch(
                 _clear_staging(work.place)
 
 
-def check_recipe(loaded: LoadedRecipe) -> tuple[DatasetSettings, dict[str, float]]:
+def images_of(loaded: LoadedRecipe, count: int) -> range:
+    """Numbers of the first `count` images of a recipe."""
+    first = int(loaded.complete["first_image"])
+    return range(first, first + count)
+
+
+def check_recipe(loaded: LoadedRecipe, images: range) -> tuple[DatasetSettings, dict[str, float]]:
     """Settings of the data set, and the splits with their shares, of a recipe that passes every check.
+
+    Parameters
+    ----------
+    images : numbers of those that are wanted.
 
     Raises
     ------
@@ -133,8 +144,9 @@ def check_recipe(loaded: LoadedRecipe) -> tuple[DatasetSettings, dict[str, float
                 expected="another than " + ", ".join(TAKEN),
                 got=name,
             )
-    check_splits(loaded)
-    check_stands(plan, loaded)
+    used = used_splits(splits, images)
+    check_splits(loaded, used)
+    check_stands(plan, loaded, used)
     return settings, splits
 
 
@@ -174,6 +186,8 @@ def _hand_out(run: _Run, engine: Engine, in_flight: int) -> int:
 def _account(run: _Run, outcome: Outcome) -> None:
     if isinstance(outcome, Done):
         run.meter.count(outcome.run.timings_s)
+        run.last = outcome.record
+        run.peak_memory_bytes = max(run.peak_memory_bytes, outcome.run.peak_memory_bytes)
         run.log.event("job_done", **done_fields(outcome))
         return
     if outcome.kind == "worker":
@@ -215,7 +229,7 @@ def _tell(run: _Run) -> None:
         run.log.event("progress", **run.meter.as_event())
 
 
-def _finish(run: _Run, images: range) -> BatchSummary:
+def _finish(run: _Run, images: range) -> RunSummary:
     """The files over all images, the report, and the counts."""
     place, meter = run.work.place, run.meter
     run.listener.say("writing the files over all images")
@@ -226,7 +240,9 @@ def _finish(run: _Run, images: range) -> BatchSummary:
     run.log.upload()
     write_jobs_table(place, run.log.lines(), images)
     report, why = _write_report(place)
-    return _summary(run, whole, report, (*whole.notes, *why))
+    summary = _summary(run, whole, report, (*whole.notes, *why))
+    write_summary(place, summary)
+    return summary
 
 
 def _write_report(place: Place) -> tuple[str | None, list[str]]:
@@ -245,21 +261,24 @@ def _write_report(place: Place) -> tuple[str | None, list[str]]:
     return f"{place.name}/{_REPORT}", []
 
 
-def _summary(run: _Run, whole: Finished, report: str | None, notes: tuple[str, ...]) -> BatchSummary:
+def _summary(run: _Run, whole: Finished, report: str | None, notes: tuple[str, ...]) -> RunSummary:
     meter = run.meter
-    return BatchSummary(
+    return RunSummary(
         target=run.work.place.name,
         images=meter.total,
         already=meter.already,
         made=meter.made,
         failed=tuple(sorted(run.failed, key=lambda failed: failed.job.image)),
+        missing=whole.missing,
         frames=whole.frames,
         bytes=whole.bytes,
         report=report,
         seconds=time.monotonic() - meter.started_s,
         images_per_hour=meter.images_per_hour,
-        stage_shares=meter.shares(),
+        stages_s=dict(sorted(meter.stages_s.items(), key=lambda stage: -stage[1])),
+        peak_memory_bytes=run.peak_memory_bytes,
         notes=notes,
+        last=run.last,
     )
 
 

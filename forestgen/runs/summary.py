@@ -1,15 +1,17 @@
-"""What a batch came to: for people, and run/jobs.parquet."""
+"""What a run made: for people, run/summary.json and run/jobs.parquet."""
 
 from __future__ import annotations
 
 import io
+import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from forestgen.runs.contract import RUN, Failed, Place
+from forestgen.runs.contract import RUN, Failed, JobRecord, Place
 
 JOBS_TABLE = f"{RUN}/jobs.parquet"
+SUMMARY = f"{RUN}/summary.json"
 _COLUMNS = {"image": "int64", "split": "string", "attempt": "int64", "worker": "string", "seconds": "float64"}
 _TYPES: dict[str, Any] = {  # of a job_done's fields; a log that a disk or a hand has damaged may hold anything
     **dict.fromkeys(("image", "attempt", "peak_memory_bytes", "frames"), int),
@@ -19,7 +21,7 @@ _TYPES: dict[str, Any] = {  # of a job_done's fields; a log that a disk or a han
 
 
 @dataclass(frozen=True)
-class BatchSummary:
+class RunSummary:
     """A finished run."""
 
     target: str
@@ -27,13 +29,36 @@ class BatchSummary:
     already: int  # done before this run
     made: int  # by this run
     failed: tuple[Failed, ...]  # given up: not in the data set
+    missing: tuple[int, ...]  # numbers of images that were asked for and are not in the data set
     frames: int  # in the data set
     bytes: int  # of the data set
     report: str | None  # its path
     seconds: float
     images_per_hour: float | None = None  # of this run; None if it made none
-    stage_shares: Mapping[str, float] = field(default_factory=dict)  # of the workers' time
+    stages_s: Mapping[str, float] = field(default_factory=dict)  # of the workers, the longest first
+    peak_memory_bytes: int = 0  # of the worker that took most
     notes: tuple[str, ...] = ()
+    last: JobRecord | None = field(
+        default=None, repr=False
+    )  # of the image that was finished last, None if none was made
+
+
+def write_summary(place: Place, summary: RunSummary) -> None:
+    """Write run/summary.json."""
+    plain = {
+        "images": summary.images,
+        "already": summary.already,
+        "made": summary.made,
+        "failed": [one.job.image for one in summary.failed],
+        "missing": list(summary.missing),
+        "frames": summary.frames,
+        "bytes": summary.bytes,
+        "total_s": summary.seconds,
+        "timings_s": dict(summary.stages_s),
+        "peak_memory_bytes": summary.peak_memory_bytes,
+        "notes": list(summary.notes),
+    }
+    place.write(SUMMARY, (json.dumps(plain, indent=1) + "\n").encode())
 
 
 def write_jobs_table(place: Place, lines: Iterable[Mapping[str, Any]], images: range) -> None:

@@ -92,7 +92,7 @@ def _check_image(
 
 def _render(source: Path, fresh: Path, progress: Progress) -> dict[str, dict[str, Any]]:
     """Render a drawn recipe again; the frames' rows of the index, by name."""
-    from forestgen.pipeline import RunSummary, render_image
+    from forestgen.pipeline import assemble_image, write_image
     from forestgen.recipe.load import load_recipe
     from forestgen.render.variant import mitsuba
     from forestgen.stages.data_set import data_set_of
@@ -101,9 +101,9 @@ def _render(source: Path, fresh: Path, progress: Progress) -> dict[str, dict[str
     mitsuba(None)
     loaded = load_recipe(source)
     plan = make_plan(loaded.draw(0))
-    summary = RunSummary(fresh)
-    render_image(plan, loaded.seed, data_set_of(plan.drawn), fresh, summary, progress, Timings())
-    return {str(row["frame"]): row for row in summary.rows}
+    scene = assemble_image(plan, loaded.seed, progress, Timings())
+    image = write_image(scene, data_set_of(plan.drawn), fresh, progress, Timings())
+    return {str(row["frame"]): row for row in image.rows}
 
 
 def _compare(root: Path, fresh: Path, kept_name: str, fresh_name: str, moved: str) -> Iterator[Offence]:

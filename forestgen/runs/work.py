@@ -22,13 +22,13 @@ from forestgen.core.errors import (
     ResourceError,
 )
 from forestgen.core.memory import whole_bytes
-from forestgen.core.progress import Silent
+from forestgen.core.progress import Progress, Silent
 from forestgen.core.threads import limit_cores
 from forestgen.core.timing import Timings
 from forestgen.dataset.files import STORAGE_ERRNOS, output_error
 from forestgen.dataset.manifest import peak_memory_bytes
 from forestgen.dataset.thumbnails import thumbnail_name, write_thumbnail
-from forestgen.pipeline import RunSummary, render_image
+from forestgen.pipeline import WrittenImage, assemble_image, write_image
 from forestgen.recipe.hashing import recipe_hash
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.paths import MAPS
@@ -51,11 +51,16 @@ def make_job(work: Work, job: Job, attempt: int) -> Outcome:
     start = time.perf_counter()
     timings = Timings()
     try:
-        record = _make(work, job, timings)
+        # What is free now says nothing: the estimate is an upper one, and the other workers hold their part already.
+        record = complete(work, job, Silent(), timings, room_bytes=whole_bytes())
     except Exception as error:  # noqa: BLE001 - whatever an image breaks on, the other images go on
         return Failed(job, attempt, failure_kind(error), explained(error), time.perf_counter() - start, worker_name())
-    seconds = time.perf_counter() - start
-    run = JobRun(job.image, attempt, worker_name(), seconds, dict(timings.seconds), peak_memory_bytes())
+    return done(job, attempt, record, timings)
+
+
+def done(job: Job, attempt: int, record: JobRecord, timings: Timings) -> Done:
+    """The outcome of a job that this process has completed; `timings` began with it."""
+    run = JobRun(job.image, attempt, worker_name(), timings.total(), dict(timings.seconds), peak_memory_bytes())
     return Done(job, record, run)
 
 
@@ -101,27 +106,27 @@ def explained(error: BaseException) -> str:
     return f"a bug in forestgen: {type(error).__name__}: {error}{place}"
 
 
-def _make(work: Work, job: Job, timings: Timings) -> JobRecord:
+def complete(work: Work, job: Job, progress: Progress, timings: Timings, *, room_bytes: int | None = None) -> JobRecord:
+    """Do a job: draw, check, render, label, put into place. Any failure is an exception, and leaves no frame.
+
+    `room_bytes` is the memory that the image may take; None: what is free now.
+    """
     _settle(work, timings)
     with timings("recipe"):
         drawn = work.loaded.draw(job.index)
         _check_unchanged(drawn, job, work)
         check_one_data_set(drawn, work.settings)
         plan = make_plan(drawn)
-        # What is free now says nothing: the estimate is an upper one, and the other workers hold their part already.
-        room_bytes = whole_bytes()
         check_memory(plan, room_bytes=room_bytes)
     staging = work.place.staging()
     try:
         frames = staging / _FRAMES
         frames.mkdir()
-        summary = RunSummary(frames)
-        folders = render_image(
-            plan, work.loaded.seed, work.settings, frames, summary, Silent(), timings, room_bytes=room_bytes
-        )
+        scene = assemble_image(plan, work.loaded.seed, progress, timings, room_bytes=room_bytes)
+        image = write_image(scene, work.settings, frames, progress, timings)
         with timings("write"):
-            _add_thumbnails(staging, folders)
-            record = _record_of(job, drawn, summary, _staged_files(staging, job.split))
+            _add_thumbnails(staging, image.folders)
+            record = _record_of(job, drawn, image, _staged_files(staging, job.split))
             _put_into_place(work.place, staging, job, record)
     finally:
         work.place.discard(staging)
@@ -164,17 +169,17 @@ def _staged_files(staging: Path, split: str) -> dict[str, dict[str, Any]]:
     return dict(sorted(files.items()))
 
 
-def _record_of(job: Job, drawn: DrawnRecipe, summary: RunSummary, files: dict[str, dict[str, Any]]) -> JobRecord:
+def _record_of(job: Job, drawn: DrawnRecipe, image: WrittenImage, files: dict[str, dict[str, Any]]) -> JobRecord:
     return JobRecord(
         key=job.key,
         image=job.image,
         split=job.split,
         image_seed=drawn.image_seed,
         recipe_hash=recipe_hash(drawn.data),
-        rows=tuple(summary.rows),
+        rows=image.rows,
         files=files,
-        report=summary.images[0],
-        notes=tuple(summary.notes),
+        report=image.report,
+        notes=image.notes,
     )
 
 

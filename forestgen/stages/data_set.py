@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import fields
 
 from forestgen.core.errors import RecipeError
@@ -52,14 +53,14 @@ def check_one_data_set(drawn: DrawnRecipe, settings: DatasetSettings) -> None:
             )
 
 
-def check_stands(plan: Plan, loaded: LoadedRecipe) -> None:
+def check_stands(plan: Plan, loaded: LoadedRecipe, splits: Sequence[str]) -> None:
     """Refuse several splits for a stand in which nothing is drawn: an inventory is the same forest in each image.
 
     Raises
     ------
     RecipeError
     """
-    community, splits = plan.drawn.recipe.community, loaded.splits
+    community = plan.drawn.recipe.community
     stands_differ = (
         community.model != "placed"
         or bool(plan.model_parameters.disturbances)

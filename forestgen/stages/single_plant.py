@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
 
 from forestgen.core.errors import RecipeError
 from forestgen.core.parts import Part
@@ -111,6 +114,16 @@ def grow_plants(order: Order, progress: Progress) -> list[SinglePlant]:
 
 def _check(order: Order) -> None:
     """What can be known to be wrong before anything grows."""
+    check_numbers(order)
+    check_formats(order.outputs)
+    for number in range(1, (order.frames or order.count) + 1):
+        paths = order.paths(number)
+        beside = [path.with_suffix(".mtl") for path in paths if path.suffix.lower() == ".obj"]
+        check_writable([*paths, *beside], overwrite=order.overwrite)
+
+
+def check_numbers(order: Order) -> None:
+    """Raise `RecipeError` for numbers, a pace or a seed that are none."""
     for option, number in (("--count", order.count), ("--frames", order.frames)):
         if number is not None and not 1 <= number <= _MOST_FILES:
             raise RecipeError("no such number", where=option, expected=f"1 to {_MOST_FILES}", got=str(number))
@@ -124,18 +137,18 @@ def _check(order: Order) -> None:
         raise RecipeError("no such seed", where="--seed", expected=expected, got=str(order.seed))
     check_wood_triangles(order.wood_triangles)
     order.shot.check()
+
+
+def check_formats(outputs: Sequence[Path]) -> None:
+    """Raise `RecipeError` for files of an unknown kind, and for one that is named twice."""
     wanted = (*FORMATS, PICTURE)
-    for path in order.outputs:
+    for path in outputs:
         if path.suffix.lower() not in wanted:
             expected = ", ".join(wanted[:-1]) + f" or {wanted[-1]}"
             raise RecipeError("unknown format", where="--out", expected=expected, got=f"{str(path)!r:.200}")
-    if len(set(order.outputs)) < len(order.outputs):
-        twice = next(path for path in order.outputs if order.outputs.count(path) > 1)
+    if len(set(outputs)) < len(outputs):
+        twice = next(path for path in outputs if list(outputs).count(path) > 1)
         raise RecipeError("the same file twice", where="--out", got=str(twice))
-    for number in range(1, (order.frames or order.count) + 1):
-        paths = order.paths(number)
-        beside = [path.with_suffix(".mtl") for path in paths if path.suffix.lower() == ".obj"]
-        check_writable([*paths, *beside], overwrite=order.overwrite)
 
 
 def name_of(species: str) -> str:
@@ -222,20 +235,30 @@ def _contents(
     order: Order, number: int, plan: Plan, seed: int, exemplar: Exemplar, camera: Camera, progress: Progress
 ) -> Iterator[tuple[Path, bytes]]:
     """One plant's files."""
-    species = plan.drawn.species[exemplar.species]
-    materials = materials_of(plan.drawn.species, plan.drawn.recipe.plants.season)
     model = None
     for path in order.paths(number):
         if path.suffix.lower() == PICTURE:
-            picture = photograph(exemplar, materials, camera, plan.drawn.recipe, order.shot.samples, seed, progress)
-            yield path, png(picture)
+            yield path, png(picture_of(plan, exemplar, camera, order.shot.samples, seed, progress))
             continue
         if model is None:
-            model = model_of(exemplar, species, materials, seed)
-            if order.wood_triangles is not None:
-                model = _light(model, exemplar.species, materials, order.wood_triangles)
+            model = mesh_model(plan, exemplar, seed, order.wood_triangles)
         for name, content in model_files(model, path.name).items():
             yield path.with_name(name), content
+
+
+def picture_of(
+    plan: Plan, exemplar: Exemplar, camera: Camera, samples: int, seed: int, progress: Progress
+) -> NDArray[np.uint8]:
+    """(H, W, 3) sRGB picture of a plant in the studio."""
+    materials = materials_of(plan.drawn.species, plan.drawn.recipe.plants.season)
+    return photograph(exemplar, materials, camera, plan.drawn.recipe, samples, seed, progress)
+
+
+def mesh_model(plan: Plan, exemplar: Exemplar, seed: int, wood_triangles: int | None = None) -> Model:
+    """A plant for mesh files, its wood of about `wood_triangles` with one baked texture, or as grown."""
+    materials = materials_of(plan.drawn.species, plan.drawn.recipe.plants.season)
+    model = model_of(exemplar, plan.drawn.species[exemplar.species], materials, seed)
+    return model if wood_triangles is None else _light(model, exemplar.species, materials, wood_triangles)
 
 
 def model_of(exemplar: Exemplar, species: Species, materials: Mapping[tuple[str, str], Material], seed: int) -> Model:

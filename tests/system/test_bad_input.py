@@ -208,7 +208,7 @@ def test_an_output_without_permission_even_for_root(tmp_path: Path, monkeypatch:
 
 
 def test_a_disk_without_room_for_the_images_is_refused_before_any_work(tmp_path: Path) -> None:
-    answer = run("render", tiny(tmp_path), "-o", tmp_path / "out", "--images", "1000000000")
+    answer = run("render", tiny(tmp_path), "-o", tmp_path / "out", "--count", "1000000000")
     answer.refused(4, "too little free disk space", "MB")
     assert set(tree(tmp_path)) == {"tiny.yaml"}
 

@@ -72,7 +72,7 @@ def test_a_batch_is_the_images_that_render_makes(tmp_path: Path) -> None:
     """An image of a batch has the bytes of the folder that `forestgen render` writes of it."""
     path = recipe(tmp_path, WITH_LABELS.replace("splits: {train: 1, val: 1}", "splits: {train: 1}"))
     serial(path, tmp_path / "batch", 1, make_job)
-    assert run("render", path, "--images", "1", "-o", tmp_path / "rendered").code == 0
+    assert run("render", path, "--count", "1", "-o", tmp_path / "rendered").code == 0
     rendered = {name: content for name, content in shown(tmp_path / "rendered").items() if name[0] == "0"}
     batch = {name.removeprefix("train/"): content for name, content in shown(tmp_path / "batch").items()}
     assert rendered

@@ -190,7 +190,7 @@ def test_simulate_writes_history_maps_and_curves(tmp_path: Path) -> None:
 
 def test_render_names_its_files_and_is_repeated_from_the_stored_recipe(tmp_path: Path) -> None:
     recipe = tiny(tmp_path, ("seed: 3", "seed: 3\nsky: {turbidity: {uniform: [2, 6]}}"))
-    answer = run("render", recipe, "-o", tmp_path / "out", "--images", "2")
+    answer = run("render", recipe, "-o", tmp_path / "out", "--count", "2")
     assert answer.code == 0, answer.err
     assert not answer.err  # no bars, no warnings where there is no terminal
     assert "\x1b" not in answer.out

@@ -231,11 +231,11 @@ def test_retouched_pictures_are_found_by_rendering_again(damaged):
 
 
 def test_the_command_says_what_it_found(whole, damaged):
-    answer = run("verify", whole, "--no-hashes", "-j", "1")
+    answer = run("verify", whole, "--no-hashes", "--workers", "1")
     assert answer.code == 0, answer.err
     assert "4 images, 8 frames" in answer.out
     flip(damaged / "val/000001-near/frame.exr")
-    answer = run("verify", damaged, "-j", "1")
+    answer = run("verify", damaged, "--workers", "1")
     assert answer.code == 6
     assert "val/000001-near/frame.exr" in answer.err
     assert "sha256" in answer.err

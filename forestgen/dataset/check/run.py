@@ -20,6 +20,7 @@ from time import perf_counter
 from typing import Any
 
 from forestgen.core.errors import ResourceError
+from forestgen.core.processes import without_main
 from forestgen.core.progress import Progress
 from forestgen.dataset.check.frame_data import FrameData, FrameTask
 from forestgen.dataset.check.merged import Merged, open_dataset
@@ -171,7 +172,8 @@ def _frame_results(tasks: Sequence[FrameTask], jobs: int, hashes: bool, most: in
     try:
         waiting: list[Future[list[FrameResult]]] = []
         for chunk in chunks:
-            waiting.append(pool.submit(_chunk, chunk, hashes, most))
+            with without_main():  # the first tasks start the processes
+                waiting.append(pool.submit(_chunk, chunk, hashes, most))
             while len(waiting) > 2 * jobs:  # no more than that are in memory
                 yield from waiting.pop(0).result()
         for future in waiting:

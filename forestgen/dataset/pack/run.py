@@ -23,6 +23,8 @@ from forestgen.dataset.pack.source import Source, open_source
 Format = Literal["webdataset", "huggingface"]
 FORMATS: tuple[Format, ...] = ("webdataset", "huggingface")
 PACK_FILE = "pack.json"
+_UNITS = {"": 1, "K": 1000, "M": 1000**2, "G": 1000**3, "T": 1000**4}
+_BINARY_UNITS = {"K": 1 << 10, "M": 1 << 20, "G": 1 << 30, "T": 1 << 40}
 _SCHEMA = "forestgen-pack/1"
 
 
@@ -35,6 +37,37 @@ class Packing:
     channels: tuple[str, ...] | None = None  # None: the usual ones that the data set has
     splits: tuple[str, ...] = ()  # of a batch: those to pack, none: all; of a rendered folder: its name
     seed: int | None = 0  # of the order of the frames; None: by name
+
+
+def packing_of(
+    form: str, shard_size: int | str, channels: Sequence[str] | None, splits: Sequence[str], seed: int | None
+) -> Packing:
+    """What to pack, from plain values.
+
+    Parameters
+    ----------
+    shard_size : bytes, or a text such as 500MB.
+
+    Raises
+    ------
+    RecipeError : no such format or size.
+    """
+    chosen = next((one for one in FORMATS if one == form), None)
+    if chosen is None:
+        raise RecipeError("there is no such format", where="--format", expected=" or ".join(FORMATS), got=form)
+    names = None if channels is None else tuple(channels)
+    return Packing(chosen, size_bytes(str(shard_size)), names, tuple(splits), seed)
+
+
+def size_bytes(text: str) -> int:
+    """Bytes of a size such as 500MB (decimal), 256MiB (binary) or 1000000; anything else raises `RecipeError`."""
+    found = re.fullmatch(r"(\d+(?:\.\d+)?)\s*(?:([KMGT])(I?))?B?", text.strip().upper(), re.ASCII)
+    if found:
+        number, unit, binary = found.groups(default="")
+        size = int(float(number) * (_BINARY_UNITS if binary else _UNITS)[unit]) if len(number) < 20 else 0
+        if size > 0:
+            return size
+    raise RecipeError("this is no size", where="--shard-size", expected="such as 500MB, 1.5GB or 256MiB", got=text)
 
 
 @dataclass(frozen=True)

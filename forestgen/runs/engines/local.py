@@ -21,6 +21,8 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from typing import Any
 
+from forestgen.core.processes import without_main
+from forestgen.core.registry import registrations
 from forestgen.runs.contract import Failed, FailureKind, Job, Outcome, Work
 from forestgen.runs.engines.worker_process import serve
 
@@ -61,7 +63,7 @@ class LocalEngine:
     ) -> None:
         self._work, self._timeout_s = work, timeout_s
         self._count = max(1, workers)
-        self._packed = pickle.dumps((make, work))
+        self._packed = pickle.dumps((registrations(), make, work))
         self._workers: list[_Worker] = []
         self._queue: deque[tuple[Job, int]] = deque()
         self._outcomes: list[Outcome] = []
@@ -118,7 +120,7 @@ class LocalEngine:
         process = context.Process(
             target=serve, args=(theirs, self._packed, self._work.threads), name="forestgen worker"
         )
-        with _without_ctrl_c():
+        with _without_ctrl_c(), without_main():
             process.start()
         theirs.close()
         self._workers.append(_Worker(process, ours))

@@ -26,7 +26,8 @@ def serve(pipe: Connection, packed: bytes, threads: int | None) -> None:
 
     Parameters
     ----------
-    packed : the pickled pair of the function ``(work, job, attempt) -> Outcome`` and its work.
+    packed : the pickled parts that other packages have registered, the function ``(work, job, attempt) -> Outcome``,
+        and its work.
     threads : of the libraries; None: as they choose.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes of a terminal; the run stops this one
@@ -34,7 +35,10 @@ def serve(pipe: Connection, packed: bytes, threads: int | None) -> None:
     threading.Thread(target=_leave_with_the_run, name="leave with the run", daemon=True).start()
     if threads is not None:
         os.environ.update(dict.fromkeys(_THREADS, str(threads)))
-    make, work = pickle.loads(packed)
+    from forestgen.core.registry import register_again  # after the number of threads is settled
+
+    registered, make, work = pickle.loads(packed)
+    register_again(registered)
     while True:
         try:
             job, attempt = pipe.recv()

@@ -6,10 +6,11 @@ import os
 import platform
 import subprocess
 import sys
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 from forestgen import __version__
-from forestgen.cli.console import output
 from forestgen.core.memory import free_bytes
 from forestgen.dataset.manifest import package_versions
 
@@ -20,7 +21,7 @@ _PREPARE = "pass"  # run before each check of a library; tests break the library
 
 @dataclass(frozen=True)
 class Finding:
-    """One line of the report."""
+    """One line of a diagnosis."""
 
     name: str
     good: bool
@@ -29,20 +30,43 @@ class Finding:
     required: bool = True
 
 
-def report() -> int:
-    """Print the findings; exit code 0 if forestgen can render here, 3 if not."""
-    out = output()
-    out.print(f"forestgen {__version__}, Python {platform.python_version()}, {platform.system()} {platform.machine()}")
-    blocked = False
-    for find in (_python, _cores, _memory, _disk, _packages, _scalar, _llvm, _cuda):
-        finding = find()
-        mark = "ok  " if finding.good else ("FAIL" if finding.required else "none")
-        out.print(f"  {mark}  {finding.name:<18} {finding.text}", markup=False)
-        if not finding.good and finding.remedy:
-            out.print(f"        {'':<18} -> {finding.remedy}", markup=False)
-        blocked |= finding.required and not finding.good
-    out.print("forestgen cannot render here yet" if blocked else "ready to render")
-    return 3 if blocked else 0
+@dataclass(frozen=True)
+class Diagnosis:
+    """All findings."""
+
+    version: str  # of forestgen
+    python: str
+    system: str
+    findings: tuple[Finding, ...]
+
+    @property
+    def ready(self) -> bool:
+        """Whether forestgen can render here."""
+        return all(one.good or not one.required for one in self.findings)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values, for JSON."""
+        return {**asdict(self), "ready": self.ready}
+
+    def __str__(self) -> str:
+        return "\n".join(self.lines())
+
+    def lines(self) -> Iterator[str]:
+        """The findings, for people."""
+        yield f"forestgen {self.version}, Python {self.python}, {self.system}"
+        for one in self.findings:
+            mark = "ok  " if one.good else ("FAIL" if one.required else "none")
+            yield f"  {mark}  {one.name:<18} {one.text}"
+            if not one.good and one.remedy:
+                yield f"        {'':<18} -> {one.remedy}"
+        yield "ready to render" if self.ready else "forestgen cannot render here yet"
+
+
+def diagnose() -> Diagnosis:
+    """Check what rendering needs, each library in a process of its own."""
+    findings = tuple(find() for find in (_python, _cores, _memory, _disk, _packages, _scalar, _llvm, _cuda))
+    system = f"{platform.system()} {platform.machine()}"
+    return Diagnosis(__version__, platform.python_version(), system, findings)
 
 
 def _python() -> Finding:

@@ -1,0 +1,175 @@
+"""What there is: models, species, the recipe's schema; and what this machine offers."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import sys
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from forestgen.community.registry import COMMUNITY_MODELS, ENVIRONMENTS
+from forestgen.core.errors import RecipeError
+from forestgen.core.registry import Registry
+from forestgen.plants.registry import GENERATORS
+from forestgen.recipe.assets import find_asset, list_assets
+from forestgen.recipe.suggestions import did_you_mean
+
+if TYPE_CHECKING:
+    from forestgen.api.diagnosis import Diagnosis
+
+_REGISTRIES = {"community_model": COMMUNITY_MODELS, "environment": ENVIRONMENTS, "plant_generator": GENERATORS}
+_ASSETS = {"species": "species", "lsystems": "lsystem", "recipes": "recipe"}  # folder of files -> kind
+
+
+@dataclass(frozen=True)
+class Entry:
+    """Something that recipes can name."""
+
+    kind: str  # community_model, environment, plant_generator, species, lsystem or recipe
+    name: str
+    description: str
+    path: Path | None = field(default=None)  # of a file
+
+    @property
+    def page(self) -> str:
+        """Its manual page, or its file."""
+        if self.path is not None:
+            return f"{self.path}\n\n{self.path.read_text(encoding='utf-8').rstrip()}"
+        module = sys.modules[type(_REGISTRIES[self.kind].load(self.name)).__module__]
+        return inspect.cleandoc(module.__doc__ or f"{self.name} has no manual page")
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values, for JSON."""
+        return {**asdict(self), "path": None if self.path is None else str(self.path)}
+
+
+def models(name: str | None = None, *, kind: str | None = None) -> list[Entry]:
+    """Community models, environments and generators, species, L-systems and recipes.
+
+    Parameters
+    ----------
+    name : those of this name; None: all.
+    kind : those of this kind; None: all.
+
+    Raises
+    ------
+    RecipeError : there is no such name or kind.
+    """
+    kinds = (*_REGISTRIES, *_ASSETS.values())
+    if kind is not None and kind not in kinds:
+        hint = did_you_mean(kind, kinds)
+        raise RecipeError("no such kind", expected="one of " + ", ".join(kinds), got=repr(kind), hint=hint)
+    found = [one for one in _entries() if kind in (None, one.kind)]
+    named = [one for one in found if name in (None, one.name)]
+    if name is not None and not named:
+        known = [one.name for one in found]
+        raise RecipeError(
+            "there is no page of this name",
+            expected="one of " + ", ".join(known),
+            got=repr(name),
+            hint=did_you_mean(name, known),
+        )
+    return named
+
+
+def _entries() -> Iterator[Entry]:
+    for kind, registry in _REGISTRIES.items():
+        for name in registry.ids():
+            yield Entry(kind, name, registry.describe(name))
+    for folder, kind in _ASSETS.items():
+        for name in list_assets(folder):
+            path = find_asset(folder, name)
+            yield Entry(kind, name, _first_comment(path), path)
+
+
+def _first_comment(path: Path) -> str:
+    first = path.read_text(encoding="utf-8").partition("\n")[0]
+    return first.lstrip("#/").strip() if first.startswith(("#", "//")) else ""
+
+
+@dataclass(frozen=True)
+class SpeciesEntry:
+    """A species that comes with forestgen."""
+
+    name: str
+    height_m: float  # of a mature plant
+    crown_width_m: float
+    generator: str
+    description: str
+
+
+def species() -> list[SpeciesEntry]:
+    """The species that come with forestgen."""
+    from forestgen.stages.single_plant import drawn_of, mature_size_m
+
+    found = []
+    for name in list_assets("species"):
+        one = drawn_of(name, 0).species[name]
+        height_m, width_m = mature_size_m(one)
+        found.append(SpeciesEntry(name, height_m, width_m, one.plant.generator, one.description))
+    return found
+
+
+def schema() -> dict[str, Any]:
+    """The JSON Schema of recipes, for editors."""
+    from forestgen.recipe.json_schema import recipe_json_schema
+
+    def parameters(registry: Registry, discriminator: str) -> dict[str, dict[str, object]]:
+        found = {name: registry.load(name).Parameters.model_json_schema() for name in registry.ids()}
+        for one in found.values():
+            one.get("properties", {}).pop(discriminator, None)
+        return found
+
+    return recipe_json_schema(parameters(COMMUNITY_MODELS, "model"), parameters(GENERATORS, "generator"))
+
+
+def register(kind: str, name: str, part: object, description: str = "") -> None:
+    """Add a part of your own, which recipes then name like a shipped one.
+
+    Worker processes import it from its module, so it must not be defined in a script's ``__main__`` or a notebook.
+
+    Parameters
+    ----------
+    kind : community_model, environment or plant_generator.
+    name : that recipes use.
+    part : the object, defined at the top of a module; or its place, ``"package.module:NAME"``.
+    description : one line for `models`; by default the first line of the object's documentation.
+
+    Raises
+    ------
+    RecipeError : no such kind, the name is taken, or the object cannot be found again in its module.
+    """
+    if kind not in _REGISTRIES:
+        hint = did_you_mean(kind, list(_REGISTRIES))
+        raise RecipeError(
+            "no such kind of part", expected="one of " + ", ".join(_REGISTRIES), got=repr(kind), hint=hint
+        )
+    path = part if isinstance(part, str) else _path_of(part)
+    text = description or (inspect.getdoc(part) or "").partition("\n")[0] * (not isinstance(part, str))
+    _REGISTRIES[kind].register(name, path, text)
+
+
+def _path_of(part: object) -> str:
+    """``module:attribute`` under which an object can be imported again."""
+    owner = part if hasattr(part, "__qualname__") else type(part)
+    module = owner.__module__
+    if module != "__main__":
+        found = [name for name, value in vars(importlib.import_module(module)).items() if value is part]
+        if found:
+            return f"{module}:{found[0]}"
+    raise RecipeError(
+        "the part cannot be imported again by worker processes",
+        expected="an object at the top of a module",
+        got=f"{part!r:.80} of {module}",
+        hint="put it into a module of its own, or pass its place: 'package.module:NAME'",
+    )
+
+
+def doctor() -> Diagnosis:
+    """What this machine offers: `Diagnosis.ready` tells whether forestgen can render here."""
+    from forestgen.api.diagnosis import diagnose
+
+    return diagnose()

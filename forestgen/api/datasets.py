@@ -1,0 +1,319 @@
+"""Data sets: `Dataset` reads one, checks it, shows it, packs it; `merge` makes one of several."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, overload
+
+import numpy as np
+
+from forestgen.api.display import display_of
+from forestgen.core.errors import DatasetError, RecipeError
+from forestgen.core.progress import Progress
+from forestgen.dataset.frame import Frame, StoredFrame
+from forestgen.dataset.index import INDEX_NAME
+from forestgen.dataset.legend import FILE_NAME as LEGEND_NAME
+from forestgen.runs.summary import RunSummary
+
+if TYPE_CHECKING:
+    from forestgen.dataset.pack.run import Packed
+    from forestgen.runs.verify import Verdict
+
+PathLike = str | os.PathLike[str]
+_TORCH_CHANNELS = ("preview", "semantic", "instance")
+
+
+class Run:
+    """What `Recipe.render` and `Recipe.batch` made: `summary` has counts, times and notes, `dataset` the frames."""
+
+    def __init__(self, summary: RunSummary) -> None:
+        self.summary = summary
+
+    @property
+    def target(self) -> str:
+        """The data set's folder, or its address."""
+        return self.summary.target
+
+    @cached_property
+    def dataset(self) -> Dataset:
+        return Dataset(self.target)
+
+    def __repr__(self) -> str:
+        one = self.summary
+        return f"<Run {one.target}: {one.already + one.made} of {one.images} images, {one.frames} frames>"
+
+
+class Dataset(Sequence[Frame]):
+    """A finished data set: a sequence of its frames, whose files are read when they are asked for.
+
+    Parameters
+    ----------
+    folder : that `Recipe.render`, `Recipe.batch` or `merge` wrote.
+    split : name of the one whose frames count; None: those of all.
+
+    Raises
+    ------
+    DatasetError : the folder holds no data set, or one that is not finished or damaged.
+    """
+
+    def __init__(self, folder: PathLike, split: str | None = None) -> None:
+        self.folder = Path(folder)
+        self._split = split
+        self._rows = _rows_of(self.folder)
+        if split is not None:
+            if split not in self.splits:
+                expected = "one of " + ", ".join(self.splits)
+                raise RecipeError("the data set has no such split", expected=expected, got=repr(split))
+            self._rows = self._rows.filter(np.asarray(self._rows["split"]) == split)
+
+    @cached_property
+    def info(self) -> dict[str, Any]:
+        """dataset.json: recipes, versions, counts, splits."""
+        from forestgen.runs.verify import open_data_set
+
+        return open_data_set(self.folder)
+
+    @property
+    def splits(self) -> tuple[str, ...]:
+        """Names of its splits, in the recipe's order."""
+        return tuple(self.info["splits"])
+
+    @property
+    def index(self) -> Any:
+        """A `pyarrow.Table`, a row a frame; `forestgen.dataset.index` has its columns."""
+        return self._rows
+
+    @cached_property
+    def classes(self) -> tuple[str, ...]:
+        """Names of the semantic classes, by number."""
+        names = self._legend.get("semantic", {})
+        return tuple(names[str(number)] for number in range(len(names)))
+
+    @cached_property
+    def categories(self) -> dict[int, str]:
+        """Names of the instances' categories, by their number in coco.json."""
+        return {int(number): name for number, name in self._legend.get("categories", {}).items()}
+
+    def split(self, name: str) -> Dataset:
+        """The frames of one split."""
+        return Dataset(self.folder, name)
+
+    def __len__(self) -> int:
+        return int(self._rows.num_rows)
+
+    @overload
+    def __getitem__(self, index: int) -> Frame: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> list[Frame]: ...
+
+    def __getitem__(self, index: int | slice) -> Frame | list[Frame]:
+        if isinstance(index, slice):
+            return [self[number] for number in range(*index.indices(len(self)))]
+        number = index + len(self) if index < 0 else index
+        if not 0 <= number < len(self):
+            raise IndexError(f"the data set has {len(self)} frames, there is none of number {index}")
+        row = self._rows.slice(number, 1).to_pylist(maps_as_pydicts="strict")[0]
+        return Frame(StoredFrame(self.folder / row["folder"], row, self.classes))
+
+    def frame(self, name: str) -> Frame:
+        """The frame of a name such as 000000-camera0."""
+        names = self._rows["frame"].to_pylist()
+        if name not in names:
+            raise RecipeError("the data set has no such frame", where=str(self.folder), got=repr(name))
+        number: int = names.index(name)
+        return self[number]
+
+    def verify(
+        self,
+        *,
+        rerender: int = 0,
+        seed: int = 0,
+        workers: int | None = None,
+        hashes: bool = True,
+        progress: bool | Progress | None = None,
+    ) -> Verdict:
+        """Check files, index, splits and labels; with `rerender`, render so many images again and compare all bytes.
+
+        `Verdict.offences` has all that is wrong; it is empty for a sound data set.
+        """
+        from forestgen.runs.verify import verify
+
+        display = display_of(progress)
+        with display.running():
+            return verify(self.folder, rerender=rerender, seed=seed, jobs=workers, hashes=hashes, progress=display)
+
+    def report(self, out: PathLike | None = None) -> Path:
+        """Write the data set's page, by default report.html in its folder; the path of it."""
+        return write_report(self.folder, out)
+
+    def pack(
+        self,
+        out: PathLike,
+        format: str,  # noqa: A002 - the name of the option on the command line
+        *,
+        shard_size: int | str = "500MB",
+        channels: Sequence[str] | None = None,
+        splits: Sequence[str] = (),
+        seed: int = 0,
+        by_name: bool = False,
+        overwrite: bool = False,
+        progress: bool | Progress | None = None,
+    ) -> Packed:
+        """Write shards for a loader: webdataset (tar files) or huggingface (Parquet).
+
+        Parameters
+        ----------
+        shard_size : bytes, or a text such as 500MB; no file is larger.
+        channels : what goes in; by default preview, semantic, instance, and depth and annotations if there are any.
+        splits : by default all.
+        seed : of the frames' random order.
+        by_name : in the order of their names instead.
+        """
+        from forestgen.dataset.pack.run import pack, packing_of
+
+        packing = packing_of(format, shard_size, channels, splits, None if by_name else seed)
+        display = display_of(progress)
+        with display.running():
+            return pack(self.folder, Path(out), packing, overwrite=overwrite, progress=display)
+
+    def as_torch(
+        self, channels: Sequence[str] = _TORCH_CHANNELS, transform: Callable[[dict[str, Any]], Any] | None = None
+    ) -> Any:
+        """A `torch.utils.data.Dataset`: a dict of tensors a frame, pictures and vectors as (C, H, W).
+
+        Parameters
+        ----------
+        channels : attributes of `Frame` that are arrays. Ids are int64, as PyTorch has no unsigned integers to index.
+        transform : applied to each dict.
+        """
+        import torch
+
+        frames = self
+
+        class Frames(torch.utils.data.Dataset):  # type: ignore[misc]
+            def __len__(self) -> int:
+                return len(frames)
+
+            def __getitem__(self, index: int) -> Any:
+                frame = frames[index]
+                item = {name: torch.from_numpy(_for_torch(getattr(frame, name))) for name in channels}
+                return item if transform is None else transform(item)
+
+        return Frames()
+
+    def as_huggingface(self) -> Any:
+        """A `datasets.DatasetDict` of the splits: preview, semantic and instance pictures, and the index's columns."""
+        import datasets
+
+        splits = (self._split,) if self._split is not None else self.splits
+        return datasets.DatasetDict({split: self._as_huggingface(datasets, split) for split in splits})
+
+    def _as_huggingface(self, datasets: Any, split: str) -> Any:
+        rows = self._rows.filter(np.asarray(self._rows["split"]) == split).to_pylist(maps_as_pydicts="strict")
+        plain = {name: [row[name] for row in rows] for name in self._rows.column_names if _is_plain(self._rows, name)}
+        pictures = ("preview", "semantic", "instance")
+        paths = {name: [str(self.folder / row["folder"] / f"{name}.png") for row in rows] for name in pictures}
+        made = datasets.Dataset.from_dict({**paths, **plain})
+        for name in pictures:
+            made = made.cast_column(name, datasets.Image())
+        return made
+
+    @cached_property
+    def _legend(self) -> Mapping[str, Any]:
+        path = self.folder / self.splits[0] / LEGEND_NAME
+        try:
+            content = json.loads(path.read_bytes())
+        except (OSError, ValueError, RecursionError) as error:
+            raise DatasetError("the file cannot be read", where=str(path), got=str(error)[:200]) from error
+        if not isinstance(content, dict):
+            raise DatasetError("the file holds no classes", where=str(path))
+        return content
+
+    def __iter__(self) -> Iterator[Frame]:
+        return (self[number] for number in range(len(self)))
+
+    def __repr__(self) -> str:
+        return f"<Dataset {self.folder}: {len(self)} frames, {', '.join(self.splits)}>"
+
+
+def write_report(folder: PathLike, out: PathLike | None = None) -> Path:
+    """Write the page of a data set, finished or not; the path of it. See `Dataset.report`."""
+    from forestgen.dataset.report import page
+
+    target = Path(folder) / page.REPORT_NAME if out is None else Path(out)
+    page.write_report(Path(folder), target)
+    return target
+
+
+@dataclass(frozen=True)
+class Merged:
+    """What `merge` made."""
+
+    folder: Path
+    frames: int
+    bytes: int
+    notes: tuple[str, ...]
+
+    @property
+    def dataset(self) -> Dataset:
+        return Dataset(self.folder)
+
+
+def merge(
+    sources: Sequence[PathLike], out: PathLike, *, link: bool = False, progress: bool | Progress | None = None
+) -> Merged:
+    """Make one data set of several; pieces of one recipe become what one run would have made, to the last byte.
+
+    Parameters
+    ----------
+    sources : folders of finished data sets.
+    out : a new or empty folder.
+    link : hard links instead of copies.
+
+    Raises
+    ------
+    RecipeError, DatasetError, OutputError
+    """
+    from forestgen.runs.merge import merge as merge_pieces
+
+    display = display_of(progress)
+    with display.running():
+        done = merge_pieces([Path(source) for source in sources], Path(out), link=link, progress=display)
+    return Merged(Path(out), done.frames, done.bytes, done.notes)
+
+
+def _rows_of(folder: Path) -> Any:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    from forestgen.runs.verify import open_data_set
+
+    open_data_set(folder)  # says what the folder is, if it is no finished data set
+    path = folder / INDEX_NAME
+    try:
+        return pq.ParquetFile(path).read()
+    except (OSError, pa.ArrowException) as error:
+        hint = "the command that made the data set, with --resume, writes it again"
+        raise DatasetError(
+            "the index cannot be read", where=str(path), got=str(error).partition("\n")[0], hint=hint
+        ) from error
+
+
+def _for_torch(values: Any) -> Any:
+    if values is None:
+        raise RecipeError("the data set has no such channel", hint="labels.channels of the recipe chooses them")
+    array = np.moveaxis(values, -1, 0) if values.ndim == 3 else values
+    return np.ascontiguousarray(array.astype(np.int64) if array.dtype == np.uint32 else array)
+
+
+def _is_plain(table: Any, name: str) -> bool:
+    """Whether a column holds a text or a number a frame."""
+    import pyarrow as pa
+
+    return not pa.types.is_nested(table.schema.field(name).type)

@@ -1,0 +1,289 @@
+"""Progress for people: bars in a terminal, a line that changes in a notebook, a line a minute elsewhere.
+
+All of it goes to standard error, or to the notebook's cell; results never do.
+"""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any, Protocol, cast
+
+from forestgen.core.figures import three_digits
+from forestgen.core.progress import Progress
+from forestgen.runs.meter import Meter
+
+_LINE_EVERY_S = 60.0
+_NOTEBOOK_EVERY_S = 0.5
+_MOST_BARS = 12  # more would not fit into a terminal's usual height
+_MOST_STAGES = 4
+
+
+class Display(Progress, Protocol):
+    """What shows the progress of a call: its stages, the counts of a run, and lines that stay."""
+
+    meter: Meter | None  # of the run that is shown, None before it has begun
+
+    def running(self) -> Any:
+        """A context manager: what is shown while its block runs."""
+
+    def say(self, text: str) -> None: ...
+
+    def show(self, meter: Meter) -> None: ...
+
+
+def display_of(progress: bool | Progress | None) -> Display:
+    """The display that a call's argument `progress` asks for.
+
+    Parameters
+    ----------
+    progress : None or True: what suits the place, a terminal, a notebook or a log; False: nothing; or an object with
+        a method ``stage(title, total)``, a context manager that yields a function that advances.
+    """
+    if progress is False:
+        return SilentDisplay()
+    if progress is None or progress is True:
+        if _in_notebook():
+            return NotebookDisplay()
+        return Bars() if sys.stderr.isatty() else Lines()
+    return cast(Display, progress) if hasattr(progress, "running") else _Wrapped(progress)
+
+
+class SilentDisplay:
+    """Shows nothing."""
+
+    meter: Meter | None = None
+
+    @contextmanager
+    def running(self) -> Iterator[SilentDisplay]:
+        yield self
+
+    @contextmanager
+    def stage(self, title: str, total: int) -> Iterator[Callable[[int], None]]:
+        yield lambda steps: None
+
+    def say(self, text: str) -> None:
+        pass
+
+    def show(self, meter: Meter) -> None:
+        self.meter = meter
+
+
+class _Wrapped(SilentDisplay):
+    """Hands the stages on to a listener of the caller's."""
+
+    def __init__(self, listener: Progress) -> None:
+        self._listener = listener
+
+    @contextmanager
+    def stage(self, title: str, total: int) -> Iterator[Callable[[int], None]]:
+        with self._listener.stage(title, total) as advance:
+            yield advance
+
+
+class Bars(SilentDisplay):
+    """Bars with the time left, in a terminal."""
+
+    def __init__(self) -> None:
+        self._progress: Any = None
+        self._tasks: dict[str, Any] = {}  # by title, oldest first
+        self._run: Any = None
+
+    @contextmanager
+    def running(self) -> Iterator[Bars]:
+        from rich import progress as bars
+        from rich.console import Console
+
+        columns = (
+            bars.TextColumn("{task.description:<18}", markup=False),
+            bars.BarColumn(bar_width=24),
+            bars.MofNCompleteColumn(),
+            bars.TimeElapsedColumn(),
+            bars.TextColumn("left"),
+            bars.TimeRemainingColumn(),
+            bars.TextColumn("{task.fields[note]}", markup=False),
+        )
+        with bars.Progress(*columns, console=Console(stderr=True), refresh_per_second=5, transient=True) as shown:
+            self._progress = shown
+            try:
+                yield self
+            finally:
+                self._progress, self._run = None, None
+                self._tasks.clear()
+
+    @contextmanager
+    def stage(self, title: str, total: int) -> Iterator[Callable[[int], None]]:
+        """A bar for one piece of work; the next image's work of the same title takes the same bar."""
+        shown = self._progress
+        if shown is None:
+            yield lambda steps: None
+            return
+        if title in self._tasks:
+            task = self._tasks[title]
+            shown.reset(task, total=total)
+        else:
+            task = self._tasks[title] = shown.add_task(title, total=total, note="")
+            if len(self._tasks) > _MOST_BARS:
+                self._remove_oldest()
+        try:
+            yield lambda steps: shown.advance(task, steps)
+        finally:
+            shown.stop_task(task)
+
+    def say(self, text: str) -> None:
+        if self._progress is not None:
+            self._progress.console.print(text, markup=False, highlight=False)
+        else:
+            _write(text)
+
+    def show(self, meter: Meter) -> None:
+        self.meter = meter
+        if self._progress is None:
+            return
+        if self._run is None:
+            self._run = self._progress.add_task("images", total=meter.total, note="")
+        self._progress.update(self._run, completed=meter.done + meter.failed, note=pace(meter))
+
+    def _remove_oldest(self) -> None:
+        done = {task.id for task in self._progress.tasks if task.finished}
+        for title, task in self._tasks.items():
+            if task in done:
+                self._progress.remove_task(self._tasks.pop(title))
+                return
+
+
+class Lines(SilentDisplay):
+    """A line a minute on standard error: how far the run is, and the stage in work."""
+
+    def __init__(self, every_s: float = _LINE_EVERY_S) -> None:
+        self._every_s = every_s
+        self._stages: list[_Stage] = []  # in work, the innermost last
+
+    @contextmanager
+    def running(self) -> Iterator[Lines]:
+        stop = threading.Event()
+
+        def write() -> None:
+            while not stop.wait(self._every_s):
+                if text := self.line():
+                    self._tell(text)
+
+        thread = threading.Thread(target=write, name="forestgen progress", daemon=True)
+        thread.start()
+        try:
+            yield self
+        finally:
+            stop.set()
+            thread.join()
+
+    @contextmanager
+    def stage(self, title: str, total: int) -> Iterator[Callable[[int], None]]:
+        one = _Stage(title, total)
+        self._stages.append(one)
+        try:
+            yield one.advance
+        finally:
+            self._stages.remove(one)
+
+    def line(self) -> str:
+        """How far it is; "" if nothing has begun."""
+        parts = [line(self.meter)] if self.meter is not None else []
+        stages = list(self._stages)
+        return "; ".join([*parts, *([stages[-1].text] if stages else [])])
+
+    def say(self, text: str) -> None:
+        _write(text)
+
+    def _tell(self, text: str) -> None:
+        _write(text)
+
+
+class NotebookDisplay(Lines):
+    """One line under the cell that changes."""
+
+    def __init__(self) -> None:
+        super().__init__(_NOTEBOOK_EVERY_S)
+        self._handle: Any = None
+
+    def _tell(self, text: str) -> None:
+        from IPython.display import Pretty, display
+
+        class Line(Pretty):  # type: ignore[misc]
+            def __repr__(self) -> str:
+                return str(self.data)
+
+        if self._handle is None:
+            self._handle = display(Line(text), display_id=True)
+        else:
+            self._handle.update(Line(text))
+
+    @contextmanager
+    def running(self) -> Iterator[NotebookDisplay]:
+        with super().running():
+            yield self
+        if self._handle is not None:
+            self._tell(self.line() or "done")
+            self._handle = None
+
+
+class _Stage:
+    """A piece of work and how much of it is done."""
+
+    def __init__(self, title: str, total: int) -> None:
+        self._title, self._total, self._done = title, total, 0
+
+    def advance(self, steps: int) -> None:
+        self._done += steps
+
+    @property
+    def text(self) -> str:
+        return f"{self._title} {100 * self._done / max(self._total, 1):.0f} %"
+
+
+def line(meter: Meter) -> str:
+    """The counts in a line: 120 of 1,000 images, 240 an hour, 3 h 40 min left, 2 failed; render 61 %, ..."""
+    images = f"{meter.total:,} image{'' if meter.total == 1 else 's'}"
+    shares = ", ".join(f"{name} {100 * share:.0f} %" for name, share in list(meter.shares().items())[:_MOST_STAGES])
+    return f"{meter.done:,} of {images}, {pace(meter)}" + (f"; {shares}" if shares else "")
+
+
+def pace(meter: Meter) -> str:
+    """How fast a run is, and what went wrong."""
+    parts = []
+    if meter.images_per_hour is not None and meter.seconds_left is not None:
+        parts += [f"{three_digits(meter.images_per_hour)} an hour", f"{span(meter.seconds_left)} left"]
+    else:
+        parts.append(f"{span(time.monotonic() - meter.started_s)} so far")
+    if meter.failed:
+        parts.append(f"{meter.failed:,} failed")
+    if meter.retried:
+        parts.append(f"{meter.retried:,} attempt{'' if meter.retried == 1 else 's'} again")
+    return ", ".join(parts)
+
+
+def span(seconds: float) -> str:
+    """A long duration for people: 40 s, 12 min, 3 h 40 min, 2 d 5 h."""
+    if seconds < 60:
+        return f"{seconds:.0f} s"
+    minutes = round(seconds / 60)
+    if minutes < 60:
+        return f"{minutes} min"
+    if minutes < 24 * 60:
+        return f"{minutes // 60} h {minutes % 60:02d} min"
+    return f"{minutes // 1440} d {minutes % 1440 // 60} h"
+
+
+def _in_notebook() -> bool:
+    """Whether this is a Jupyter kernel, where a cell shows what is displayed."""
+    if "IPython" not in sys.modules:
+        return False
+    shell = sys.modules["IPython"].get_ipython()
+    return shell is not None and type(shell).__name__ == "ZMQInteractiveShell"
+
+
+def _write(text: str) -> None:
+    sys.stderr.write(text + "\n")
+    sys.stderr.flush()

@@ -1,0 +1,53 @@
+"""Frames in memory: what `Recipe.frames` yields."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.dataset.camera import camera_model
+from forestgen.dataset.exr import frame_parts
+from forestgen.dataset.frame import Parts
+from forestgen.dataset.maps import write_maps
+from forestgen.dataset.settings import DatasetSettings
+from forestgen.dataset.tables import plants_table
+from forestgen.dataset.tonemap import preview_of
+from forestgen.dataset.writer import write_frame
+from forestgen.pipeline import RenderedFrame
+from forestgen.recipe.load import DrawnRecipe, dump_yaml
+
+
+class MadeFrame:
+    """A `forestgen.dataset.frame.FrameSource`: a frame that was just rendered."""
+
+    def __init__(self, frame: RenderedFrame, drawn: DrawnRecipe, settings: DatasetSettings) -> None:
+        self._frame, self._drawn, self._settings = frame, drawn, settings
+        self.name = frame.name
+        self.info: Mapping[str, Any] = frame.row
+        self.classes = settings.class_names
+
+    def parts(self) -> Parts:
+        return frame_parts(self._frame.labelled)
+
+    def plants(self) -> Any:
+        return plants_table(self._frame.labelled)
+
+    def camera(self) -> dict[str, Any]:
+        return camera_model(self._frame.labelled.frame.camera)
+
+    def preview(self) -> NDArray[np.uint8]:
+        return preview_of(self._frame.labelled.frame.radiance, self._settings.view).picture
+
+    @cached_property
+    def recipe_yaml(self) -> str:
+        return dump_yaml(self._drawn)
+
+    def save(self, folder: Path, beside: Path) -> None:
+        stored = replace(self._drawn, data=write_maps(beside, self._drawn.data, self._drawn.folder))
+        write_frame(folder, self._frame.labelled, dump_yaml(stored), self._frame.attributes, self._settings)

@@ -1,0 +1,150 @@
+"""Point patterns: how measured plants stand, and kernels that place new ones like them."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from forestgen.api.display import display_of
+from forestgen.core.errors import RecipeError
+from forestgen.core.progress import Progress
+from forestgen.recipe.assets import list_assets
+from forestgen.stages.plant_files import FileSet, check_writable
+
+if TYPE_CHECKING:
+    from forestgen.community.fitting.fit import Fit
+    from forestgen.community.fitting.stand import MeasuredStand
+
+PathLike = str | os.PathLike[str]
+Bounds = tuple[float, float, float, float]
+_RECIPES = (".yaml", ".yml")
+_UNEVEN = 0.05
+_SPECIES = "poplar"  # what plants look like of which nothing is said
+
+
+@dataclass(frozen=True)
+class FittedKernel:
+    """Kernels of a measured stand."""
+
+    fit: Fit
+    recipe: str  # YAML, which places new stands
+    files: tuple[Path, Path, Path] | None  # recipe, picture, numbers
+    notes_before: tuple[str, ...]  # on the measured stand
+    notes_after: tuple[str, ...]  # on the fit
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        return (*self.notes_before, *self.notes_after)
+
+
+def fit_kernel(
+    points: PathLike,
+    *,
+    window: Bounds | None = None,
+    species: str | None = None,
+    out: PathLike | None = None,
+    seed: int = 0,
+    reach_m: float | None = None,
+    checks: int = 1,
+    founders: bool = True,
+    overwrite: bool = False,
+    progress: bool | Progress | None = None,
+) -> FittedKernel:
+    """Fit deformation kernels to a measured stand: a recipe that places new stands like it.
+
+    Parameters
+    ----------
+    points : a CSV file with columns x,y in metres, and perhaps species and radius_m.
+    window : x0, x1, y0, y1 where plants were looked for; by default what a comment in the file says.
+    species : what new plants look like; by default poplar where the library does not know the names in the file.
+    out : a recipe NAME.yaml, beside which NAME.png and NAME.json are written, or a folder; None: nothing is written.
+    seed : another seed fits by other new stands.
+    reach_m : how far a plant acts; by default a quarter of the window, or six spacings if less.
+    checks : test against so many sets of 39 new stands.
+    founders : where one kernel leaves nearest neighbours far off, let some plants come first.
+    overwrite : replace existing files.
+
+    Raises
+    ------
+    RecipeError, OutputError
+    """
+    from forestgen.community.fitting.fit import Settings, fit_stand
+    from forestgen.community.fitting.recipe_text import recipe_text, species_sources
+    from forestgen.community.fitting.stand import measured_stand
+    from forestgen.community.point_table import read_points
+
+    library = set(list_assets("species"))
+    if species is not None and species not in library:
+        raise RecipeError(
+            "no such species",
+            where="--species",
+            expected=", ".join(sorted(library)),
+            got=repr(species[:60]),
+            hint="a fit says where plants stand; --species, what they look like",
+        )
+    if not 1 <= checks <= 1000:
+        raise RecipeError("no such number", where="--checks", expected="1 to 1,000", got=f"{checks:,}")
+    source = Path(points)
+    files = None if out is None else fit_files(Path(out))
+    if files is not None:
+        check_writable(files, overwrite=overwrite)
+    table = read_points(source, window, marks=True)
+    stand, notes = measured_stand(table, str(source))
+    before = [*table.notes, *notes, *_on_species(stand, library, species)]
+    display = display_of(progress)
+    with display.running():
+        for note in before:  # who reads that the window is wrong need not wait for the fit
+            display.say(f"note: {note}")
+        fit = fit_stand(stand, Settings(seed=seed, checks=checks, reach_m=reach_m, founders=founders), display)
+    text = recipe_text(fit, species_sources(stand, library, species or _SPECIES), source.name)
+    fitted = FittedKernel(fit, text, files, tuple(before), tuple(_on_fit(fit)))
+    if files is not None:
+        _write(files, fitted, source, overwrite=overwrite)
+    return fitted
+
+
+def fit_files(target: Path) -> tuple[Path, Path, Path]:
+    """Recipe, picture and numbers: in a folder, or of the name of a recipe."""
+    if target.suffix.lower() in _RECIPES:
+        return target, target.with_suffix(".png"), target.with_suffix(".json")
+    return target / "kernel.yaml", target / "fit.png", target / "fit.json"
+
+
+def _on_species(stand: MeasuredStand, library: set[str], species: str | None) -> list[str]:
+    """A note if plants get a look that nobody asked for."""
+    strange = [name for name in stand.names if name not in library]
+    if species is not None or not strange:
+        return []
+    who = ", ".join(strange) if any(strange) else "new plants"
+    return [f"{who}: drawn as {_SPECIES}, since no --species says what they look like; places do not depend on it"]
+
+
+def _on_fit(fit: Fit) -> list[str]:
+    notes = []
+    if fit.trend < _UNEVEN:
+        notes.append(
+            f"the stand is more uneven than new ones (p = {fit.trend:.2g} by counts in squares): its density may "
+            "change from place to place, and the fit takes it as constant"
+        )
+    if fit.nursery.founders:
+        notes.append(
+            f"one kernel leaves the nearest neighbours far off (loss {fit.plain.losses[-1]:.3g}); "
+            f"{fit.nursery.founders} founders that come first leave {fit.matched.losses[-1]:.3g}"
+        )
+    return notes
+
+
+def _write(files: tuple[Path, Path, Path], fitted: FittedKernel, points: Path, *, overwrite: bool) -> None:
+    from forestgen.community.fitting.plot_fit import fit_picture
+    from forestgen.community.fitting.recipe_text import document
+
+    recipe, picture, numbers = files
+    content = json.dumps(document(fitted.fit, points.name, list(fitted.notes)), indent=1, allow_nan=False) + "\n"
+    image = fit_picture(fitted.fit, points.stem)
+    with FileSet(overwrite=overwrite) as written:
+        written.write(recipe, fitted.recipe.encode())
+        written.write(picture, image)
+        written.write(numbers, content.encode())

@@ -1,0 +1,131 @@
+"""L-systems on their own: `derive` runs a program and answers with its words."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from forestgen.core.errors import LsystemError, RecipeError
+from forestgen.lsystem import derivation
+from forestgen.lsystem.compiler import Value, compile_listing, with_values
+from forestgen.lsystem.multiset import words_as_lists, words_as_text
+from forestgen.lsystem.program import Program
+from forestgen.lsystem.reading import read_listing
+from forestgen.recipe.assets import find_asset
+
+_MOST_STEPS = 1_000_000
+_MOST_MODULES = 50_000_000
+Module = list[str | float]  # a symbol and its parameters
+
+
+@dataclass(frozen=True)
+class Words:
+    """What a program has derived."""
+
+    file: str
+    steps: int
+    seed: int
+    last: derivation.Derivation
+
+    @property
+    def modules(self) -> int:
+        """How many, in all words."""
+        return len(self.last.multiset.code)
+
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """Symbol -> how many modules."""
+        return self.last.multiset.counts()
+
+    @property
+    def text(self) -> Iterator[str]:
+        """The words as text, one after another."""
+        return iter(words_as_text(self.last.multiset))
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values, for JSON."""
+        return {
+            "file": self.file,
+            "steps": self.steps,
+            "seed": self.seed,
+            "modules": self.modules,
+            "counts": self.counts,
+            "words": list(self),
+        }
+
+    def __iter__(self) -> Iterator[list[Module]]:
+        """The words, each a list of modules: ``["F", 1.5]``; whole numbers are written as such."""
+        return ([_plain(module) for module in word] for word in words_as_lists(self.last.multiset))
+
+
+def derive(
+    file: str | os.PathLike[str],
+    steps: int | None = None,
+    *,
+    seed: int = 0,
+    set: Mapping[str, Value] | Sequence[str] = (),  # noqa: A002 - the name of the option on the command line
+    max_modules: int = _MOST_MODULES,
+) -> Words:
+    """Derive an L-system.
+
+    Parameters
+    ----------
+    file : a .lsys or .sys file, or a shipped program's name.
+    steps : by default the file's derivation length.
+    seed : another seed draws other random numbers.
+    set : other values of #defines and arrays: ``{"A": 1.5, "B": [1, 2]}``, or texts ``["A=1.5", "B=1,2"]``.
+    max_modules : stop where the words grow longer than this.
+
+    Raises
+    ------
+    LsystemError, RecipeError, AssetError
+    """
+    path = Path(file) if Path(file).exists() else find_asset("lsystems", str(file))
+    program = compile_listing(with_values(read_listing(path), _values(set)))
+    wanted = _steps(program, steps)
+    last: derivation.Derivation | None = None
+    for last in derivation.derive(program, wanted, seed, most_modules=max_modules):  # noqa: B007 - the last matters
+        pass
+    assert last is not None
+    return Words(str(path), wanted, seed, last)
+
+
+def _steps(program: Program, steps: int | None) -> int:
+    wanted = program.derivation_length if steps is None else steps
+    if wanted is None:
+        raise RecipeError(
+            "how many steps?",
+            where=program.name,
+            expected="--steps N, or derivation length: N in the file",
+            got="neither",
+        )
+    if not 0 <= wanted <= _MOST_STEPS:
+        raise RecipeError("no such number of steps", where="--steps", expected=f"0 to {_MOST_STEPS:,}", got=str(wanted))
+    return wanted
+
+
+def _values(settings: Mapping[str, Value] | Sequence[str]) -> dict[str, Value]:
+    """Values by name; texts are NAME=NUMBER or NAME=NUMBER,NUMBER,..."""
+    if isinstance(settings, Mapping):
+        return dict(settings)
+    values: dict[str, Value] = {}
+    for setting in settings:
+        name, equals, text = setting.partition("=")
+        try:
+            numbers = [float(one) for one in text.split(",") if one.strip()]
+        except ValueError:
+            numbers = []
+        if not equals or not name.strip() or not numbers:
+            raise LsystemError(
+                "not a setting", where="--set", expected="NAME=NUMBER or NAME=NUMBER,NUMBER", got=setting
+            )
+        values[name.strip()] = numbers if "," in text else numbers[0]
+    return values
+
+
+def _plain(module: Sequence[str | float]) -> Module:
+    symbol, *values = module
+    return [symbol, *(int(v) if isinstance(v, float) and v.is_integer() and abs(v) < 1e15 else v for v in values)]

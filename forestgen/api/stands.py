@@ -1,0 +1,150 @@
+"""Stands: the plant community that `Recipe.simulate` answers with."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen import pipeline
+from forestgen.api.display import display_of
+from forestgen.community.population import Population, Status
+from forestgen.core.errors import RecipeError
+from forestgen.core.progress import Progress
+from forestgen.core.timing import Timings
+from forestgen.pipeline import SimulationSummary
+from forestgen.recipe.load import LoadedRecipe
+from forestgen.stages.history import map_colours
+from forestgen.stages.module_checks import ground_plans
+
+
+class Stand:
+    """The plants of a community at its last step.
+
+    `stand["height_m"]` is a column as a NumPy array, `stand.table` all of them as a `pyarrow.Table`, `stand.plot()` a
+    map. `summary` has stems and counts by species; `folder` is where files were written, None where none were.
+    """
+
+    def __init__(self, summary: SimulationSummary, folder: Path | None) -> None:
+        self.summary, self.folder = summary, folder
+
+    @property
+    def population(self) -> Population:
+        """The plants as the community models know them."""
+        return self.summary.last
+
+    @cached_property
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Column -> (N,) array: plant_id, species, x_m, y_m, height_m, radius_m, age_yr, status, and the model's."""
+        plants = self.population
+        names = np.array([*plants.species_names, ""])
+        return {
+            "plant_id": plants.plant_id,
+            "species": names[plants.species],
+            "x_m": plants.position_m[:, 0],
+            "y_m": plants.position_m[:, 1],
+            "height_m": plants.height_m,
+            "radius_m": plants.radius_m,
+            "age_yr": plants.age_yr,
+            "status": np.array([status.name.lower() for status in Status])[plants.status],
+            **{name: np.asarray(values) for name, values in plants.columns.items()},
+        }
+
+    @property
+    def table(self) -> Any:
+        """The columns as a `pyarrow.Table`; those of several values a plant are lists."""
+        import pyarrow as pa
+
+        return pa.table(
+            {name: pa.array(values if values.ndim == 1 else values.tolist()) for name, values in self.columns.items()}
+        )
+
+    @property
+    def species(self) -> tuple[str, ...]:
+        """Names of the recipe's species."""
+        return self.population.species_names
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """For people."""
+        return self.summary.notes
+
+    @property
+    def biome(self) -> str | None:
+        """What people call land of the climate that chose the recipe's species; None if no climate did."""
+        from forestgen.recipe.biome import biome_name
+
+        biome = self.summary.plan.drawn.recipe.community.parameters.get("biome")
+        if not biome:
+            return None
+        warmth, rain = biome["temperature_c"], biome["precipitation_mm_per_yr"]
+        return f"{biome_name(warmth, rain)}, of {warmth:g} deg C and {rain:g} mm a year"
+
+    def __getitem__(self, column: str) -> NDArray[Any]:
+        try:
+            return self.columns[column]
+        except KeyError:
+            raise RecipeError(
+                "the stand has no such column", expected="one of " + ", ".join(self.columns), got=repr(column)
+            ) from None
+
+    def __len__(self) -> int:
+        return len(self.population)
+
+    def plot(self) -> Any:
+        """A matplotlib figure: the map of the plants, each at its size."""
+        from forestgen.community.plots import map_figure
+
+        plan = self.summary.plan
+        obstacles = ground_plans(plan.model_parameters, plan.drawn.species)
+        return map_figure(
+            obstacles.left_out_of(self.population),
+            plan.site,
+            map_colours(plan),
+            periodic=plan.model_parameters.periodic,
+            obstacles=obstacles,
+        )
+
+    def _repr_png_(self) -> bytes:
+        buffer = io.BytesIO()
+        self.plot().savefig(buffer, format="png", dpi=100)
+        return buffer.getvalue()
+
+    def __repr__(self) -> str:
+        counts = ", ".join(f"{number:,} {name}" for name, number in self.summary.counts.items())
+        return f"<Stand at year {self.population.time_yr:g}: {counts or 'no plants'}>"
+
+
+def simulated(
+    loaded: LoadedRecipe,
+    out: Path | None,
+    *,
+    map_steps: Sequence[int],
+    resume: Path | None,
+    from_step: int | None,
+    graphs: Sequence[Path],
+    overwrite: bool,
+    progress: bool | Progress | None,
+) -> Stand:
+    """See `Recipe.simulate`."""
+    if from_step is not None and resume is None:
+        raise RecipeError("no history to go on from", where="--from-step", expected="--resume history.parquet with it")
+    display = display_of(progress)
+    with display.running():
+        summary = pipeline.simulate(
+            loaded,
+            out,
+            map_steps=map_steps,
+            resume=resume,
+            from_step=from_step,
+            graphs=graphs,
+            overwrite=overwrite,
+            progress=display,
+            timings=Timings(),
+        )
+    return Stand(summary, out)

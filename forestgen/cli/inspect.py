@@ -1,0 +1,98 @@
+"""The commands that make nothing: `validate`, `schema`, `models`, `doctor`."""
+
+from __future__ import annotations
+
+import json
+import sys
+from itertools import groupby
+from typing import Annotated, Optional
+
+import typer
+
+from forestgen.cli.arguments import Json, Overrides, RecipePath
+from forestgen.cli.console import Printer
+
+_TITLES = {
+    "community_model": "community models",
+    "environment": "environments",
+    "plant_generator": "plant generators",
+    "species": "species",
+    "lsystem": "lsystems",
+    "recipe": "recipes",
+}
+
+
+def validate(recipe: RecipePath, overrides: Overrides = None, as_json: Json = False) -> None:
+    """Check a recipe without making anything, and say what it would make."""
+    from forestgen import load
+
+    found, say = load(recipe, set=overrides or ()).validate(), Printer()
+    if as_json:
+        say.json(found.as_dict())
+        return
+    for line in str(found).splitlines():
+        say(line)
+    for note in found.notes:
+        say(f"note: {note}")
+
+
+def schema() -> None:
+    """Print the JSON Schema of recipes, for editors."""
+    from forestgen import schema as schema_of
+
+    sys.stdout.write(json.dumps(schema_of(), indent=2) + "\n")
+
+
+def models(
+    name: Annotated[
+        Optional[str],  # noqa: UP045 - typer reads annotations at run time
+        typer.Argument(
+            metavar="NAME",
+            help="Show the manual page of this model or generator, or this species' or recipe's file.",
+            show_default=False,
+        ),
+    ] = None,
+    kind: Annotated[
+        Optional[str],  # noqa: UP045
+        typer.Option(
+            "--kind",
+            metavar="KIND",
+            help="Only these: community_model, environment, plant_generator, species, lsystem, recipe.",
+            show_default=False,
+        ),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """List models, generators, species and recipes."""
+    from forestgen import models as list_models
+    from forestgen.recipe.assets import recipes_dir, scenes_dir
+
+    found, say = list_models(name, kind=kind), Printer()
+    if as_json:
+        say.json([{**one.as_dict(), "page": one.page} if name is not None else one.as_dict() for one in found])
+        return
+    if name is not None:
+        say("\n\n".join(one.page for one in found))
+        return
+    for each, entries in groupby(found, key=lambda one: one.kind):
+        say(_TITLES[each])
+        listed = list(entries)
+        width = max(len(one.name) for one in listed)
+        for one in listed:
+            say(f"  {one.name:<{width}}  {one.description}".rstrip())
+    say(f"species and lsystems lie in {scenes_dir()}, recipes in {recipes_dir()}")
+
+
+def doctor(as_json: Json = False) -> None:
+    """Check this machine, and say what to do about what is missing. Exit code 3 if it cannot render."""
+    from forestgen import doctor as diagnose
+    from forestgen.core.errors import ResourceError
+
+    found, say = diagnose(), Printer()
+    if as_json:
+        say.json(found.as_dict())
+    else:
+        for line in found.lines():
+            say(line)
+    if not found.ready:
+        raise typer.Exit(ResourceError.exit_code)

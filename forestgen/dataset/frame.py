@@ -1,0 +1,316 @@
+"""A frame as Python sees it: arrays, the plants' table, the camera. The same class made just now or read from a file.
+
+Arrays are (H, W) or (H, W, C), row 0 at the top. What a recipe's `labels.channels` leaves out is None.
+
+| attribute            | type             | meaning |
+|----------------------|------------------|-----------------------------------------------------------------------|
+| radiance             | (H, W, C) f32    | linear Rec. 709 in cd/m2, or W m-2 sr-1 nm-1 in each of `channels` |
+| variance, denoised   | (H, W, C) f32    | variance of `radiance`; its denoised copy, which is biased, or None |
+| instance             | (H, W) uint32    | plant_id; 0 is no plant |
+| semantic, part       | (H, W) uint8     | numbers of `classes`, and of `parts` |
+| depth, distance      | (H, W) f32       | metres along the camera's axis, and along the ray; infinite for the s |
+| position, normal     | (H, W, 3) f32    | metres, world; unit, world; NaN and 0 for the sky |
+| albedo               | (H, W, 3) f32    | reflectance + transmittance |
+| sun, cloud, boundary | (H, W)           | sun visible; opacity of the clouds; borders of what hides something |
+| motion               | (H, W, 2) f32    | pixels right and down to the sequence's next frame; NaN: none |
+| preview, overlay     | (H, W, 3) uint8  | sRGB picture; the same with the plants tinted |
+| plants               | pyarrow.Table    | a row a plant, see `forestgen.dataset.tables` |
+| camera               | dict             | see `forestgen.dataset.camera` |
+| info                 | dict             | the frame's row of the index, see `forestgen.dataset.index` |
+
+`channel("normal.camera", "X")` is any other channel of frame.exr, of which `forestgen.dataset.exr` has a table.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import shutil
+from collections.abc import Mapping
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.core.errors import DatasetError, RecipeError
+from forestgen.recipe.paths import MAPS
+
+Parts = Mapping[str, Mapping[str, NDArray[Any]]]
+
+
+class FrameSource(Protocol):
+    """Where a frame's content comes from: memory, or the files of a data set."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def info(self) -> Mapping[str, Any]: ...
+
+    @property
+    def classes(self) -> tuple[str, ...]:
+        """Names of the semantic classes, by number."""
+
+    @property
+    def recipe_yaml(self) -> str: ...
+
+    def parts(self) -> Parts:
+        """Part -> channel -> (H, W) array, as in frame.exr."""
+
+    def plants(self) -> Any:
+        """A `pyarrow.Table`."""
+
+    def camera(self) -> dict[str, Any]: ...
+
+    def preview(self) -> NDArray[np.uint8]:
+        """(H, W, 3) sRGB."""
+
+    def save(self, folder: Path, beside: Path) -> None:
+        """Write the frame's files into `folder`, and maps that its recipe names into ``maps/`` of `beside`."""
+
+
+class Frame:
+    """See the module."""
+
+    def __init__(self, source: FrameSource) -> None:
+        self._source = source
+
+    @property
+    def name(self) -> str:
+        """Of its folder, such as ``000000-camera0``."""
+        return self._source.name
+
+    @property
+    def info(self) -> Mapping[str, Any]:
+        return self._source.info
+
+    @property
+    def image(self) -> int:
+        """Number of the image that it belongs to."""
+        return int(self.info["image"])
+
+    @property
+    def split(self) -> str:
+        """Such as ``train``."""
+        return str(self.info["split"])
+
+    @property
+    def classes(self) -> tuple[str, ...]:
+        """Names of the semantic classes, by number."""
+        return self._source.classes
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the radiance's channels."""
+        return tuple(self.info["channels"])
+
+    @property
+    def recipe(self) -> str:
+        """The drawn recipe as YAML: rendered again it gives this image."""
+        return self._source.recipe_yaml
+
+    @cached_property
+    def parts(self) -> Parts:
+        """Part of frame.exr -> channel -> (H, W) array."""
+        return self._source.parts()
+
+    @cached_property
+    def plants(self) -> Any:
+        return self._source.plants()
+
+    @cached_property
+    def camera(self) -> dict[str, Any]:
+        return self._source.camera()
+
+    @cached_property
+    def radiance(self) -> NDArray[np.float32]:
+        return self._stack("radiance", self.channels)
+
+    @cached_property
+    def variance(self) -> NDArray[np.float32]:
+        return self._stack("radiance.variance", self.channels)
+
+    @cached_property
+    def denoised(self) -> NDArray[np.float32] | None:
+        return self._stack("radiance.denoised", self.channels) if "radiance.denoised" in self.parts else None
+
+    @property
+    def instance(self) -> NDArray[np.uint32]:
+        return self.channel("identity", "plant_id")
+
+    @cached_property
+    def semantic(self) -> NDArray[np.uint8]:
+        return self.channel("identity", "semantic").astype(np.uint8)
+
+    @cached_property
+    def part(self) -> NDArray[np.uint8]:
+        return self.channel("identity", "part").astype(np.uint8)
+
+    @property
+    def depth(self) -> NDArray[np.float32]:
+        return self.channel("depth", "Z")
+
+    @property
+    def distance(self) -> NDArray[np.float32]:
+        return self.channel("depth", "distance")
+
+    @cached_property
+    def position(self) -> NDArray[np.float32] | None:
+        return self._optional("position", "XYZ")
+
+    @cached_property
+    def normal(self) -> NDArray[np.float32] | None:
+        return self._optional("normal", "XYZ")
+
+    @cached_property
+    def albedo(self) -> NDArray[np.float32] | None:
+        return self._optional("albedo", "RGB")
+
+    @cached_property
+    def motion(self) -> NDArray[np.float32] | None:
+        return self._optional("motion", ("forward.u", "forward.v"))
+
+    @cached_property
+    def sun(self) -> NDArray[np.bool_] | None:
+        return self.channel("sun", "visible").astype(bool) if "sun" in self.parts else None
+
+    @property
+    def cloud(self) -> NDArray[np.float32] | None:
+        return self.channel("cloud", "opacity") if "cloud" in self.parts else None
+
+    @cached_property
+    def boundary(self) -> NDArray[np.bool_] | None:
+        return self.channel("boundary", "occluding").astype(bool) if "boundary" in self.parts else None
+
+    @cached_property
+    def preview(self) -> NDArray[np.uint8]:
+        return self._source.preview()
+
+    @cached_property
+    def overlay(self) -> NDArray[np.uint8]:
+        from forestgen.dataset.png import overlay
+
+        return overlay(self.preview, self.instance)
+
+    def channel(self, part: str, name: str) -> NDArray[Any]:
+        """(H, W) array of a channel of frame.exr.
+
+        Raises
+        ------
+        RecipeError : the frame has no such channel.
+        """
+        try:
+            return self.parts[part][name]
+        except KeyError:
+            known = ", ".join(f"{one} ({', '.join(self.parts[one])})" for one in self.parts)
+            raise RecipeError(
+                "the frame has no such channel", where=self.name, expected=f"one of {known}", got=f"{part}, {name}"
+            ) from None
+
+    def save(self, folder: str | Path) -> Path:
+        """Write the frame's files into a new folder of its name below `folder`; that folder's path.
+
+        Raises
+        ------
+        OutputError : the folder is there already, or cannot be written.
+        """
+        from forestgen.dataset.folder import OutputFolder
+
+        target = Path(folder) / self.name
+        with OutputFolder(target) as staging:
+            self._source.save(staging, Path(folder))
+        return target
+
+    def show(self) -> Any:
+        """A matplotlib figure: the picture, and the masks over it."""
+        from matplotlib.figure import Figure
+
+        figure = Figure(figsize=(12, 12 * self.preview.shape[0] / self.preview.shape[1] / 2), layout="constrained")
+        for axes, picture in zip(figure.subplots(1, 2), (self.preview, self.overlay), strict=True):
+            axes.imshow(picture)
+            axes.set_axis_off()
+        return figure
+
+    def _repr_png_(self) -> bytes:
+        from PIL import Image
+
+        buffer = io.BytesIO()
+        Image.fromarray(self.preview).save(buffer, format="PNG")
+        return buffer.getvalue()
+
+    def __repr__(self) -> str:
+        width, height = self.info["width_px"], self.info["height_px"]
+        return f"<Frame {self.name}: {width} x {height} px, {self.info['plants_in_view']} plants in view>"
+
+    def _stack(self, part: str, names: str | tuple[str, ...]) -> NDArray[np.float32]:
+        return np.stack([self.channel(part, name) for name in names], axis=-1)
+
+    def _optional(self, part: str, names: str | tuple[str, ...]) -> NDArray[np.float32] | None:
+        return self._stack(part, names) if part in self.parts else None
+
+
+class StoredFrame:
+    """A `FrameSource`: the files of a frame's folder, each read when it is asked for.
+
+    Parameters
+    ----------
+    folder : of the frame.
+    info : its row of the index.
+    classes : names of the semantic classes, by number.
+    """
+
+    def __init__(self, folder: Path, info: Mapping[str, Any], classes: tuple[str, ...]) -> None:
+        self.folder, self.name, self.info, self.classes = folder, folder.name, info, classes
+
+    def parts(self) -> Parts:
+        from forestgen.dataset.exr import read_exr
+
+        try:
+            return read_exr(self.folder / "frame.exr")
+        except (OSError, RuntimeError, ValueError) as error:
+            raise self._unreadable("frame.exr", error) from error
+
+    def plants(self) -> Any:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        try:
+            return pq.ParquetFile(self.folder / "plants.parquet").read()
+        except (OSError, pa.ArrowException) as error:
+            raise self._unreadable("plants.parquet", error) from error
+
+    def camera(self) -> dict[str, Any]:
+        content = json.loads(self._read("camera.json"))
+        if not isinstance(content, dict):
+            raise self._unreadable("camera.json", "no mapping")
+        return content
+
+    def preview(self) -> NDArray[np.uint8]:
+        from PIL import Image
+
+        with Image.open(io.BytesIO(self._read("preview.png"))) as picture:
+            return np.asarray(picture.convert("RGB"))
+
+    @property
+    def recipe_yaml(self) -> str:
+        return self._read("recipe.yaml").decode()
+
+    def save(self, folder: Path, beside: Path) -> None:
+        shutil.copytree(self.folder, folder, dirs_exist_ok=True)
+        maps = self.folder.parent / MAPS
+        if maps.is_dir():
+            shutil.copytree(maps, beside / MAPS, dirs_exist_ok=True)
+
+    def _read(self, name: str) -> bytes:
+        try:
+            return (self.folder / name).read_bytes()
+        except OSError as error:
+            raise self._unreadable(name, error) from error
+
+    def _unreadable(self, name: str, reason: object) -> DatasetError:
+        got = " ".join(str(reason).split())[:200]
+        return DatasetError(
+            "the file cannot be read", where=str(self.folder / name), got=got, hint="forestgen verify checks all files"
+        )

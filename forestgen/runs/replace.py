@@ -1,0 +1,54 @@
+"""A previous data set makes room for a new one, and comes back if nothing takes its place."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from forestgen.core.errors import OutputError
+from forestgen.dataset.files import output_error
+from forestgen.dataset.folder import clear_leftovers, hidden_name
+from forestgen.runs.contract import Place
+from forestgen.runs.folder import check_ours
+from forestgen.runs.places import LocalPlace
+from forestgen.runs.records import done_keys
+
+
+@contextmanager
+def replacing(place: Place) -> Iterator[None]:
+    """Move the data set that is in `place` aside while the block makes a new one there.
+
+    If the block fails before an image is finished, the previous data set is put back. After a crash the next run
+    removes what was moved aside, or puts it back if nothing has taken its place.
+
+    Raises
+    ------
+    OutputError : the folder holds something else, another run writes there, or it cannot be moved.
+    """
+    if not isinstance(place, LocalPlace):
+        raise OutputError(
+            "only a folder of this machine can be replaced", where=place.name, hint="remove it there, or choose another"
+        )
+    clear_leftovers(place.root.resolve())
+    check_ours(place)
+    root = place.root.resolve()
+    if not place.names(""):
+        yield
+        return
+    with place.lock():
+        pass  # nobody writes there
+    aside = root.parent / hidden_name(root, "replaced")
+    try:
+        root.rename(aside)
+    except OSError as error:
+        raise output_error(error, root) from error
+    try:
+        yield
+    except BaseException:
+        if not done_keys(place):
+            shutil.rmtree(root, ignore_errors=True)
+            aside.rename(root)
+        raise
+    finally:
+        shutil.rmtree(aside, ignore_errors=True)

@@ -1,0 +1,274 @@
+"""How runs start: `render` in this process, `batch` with workers, and the estimate before either."""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass, field, replace
+from typing import Protocol
+
+from forestgen.core.errors import DatasetError, RecipeError
+from forestgen.core.progress import Progress
+from forestgen.dataset.settings import DatasetSettings
+from forestgen.recipe.load import LoadedRecipe
+from forestgen.runs.contract import TRANSIENT, Engine, Failed, Notice, Place, Work
+from forestgen.runs.discards import Standing, check_discards, standing
+from forestgen.runs.engines.in_process import InProcessEngine
+from forestgen.runs.engines.local import LocalEngine
+from forestgen.runs.estimate import BUDGET_S, LEAST_IMAGES, Estimate, check_disk, check_fits, estimate
+from forestgen.runs.estimate_text import lines
+from forestgen.runs.folder import check_ours, check_resume, fingerprint
+from forestgen.runs.keys import versions_hash
+from forestgen.runs.meter import Listener
+from forestgen.runs.places import place_of
+from forestgen.runs.replace import replacing
+from forestgen.runs.run import check_recipe, images_of, run_batch
+from forestgen.runs.summary import RunSummary
+from forestgen.runs.work import make_job
+
+ENGINES = ("local", "dask")
+_UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "t": 10**12, "ki": 2**10, "mi": 2**20, "gi": 2**30, "ti": 2**40}
+_LEAST_BYTES = 10**8  # less is a mistake, such as a number without its unit: Python and Mitsuba alone take more
+_MOST_FAILURES = 5  # that an error names
+
+
+class Display(Progress, Listener, Protocol):
+    """What shows a run: stages of the image in work, counts, and lines that stay."""
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """What `render` and `batch` may be asked for besides the recipe and the folder."""
+
+    count: int | None = None  # images of the data set, in all; None: as many as the recipe says
+    resume: bool = False  # go on in a data set that is there
+    discard: bool = False  # with resume: remove finished images that do not belong to the data set any more
+    overwrite: bool = False  # replace a previous data set
+    threads: int | None = None  # of the renderer, in each worker; None: all cores are shared out
+    workers: int | None = None  # processes; None: as many as cores and memory allow
+    worker_memory: int | str | None = None  # bytes, or a text such as 4GB; a worker that takes more is stopped
+    timeout: float | str | None = None  # seconds, or a text such as 30min, that an image may take
+    retries: int = 2  # further attempts at an image whose failure may pass
+    engine: str = "local"  # or dask
+    scheduler: str | None = None  # address of a Dask scheduler
+    resources: Mapping[str, float] = field(default_factory=dict)  # that each image takes of a Dask worker
+
+    def check(self) -> None:
+        """Raise `RecipeError` for values that are none, and options that exclude one another."""
+        for name, least, most in (("count", 1, 10**8), ("threads", 1, 4096), ("workers", 1, 1024), ("retries", 0, 100)):
+            value = getattr(self, name)
+            if value is not None and not (type(value) is int and least <= value <= most):
+                raise RecipeError(
+                    "no such number", where=f"--{name}", expected=f"{least:,} to {most:,}", got=repr(value)
+                )
+        if self.engine not in ENGINES:
+            raise RecipeError("no such engine", where="--engine", expected=" or ".join(ENGINES), got=repr(self.engine))
+        for wrong, where, why in (
+            (self.discard and not self.resume, "--discard", "it belongs to --resume"),
+            (self.resume and self.overwrite, "--overwrite", "it replaces the data set, which --resume goes on with"),
+            (
+                self.engine == "local" and (self.scheduler is not None or bool(self.resources)),
+                "--engine",
+                "--scheduler and --resource belong to --engine dask",
+            ),
+            (self.engine == "dask" and self.workers is not None, "--workers", "the cluster has its own workers"),
+            (
+                self.engine == "dask" and self.timeout is not None,
+                "--timeout",
+                "only workers of this machine can be stopped",
+            ),
+        ):
+            if wrong:
+                raise RecipeError(f"this option cannot be used here: {why}", where=where)
+
+    @property
+    def memory_bytes(self) -> int | None:
+        return None if self.worker_memory is None else bytes_of(self.worker_memory, "--worker-memory")
+
+    @property
+    def timeout_s(self) -> float | None:
+        return None if self.timeout is None else seconds_of(self.timeout, "--timeout")
+
+
+def render(loaded: LoadedRecipe, target: str, options: RunOptions, display: Display) -> RunSummary:
+    """Make a recipe's images in this process; the first one that fails raises its error, finished ones stay.
+
+    Raises
+    ------
+    RecipeError, AssetError, ResourceError, OutputError, RenderError : what an image or the folder does not allow.
+    DatasetError : images are missing at the end.
+    """
+    run = _prepared(loaded, target, options, display)
+    check_disk(loaded, run.place, run.count - run.before.kept)
+    with _room_for(run.place, options):
+        summary = run_batch(
+            loaded,
+            target,
+            count=run.count,
+            engine=lambda work, _: InProcessEngine(work, display),
+            resume=options.resume,
+            discard=options.discard,
+            retries=0,
+            threads=options.threads,
+            listener=display,
+        )
+    _check_complete(summary)
+    return summary
+
+
+def batch(loaded: LoadedRecipe, target: str, options: RunOptions, display: Display) -> RunSummary:
+    """Make a recipe's images with many workers.
+
+    Raises
+    ------
+    RecipeError, ResourceError, OutputError : see `forestgen.runs.run.run_batch`.
+    DatasetError : images failed, or are missing at the end.
+    """
+    run = _prepared(loaded, target, options, display)
+    expected = _expected(loaded, run, options, display, probe=False)
+    check_fits(expected, run.place, workers_here=options.engine == "local")
+    for text in lines(expected):
+        display.say(text)
+    with _room_for(run.place, options):
+        summary = run_batch(
+            loaded,
+            target,
+            count=run.count,
+            engine=_engine(options, expected),
+            resume=options.resume,
+            discard=options.discard,
+            retries=options.retries,
+            threads=options.threads if options.engine == "dask" else expected.threads,  # a Dask worker has its own
+            memory_bytes=options.memory_bytes,
+            listener=display,
+        )
+    _check_complete(summary)
+    return summary
+
+
+@dataclass(frozen=True)
+class DryRun:
+    """What a batch would take, and what it would remove."""
+
+    estimate: Estimate
+    discarded: int  # finished images that --resume --discard would remove
+    reasons: str  # why, for people
+
+
+def dry_run(loaded: LoadedRecipe, target: str, options: RunOptions, display: Display) -> DryRun:
+    """Check a batch and estimate its time, memory and disk; nothing is made."""
+    lenient = replace(options, discard=True, resume=True, overwrite=False)
+    run = _prepared(loaded, target, lenient, display)
+    expected = _expected(loaded, run, options, display, probe=True)
+    check_fits(expected, run.place, workers_here=options.engine == "local")
+    return DryRun(expected, run.before.discarded, run.before.reasons())
+
+
+@dataclass(frozen=True)
+class _Prepared:
+    """A run whose recipe and folder have passed all checks."""
+
+    place: Place
+    count: int
+    settings: DatasetSettings
+    before: Standing  # finished images that are there
+
+
+def _prepared(loaded: LoadedRecipe, target: str, options: RunOptions, display: Display) -> _Prepared:
+    options.check()
+    place, count = place_of(target), options.count or loaded.images
+    check_ours(place)
+    if not options.overwrite:
+        check_resume(place, resume=options.resume)
+    images = images_of(loaded, count)
+    settings, _ = check_recipe(loaded, images)
+    if options.overwrite:
+        return _Prepared(place, count, settings, Standing(0, 0, frozenset()))
+    versions = versions_hash()
+    before = standing(place, loaded, images, fingerprint(loaded, versions), versions, display.say)
+    check_discards(before, place.name, agreed=options.discard)
+    return _Prepared(place, count, settings, before)
+
+
+@contextmanager
+def _room_for(place: Place, options: RunOptions) -> Iterator[None]:
+    with replacing(place) if options.overwrite else nullcontext():
+        yield
+
+
+def _expected(loaded: LoadedRecipe, run: _Prepared, options: RunOptions, display: Display, *, probe: bool) -> Estimate:
+    """What the images that are not made yet will take, with as many workers as cores and memory allow."""
+    left = run.count - run.before.kept
+    if left and (probe or left >= LEAST_IMAGES):
+        display.say(f"making some images to measure them: about {BUDGET_S:.0f} s, and longer for large ones")
+    return estimate(
+        loaded,
+        run.settings,
+        count=left,
+        workers=options.workers,
+        threads=options.threads,
+        progress=display,
+        probe=probe,
+    )
+
+
+def _engine(options: RunOptions, expected: Estimate) -> Callable[[Work, Notice], Engine]:
+    if options.engine == "local":
+        return lambda work, _: LocalEngine(work, expected.workers, make_job, timeout_s=options.timeout_s)
+    from forestgen.runs.engines.dask import DaskEngine  # loads Dask
+
+    return lambda work, notice: DaskEngine(
+        work,
+        options.scheduler,
+        resources=options.resources,
+        job_memory_bytes=int(expected.memory_bytes.mean),
+        notice=notice,
+    )
+
+
+def _check_complete(summary: RunSummary) -> None:
+    """Raise `DatasetError` if an image that was asked for is not in the data set."""
+    if not summary.failed and not summary.missing:
+        return
+    shown = [_failure(failed) for failed in summary.failed[:_MOST_FAILURES]]
+    if len(summary.failed) > _MOST_FAILURES:
+        shown.append(f"... and {len(summary.failed) - _MOST_FAILURES} more: run/log.jsonl has all")
+    again = not summary.failed or any(failed.kind in TRANSIENT for failed in summary.failed)
+    lacking = max(len(summary.failed), len(summary.missing))
+    raise DatasetError(
+        f"{lacking:,} of {summary.images:,} images could not be made",
+        where=summary.target,
+        got="\n".join(shown or summary.notes),
+        hint="the same command with --resume tries them again"
+        if again
+        else "they would fail again in the same way; the data set is finished without them",
+    )
+
+
+def _failure(failed: Failed) -> str:
+    tries = f"{failed.attempt} attempt{'s' if failed.attempt > 1 else ''}"
+    return f"image {failed.job.image} ({failed.job.split}), {tries}, {failed.kind}: {failed.message}"
+
+
+def bytes_of(size: int | str, option: str) -> int:
+    """Bytes of a number, or of a text such as 4GB, 500 MB or 1.5GiB. Raises `RecipeError`."""
+    found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([kmgt]?i?)b?\s*", str(size), re.IGNORECASE)
+    unit = found[2].lower() if found else None
+    if found is None or unit not in _UNITS:
+        raise RecipeError("no such size", where=option, expected="such as 4GB or 500MB", got=repr(size))
+    number = int(float(found[1]) * _UNITS[unit])
+    if number < _LEAST_BYTES:
+        raise RecipeError("this is too little for a worker", where=option, expected="such as 4GB", got=repr(size))
+    return number
+
+
+def seconds_of(duration: float | str, option: str) -> float:
+    """Seconds of a number, or of a text such as 90s, 30min or 1.5h. Raises `RecipeError`."""
+    if isinstance(duration, int | float) and 0 < duration < sys.maxsize:
+        return float(duration)
+    found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*(s|min|h)\s*", str(duration))
+    if found is None or not float(found[1]):
+        raise RecipeError("no such duration", where=option, expected="such as 90s, 30min or 2h", got=repr(duration))
+    return float(found[1]) * {"s": 1, "min": 60, "h": 3600}[found[2]]
