@@ -63,7 +63,7 @@ def read_samples(
         folder = split.folder / frame
         contents = read_channels(folder, channels)
         unit_m = _depth_unit_m(folder) if has_depth else None
-        yield Sample(frame, contents, source.row(split, frame), read_json(folder / CAMERA_FILE), unit_m)
+        yield Sample(frame, contents, source.row(frame), read_json(folder / CAMERA_FILE), unit_m)
         advance(1)
 
 

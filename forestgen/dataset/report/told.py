@@ -1,4 +1,4 @@
-"""What dataset.json says of a data set, or manifest.json of a folder of `forestgen render`; strange values left out."""
+"""What dataset.json says of a data set; strange values left out."""
 
 from __future__ import annotations
 
@@ -53,19 +53,6 @@ def told_by_card(card: Mapping[str, Any]) -> Told:
         splits=tuple(str(name) for name in _mapping(card.get("splits"))),
         recipes=tuple(_recipe(_mapping(one)) for one in _items(card.get("recipes"))),
         made_with=tuple(_machine(_mapping(one)) for one in _items(card.get("made_with"))),
-        bytes=sum(_whole(_mapping(one).get("bytes")) for one in files),
-    )
-
-
-def told_by_manifest(manifest: Mapping[str, Any]) -> Told:
-    """From manifest.json."""
-    seeds = _items(manifest.get("image_seeds"))
-    recipe = RecipeTold("", _text(manifest.get("recipe_hash")), _text(manifest.get("root_seed")), len(seeds), (), {})
-    files = _mapping(manifest.get("files")).values()
-    machine = {**manifest, "packages": manifest.get("versions")}
-    return Told(
-        recipes=(recipe,),
-        made_with=(_machine(machine),),
         bytes=sum(_whole(_mapping(one).get("bytes")) for one in files),
     )
 
