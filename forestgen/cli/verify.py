@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Optional
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from forestgen.api.display import Bars
+from forestgen.api.display import display_of
+from forestgen.cli.arguments import DatasetPath, Workers
 from forestgen.cli.console import count, output, seconds
 
 if TYPE_CHECKING:
@@ -15,25 +16,12 @@ if TYPE_CHECKING:
 
 
 def verify(
-    folder: Annotated[
-        Path, typer.Argument(metavar="DIR", help="A data set that forestgen batch made.", show_default=False)
-    ],
+    folder: DatasetPath,
     rerender: Annotated[
         int, typer.Option("--rerender", metavar="K", min=0, help="Render K images again, and compare all bytes.")
     ] = 0,
     seed: Annotated[int, typer.Option("--seed", metavar="S", min=0, help="Draws the images to render again.")] = 0,
-    jobs: Annotated[
-        Optional[int],  # noqa: UP045 - typer reads annotations at run time
-        typer.Option(
-            "--jobs",
-            "-j",
-            metavar="J",
-            min=1,
-            max=1024,
-            help="Workers that check; by default one a core. Results do not depend on it.",
-            show_default=False,
-        ),
-    ] = None,
+    workers: Workers = None,
     hashes: Annotated[
         bool, typer.Option("--hashes/--no-hashes", help="Read all files and compare them with SHA256SUMS.")
     ] = True,
@@ -47,8 +35,8 @@ def verify(
     """
     from forestgen.runs.verify import verify as check
 
-    with Bars().running() as bars:
-        verdict = check(folder, rerender=rerender, seed=seed, jobs=jobs, hashes=hashes, progress=bars)
+    with display_of(None).running() as display:
+        verdict = check(folder, rerender=rerender, seed=seed, jobs=workers, hashes=hashes, progress=display)
     _print(verdict)
     if verdict.offences:
         _fail(verdict, folder)

@@ -11,7 +11,7 @@ The checks, in their order:
 | frames | the index tells of each frame what its files show |
 | seeds | no image's seed is in two splits |
 | communities | no plant community, by species and places of its plants, is in two splits |
-| labels SPLIT | `forestgen labels check` accepts the split |
+| labels SPLIT | the split's labels are true to each other and to its files |
 | renders | images that are rendered again have the same bytes |
 """
 
@@ -145,7 +145,7 @@ def open_data_set(root: Path) -> dict[str, Any]:
     if (root.parent / DATASET_NAME).is_file():
         got, hint = "a part of a data set", f"name {root.parent}"
     elif is_run_folder(root):
-        got, hint = "the output of forestgen render", f"forestgen labels check {root}"
+        got = "a split without its data set, or the output of forestgen simulate or calibrate"
     elif (root / JOBS).is_dir():
         got, hint = "a batch that is not finished", "the command that began it, with --resume"
     else:

@@ -8,7 +8,6 @@ parallel (`_exposure` in render/denoise.py).
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 import subprocess
 import sys
@@ -18,6 +17,7 @@ import pytest
 
 from forestgen.render.denoise import denoise
 from forestgen.render.variant import drjit, mitsuba
+from forestgen.runs.contract import RUN_DEPENDENT
 
 RECIPE = """\
 forestgen: 1
@@ -31,29 +31,23 @@ cameras: [{position_m: [7, -5, 2], look_at_m: [7, 7, 3], size_px: [48, 27]}]
 render: {samples: 9}
 labels: {samples: 4}
 """
-# What a manifest says about the run and not about its results.
-OF_THE_RUN = ("timings_s", "peak_memory_bytes")
 
 
 def run(recipe, folder, threads: int, hash_seed: str) -> dict[str, bytes]:
-    """Files of a run in a process of its own: relative path -> content, the manifest without timings."""
+    """Files of a run in a process of its own: relative path -> content, what tells of the run itself left out."""
     command = [sys.executable, "-m", "forestgen", "render", str(recipe), "-o", str(folder), "--threads", str(threads)]
     environment = {**os.environ, "PYTHONHASHSEED": hash_seed, "OPENBLAS_NUM_THREADS": str(threads)}
     done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
     assert done.returncode == 0, done.stderr
     files = {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
-    manifest = json.loads(files["manifest.json"])
-    for key in OF_THE_RUN:
-        manifest.pop(key)
-    manifest["run"].pop("total_s")
-    return {**files, "manifest.json": json.dumps(manifest).encode()}
+    return {name: content for name, content in files.items() if name.split("/")[0] not in RUN_DEPENDENT}
 
 
 def assert_equal_runs(recipe_text: str, folder, threads: tuple[int, ...]) -> None:
     recipe = folder / "stand.yaml"
     recipe.write_text(recipe_text, encoding="utf-8")
     first, *others = (run(recipe, folder / f"run{k}", count, str(k)) for k, count in enumerate(threads))
-    assert {"classes.json", "coco.json", "manifest.json"} < set(first)
+    assert {"train/classes.json", "train/coco.json", "train/manifest.json", "index.parquet", "SHA256SUMS"} < set(first)
     assert any(name.endswith("frame.exr") for name in first)
     for other in others:
         assert set(first) == set(other)
