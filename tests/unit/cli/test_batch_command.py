@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from forestgen.cli.batch_command import Asked
 
 from forestgen.cli import batch_command
-from forestgen.cli.batch_command import Asked
 from forestgen.runs.contract import Failed, FailureKind, Job
 from forestgen.runs.discards import Standing
 from forestgen.runs.summary import BatchSummary
