@@ -19,7 +19,6 @@ PACKAGES = (
     "numpy",
     "scipy",
     "numba",
-    "scikit-learn",
     "mitsuba",
     "drjit",
     "mitsuba-oidn",

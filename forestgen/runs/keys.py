@@ -20,7 +20,7 @@ _WITHOUT = (
     "dataset/pack", "dataset/report",
 )  # fmt: skip
 _COMPUTE_WITH = (
-    "numpy", "scipy", "scikit-learn", "numba", "pvlib", "mitsuba", "drjit", "mitsuba-oidn", "colour-science", "trimesh",
+    "numpy", "scipy", "numba", "pvlib", "mitsuba", "drjit", "mitsuba-oidn", "colour-science", "trimesh",
     "OpenEXR", "pillow", "pyarrow", "pycocotools", "laspy", "mmh3",
 )  # fmt: skip
 
