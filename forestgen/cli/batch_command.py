@@ -133,7 +133,7 @@ def batch(asked: Asked) -> None:
             listener=display,
         )
     _tell(summary)
-    if summary.failed:
+    if summary.failed or summary.missing:
         raise _incomplete(summary)
 
 
@@ -173,7 +173,8 @@ def _engine(asked: Asked, expected: Estimate) -> Callable[[Work, Notice], Engine
 
 def _tell(summary: BatchSummary) -> None:
     before = f", {summary.already:,} of them before" if summary.already else ""
-    _say(f"{summary.already + summary.made:,} of {count(summary.images, 'image')} are done{before}")
+    done = summary.images - len(summary.missing)
+    _say(f"{done:,} of {count(summary.images, 'image')} are done{before}")
     _say(f"{count(summary.frames, 'frame')}, {show_bytes(summary.bytes)}: {summary.target}")
     if summary.report:
         _say(f"to look at: {summary.report}")
@@ -187,11 +188,18 @@ def _tell(summary: BatchSummary) -> None:
 
 
 def _incomplete(summary: BatchSummary) -> DatasetError:
+    if not summary.failed:
+        return DatasetError(
+            f"{len(summary.missing):,} of {count(summary.images, 'image')} are missing: files have changed meanwhile",
+            where=summary.target,
+            got="\n".join(note for note in summary.notes[:_MOST_FAILURES]),
+            hint="the same command with --resume makes them again",
+        )
     shown = [_failure(failed) for failed in summary.failed[:_MOST_FAILURES]]
     if len(summary.failed) > _MOST_FAILURES:
         shown.append(f"... and {len(summary.failed) - _MOST_FAILURES} more: run/log.jsonl has all")
     return DatasetError(
-        f"{len(summary.failed):,} of {count(summary.images, 'image')} could not be made",
+        f"{len(summary.missing):,} of {count(summary.images, 'image')} could not be made",
         where=summary.target,
         got="\n".join(shown),
         hint="the same command with --resume tries them again"

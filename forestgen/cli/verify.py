@@ -84,5 +84,5 @@ def _fail(verdict: Verdict, folder: Path) -> None:
         where=str(folder / first.file),
         expected=first.expected or None,
         got=first.got or None,
-        hint="remove the folders of damaged frames: the batch that made them makes them again with --resume",
+        hint="the command that made the data set, with --resume, makes damaged images again",
     )

@@ -27,6 +27,7 @@ class BatchSummary:
     already: int  # done before this run
     made: int  # by this run
     failed: tuple[Failed, ...]  # given up: not in the data set
+    missing: tuple[int, ...]  # numbers of images that were asked for and are not in the data set
     frames: int  # in the data set
     bytes: int  # of the data set
     report: str | None  # its path
