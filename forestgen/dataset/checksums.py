@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 from forestgen.core.errors import DatasetError
@@ -23,8 +23,12 @@ def write_sums(path: Path, sums: Iterable[tuple[str, str]]) -> None:
         raise output_error(error, path) from error
 
 
-def read_sums(path: Path) -> Iterator[tuple[str, str]]:
+def read_sums(path: Path, refused: Callable[[DatasetError], None] | None = None) -> Iterator[tuple[str, str]]:
     """Path and SHA-256 of each file that is listed.
+
+    Parameters
+    ----------
+    refused : takes the error of each line of another form, and the other lines are read; None: the first one raises.
 
     Raises
     ------
@@ -35,13 +39,17 @@ def read_sums(path: Path) -> Iterator[tuple[str, str]]:
             for number, line in enumerate(stream, start=1):
                 match = _LINE.fullmatch(line.rstrip("\n"))
                 if match is None or not line.endswith("\n"):
-                    raise DatasetError(
+                    error = DatasetError(
                         "this line is no checksum",
                         where=f"{path}:{number}",
                         expected="64 hexadecimal digits, two blanks and a path",
                         got=repr(line[:80]),
                     )
-                yield match[2], match[1]
+                    if refused is None:
+                        raise error
+                    refused(error)
+                else:
+                    yield match[2], match[1]
     except (OSError, ValueError) as error:  # ValueError: bytes that are no UTF-8
         raise DatasetError("the checksums cannot be read", where=str(path), got=str(error)) from error
 

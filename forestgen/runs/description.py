@@ -99,7 +99,7 @@ def describe(
         "image_seeds_sha256": _digest(ledger.seeds()),
         "settings": asdict(settings),
         "made_with": [dict(one) for one in made_with],
-        "files": _groups(ledger.files()),
+        "files": file_groups(ledger.files()),
     }
 
 
@@ -146,7 +146,7 @@ def _digest(numbers: Iterable[int]) -> str:
     return digest.hexdigest()
 
 
-def _groups(files: Iterable[FileSum]) -> dict[str, dict[str, int]]:
+def file_groups(files: Iterable[FileSum]) -> dict[str, dict[str, int]]:
     """Kind of file -> how many there are, and their size together."""
     groups: dict[str, dict[str, int]] = {}
     for file in files:

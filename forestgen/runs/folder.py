@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 
 from forestgen.core.errors import DatasetError, OutputError
@@ -91,6 +91,7 @@ def open_batch(
     mark: str,
     note: Callable[[str], None],
     stale: frozenset[int] = frozenset(),
+    damaged: Collection[int] = (),
 ) -> Known:
     """Which images are done; removes what does not belong, and what killed runs have left.
 
@@ -101,6 +102,7 @@ def open_batch(
     mark : the `fingerprint`.
     note : told of damaged records.
     stale : finished images that would be made otherwise now; they stay until their turn comes.
+    damaged : finished images that have lost a file or its content: what is left of them is removed.
     """
     for name in _WHOLE:
         place.remove(name)
@@ -115,6 +117,7 @@ def open_batch(
     for record in records_of(place, note):
         frames = _frames(record)
         whole = record.image in images and record.image not in keys and record.split in splits
+        whole = whole and record.image not in damaged
         if whole and all(frame in listed[record.split] for frame in frames):
             keys[record.image] = record.key
             vouched.update(f"{record.split}/{frame}" for frame in frames)

@@ -216,6 +216,12 @@ class Ledger:
         """Paths of files that were not found."""
         yield from self._each("SELECT path FROM files WHERE path NOT IN (SELECT path FROM found) ORDER BY path")
 
+    def present(self) -> Iterator[FileSum]:
+        """Files of the data set that were found, in the sizes that they have now; by path."""
+        query = "SELECT path, found.bytes, sha256 FROM files JOIN found USING (path) ORDER BY path"
+        for path, size, digest in self._base.execute(query):
+            yield FileSum(path, size, digest)
+
     def strangers(self) -> Iterator[str]:
         """Paths of what was found and is no file of the data set."""
         query = "SELECT path FROM found WHERE path NOT IN (SELECT path FROM files) ORDER BY path"

@@ -1,7 +1,8 @@
 """run/log.jsonl: what happened, one JSON object a line, each on the disk when it has happened.
 
-Every line has `time` (ISO 8601, UTC) and `event`: start, job_done, job_failed, worker_lost, progress, finish, stop; of
-a cluster also worker_joined, worker_refused, waiting. A run that resumes appends to the log of those before it.
+Every line has `time` (ISO 8601, UTC) and `event`: start, image_damaged, job_done, job_failed, worker_lost, progress,
+finish, stop; of a cluster also worker_joined, worker_refused, waiting. A run that resumes appends to the log of those
+before it.
 """
 
 from __future__ import annotations

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +14,12 @@ import numpy as np
 
 from forestgen.core.errors import DatasetError
 from forestgen.core.progress import Progress
-from forestgen.dataset.check.files import read_json, read_picture, read_table
-from forestgen.dataset.check.offence import Offence, UnreadableError
+from forestgen.dataset.check.files import read_json, read_picture, read_table, read_text
+from forestgen.dataset.check.offence import MISUNDERSTOOD, Offence, UnreadableError, misunderstood
 from forestgen.dataset.index import INDEX_NAME, read_index
+from forestgen.recipe.hashing import recipe_hash
 from forestgen.runs.parallel import in_order
+from forestgen.runs.verify_manifests import plain_yaml
 
 Check = tuple[str, str, int, list[Offence]]  # name, what holds, how many it looked at, offences
 _HINT = "give the recipe one split, or let it draw each image's plants"
@@ -47,7 +49,7 @@ def check_frames(root: Path, said: Mapping[str, Any], jobs: int | None, progress
         for facts in in_order(pool, partial(_facts, root, class_names), _rows(root)):
             advance(1)
             frames += facts.offences
-            seeds.add(str(facts.row["image_seed"]).encode(), facts.row)
+            seeds.add(str(facts.row.get("image_seed")).encode(), facts.row)
             communities.add(facts.community, facts.row)
     images = int(said["images"])
     return [
@@ -84,30 +86,56 @@ class _Shared:
 
 
 def _facts(root: Path, class_names: Sequence[str], row: Mapping[str, Any]) -> FrameFacts:
+    """Compare each file of a frame with the row; one that cannot be read leaves the others."""
     folder = str(row["folder"])
-    try:
-        plants = read_table(root, f"{folder}/plants.parquet")
+    offences: list[Offence] = []
+
+    def compared(read: Callable[[], Mapping[str, Any]]) -> None:
+        try:
+            shown = read()
+            offences.extend(_wrong(row, key, value) for key, value in shown.items() if row[key] != value)
+        except UnreadableError as error:
+            offences.append(error.offence)
+        except MISUNDERSTOOD as error:
+            offences.append(misunderstood(folder, error, str(row["frame"])))
+
+    def plants() -> dict[str, Any]:
+        table = read_table(root, f"{folder}/plants.parquet")
+        community.append(_community(table))
+        return _plants_shown(table)
+
+    def classes() -> dict[str, Any]:
         semantic = read_picture(root, f"{folder}/semantic.png")
-        camera = read_json(root, f"{folder}/camera.json")
-        shown = {
-            **_plants_shown(plants),
-            "class_pixels": _counts(semantic, class_names),
-            "height_px": semantic.shape[0],
-            "width_px": semantic.shape[1],
-            "camera": camera.get("name"),
-        }
-        offences = [_wrong(row, key, value) for key, value in shown.items() if row[key] != value]
-        return FrameFacts(row, _community(plants), tuple(offences))
-    except UnreadableError as error:
-        return FrameFacts(row, b"", (error.offence,))
-    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
-        got = f"{type(error).__name__}: {error}"
-        return FrameFacts(row, b"", (Offence(folder, "a file is not of its format", got=got[:200]),))
+        height, width = semantic.shape
+        return {"class_pixels": _counts(semantic, class_names), "height_px": height, "width_px": width}
+
+    def camera() -> dict[str, Any]:
+        content = read_json(root, f"{folder}/camera.json")
+        place = zip(("camera_x_m", "camera_y_m", "camera_z_m"), content["position_m"], strict=True)
+        return {"camera": content.get("name"), **dict(place)}
+
+    def recipe() -> dict[str, Any]:
+        file = f"{folder}/recipe.yaml"
+        try:
+            return {"recipe_hash": _hash_of(read_text(root, file))}
+        except UnreadableError as error:
+            raise UnreadableError(replace(error.offence, file=file)) from error
+
+    community: list[bytes] = []
+    for read in (plants, classes, camera, recipe):
+        compared(read)
+    return FrameFacts(row, community[0] if community else b"", tuple(offences))
+
+
+@lru_cache(maxsize=64)
+def _hash_of(text: str) -> str:
+    """Hash of a drawn recipe, which all frames of an image share."""
+    return recipe_hash(plain_yaml(text, ""))
 
 
 def _wrong(row: Mapping[str, Any], key: str, value: Any) -> Offence:
     problem = f"{key} of {row['folder']} is not what its files show"
-    return Offence(INDEX_NAME, problem, f"{value!r:.120}", f"{row[key]!r:.120}")
+    return Offence(INDEX_NAME, problem, f"{value!r:.120}", f"{row[key]!r:.120}", image=str(row["frame"]))
 
 
 def _plants_shown(plants: Mapping[str, Any]) -> dict[str, Any]:

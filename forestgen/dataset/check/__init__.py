@@ -6,6 +6,6 @@ numbers of parts.
 """
 
 from forestgen.dataset.check.offence import Offence
-from forestgen.dataset.check.run import Report, Tally, check_dataset
+from forestgen.dataset.check.run import MOST_NAMED, Report, Tally, check_dataset
 
-__all__ = ["Offence", "Report", "Tally", "check_dataset"]
+__all__ = ["MOST_NAMED", "Offence", "Report", "Tally", "check_dataset"]

@@ -35,15 +35,15 @@ def plants(frame: FrameData) -> Iterator[Offence]:
     """The plants of the mask by rising id, with the counts of visible and amodal masks, and their pictures."""
     share = frame.task.shared[BOP]
     scene, image = PurePosixPath(share["scene"]), int(share["image"])
+    yield from _camera(frame, share, scene)
     listed = [one["plant_id"] for one in share["gt"]]
     if listed != frame.extents.plant_id.tolist() or len(share["info"]) != len(listed):
         file = str(scene / "scene_gt.json")
-        missing = sorted(set(listed) ^ set(frame.extents.plant_id.tolist()))
-        plant = missing[0] if missing else None
+        differing = sorted(set(listed) ^ set(frame.extents.plant_id.tolist()))
         problem = "plants are not those of the mask, by rising id"
-        yield Offence(file, problem, str(len(frame.extents.plant_id)), str(len(listed)), frame.name, plant)
+        for plant in differing or [None]:
+            yield Offence(file, problem, str(len(frame.extents.plant_id)), str(len(listed)), frame.name, plant)
         return
-    yield from _camera(frame, share, scene)
     for row, info in enumerate(share["info"]):
         yield from _info(frame, str(scene / "scene_gt_info.json"), row, info)
         for folder in ("mask", "mask_visib"):

@@ -14,7 +14,7 @@ from forestgen.dataset.check.files import read_json
 from forestgen.dataset.check.frame_data import FrameData
 from forestgen.dataset.check.keypoints import NAMES, has_keypoints
 from forestgen.dataset.check.merged import COCO, Merged, folder_of
-from forestgen.dataset.check.offence import Offence, number
+from forestgen.dataset.check.offence import MISUNDERSTOOD, Offence, misunderstood, number
 from forestgen.dataset.check.rle import decode
 
 SHARD = "annotations.json"
@@ -35,10 +35,11 @@ def structure(merged: Merged) -> Iterator[Offence]:
     """Each frame is one image; ids are unique; images, categories and licences that are named are there."""
     coco = merged.coco
     for key in ("images", "annotations", "categories", "licenses"):
-        (one, times), *_ = Counter(entry["id"] for entry in coco[key]).most_common(1) or [(None, 1)]
-        if times > 1:
-            yield Offence(COCO, f"an id comes twice in {key}", expected="each once", got=str(one))
-    images, categories = {entry["id"] for entry in coco["images"]}, {entry["id"] for entry in coco["categories"]}
+        for one, times in Counter(entry.get("id") for entry in coco[key]).items():
+            if times > 1 or one is None:
+                problem = f"an id comes twice in {key}" if one is not None else f"an entry of {key} has no id"
+                yield Offence(COCO, problem, expected="each once", got=str(one))
+    images, categories = ({entry.get("id") for entry in coco[key]} for key in ("images", "categories"))
     listed, wanted = [str(entry["name"]) for entry in coco["categories"]], merged.category_names
     if listed != wanted:
         yield Offence(COCO, "the categories are not the recipe's", ", ".join(wanted), ", ".join(listed))
@@ -56,9 +57,10 @@ def structure(merged: Merged) -> Iterator[Offence]:
             yield Offence(COCO, "an image's licence is not listed", got=str(image["license"]), image=folder)
     for one in coco["annotations"]:
         for key, known in (("image_id", images), ("category_id", categories)):
-            if one[key] not in known:
-                problem = f"annotation {one['id']}: no such {key}"
-                yield Offence(COCO, problem, expected="a listed one", got=str(one[key]), plant_id=one.get("plant_id"))
+            if one.get(key) not in known:
+                problem = f"annotation {one.get('id')}: no such {key}"
+                got = str(one.get(key))
+                yield Offence(COCO, problem, expected="a listed one", got=got, plant_id=one.get("plant_id"))
 
 
 def plants(frame: FrameData) -> Iterator[Offence]:
@@ -80,7 +82,10 @@ def plants(frame: FrameData) -> Iterator[Offence]:
             yield _offence(frame, "a plant of the image has no annotation", "one", "none", plant)
     for one in found:
         if one["plant_id"] in frame.extents.row_of:
-            yield from _annotation(frame, one, share["categories"])
+            try:
+                yield from _annotation(frame, one, share["categories"])
+            except MISUNDERSTOOD as error:  # the other plants' annotations are checked all the same
+                yield misunderstood(COCO, error, frame.name, one["plant_id"])
 
 
 def _annotation(frame: FrameData, one: dict[str, Any], categories: dict[int, str]) -> Iterator[Offence]:
@@ -210,14 +215,18 @@ def shard(frame: FrameData) -> Iterator[Offence]:
     """The frame's own annotations.json holds what coco.json holds of it."""
     own = read_json(frame.task.root, frame.file(SHARD))["annotations"]
     share = frame.task.shared[COCO]["annotations"]
-    for mine, merged in zip(own, share, strict=False):
-        plain = {key: value for key, value in merged.items() if key not in ("id", "image_id")}
-        if mine != plain:
-            key = next(key for key in sorted({*mine, *plain}) if mine.get(key) != plain.get(key))
-            got, expected = str(plain.get(key))[:80], str(mine.get(key))[:80]
-            yield _offence(frame, f"{key} is not {SHARD}'s", expected, got, plain.get("plant_id"))
     if len(own) != len(share):
         yield _offence(frame, f"{SHARD} has another number of annotations", len(own), len(share))
+    listed = {one["plant_id"]: one for one in own}
+    for merged in share:
+        mine = listed.get(merged["plant_id"], {})
+        plain = {key: value for key, value in merged.items() if key not in ("id", "image_id")}
+        for key in sorted({*mine, *plain} if mine else {"plant_id"}):
+            if mine.get(key) != plain.get(key):
+                got, expected = str(plain.get(key))[:80], str(mine.get(key))[:80]
+                yield _offence(frame, f"{key} is not {SHARD}'s", expected, got, plain.get("plant_id"))
+    for plant in sorted(listed.keys() - {one["plant_id"] for one in share}):
+        yield _offence(frame, f"an annotation of {SHARD} is not in {COCO}", "one", "none", plant)
 
 
 def has_shard(frame: FrameData) -> bool:

@@ -63,8 +63,17 @@ class FrameData:
         return Offence(self.file(name), problem, image=self.name, **about)
 
     @cached_property
+    def _exr_read(self) -> tuple[dict[str, dict[str, NDArray[Any]]], dict[str, Any]] | UnreadableError:
+        try:
+            return read_exr(self.task.root, self.file(EXR))
+        except UnreadableError as error:
+            return error  # kept, since most checks ask for this file
+
+    @property
     def _exr(self) -> tuple[dict[str, dict[str, NDArray[Any]]], dict[str, Any]]:
-        return read_exr(self.task.root, self.file(EXR))
+        if isinstance(self._exr_read, UnreadableError):
+            raise self._exr_read
+        return self._exr_read
 
     @property
     def exr_header(self) -> dict[str, Any]:

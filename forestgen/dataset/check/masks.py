@@ -89,10 +89,9 @@ def ids(frame: FrameData) -> Iterator[Offence]:
         yield frame.offence(PLANTS, "plant_id has another type", expected="uint32, no null", got=str(known.dtype))
         return
     steps = np.flatnonzero(np.diff(known.astype(np.int64)) <= 0)
-    if len(steps):
-        plant = int(known[steps[0] + 1])
-        yield frame.offence(PLANTS, "ids do not rise from row to row, or one comes twice", plant_id=plant)
-        return
+    for row in steps.tolist():
+        problem = "ids do not rise from row to row, or one comes twice"
+        yield frame.offence(PLANTS, problem, plant_id=int(known[row + 1]))
     if len(known) and known[0] == 0:
         yield frame.offence(PLANTS, "0 is no plant", expected="ids from 1", got="0")
     strange = ~np.isin(frame.instance, known) & (frame.instance != 0)

@@ -60,7 +60,12 @@ class Merged:
     @cached_property
     def recipe(self) -> dict[str, Any]:
         """What the first frame's drawn recipe says of labels; all frames agree on classes and species."""
-        return read_recipe(self.root, f"{self.frames[0]}/recipe.yaml")
+        for name in self.frames[:-1]:
+            try:
+                return read_recipe(self.root, f"{name}/recipe.yaml")
+            except UnreadableError:  # which the frame's own check names
+                continue
+        return read_recipe(self.root, f"{self.frames[-1]}/recipe.yaml")
 
     @property
     def category_names(self) -> list[str]:
@@ -81,7 +86,7 @@ class Merged:
         }
         by_id = {entry["image"]["id"]: entry["annotations"] for entry in frames.values()}
         for one in self.coco["annotations"]:
-            if one["image_id"] in by_id:
+            if one.get("image_id") in by_id:
                 by_id[one["image_id"]].append(one)
         return frames
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from forestgen.dataset.check.frame_data import FrameData
@@ -48,6 +47,15 @@ class UnreadableError(Exception):
         super().__init__(offence.where)
 
 
+MISUNDERSTOOD = (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError)
+
+
+def misunderstood(file: str, error: Exception, image: str = "", plant_id: int | None = None) -> Offence:
+    """The offence of content that a check cannot understand; `error` is one of `MISUNDERSTOOD`."""
+    reason = f"{type(error).__name__}: {error}"
+    return Offence(file, "the content is not of this format", got=reason[:200], image=image, plant_id=plant_id)
+
+
 @dataclass(frozen=True)
 class FrameCheck:
     """An invariant of one image."""
@@ -74,14 +82,6 @@ class DatasetCheck:
 def always(_: object) -> bool:
     """Of checks whose files are in every data set."""
     return True
-
-
-def first_pixel(wrong: NDArray[np.bool_]) -> tuple[int, int] | None:
-    """x, y of the first true pixel of (H, W), row by row; None where there is none."""
-    if not wrong.any():
-        return None
-    y, x = divmod(int(np.argmax(wrong)), wrong.shape[1])
-    return x, y
 
 
 def number(value: Any) -> str:

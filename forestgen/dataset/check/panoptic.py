@@ -12,8 +12,8 @@ from forestgen.core.parts import Part
 from forestgen.dataset.check.files import read_picture
 from forestgen.dataset.check.frame_data import FrameData, extents_of
 from forestgen.dataset.check.merged import PANOPTIC, Merged, folder_of
-from forestgen.dataset.check.offence import Offence, first_pixel
-from forestgen.dataset.check.pixels import wrong_pixels
+from forestgen.dataset.check.offence import Offence
+from forestgen.dataset.check.pixels import first_of_each, wrong_pixels
 
 _SKY_ID, _GROUND_ID = (1 << 24) - 1, (1 << 24) - 2
 _SKY, _GROUND = "sky", "ground"
@@ -59,9 +59,7 @@ def segments(frame: FrameData) -> Iterator[Offence]:
     segment = rgb[..., 0] + 256 * rgb[..., 1] + 65536 * rgb[..., 2]
     background = np.where(frame.part == int(Part.NOTHING), _SKY_ID, _GROUND_ID)
     truth = np.where(frame.instance != 0, frame.instance, background)
-    at = first_pixel(segment != truth)
-    if at is not None:
-        x, y = at
+    for x, y, _ in first_of_each(segment != truth, truth):
         yield Offence(
             name,
             "the segment is not the mask's plant, ground or sky",
@@ -69,7 +67,7 @@ def segments(frame: FrameData) -> Iterator[Offence]:
             got=str(segment[y, x]),
             image=frame.name,
             plant_id=int(frame.instance[y, x]) or None,
-            pixel=at,
+            pixel=(x, y),
         )
     found = share["segments_info"]
     listed = Counter(one["id"] for one in found)
@@ -78,9 +76,10 @@ def segments(frame: FrameData) -> Iterator[Offence]:
         if listed[one] != 1 or one not in extents.row_of:
             got = f"{listed[one]} times, {'' if one in extents.row_of else 'not '}in the picture"
             yield _offence(frame, PANOPTIC, "a segment is not listed once", one, "once, and in the picture", got)
-            return
     for one in found:
-        row = extents.row_of[one["id"]]
+        row = extents.row_of.get(one["id"])
+        if row is None:
+            continue
         if one["area"] != int(extents.pixels[row]):
             yield _offence(
                 frame, PANOPTIC, "area is not the picture's pixel count", one["id"], extents.pixels[row], one["area"]

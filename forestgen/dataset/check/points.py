@@ -34,8 +34,9 @@ def ply(frame: FrameData) -> Iterator[Offence]:
     known = frame.plants["plant_id"]
     plant = found["plant_id"]
     strange = np.flatnonzero((plant != 0) & ~np.isin(plant, known))
+    for at in _firsts(plant, strange):
+        yield _offence(frame, PLY, found, at, "the plant is not in plants.parquet", "a row of it", "none")
     if len(strange):
-        yield _offence(frame, PLY, found, int(strange[0]), "the plant is not in plants.parquet", "a row of it", "none")
         return
     row, column = found["row"].astype(np.int64), found["column"].astype(np.int64)
     width, height = frame.size_px
@@ -127,9 +128,13 @@ def _count(frame: FrameData, row: NDArray[np.int64], column: NDArray[np.int64]) 
 def _first(
     frame: FrameData, found: NDArray[Any], wrong: Any, problem: str, truth: Any, got: Any, file: str = PLY
 ) -> Iterator[Offence]:
-    at = np.flatnonzero(wrong)
-    if len(at):
-        yield _offence(frame, file, found, int(at[0]), problem, numbers(truth[at[0]]), numbers(got[at[0]]))
+    for at in _firsts(found["plant_id"], np.flatnonzero(wrong)):
+        yield _offence(frame, file, found, at, problem, numbers(truth[at]), numbers(got[at]))
+
+
+def _firsts(plant: NDArray[Any], at: NDArray[np.intp]) -> list[int]:
+    """Of points `at`, the first of each plant."""
+    return sorted(at[np.unique(plant[at], return_index=True)[1]].tolist())
 
 
 def _offence(
