@@ -10,7 +10,7 @@ from typing import Any
 
 from forestgen.core.errors import AssetError, RecipeError
 from forestgen.core.text_file import read_text
-from forestgen.recipe.assets import find_asset
+from forestgen.recipe.assets import find_asset, list_assets
 from forestgen.recipe.distributions import is_distribution
 from forestgen.recipe.own_tables import embed_sensors, embed_spectra
 from forestgen.recipe.sources import Keys, Place, SourceMap, dotted
@@ -96,7 +96,11 @@ def _step(container: Any, part: str, keys: Keys, place: Place) -> str | int:
 
 
 def merge_species(data: dict[str, Any], sources: SourceMap, folder: Path) -> None:
-    """Replace each ``{from: NAME, ...}`` of the species in place by the file's content under the recipe's overrides."""
+    """Replace each ``{from: NAME, ...}`` of the species in place by the file's content under the recipe's overrides.
+
+    A mapping without ``from`` that is no whole species, such as ``pine: {height_m: 20}``, takes the rest from the
+    shipped species of its name, as ``pine:`` alone does.
+    """
     species = data.get("species")
     if not isinstance(species, dict) or is_distribution(species):
         return
@@ -107,7 +111,10 @@ def merge_species(data: dict[str, Any], sources: SourceMap, folder: Path) -> Non
         )
     written = _sources_by_species(sources)
     files: dict[Path, tuple[dict[str, Any], SourceMap]] = {}  # many species may be made from one
+    shipped = frozenset(list_assets("species")) if any(map(_is_partial, species.values())) else frozenset()
     for name, entry in species.items():
+        if name in shipped and _is_partial(entry):
+            entry["from"] = name
         if not isinstance(entry, dict) or "from" not in entry:
             continue
         keys: Keys = ("species", name)
@@ -134,6 +141,14 @@ def merge_species(data: dict[str, Any], sources: SourceMap, folder: Path) -> Non
         for one in recipe_sources.places:
             del sources.places[one]
         sources.places.update(merged.places)
+
+
+def _is_partial(entry: Any) -> bool:
+    """Whether a species' mapping names no file and lacks what a species must have."""
+    if not isinstance(entry, dict) or "from" in entry or is_distribution(entry) or is_reference(entry):
+        return False
+    plant = entry.get("plant")
+    return not ({"ecology", "allometry"} <= entry.keys() and isinstance(plant, dict) and "generator" in plant)
 
 
 def _sources_by_species(sources: SourceMap) -> dict[str | int, dict[Keys, Place]]:

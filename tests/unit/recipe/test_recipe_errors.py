@@ -114,7 +114,7 @@ def test_duplicate_keys_name_both_lines(tmp_path: Path) -> None:
         ("species=3", ["a mapping"]),
         ("species.a b=poplar", ["name"]),
         ("species.oak=3", ["species.oak", "a mapping"]),
-        ("species.oak={height_m: 3}", ["'ecology' is missing", "from: NAME"]),
+        ("species.elm={height_m: 3}", ["'ecology' is missing", "from: NAME"]),
         ("species.oak={from: 3}", ["name or path of a species file"]),
         ("species.oak={from: ./none.yaml}", ["species.oak.from", "none.yaml"]),
         ("species.oak={from: poplr}", ["did you mean 'poplar'", "spruce"]),
