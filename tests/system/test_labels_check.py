@@ -62,6 +62,14 @@ def test_a_rendered_data_set_passes(data_set):
     assert idle <= {"circle", "raw", "modules"}, "a check that looked at nothing"
 
 
+def test_every_picture_has_8_bits_or_16_of_depth(data_set):
+    pictures = sorted(data_set.rglob("*.png"))
+    assert {"semantic.png", "instance.png", "panoptic.png", "depth.png"} <= {path.name for path in pictures}
+    for path in pictures:
+        is_depth = path.stem == "depth" or path.parent.name == "depth"
+        assert path.read_bytes()[24] == (16 if is_depth else 8), path
+
+
 CLASSES = {
     "two species": ("{wood: [trunk], green: [birch, fireweed]}", ["green"]),
     "others": ("{herb: [fireweed], rest: [others]}", ["herb", "rest"]),

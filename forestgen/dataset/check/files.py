@@ -65,6 +65,12 @@ def read_picture(root: Path, name: str) -> NDArray[Any]:
         raise unreadable(name, error) from error
 
 
+def read_bit_depth(root: Path, name: str) -> int:
+    """Bits a sample of a PNG, or a palette's index, as its header says; of a file without a header 0."""
+    header = read_bytes(root, name)[:26]  # signature 8, chunk's length and type 8, width and height 8, bit depth 1
+    return header[24] if header[12:16] == b"IHDR" and len(header) == 26 else 0
+
+
 def read_palette(root: Path, name: str) -> tuple[list[int], dict[str, str]]:
     """Colours of a palette PNG, red, green, blue, red, ..., and its texts; of another PNG no colours."""
     from PIL import Image

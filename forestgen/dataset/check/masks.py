@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.parts import Part
+from forestgen.dataset.check.files import read_bit_depth
 from forestgen.dataset.check.frame_data import EXR, INSTANCE, PLANTS, SEMANTIC, FrameData
 from forestgen.dataset.check.offence import Offence
 from forestgen.dataset.check.pixels import wrong_pixels
@@ -19,6 +20,7 @@ from forestgen.dataset.check.pixels import wrong_pixels
 _PLANT_PARTS = (Part.TRUNK, Part.BRANCH, Part.LEAF, Part.FLOWER, Part.FRUIT, Part.DEAD_WOOD, Part.STRUCTURE)
 _NAMES = {part.name.lower(): int(part) for part in Part}
 _OTHERS = "others"
+_SEMANTIC_BITS = 8
 _LARGEST_PNG_ID = (1 << 24) - 1
 
 
@@ -46,12 +48,15 @@ def parts(frame: FrameData) -> Iterator[Offence]:
 
 
 def semantic(frame: FrameData) -> Iterator[Offence]:
-    """semantic.png is frame.exr's identity.semantic, and both follow from species and part."""
+    """semantic.png, of 8 bits a pixel, is frame.exr's identity.semantic, and both follow from species and part."""
     if frame.has(SEMANTIC):
         shown = frame.picture(SEMANTIC)
         if shown.ndim != 2:
             yield frame.offence(SEMANTIC, "the picture is no palette's", expected="8-bit indices", got="colours")
             return
+        bits = read_bit_depth(frame.task.root, frame.file(SEMANTIC))
+        if bits != _SEMANTIC_BITS:
+            yield frame.offence(SEMANTIC, "bits of a pixel", expected=str(_SEMANTIC_BITS), got=str(bits))
         wrong = shown != frame.semantic
         yield from wrong_pixels(
             frame, SEMANTIC, wrong, "the class differs from frame.exr's semantic", frame.semantic, shown
