@@ -22,7 +22,7 @@ from forestgen.runs.summary import RunSummary
 
 if TYPE_CHECKING:
     from forestgen.dataset.pack.run import Packed
-    from forestgen.runs.verify import Verdict
+    from forestgen.runs.verify_report import VerificationReport
 
 PathLike = str | os.PathLike[str]
 _TORCH_CHANNELS = ("preview", "semantic", "instance")
@@ -137,16 +137,17 @@ class Dataset(Sequence[Frame]):
         workers: int | None = None,
         hashes: bool = True,
         progress: bool | Progress | None = None,
-    ) -> Verdict:
-        """Check files, index, splits and labels; with `rerender`, render so many images again and compare all bytes.
+    ) -> VerificationReport:
+        """Check files, index, splits and labels. `ok` of the report says whether all is right, `findings` what is not.
 
-        `Verdict.offences` has all that is wrong; it is empty for a sound data set.
+        Parameters
+        ----------
+        rerender : render so many images again and compare all bytes.
+        seed : draws these.
+        workers : processes and threads that check; by default one a core.
+        hashes : read all files and compare their checksums.
         """
-        from forestgen.runs.verify import verify
-
-        display = display_of(progress)
-        with display.running():
-            return verify(self.folder, rerender=rerender, seed=seed, jobs=workers, hashes=hashes, progress=display)
+        return verify(self.folder, rerender=rerender, seed=seed, workers=workers, hashes=hashes, progress=progress)
 
     def report(self, out: PathLike | None = None) -> Path:
         """Write the data set's page, by default report.html in its folder; the path of it."""
@@ -240,6 +241,23 @@ class Dataset(Sequence[Frame]):
 
     def __repr__(self) -> str:
         return f"<Dataset {self.folder}: {len(self)} frames, {', '.join(self.splits)}>"
+
+
+def verify(
+    folder: PathLike,
+    *,
+    rerender: int = 0,
+    seed: int = 0,
+    workers: int | None = None,
+    hashes: bool = True,
+    progress: bool | Progress | None = None,
+) -> VerificationReport:
+    """Check a data set that may be damaged; see `Dataset.verify`. Raises `RecipeError` if the folder holds none."""
+    from forestgen.runs.verify import verify as check
+
+    display = display_of(progress)
+    with display.running():
+        return check(Path(folder), rerender=rerender, seed=seed, workers=workers, hashes=hashes, progress=display)
 
 
 def write_report(folder: PathLike, out: PathLike | None = None) -> Path:
