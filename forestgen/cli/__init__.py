@@ -20,7 +20,7 @@ from forestgen.cli.lsystem import lsystem
 from forestgen.cli.plant import plant
 from forestgen.cli.render import batch, render
 from forestgen.cli.simulate import simulate
-from forestgen.cli.stats_command import stats
+from forestgen.cli.stats import stats
 from forestgen.cli.variadic import RadiiCommand
 from forestgen.cli.verify import verify
 from forestgen.cli.weather import weather
