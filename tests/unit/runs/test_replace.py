@@ -23,6 +23,15 @@ def data_set(root: Path, text: str = "old") -> LocalPlace:
     return place
 
 
+def fails(root: Path, error: type[BaseException], *, done: bool = False) -> None:
+    """A run that breaks off, before or after its first image."""
+    data_set(root, "new")
+    if done:
+        (root / JOBS).mkdir()
+        (root / JOBS / f"{KEY}.json").write_text("{}")
+    raise error
+
+
 def test_a_new_data_set_takes_the_place_of_the_old_one(tmp_path: Path) -> None:
     place = data_set(tmp_path / "set")
     (tmp_path / "set/.git").mkdir()
@@ -39,8 +48,7 @@ def test_a_new_data_set_takes_the_place_of_the_old_one(tmp_path: Path) -> None:
 def test_the_old_one_comes_back_if_no_image_is_finished(tmp_path: Path, error: type[BaseException]) -> None:
     place = data_set(tmp_path / "set")
     with pytest.raises(error), replacing(place):
-        data_set(tmp_path / "set", "new")
-        raise error
+        fails(tmp_path / "set", error)
     assert (tmp_path / "set/dataset.json").read_text() == "old"
     assert [one.name for one in tmp_path.iterdir()] == ["set"]
 
@@ -48,10 +56,7 @@ def test_the_old_one_comes_back_if_no_image_is_finished(tmp_path: Path, error: t
 def test_a_finished_image_stays(tmp_path: Path) -> None:
     place = data_set(tmp_path / "set")
     with pytest.raises(KeyboardInterrupt), replacing(place):
-        data_set(tmp_path / "set", "new")
-        (tmp_path / "set" / JOBS).mkdir()
-        (tmp_path / "set" / JOBS / f"{KEY}.json").write_text("{}")
-        raise KeyboardInterrupt
+        fails(tmp_path / "set", KeyboardInterrupt, done=True)
     assert (tmp_path / "set/dataset.json").read_text() == "new"
     assert [one.name for one in tmp_path.iterdir()] == ["set"]
 
