@@ -16,7 +16,7 @@ from forestgen.cli.console import Bars, count, output, stops_keep
 from forestgen.core.errors import DatasetError
 from forestgen.core.figures import show_bytes, three_digits
 from forestgen.dataset.settings import DatasetSettings
-from forestgen.recipe.load import LoadedRecipe, load_recipe
+from forestgen.recipe.load import LoadedRecipe
 from forestgen.runs.contract import TRANSIENT, Engine, Failed, Notice, Place, Work
 from forestgen.runs.discards import Standing, check_discards, standing
 from forestgen.runs.engines.local import LocalEngine
@@ -28,6 +28,7 @@ from forestgen.runs.places import place_of
 from forestgen.runs.run import check_recipe, run_batch
 from forestgen.runs.summary import BatchSummary
 from forestgen.runs.work import make_job
+from forestgen.stages.load_checked import load_checked
 
 _UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "t": 10**12, "ki": 2**10, "mi": 2**20, "gi": 2**30, "ti": 2**40}
 _MOST_FAILURES = 5  # that are shown
@@ -91,7 +92,7 @@ def amounts(texts: Sequence[str]) -> dict[str, float]:
 
 def dry_run(asked: Asked) -> None:
     """Check and estimate only."""
-    loaded = load_recipe(asked.recipe, asked.overrides)
+    loaded = load_checked(asked.recipe, asked.overrides)
     place = place_of(asked.target)
     check_ours(place)
     settings, _ = check_recipe(loaded)
@@ -107,7 +108,7 @@ def dry_run(asked: Asked) -> None:
 
 def batch(asked: Asked) -> None:
     """Make the data set."""
-    loaded = load_recipe(asked.recipe, asked.overrides)
+    loaded = load_checked(asked.recipe, asked.overrides)
     place = place_of(asked.target)
     check_ours(place)
     check_resume(place, resume=asked.resume)

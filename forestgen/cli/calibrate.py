@@ -85,15 +85,15 @@ def _calibrate(
     from forestgen.core.timing import Timings
     from forestgen.dataset.folder import OutputFolder
     from forestgen.dataset.manifest import build_manifest, write_manifest
-    from forestgen.recipe.load import load_recipe
     from forestgen.stages import calibrate as stage
     from forestgen.stages.calibration_files import SHEET, write_calibration
+    from forestgen.stages.load_checked import load_checked
 
     if len(at) > 1:
         raise RecipeError("one chart at a time", where="--at", expected="one point", got=f"{len(at)}")
     point, towards = (point_of(at[0]) if at else None), normal_of(normal)
     timings, bars = Timings(), Bars()
-    loaded = load_recipe(recipe, overrides)
+    loaded = load_checked(recipe, overrides)
     folder = output_folder(target, recipe.with_name(f"{recipe.stem}-calibration"))
     with bars.running(), OutputFolder(folder, overwrite=overwrite) as staging:
         found = stage.calibrate(

@@ -23,10 +23,11 @@ from forestgen.core.timing import Timings
 from forestgen.plants.registry import GENERATORS
 from forestgen.recipe.assets import find_asset, list_assets, recipes_dir, scenes_dir
 from forestgen.recipe.json_schema import recipe_json_schema
-from forestgen.recipe.load import LoadedRecipe, load_recipe
+from forestgen.recipe.load import LoadedRecipe
 from forestgen.recipe.sources import dotted
 from forestgen.recipe.suggestions import did_you_mean
 from forestgen.scene.exemplars import SizeError
+from forestgen.stages.load_checked import load_checked
 from forestgen.stages.module_checks import notes_on_houses
 from forestgen.stages.plan import Plan, check_plan, estimate_bytes, views_below_ground, why_barren
 
@@ -57,7 +58,7 @@ def render(
 
     timings = Timings()
     with timings("recipe"):
-        loaded = load_recipe(recipe, overrides)
+        loaded = load_checked(recipe, overrides)
     with bars.running():
         summary = pipeline.render(
             loaded, output_folder(target, recipe), overwrite=overwrite, threads=threads, progress=bars, timings=timings
@@ -131,7 +132,7 @@ def simulate(
     if from_step is not None and resume is None:
         raise RecipeError("no history to go on from", where="--from-step", expected="--resume history.parquet with it")
     timings = Timings()
-    loaded = load_recipe(recipe, overrides)
+    loaded = load_checked(recipe, overrides)
     folder = output_folder(target, recipe.with_name(f"{recipe.stem}-community"))
     with bars.running():
         summary = pipeline.simulate(
@@ -180,7 +181,7 @@ def _say_biome(out: Console, loaded: LoadedRecipe) -> None:
 
 
 def validate(recipe: Path, overrides: Sequence[str]) -> None:
-    loaded = load_recipe(recipe, overrides)
+    loaded = load_checked(recipe, overrides)
     plan = check_plan(loaded)
     out = output()
     _say(out, f"{recipe}: valid")

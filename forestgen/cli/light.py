@@ -154,8 +154,8 @@ def _measure(
 ) -> None:
     from forestgen.core.errors import RecipeError
     from forestgen.core.timing import Timings
-    from forestgen.recipe.load import load_recipe
     from forestgen.stages import light as stage
+    from forestgen.stages.load_checked import load_checked
     from forestgen.stages.plant_files import FileSet, check_writable
 
     if not at:
@@ -167,7 +167,7 @@ def _measure(
     points = [point_of(one) for one in at]
     directions = [normal_of(one) for one in normals]
     timings, bars = Timings(), Bars()
-    loaded = load_recipe(recipe, overrides)
+    loaded = load_checked(recipe, overrides)
     with bars.running():
         meters = stage.light_at(
             loaded, points, directions, samples=samples, above_ground=not absolute_z, progress=bars, timings=timings

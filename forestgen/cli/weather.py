@@ -50,7 +50,7 @@ def weather(
     """Simulate a recipe's weather only: base, top and cover of its clouds, their water, rain."""
     from forestgen.core.errors import RecipeError
     from forestgen.core.timing import Timings
-    from forestgen.recipe.load import load_recipe
+    from forestgen.stages.load_checked import load_checked
     from forestgen.stages.plant_files import check_writable
     from forestgen.stages.weather import plot_weather, weather_report
 
@@ -61,7 +61,7 @@ def weather(
     if picture is not None and picture.suffix.lower() != ".png":
         raise RecipeError("no such kind of picture", where="--picture", expected=".png", got=str(picture))
     check_writable([*outputs, *([picture] if picture else [])], overwrite=overwrite)
-    loaded = load_recipe(recipe, overrides or [])
+    loaded = load_checked(recipe, overrides or [])
     bars, timings = Bars(), Timings()
     with bars.running(), timings("weather"):
         reports = [weather_report(loaded.draw(index), bars) for index in range(images or loaded.images)]
