@@ -11,6 +11,7 @@ from forestgen import __version__
 from forestgen.cli.arguments import Overrides, RecipePath
 from forestgen.cli.batch import batch
 from forestgen.cli.calibrate import calibrate
+from forestgen.cli.completion import add_completion, complete_names
 from forestgen.cli.console import Bars, errors_for_people
 from forestgen.cli.fit_kernel import fit_kernel
 from forestgen.cli.help_pages import show_plainly
@@ -19,6 +20,7 @@ from forestgen.cli.light import PointsCommand, light
 from forestgen.cli.merge import merge
 from forestgen.cli.pack import pack
 from forestgen.cli.report import report
+from forestgen.cli.suggestions import options_suggested
 from forestgen.cli.variadic import RadiiCommand
 from forestgen.cli.verify import verify
 from forestgen.cli.weather import weather
@@ -30,9 +32,14 @@ class _Commands(typer.core.TyperGroup):
     def __init__(self, **arguments: Any) -> None:
         super().__init__(**arguments)
         show_plainly(self)
+        complete_names(self)
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        with options_suggested():
+            return super().parse_args(ctx, args)
 
     def invoke(self, ctx: Any) -> Any:
-        with errors_for_people():
+        with errors_for_people(), options_suggested():
             return super().invoke(ctx)
 
 
@@ -407,6 +414,9 @@ app.command("calibrate", cls=PointsCommand, epilog="Example: forestgen calibrate
 app.command("light", cls=PointsCommand, epilog="Example: forestgen light recipes/quickstart.yaml --at 60 40 1.5")(light)
 
 app.command("weather", epilog="Example: forestgen weather recipes/weather_cumulus.yaml --picture sky.png")(weather)
+
+
+add_completion(app)
 
 
 @app.command("doctor", epilog="Example: forestgen doctor")
