@@ -243,7 +243,7 @@ def _without_other_light(base: Any, override: Any) -> None:
         new = override.get(name)
         if not (isinstance(material, dict) and isinstance(new, dict)):
             continue
-        if "reflectance" in new and "spectrum" not in new:
+        if "reflectance" in new and new.get("spectrum") is None:
             material.pop("spectrum", None)
             material.pop("season", None)
         elif new.get("spectrum") is not None:

@@ -1,4 +1,8 @@
-"""YOLO's boxes and outlines: the masks' boxes, and rings that fill to the masks."""
+"""YOLO's boxes and outlines: the masks' boxes, and rings that fill to the masks.
+
+A ring's corners are pixels. It fills the pixels whose centre lies inside by the even-odd rule, and those on the lines
+between its corners, as OpenCV's fillPoly does.
+"""
 
 from __future__ import annotations
 
@@ -15,6 +19,7 @@ from forestgen.dataset.check.recipe import categories
 
 _TASKS = ("boxes", "segmentation")
 _TOLERANCE = 1e-6
+_FLOOR_TOLERANCE = 1e-3  # of a pixel
 
 
 def has_yolo(merged: Merged) -> bool:
@@ -61,7 +66,7 @@ def boxes(frame: FrameData) -> Iterator[Offence]:
 
 
 def outlines(frame: FrameData) -> Iterator[Offence]:
-    """Each ring lies in its box and fills, at the pixels' centres, to its plant's mask."""
+    """Each ring lies in its box and fills to whole pieces of its plant's mask, and to bridges between them."""
     file, size = _file(frame, "segmentation"), np.array(frame.size_px, dtype=np.float64)
     for row, values in _lines(frame, "segmentation"):
         if isinstance(values, Offence):
@@ -74,23 +79,65 @@ def outlines(frame: FrameData) -> Iterator[Offence]:
             got = f"{len(values)} numbers"
             yield _offence(frame, file, row, "the line is no ring", "class and 3 or more points", got)
             continue
-        ring = np.floor(values[1:].reshape(-1, 2) * size + 1e-3)
-        box = frame.extents.box_px[row]
-        low, high = ring.min(axis=0), ring.max(axis=0)
-        if (low < box[:2]).any() or (high > box[:2] + box[2:]).any():
-            got = numbers([*low, *(high - low)])
-            yield _offence(frame, file, row, "the outline leaves the mask's box", numbers(box), got)
-            continue
-        x, y, w, h = box.tolist()
-        truth = frame.instance[y : y + h, x : x + w] == frame.extents.plant_id[row]
-        wrong = fill(ring - box[:2], (w, h)) != truth
+        ring = np.floor(values[1:].reshape(-1, 2) * size + _FLOOR_TOLERANCE).astype(np.int64)
+        yield from _ring(frame, file, row, ring)
+    yield from _count(frame, "segmentation")
+
+
+def _ring(frame: FrameData, file: str, row: int, ring: NDArray[np.int64]) -> Iterator[Offence]:
+    """A ring (N, 2) of pixels lies in its box, fills the mask and bridges, and misses no part of a piece."""
+    box = frame.extents.box_px[row]
+    low, high = ring.min(axis=0), ring.max(axis=0)
+    if (low < box[:2]).any() or (high >= box[:2] + box[2:]).any():
+        got = numbers([*low, *(high - low + 1)])
+        yield _offence(frame, file, row, "the outline leaves the mask's box", numbers(box), got)
+        return
+    x, y, w, h = box.tolist()
+    truth = frame.instance[y : y + h, x : x + w] == frame.extents.plant_id[row]
+    added, missing = _differences(ring - box[:2], truth)
+    for wrong, expected, got in ((missing, "inside", "outside"), (added, "outside", "inside")):
         if wrong.any():
             line, column = np.argwhere(wrong)[0].tolist()
-            plant = int(frame.extents.plant_id[row])
-            expected, got = ("inside", "outside") if truth[line, column] else ("outside", "inside")
-            pixel = (x + column, y + line)
+            plant, pixel = int(frame.extents.plant_id[row]), (x + column, y + line)
             yield Offence(file, "the outline does not fill to the mask", expected, got, frame.name, plant, pixel)
-    yield from _count(frame, "segmentation")
+            return
+
+
+def _differences(ring: NDArray[np.int64], truth: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """(H, W) pixels that a ring adds to a mask farther than a pixel from its bridges, and those that it must not miss.
+
+    The ring's edges along rows, columns and diagonals with all their pixels in the mask are borders, the others
+    bridges. It must not miss a pixel of a piece with a border, nor of the largest piece.
+    """
+    from scipy.ndimage import binary_dilation, label
+
+    pixels, edge = line_pixels(ring)
+    step = np.abs(np.roll(ring, -1, axis=0) - ring)
+    own = truth[pixels[:, 1], pixels[:, 0]]
+    inside_mask = np.bincount(edge, weights=~own, minlength=len(ring)) == 0
+    border = inside_mask & ((step == 0).any(axis=1) | (step[:, 0] == step[:, 1]))
+    on_line, near_bridge = np.zeros_like(truth), np.zeros_like(truth)
+    on_line[pixels[:, 1], pixels[:, 0]] = True
+    bridge = pixels[~border[edge]]
+    near_bridge[bridge[:, 1], bridge[:, 0]] = True
+    filled = on_line | fill(ring.astype(np.float64) + 0.5, (truth.shape[1], truth.shape[0]))
+    pieces, number = label(truth, np.ones((3, 3), dtype=np.int8))
+    whole = np.zeros(number + 1, dtype=bool)
+    bordered = pixels[border[edge] & (step.max(axis=1) > 0)[edge]]
+    whole[pieces[bordered[:, 1], bordered[:, 0]]] = True
+    whole[1 + np.bincount(pieces[truth], minlength=number + 1)[1:].argmax()] = True
+    near_bridge = binary_dilation(near_bridge, np.ones((3, 3), dtype=bool))
+    return filled & ~truth & ~near_bridge, whole[pieces] & truth & ~filled
+
+
+def line_pixels(ring: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.intp]]:
+    """(K, 2) pixels of the lines between a ring's corners, one a step along the longer axis, and each one's edge."""
+    step = np.roll(ring, -1, axis=0) - ring
+    count = np.abs(step).max(axis=1)
+    edge = np.repeat(np.arange(len(ring)), count + 1)
+    done = np.arange(len(edge)) - np.repeat(np.cumsum(count + 1) - count - 1, count + 1)
+    share = done / np.maximum(count, 1)[edge]
+    return np.floor(ring[edge] + step[edge] * share[:, None] + 0.5).astype(np.int64), edge
 
 
 def fill(ring: NDArray[np.float64], size_px: tuple[int, int]) -> NDArray[np.bool_]:
