@@ -18,6 +18,7 @@ The checks, in their order:
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -33,6 +34,7 @@ from forestgen.dataset.check import Offence, Tally, check_dataset
 from forestgen.dataset.checksums import SUMS_NAME, file_sum, read_sums
 from forestgen.dataset.index import INDEX_NAME, read_index
 from forestgen.dataset.manifest import is_run_folder
+from forestgen.dataset.safe_path import SafePath, unreadable
 from forestgen.runs.contract import RUN_DEPENDENT
 from forestgen.runs.description import DATASET_NAME, read_description
 from forestgen.runs.finish import files_below
@@ -140,8 +142,11 @@ def open_data_set(root: Path) -> dict[str, Any]:
         problem = "this is a file" if root.exists() else "there is no such folder"
         raise RecipeError(problem, where=str(root), expected="a folder that forestgen batch made")
     content, hint = root / DATASET_NAME, None
-    if content.is_file():
-        return read_description(content.read_bytes(), str(content))
+    if os.path.lexists(content):
+        try:
+            return read_description(SafePath(root, DATASET_NAME).read(), str(content))
+        except OSError as error:
+            raise unreadable(content, error) from error
     if (root.parent / DATASET_NAME).is_file():
         got, hint = "a part of a data set", f"name {root.parent}"
     elif is_run_folder(root):
@@ -197,10 +202,10 @@ def _found(root: Path) -> Iterator[tuple[str, int, int]]:
     for name in sorted(path.name for path in root.iterdir()):
         if name in RUN_DEPENDENT or name == SUMS_NAME:
             continue
-        if (root / name).is_dir():
+        if SafePath(root, name).is_folder():
             yield from files_below(root, name)
         else:
-            yield name, (root / name).stat().st_size, 0
+            yield name, (root / name).lstat().st_size, 0
 
 
 def _sums(verifier: _Verifier, hashes: bool) -> Iterator[Offence]:
@@ -218,7 +223,7 @@ def _sums(verifier: _Verifier, hashes: bool) -> Iterator[Offence]:
 def _sum_offence(task: tuple[FileSum, Path]) -> Offence | None:
     file, root = task
     try:
-        digest = file_sum(root / file.path)
+        digest = file_sum(SafePath(root, file.path))
     except OSError as error:
         return Offence(file.path, "the file cannot be read", got=error.strerror or str(error))
     if digest == file.sha256:
@@ -309,7 +314,7 @@ def _index_offences(verifier: _Verifier) -> Iterator[Offence]:
             if seeds.setdefault(image, seed) != seed or split_of.setdefault(image, split) != split:
                 expected, got = f"{seeds[image]}, {split_of[image]}", f"{seed}, {split}"
                 yield Offence(INDEX_NAME, "rows of one image differ in seed or split", expected, got, image=name)
-            if row["folder"] != f"{split}/{name}" or not (root / split / name).is_dir():
+            if row["folder"] != f"{split}/{name}" or not (SafePath(root, split) / name).is_folder():
                 yield Offence(INDEX_NAME, "a row is of a frame that is not there", f"{split}/{name}", image=name)
     except (DatasetError, TypeError, ValueError, KeyError) as error:
         yield Offence(INDEX_NAME, "the index cannot be read", got=" ".join(str(error).split())[:200])
@@ -335,6 +340,9 @@ def _check_labels(verifier: _Verifier) -> None:
 
 def _label_offences(verifier: _Verifier, split: str) -> Iterator[Offence]:
     """The sums are compared already."""
+    if not SafePath(verifier.root, split).is_folder():
+        yield Offence(split, "the split is no folder of the data set", "a folder, and no link")
+        return
     try:
         report = check_dataset(
             verifier.root / split,

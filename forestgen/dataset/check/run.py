@@ -30,7 +30,7 @@ from forestgen.dataset.check.sequences import UNKNOWN, following_frames
 _FRAMES_A_TASK = 4  # in a row, so that a sequence's next frame is read once
 _FEWEST_FOR_PROCESSES = 6  # frames: below, starting a process takes longer than its share of the work
 _MOST_A_CHECK = 5  # offenders that one check names in one image
-_MISUNDERSTOOD = (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError)
+_MISUNDERSTOOD = (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError, RecursionError)
 
 
 @dataclass(frozen=True)

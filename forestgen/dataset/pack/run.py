@@ -19,6 +19,7 @@ from forestgen.dataset.pack.columns import columns_of
 from forestgen.dataset.pack.readme import body, card_of, front_matter
 from forestgen.dataset.pack.samples import Sample, Shard, in_order, measure, read_samples
 from forestgen.dataset.pack.source import Source, open_source
+from forestgen.dataset.safe_path import SafePath
 
 Format = Literal["webdataset", "huggingface"]
 FORMATS: tuple[Format, ...] = ("webdataset", "huggingface")
@@ -80,7 +81,7 @@ def pack(root: Path, target: Path, packing: Packing, *, overwrite: bool = False,
 def is_pack(folder: Path) -> bool:
     """Whether a folder is a pack of ours: only such a folder may be replaced."""
     try:
-        return str(read_json(folder / PACK_FILE).get("schema", "")).startswith("forestgen-pack/")
+        return str(read_json(SafePath(folder, PACK_FILE)).get("schema", "")).startswith("forestgen-pack/")
     except DatasetError:
         return False
 
