@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.dataset.check.offence import Offence, UnreadableError
+from forestgen.dataset.exr_chunks import check_chunks
 from forestgen.dataset.safe_path import SafePath, check_cells, load_json
 
 _MOST_YAML, _MOST_LEVELS = 1_000_000, 20
@@ -61,7 +62,11 @@ def read_exr(root: Path, name: str) -> tuple[dict[str, dict[str, NDArray[Any]]],
         raise UnreadableError(Offence(name, "this is no OpenEXR file"))
     path = SafePath(root, name)
     try:
+        with path.open() as stream:
+            count = check_chunks(stream)
         parts = OpenEXR.File(str(path.located()), separate_channels=True).parts
+        if len(parts) != count:
+            raise ValueError(f"{len(parts)} of {count} parts can be read")
         pixels = {part.name(): {c: np.asarray(v.pixels) for c, v in part.channels.items()} for part in parts}
         return pixels, dict(parts[0].header)
     except (OSError, RuntimeError, ValueError, TypeError, MemoryError) as error:

@@ -14,6 +14,7 @@ import numpy as np
 
 from forestgen.core.errors import DatasetError, RecipeError
 from forestgen.dataset.exr import read_exr
+from forestgen.dataset.exr_chunks import check_chunks
 from forestgen.dataset.safe_path import SafePath, load_json, unreadable
 
 Kind = Literal["picture", "objects", "bytes"]
@@ -172,7 +173,12 @@ def read_exr_file(path: SafePath) -> dict[str, dict[str, Any]]:
     """`read_exr`, with its failures as `DatasetError`."""
     _size(path)
     try:
-        return read_exr(path.located())
+        with path.open() as stream:
+            count = check_chunks(stream)
+        parts = read_exr(path.located())
+        if len(parts) != count:
+            raise ValueError(f"{len(parts)} of {count} parts can be read")
+        return parts
     except Exception as error:  # the library raises whatever its C++ threw
         raise DatasetError("a file is cut short or damaged", where=str(path), hint=REMEDY) from error
 
