@@ -63,27 +63,29 @@ CHANNELS = {channel.name: channel for channel in _ALL}
 _DEFAULT = ("preview", "semantic", "instance", "depth", "annotations")  # those of them that the data set has
 
 
-def choose_channels(folder: SafePath, wanted: Sequence[str] | None) -> tuple[Channel, ...]:
+def choose_channels(folders: Sequence[SafePath], wanted: Sequence[str] | None) -> tuple[Channel, ...]:
     """The channels to pack, in their own order.
 
     Parameters
     ----------
-    folder : of one frame, which tells what the data set has.
-    wanted : names; None: those of the usual ones that the data set has.
+    folders : of all frames; the first tells which channels there are to name.
+    wanted : names; None: those of the usual ones that any frame has.
 
     Raises
     ------
     RecipeError : no channel has such a name, or the data set lacks it.
     """
     if wanted is None:
-        return tuple(CHANNELS[name] for name in _DEFAULT if _has(folder, CHANNELS[name], {}))
+        usual = [CHANNELS[name] for name in _DEFAULT]
+        return tuple(one for one in usual if any((folder / one.file).is_file() for folder in folders))
     if not wanted:
         raise RecipeError("no channel is named", where="--channels", expected=", ".join(CHANNELS))
+    folder = folders[0]
     # A part of frame.exr is looked for only where an array is asked for: to read the file takes a while.
     needs_exr = any(name not in CHANNELS or CHANNELS[name].part for name in wanted)
     exr = read_exr_file(folder / EXR_FILE) if needs_exr and (folder / EXR_FILE).is_file() else {}
     for name in wanted:
-        if name not in CHANNELS or not _has(folder, CHANNELS[name], exr):
+        if name not in CHANNELS or not (_has(folder, CHANNELS[name], exr) or _any_has(folders[1:], CHANNELS[name])):
             exr = exr or read_exr_file(folder / EXR_FILE)
             raise _no_such_channel(name, [one for one in CHANNELS if _has(folder, CHANNELS[one], exr)])
     return tuple(channel for name, channel in CHANNELS.items() if name in wanted)
@@ -92,6 +94,11 @@ def choose_channels(folder: SafePath, wanted: Sequence[str] | None) -> tuple[Cha
 def _has(folder: SafePath, channel: Channel, exr: Mapping[str, Mapping[str, Any]]) -> bool:
     there = (folder / channel.file).is_file()
     return there and (not channel.part or all(one in exr.get(channel.part, {}) for one in channel.layers))
+
+
+def _any_has(folders: Sequence[SafePath], channel: Channel) -> bool:
+    """Whether another frame has the file, so that the first one lacks it. Arrays are judged by the first alone."""
+    return not channel.part and any((folder / channel.file).is_file() for folder in folders)
 
 
 def _no_such_channel(name: str, known: Sequence[str]) -> RecipeError:

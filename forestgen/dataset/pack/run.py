@@ -62,8 +62,8 @@ def pack(root: Path, target: Path, packing: Packing, *, overwrite: bool = False,
     """
     source = open_source(root, packing.splits)
     _check_apart(root, target)
-    first = source.splits[0]
-    channels = choose_channels(first.folder / first.frames[0], packing.channels)
+    folders = [split.folder / frame for split in source.splits for frame in split.frames]
+    channels = choose_channels(folders, packing.channels)
     names = _split_names(source, packing.format)
     with progress.stage("looking", source.frames) as advance:
         needed = measure(source, channels, advance) + source.frames * _bytes_a_frame(packing.format, channels)
