@@ -9,9 +9,11 @@ from pathlib import Path
 
 from forestgen.core.errors import DatasetError
 from forestgen.dataset.files import output_error
+from forestgen.dataset.safe_path import SafePath, is_inside
 
 SUMS_NAME = "SHA256SUMS"
 _LINE = re.compile(r"([0-9a-f]{64}) [ *](.+)")
+_LONGEST_LINE = 8192  # bytes
 
 
 def write_sums(path: Path, sums: Iterable[tuple[str, str]]) -> None:
@@ -35,14 +37,15 @@ def read_sums(path: Path, refused: Callable[[DatasetError], None] | None = None)
     DatasetError : there is no such file, or a line is of another form.
     """
     try:
-        with path.open(encoding="utf-8") as stream:
-            for number, line in enumerate(stream, start=1):
+        with SafePath(path.parent, path.name).open() as stream:
+            lines = (line.decode("utf-8") for line in iter(lambda: stream.readline(_LONGEST_LINE), b""))
+            for number, line in enumerate(lines, start=1):
                 match = _LINE.fullmatch(line.rstrip("\n"))
-                if match is None or not line.endswith("\n"):
+                if match is None or not line.endswith("\n") or not is_inside(match[2]):
                     error = DatasetError(
                         "this line is no checksum",
                         where=f"{path}:{number}",
-                        expected="64 hexadecimal digits, two blanks and a path",
+                        expected="64 hexadecimal digits, two blanks and a path below the data set's folder",
                         got=repr(line[:80]),
                     )
                     if refused is None:
@@ -54,7 +57,7 @@ def read_sums(path: Path, refused: Callable[[DatasetError], None] | None = None)
         raise DatasetError("the checksums cannot be read", where=str(path), got=str(error)) from error
 
 
-def file_sum(path: Path) -> str:
+def file_sum(path: Path | SafePath) -> str:
     """SHA-256, hexadecimal, of a file."""
-    with path.open("rb") as stream:
+    with path.open() if isinstance(path, SafePath) else path.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()

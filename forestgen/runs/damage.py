@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import errno
 import hashlib
-import stat
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -23,6 +22,7 @@ from typing import Any
 from forestgen.core.errors import ForestgenError, OutputError
 from forestgen.core.threads import cores
 from forestgen.dataset.checksums import file_sum
+from forestgen.dataset.safe_path import RefusedFileError, SafePath
 from forestgen.dataset.thumbnails import FOLDER_NAME as THUMBNAILS
 from forestgen.dataset.thumbnails import write_thumbnail
 from forestgen.recipe.load import LoadedRecipe
@@ -110,7 +110,7 @@ class _Checker:
     def _problem(self, path: str, listed: Mapping[str, Any]) -> str | None:
         """What is wrong with a file; None if it is as it was written."""
         if isinstance(self._place, LocalPlace):
-            return _local_problem(self._place.root / path, listed)
+            return _local_problem(SafePath(self._place.root, path), listed)
         size = self._sizes_of(path.partition("/")[0]).get(path)
         if size is None:
             return "is missing"
@@ -162,14 +162,14 @@ def _is_map(record: JobRecord, path: str) -> bool:
     return path.startswith(f"{record.split}/{MAPS}/")
 
 
-def _local_problem(file: Path, listed: Mapping[str, Any]) -> str | None:
+def _local_problem(file: SafePath, listed: Mapping[str, Any]) -> str | None:
     try:
-        status = file.lstat()
-        if not stat.S_ISREG(status.st_mode):
-            return "is no regular file"
-        if status.st_size != listed["bytes"]:
-            return f"has {status.st_size:,} bytes instead of {listed['bytes']:,}"
+        size = file.size_bytes()
+        if size != listed["bytes"]:
+            return f"has {size:,} bytes instead of {listed['bytes']:,}"
         return None if file_sum(file) == listed["sha256"] else "has other content than was written"
+    except (RefusedFileError, IsADirectoryError):
+        return "is no regular file"
     except OSError as error:
         if error.errno in _GONE:
             return "is missing"

@@ -11,6 +11,7 @@ import hashlib
 import os
 import re
 import shutil
+import stat
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -26,6 +27,7 @@ from forestgen.dataset.foreign import tool_of
 from forestgen.dataset.formats import yolo
 from forestgen.dataset.index import INDEX_NAME, DrawTypes, write_index
 from forestgen.dataset.maps import write_map
+from forestgen.dataset.safe_path import SafePath
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.dataset.thumbnails import FOLDER_NAME as THUMBNAILS
 from forestgen.recipe.hashing import recipe_hash
@@ -190,17 +192,17 @@ def _look(place: Place, folders: Sequence[str], ledger: Ledger) -> None:
 
 def files_below(root: Path, folder: str = "") -> Iterator[tuple[str, int, int]]:
     """Path relative to `root`, size in bytes and inode of each file below a folder of it."""
-    waiting = [folder]
+    waiting = [folder] if not folder or SafePath(root, folder).is_folder() else []
     while waiting:
         inside = waiting.pop()
         with suppress(FileNotFoundError, NotADirectoryError), os.scandir(root / inside) as entries:
-            for entry in entries:
+            for entry in entries:  # a link is no file of the data set, whatever it leads to: its size is none
                 path = f"{inside}/{entry.name}" if inside else entry.name
                 if entry.is_dir(follow_symlinks=False):
                     waiting.append(path)
                 else:
                     status = entry.stat(follow_symlinks=False)
-                    yield path, status.st_size, status.st_ino
+                    yield path, status.st_size if stat.S_ISREG(status.st_mode) else -1, status.st_ino
 
 
 def _drop_absent(place: Place, ledger: Ledger) -> list[str]:
@@ -240,7 +242,7 @@ def _remove_strangers(place: Place, folders: Sequence[str], ledger: Ledger) -> N
 
 def _remove_empty_folders(root: Path, folders: Sequence[str]) -> None:
     """Of frames that never came to a file, and of splits that have no images any more."""
-    for folder in folders:
+    for folder in filter(lambda name: SafePath(root, name).is_folder(), folders):
         with suppress(FileNotFoundError, NotADirectoryError), os.scandir(root / folder) as entries:
             for entry in entries:
                 if tool_of(entry.name) is None:

@@ -9,13 +9,14 @@ from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 
 from forestgen.core.errors import DatasetError, OutputError
+from forestgen.dataset.safe_path import is_split, load_json
 from forestgen.dataset.thumbnails import FOLDER_NAME as THUMBNAILS
 from forestgen.recipe.hashing import recipe_hash
 from forestgen.recipe.load import LoadedRecipe
 from forestgen.recipe.paths import MAPS
 from forestgen.runs.contract import HIDDEN, JobRecord, Place
 from forestgen.runs.places import LocalPlace
-from forestgen.runs.records import JOBS, is_split, read_record, record_path, records_of
+from forestgen.runs.records import JOBS, read_record, record_path, records_of
 
 BATCH = f"{HIDDEN}/batch.json"
 TAKEN = ("maps", "run", "thumbnails")  # names in the data set's folder that no split can have
@@ -180,7 +181,7 @@ def _state(place: Place) -> dict[str, object] | None:
     """What batch.json says; None if there is none of ours."""
     content = place.read(BATCH)
     try:
-        state = json.loads(content or b"")
-    except (ValueError, RecursionError):
+        state = load_json(content or b"")
+    except ValueError:
         return None
     return state if isinstance(state, dict) and state.get("schema") == _SCHEMA else None

@@ -24,6 +24,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+import os
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
@@ -39,6 +40,7 @@ from forestgen.core.progress import Progress, Silent
 from forestgen.dataset.check import MOST_NAMED, Offence, Tally, check_dataset
 from forestgen.dataset.index import INDEX_NAME, read_index
 from forestgen.dataset.manifest import is_run_folder
+from forestgen.dataset.safe_path import SafePath, unreadable
 from forestgen.dataset.thumbnails import thumbnail_name
 from forestgen.runs import verify_files as files
 from forestgen.runs.contract import JobRecord
@@ -145,8 +147,11 @@ def open_data_set(root: Path) -> dict[str, Any]:
         problem = "this is a file" if root.exists() else "there is no such folder"
         raise RecipeError(problem, where=str(root), expected="a folder that forestgen batch made")
     content, hint = root / DATASET_NAME, None
-    if content.is_file():
-        return read_description(content.read_bytes(), str(content))
+    if os.path.lexists(content):
+        try:
+            return read_description(SafePath(root, DATASET_NAME).read(), str(content))
+        except OSError as error:
+            raise unreadable(content, error) from error
     if (root.parent / DATASET_NAME).is_file():
         got, hint = "a part of a data set", f"name {root.parent}"
     elif is_run_folder(root):
@@ -302,7 +307,7 @@ def _row_offences(verifier: _Verifier, row: Mapping[str, Any], frames: dict[str,
     if name in frames.setdefault(split, set()):
         yield Offence(INDEX_NAME, "a frame has two rows", "one", "two", image=name)
     frames[split].add(name)
-    if row["folder"] != f"{split}/{name}" or not (verifier.root / split / name).is_dir():
+    if row["folder"] != f"{split}/{name}" or not (SafePath(verifier.root, split) / name).is_folder():
         yield Offence(INDEX_NAME, "a row is of a frame that is not there", f"{split}/{name}", image=name)
     if verifier.ledger.file(thumbnail_name(name)) is None:
         yield Offence(thumbnail_name(name), "a frame has no thumbnail in SHA256SUMS", "one", "none", image=name)
@@ -343,6 +348,10 @@ def _check_labels(verifier: _Verifier) -> None:
     """Labels of each split; the sums are compared already."""
     for split, counts in verifier.said["splits"].items():
         name, holds = f"labels {split}", "labels are true to each other"
+        if not SafePath(verifier.root, split).is_folder():
+            offence = Offence(split, "the split is no folder of the data set", "a folder, and no link")
+            verifier.run(name, holds, counts["frames"], [offence])
+            continue
         try:
             report = check_dataset(
                 verifier.root / split, jobs=verifier.workers, hashes=False, most=None, progress=verifier.progress

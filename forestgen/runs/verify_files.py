@@ -17,6 +17,7 @@ from forestgen.dataset.check.offence import UnreadableError
 from forestgen.dataset.checksums import SUMS_NAME, file_sum, read_sums
 from forestgen.dataset.foreign import tool_of
 from forestgen.dataset.manifest import MANIFEST_NAME
+from forestgen.dataset.safe_path import SafePath
 from forestgen.runs.contract import RUN_DEPENDENT
 from forestgen.runs.finish import files_below
 from forestgen.runs.ledger import FileSum, Ledger
@@ -32,10 +33,10 @@ def found(root: Path) -> Iterator[tuple[str, int, int]]:
     for name in sorted(path.name for path in root.iterdir()):
         if name in RUN_DEPENDENT or name == SUMS_NAME:
             continue
-        if (root / name).is_dir():
+        if SafePath(root, name).is_folder():
             yield from files_below(root, name)
         else:
-            yield name, (root / name).stat().st_size, 0
+            yield name, (root / name).lstat().st_size, 0
 
 
 def enter_sums(root: Path, ledger: Ledger, refused: list[Offence]) -> bool:
@@ -87,7 +88,7 @@ def changed(root: Path, ledger: Ledger, threads: int | None, progress: Progress)
 
 def _sum_offence(root: Path, file: FileSum) -> Offence | None:
     try:
-        digest = file_sum(root / file.path)
+        digest = file_sum(SafePath(root, file.path))
     except OSError as error:
         return Offence(file.path, "the file cannot be read", got=error.strerror or str(error))
     if digest == file.sha256:

@@ -16,6 +16,7 @@ from forestgen.dataset.check.keypoints import NAMES, has_keypoints
 from forestgen.dataset.check.merged import COCO, Merged, folder_of
 from forestgen.dataset.check.offence import MISUNDERSTOOD, Offence, misunderstood, number
 from forestgen.dataset.check.rle import decode
+from forestgen.dataset.safe_path import SafePath
 
 SHARD = "annotations.json"
 _SAME = ("visible_area_px", "distance_m", "age_yr", "height_m", "crown_width_m", "dbh_m", "leaf_area_m2")
@@ -51,7 +52,7 @@ def structure(merged: Merged) -> Iterator[Offence]:
             yield Offence(COCO, "a frame is not one image", "1 entry", str(entries[name]), name)
     for image, folder in zip(coco["images"], folders, strict=True):
         for key in ("file_name", "camera"):
-            if key in image and not (merged.root / str(image[key])).is_file():
+            if key in image and not SafePath(merged.root, str(image[key])).is_file():
                 yield Offence(COCO, f"an image's {key} is not there", got=str(image[key]), image=folder)
         if image.get("license", None) not in licences | {None}:
             yield Offence(COCO, "an image's licence is not listed", got=str(image["license"]), image=folder)

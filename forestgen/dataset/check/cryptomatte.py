@@ -9,7 +9,6 @@ Psyop, "Cryptomatte specification", version 1.2.0. Appleby, MurmurHash3, x86, 32
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from typing import Any
 
@@ -21,6 +20,7 @@ from forestgen.dataset.check.files import read_exr
 from forestgen.dataset.check.frame_data import FrameData
 from forestgen.dataset.check.offence import Offence, numbers
 from forestgen.dataset.check.pixels import wrong_pixels
+from forestgen.dataset.safe_path import load_json
 
 FILE = "cryptomatte.exr"
 _LAYER = "CryptoPlant"
@@ -131,7 +131,7 @@ def _manifests(header: dict[str, Any]) -> dict[str, dict[str, str]]:
     found = {}
     for key, value in header.items():
         if key.startswith("cryptomatte/") and key.endswith("/name"):
-            found[str(value)] = dict(json.loads(header[key.removesuffix("name") + "manifest"]))
+            found[str(value)] = dict(load_json(header[key.removesuffix("name") + "manifest"]))
     return found
 
 

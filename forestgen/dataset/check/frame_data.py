@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -16,6 +15,7 @@ from forestgen.dataset.check.camera_file import CameraFile, camera_of
 from forestgen.dataset.check.files import read_exr, read_json, read_picture, read_table
 from forestgen.dataset.check.offence import Offence, UnreadableError
 from forestgen.dataset.check.recipe import categories, read_recipe
+from forestgen.dataset.safe_path import SafePath, load_json
 
 EXR, INSTANCE, SEMANTIC, PLANTS, CAMERA = "frame.exr", "instance.png", "semantic.png", "plants.parquet", "camera.json"
 RECIPE = "recipe.yaml"
@@ -56,7 +56,7 @@ class FrameData:
         return f"{self.task.name}/{name}"
 
     def has(self, name: str) -> bool:
-        return (self.folder / name).is_file()
+        return SafePath(self.task.root, self.file(name)).is_file()
 
     def offence(self, name: str, problem: str, **about: Any) -> Offence:
         """An offence of a file of this frame."""
@@ -84,8 +84,8 @@ class FrameData:
     def exr_camera(self) -> dict[str, Any] | None:
         """The camera of frame.exr's header, if there is one."""
         try:
-            camera = json.loads(self.exr_header.get("forestgen/camera", "null"))
-        except (TypeError, ValueError):
+            camera = load_json(str(self.exr_header.get("forestgen/camera", "null")))
+        except ValueError:
             return None
         return camera if isinstance(camera, dict) else None
 

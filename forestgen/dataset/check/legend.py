@@ -12,6 +12,7 @@ from forestgen.dataset.check.frame_data import EXR, SEMANTIC, FrameData
 from forestgen.dataset.check.merged import Merged
 from forestgen.dataset.check.offence import Offence, UnreadableError
 from forestgen.dataset.check.recipe import class_names
+from forestgen.dataset.safe_path import load_json
 
 FILE = "classes.json"
 _CLASSES, _PARTS = "forestgen/classes", "forestgen/parts"
@@ -52,7 +53,7 @@ def names(frame: FrameData) -> Iterator[Offence]:
     if frame.has(SEMANTIC):
         told.append((SEMANTIC, "the text classes", _picture_text(frame), classes))
     for file, key, text, expected in told:
-        if text is None or json.loads(text) != expected:
+        if text is None or load_json(text) != expected:
             yield frame.offence(file, f"{key}: not the names of the numbers", expected=_text(expected), got=str(text))
 
 

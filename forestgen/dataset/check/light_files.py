@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -13,6 +12,7 @@ from forestgen.dataset.check.files import read_json, read_palette, read_picture
 from forestgen.dataset.check.frame_data import EXR, FrameData
 from forestgen.dataset.check.offence import Offence, UnreadableError, number
 from forestgen.dataset.check.pixels import wrong_pixels
+from forestgen.dataset.safe_path import load_json
 
 RAW, _PREVIEW = "raw.json", "preview.png"
 _RADIANCE = ("radiance", "radiance.variance", "radiance.denoised")
@@ -141,7 +141,7 @@ def _bands(text: object) -> list[Mapping[str, Any]] | None:
     if text is None:
         return None
     try:
-        rows = json.loads(str(text))
+        rows = load_json(str(text))
     except ValueError as error:
         problem = "forestgen/bands is no JSON"
         raise UnreadableError(Offence(EXR, problem, got=str(error))) from error

@@ -10,6 +10,7 @@ from typing import Any
 from forestgen.dataset.check.frame_data import CAMERA, EXR, INSTANCE, PLANTS, RECIPE, SEMANTIC, FrameData
 from forestgen.dataset.check.merged import MANIFEST, Merged
 from forestgen.dataset.check.offence import Offence, UnreadableError
+from forestgen.dataset.safe_path import SafePath
 
 _ALWAYS = (EXR, SEMANTIC, PLANTS, CAMERA, RECIPE, "preview.png", "overlay.png")
 _PICTURES = (INSTANCE, SEMANTIC, "preview.png", "overlay.png")
@@ -18,7 +19,7 @@ _PICTURES = (INSTANCE, SEMANTIC, "preview.png", "overlay.png")
 def files(frame: FrameData) -> Iterator[Offence]:
     """All files of the frame are there and can be read."""
     for name in frame.task.listed:
-        if not (frame.task.root / name).is_file():
+        if not SafePath(frame.task.root, name).is_file():
             yield Offence(name, "the file is missing", expected="a file, as manifest.json lists it", image=frame.name)
     for name in _ALWAYS:
         if frame.file(name) not in frame.task.listed and not frame.has(name):
@@ -58,7 +59,7 @@ def listing(merged: Merged) -> Iterator[Offence]:
             problem = "a frame's folder is not in the manifest"
             yield Offence(MANIFEST, problem, expected="a folder of the same run", got=name, image=name)
     for name in shared_files(merged):
-        if not (merged.root / name).is_file():
+        if not SafePath(merged.root, name).is_file():
             yield Offence(name, "the file is missing", expected="a file, as manifest.json lists it")
 
 
@@ -81,16 +82,18 @@ def shared_hashes(merged: Merged) -> Iterator[Offence]:
 
 
 def _hash(root: Path, name: str, entry: Any, image: str) -> Iterator[Offence]:
-    path = root / name
+    path = SafePath(root, name)
     try:
-        size = path.stat().st_size
-        with path.open("rb") as stream:
+        size = path.size_bytes()
+        if size != entry.get("bytes"):
+            expected, got = f"{entry.get('bytes')} bytes", f"{size}"
+            yield Offence(name, "the file's size is not manifest.json's", expected, got, image)
+            return
+        with path.open() as stream:
             digest = hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as error:
         yield Offence(name, "the file cannot be read", got=error.strerror or str(error), image=image)
         return
-    if size != entry.get("bytes"):
-        yield Offence(name, "the file's size is not manifest.json's", f"{entry.get('bytes')} bytes", f"{size}", image)
-    elif digest != entry.get("sha256"):
+    if digest != entry.get("sha256"):
         got = f"sha256 {digest}"
         yield Offence(name, "the file is not the one that manifest.json lists", f"{entry.get('sha256')}", got, image)

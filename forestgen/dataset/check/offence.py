@@ -47,7 +47,7 @@ class UnreadableError(Exception):
         super().__init__(offence.where)
 
 
-MISUNDERSTOOD = (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError)
+MISUNDERSTOOD = (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError, RecursionError)
 
 
 def misunderstood(file: str, error: Exception, image: str = "", plant_id: int | None = None) -> Offence:

@@ -71,7 +71,10 @@ def laz(frame: FrameData) -> Iterator[Offence]:
 
     content = read_bytes(frame.task.root, frame.file(LAZ))
     try:
-        cloud = laspy.read(io.BytesIO(content))
+        with laspy.open(io.BytesIO(content)) as reader:
+            if reader.header.point_count > frame.instance.size:  # before memory is taken for them
+                raise ValueError(f"{reader.header.point_count:,} points of {frame.instance.size:,} pixels")
+            cloud = reader.read()
         plant, place = np.asarray(cloud["plant_id"]), np.asarray(cloud.xyz)
     except Exception as error:  # its two backends raise their own kinds, and struct's and NumPy's
         raise unreadable(frame.file(LAZ), error) from error

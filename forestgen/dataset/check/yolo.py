@@ -7,15 +7,17 @@ between its corners, as OpenCV's fillPoly does.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.dataset.check.files import read_text
+from forestgen.dataset.check.files import read_text, read_yaml
 from forestgen.dataset.check.frame_data import FrameData
 from forestgen.dataset.check.merged import Merged
 from forestgen.dataset.check.offence import Offence, numbers
 from forestgen.dataset.check.recipe import categories
+from forestgen.dataset.safe_path import SafePath
 
 _TASKS = ("boxes", "segmentation")
 _TOLERANCE = 1e-6
@@ -27,11 +29,11 @@ def has_yolo(merged: Merged) -> bool:
 
 
 def has_boxes(frame: FrameData) -> bool:
-    return (frame.task.root / _file(frame, "boxes")).is_file()
+    return SafePath(frame.task.root, _file(frame, "boxes")).is_file()
 
 
 def has_outlines(frame: FrameData) -> bool:
-    return (frame.task.root / _file(frame, "segmentation")).is_file()
+    return SafePath(frame.task.root, _file(frame, "segmentation")).is_file()
 
 
 def structure(merged: Merged) -> Iterator[Offence]:
@@ -40,9 +42,9 @@ def structure(merged: Merged) -> Iterator[Offence]:
         for name in merged.frames:
             for kind, end in (("images", "png"), ("labels", "txt")):
                 file = f"yolo/{task}/{kind}/{name}.{end}"
-                if not (merged.root / file).is_file():
+                if not SafePath(merged.root, file).is_file():
                     yield Offence(file, "the file is missing", expected="one for each frame", image=name)
-        names = _class_names(read_text(merged.root, f"yolo/{task}/data.yaml"))
+        names = _class_names(read_yaml(merged.root, f"yolo/{task}/data.yaml"))
         if names != merged.category_names:
             file, expected = f"yolo/{task}/data.yaml", ", ".join(merged.category_names)
             yield Offence(file, "names are not the recipe's categories", expected, ", ".join(names))
@@ -189,10 +191,8 @@ def _class(frame: FrameData, file: str, row: int, number: float) -> Iterator[Off
         yield _offence(frame, file, row, "the class is not that of the plant's species", str(own), str(number))
 
 
-def _class_names(text: str) -> list[str]:
-    from ruamel.yaml import YAML
-
-    names = YAML(typ="safe").load(text)["names"]
+def _class_names(content: Any) -> list[str]:
+    names = content["names"]
     return [str(names[key]) for key in sorted(names)]
 
 
