@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,8 +15,9 @@ from forestgen.api.display import display_of
 from forestgen.core.errors import DatasetError, RecipeError
 from forestgen.core.progress import Progress
 from forestgen.dataset.frame import Frame, StoredFrame
-from forestgen.dataset.index import INDEX_NAME
+from forestgen.dataset.index import INDEX_NAME, whole_index
 from forestgen.dataset.legend import FILE_NAME as LEGEND_NAME
+from forestgen.dataset.safe_path import SafePath, unreadable
 from forestgen.runs.summary import RunSummary
 
 if TYPE_CHECKING:
@@ -119,7 +119,7 @@ class Dataset(Sequence[Frame]):
         if not 0 <= number < len(self):
             raise IndexError(f"the data set has {len(self)} frames, there is none of number {index}")
         row = self._rows.slice(number, 1).to_pylist(maps_as_pydicts="strict")[0]
-        return Frame(StoredFrame(self.folder / row["folder"], row, self.classes))
+        return Frame(StoredFrame(SafePath(self.folder, row["folder"]), row, self.classes))
 
     def frame(self, name: str) -> Frame:
         """The frame of a name such as 000000-camera0."""
@@ -227,11 +227,11 @@ class Dataset(Sequence[Frame]):
 
     @cached_property
     def _legend(self) -> Mapping[str, Any]:
-        path = self.folder / self.splits[0] / LEGEND_NAME
+        path = SafePath(self.folder, self.splits[0]) / LEGEND_NAME
         try:
-            content = json.loads(path.read_bytes())
-        except (OSError, ValueError, RecursionError) as error:
-            raise DatasetError("the file cannot be read", where=str(path), got=str(error)[:200]) from error
+            content = path.read_json()
+        except (OSError, ValueError) as error:
+            raise unreadable(path, error) from error
         if not isinstance(content, dict):
             raise DatasetError("the file holds no classes", where=str(path))
         return content
@@ -307,20 +307,10 @@ def merge(
 
 
 def _rows_of(folder: Path) -> Any:
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
     from forestgen.runs.verify import open_data_set
 
     open_data_set(folder)  # says what the folder is, if it is no finished data set
-    path = folder / INDEX_NAME
-    try:
-        return pq.ParquetFile(path).read()
-    except (OSError, pa.ArrowException) as error:
-        hint = "the command that made the data set, with --resume, writes it again"
-        raise DatasetError(
-            "the index cannot be read", where=str(path), got=str(error).partition("\n")[0], hint=hint
-        ) from error
+    return whole_index(folder / INDEX_NAME)
 
 
 def _for_torch(values: Any) -> Any:

@@ -55,7 +55,7 @@ from typing import Any
 
 from forestgen.core.errors import DatasetError
 from forestgen.dataset.files import make_folder, output_error
-from forestgen.dataset.safe_path import SafePath, check_cells
+from forestgen.dataset.safe_path import SafePath, check_cells, is_frame, is_split
 from forestgen.dataset.settings import DRAW
 
 INDEX_NAME = "index.parquet"
@@ -214,6 +214,25 @@ def open_index(path: Path, needed: Sequence[str]) -> Iterator[Any]:
         raise DatasetError(
             "the index cannot be read", where=str(path), got=" ".join(str(error).split())[:200]
         ) from error
+
+
+def whole_index(path: Path) -> Any:
+    """The index as a `pyarrow.Table`, whose rows name folders of frames below the data set's folder.
+
+    Raises
+    ------
+    DatasetError : see `open_index`; or a row names no frame, or a frame has two rows.
+    """
+    with open_index(path, ("split", "frame", "folder")) as file:
+        index = file.read()
+        names = list(zip(*(index[name].to_pylist() for name in ("split", "frame", "folder")), strict=True))
+    for split, frame, folder in names:
+        if not is_split(split) or not is_frame(frame) or folder != f"{split}/{frame}":
+            expected, got = "names such as train and 000000-camera0", ascii((split, frame, folder))[:160]
+            raise DatasetError("a row of the index names no frame", where=str(path), expected=expected, got=got)
+    if len({frame for _, frame, _ in names}) < len(names):
+        raise DatasetError("a frame has two rows of the index", where=str(path))
+    return index
 
 
 def _is_of_its_type(field: Any, needed: Sequence[str]) -> bool:

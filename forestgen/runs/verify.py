@@ -104,7 +104,7 @@ def verify(
 
     Raises
     ------
-    RecipeError : the folder is no data set of `forestgen batch`.
+    RecipeError : the folder is no data set of forestgen.
     """
     start = perf_counter()
     said = open_data_set(root)
@@ -145,7 +145,7 @@ def open_data_set(root: Path) -> dict[str, Any]:
     refuse_address(root)
     if not root.is_dir():
         problem = "this is a file" if root.exists() else "there is no such folder"
-        raise RecipeError(problem, where=str(root), expected="a folder that forestgen batch made")
+        raise RecipeError(problem, where=str(root), expected="a folder that forestgen render or batch made")
     content, hint = root / DATASET_NAME, None
     if os.path.lexists(content):
         try:
@@ -155,16 +155,14 @@ def open_data_set(root: Path) -> dict[str, Any]:
     if (root.parent / DATASET_NAME).is_file():
         got, hint = "a part of a data set", f"name {root.parent}"
     elif is_run_folder(root):
-        got, hint = "the output of forestgen render", f"forestgen labels check {root}"
+        got = "the output of forestgen simulate or calibrate"
     elif (root / JOBS).is_dir():
         got, hint = "a batch that is not finished", "the command that began it, with --resume"
     else:
         inside = sorted(path.parent.name for path in root.glob(f"*/{DATASET_NAME}"))
         got = f"a folder of data sets, such as {inside[0]}" if inside else "no forestgen output"
         hint = f"name {root / inside[0]}" if inside else None
-    raise RecipeError(
-        "this is no data set of forestgen batch", where=str(root), expected=DATASET_NAME, got=got, hint=hint
-    )
+    raise RecipeError("this is no data set of forestgen", where=str(root), expected=DATASET_NAME, got=got, hint=hint)
 
 
 def refuse_address(path: Path) -> None:
