@@ -26,6 +26,7 @@ from forestgen.plants.bark.texture import with_bark_tiles
 from forestgen.plants.parameters import PlantParameters
 from forestgen.plants.registry import GENERATORS
 from forestgen.recipe.load import DrawnRecipe, LoadedRecipe
+from forestgen.recipe.sources import Keys
 from forestgen.recipe.species import Plant, Species
 from forestgen.recipe.suggestions import did_you_mean
 from forestgen.scene.exemplars import check_traits
@@ -146,6 +147,12 @@ def _check_community(
     drawn: DrawnRecipe, parameters: CommunityParameters, errors: ErrorList, stand_ins: frozenset[str]
 ) -> None:
     """What the community's keys and those of other sections say of each other."""
+    if "species" not in stand_ins:
+        had = len(errors.found)
+        for keys, name in parameters.named_species():
+            errors.attempt(_check_named_species, drawn, keys, name)
+        if len(errors.found) > had:
+            stand_ins |= {"species"}
     for check, sections in _CHECKS_OF_THE_COMMUNITY:
         if not sections & stand_ins:
             errors.attempt(check, drawn, parameters)
@@ -192,16 +199,15 @@ def views_below_ground(plan: Plan) -> list[str]:
     return [camera.name for _, camera, _ in below_ground(plan.drawn)]
 
 
-def _check_named_species(drawn: DrawnRecipe, parameters: CommunityParameters) -> None:
-    for keys, name in parameters.named_species():
-        if name not in drawn.species:
-            raise RecipeError(
-                "the recipe has no species of this name",
-                where=drawn.where("community", *keys),
-                expected="one of " + ", ".join(drawn.species),
-                got=repr(name),
-                hint=did_you_mean(name, drawn.species),
-            )
+def _check_named_species(drawn: DrawnRecipe, keys: Keys, name: str) -> None:
+    if name not in drawn.species:
+        raise RecipeError(
+            "the recipe has no species of this name",
+            where=drawn.where("community", *keys),
+            expected="one of " + ", ".join(drawn.species),
+            got=repr(name),
+            hint=did_you_mean(name, drawn.species),
+        )
 
 
 def _check_disturbances(drawn: DrawnRecipe, parameters: CommunityParameters) -> None:
@@ -268,7 +274,6 @@ _CHECKS_OF_THE_VIEW: tuple[tuple[Callable[[DrawnRecipe], None], frozenset[str]],
     (check_sun, frozenset({"sky", "site"})),
 )
 _CHECKS_OF_THE_COMMUNITY: tuple[tuple[Callable[[DrawnRecipe, CommunityParameters], None], frozenset[str]], ...] = (
-    (_check_named_species, frozenset({"species"})),
     (_check_disturbances, frozenset({"species", "site"})),
     (check_branch_modules, frozenset({"species", "site"})),
     (check_wet_soil, frozenset({"site"})),

@@ -90,6 +90,16 @@ def test_what_depends_on_a_wrong_section_is_not_judged(tmp_path: Path) -> None:
     assert "site.size_m" in (error.where or "")
 
 
+def test_every_unknown_species_of_a_community_is_told(tmp_path: Path) -> None:
+    path = written(tmp_path)
+    given = "model: deformation_kernel, plants: {sprus: {count: 3}, brich: {count: 2}}, disturbances: [{at_step: 0, "
+    given += "plant: {species: pime, count: 3}}]"
+    path.write_text(path.read_text().replace("model: multiset_lsystem, program: succession, steps: 3", given))
+    found = {(error.where or "").rpartition(".")[2]: error.hint for error in errors_of(path)}
+    assert set(found) >= {"sprus", "brich"}
+    assert found["sprus"] == "did you mean 'spruce'?"
+
+
 def test_bad_overrides_are_told_with_the_rest(tmp_path: Path) -> None:
     path = written(tmp_path, 8)
     with pytest.raises(RecipeErrors) as caught:
