@@ -47,8 +47,12 @@ class _Part:
         return min(self.lines, self.height - number * self.lines) * self.line_bytes
 
 
-def check_chunks(stream: IO[bytes]) -> int:
+def check_chunks(stream: IO[bytes], *, unpack: bool = True) -> int:
     """Refuse a file that the library would not read in full; how many parts it has.
+
+    Parameters
+    ----------
+    unpack : unpack every block too, which takes as long as to read the file; without it a changed bit may be missed.
 
     Raises
     ------
@@ -66,7 +70,7 @@ def check_chunks(stream: IO[bytes]) -> int:
     tables = [_unpack(stream, f"<{part.blocks}Q") for part in parts]
     for number, (part, offsets) in enumerate(zip(parts, tables, strict=True)):
         for block, offset in enumerate(offsets):
-            _check_block(stream, offset, part, block, number if several else None)
+            _check_block(stream, offset, part, block, number if several else None, unpack)
     return len(parts)
 
 
@@ -124,7 +128,7 @@ def _pixel_bytes(channels: bytes) -> int:
     return total
 
 
-def _check_block(stream: IO[bytes], offset: int, part: _Part, block: int, number: int | None) -> None:
+def _check_block(stream: IO[bytes], offset: int, part: _Part, block: int, number: int | None, unpack: bool) -> None:
     """One block of lines: it is where the table says, of this part and line, and can be unpacked."""
     stream.seek(min(offset, 2**62))
     leader = _unpack(stream, "<ii" if number is None else "<iii")
@@ -132,7 +136,7 @@ def _check_block(stream: IO[bytes], offset: int, part: _Part, block: int, number
     if leader[:-1] != (*(() if number is None else (number,)), part.first + block * part.lines) or size > whole:
         raise ValueError("a block of lines is damaged")
     content = _read(stream, size)
-    if size == whole:  # not compressed: it would not have become shorter
+    if not unpack or size == whole:  # not compressed: it would not have become shorter
         return
     unpacker = zlib.decompressobj()
     try:
