@@ -275,8 +275,8 @@ class StoredFrame:
 
         with self._reading("frame.exr") as path:
             with path.open() as stream:
-                # The library writes what it finds damaged to standard error. Without a look into the blocks, which takes
-                # as long as to read them, this finds a file that is cut short.
+                # The library writes what it finds damaged to standard error. To unpack the blocks would take as long as
+                # to read them; without it a file that is cut short is found.
                 check_chunks(stream, unpack=False)
             return read_exr(path.located())
 

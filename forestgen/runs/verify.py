@@ -37,7 +37,7 @@ from typing import Any
 
 from forestgen.core.errors import DatasetError, ForestgenError, RecipeError
 from forestgen.core.progress import Progress, Silent
-from forestgen.dataset.check import MOST_NAMED, Offence, Tally, check_dataset
+from forestgen.dataset.check import MOST_NAMED, CheckResult, Finding, check_dataset
 from forestgen.dataset.index import INDEX_NAME, read_index
 from forestgen.dataset.manifest import is_run_folder
 from forestgen.dataset.safe_path import SafePath, unreadable
@@ -49,7 +49,7 @@ from forestgen.runs.ledger import Ledger
 from forestgen.runs.places import LocalPlace
 from forestgen.runs.records import JOBS, record_path, records_of
 from forestgen.runs.verify_frames import check_frames
-from forestgen.runs.verify_manifests import description_offences, group_offences, manifest_offences, recipe_offences
+from forestgen.runs.verify_manifests import description_findings, group_findings, manifest_findings, recipe_findings
 from forestgen.runs.verify_renders import check_renders
 from forestgen.runs.verify_report import VerificationReport
 
@@ -64,22 +64,22 @@ class _Verifier:
     ) -> None:
         self.root, self.ledger, self.said = root, ledger, said
         self.workers, self.progress = workers, progress
-        self.checks: list[Tally] = []
-        self.findings: list[Offence] = []
+        self.checks: list[CheckResult] = []
+        self.findings: list[Finding] = []
         self.notes: list[str] = []
         self.seeds: dict[int, int] = {}  # image -> seed, by the index
         self.splits: dict[int, str] = {}  # image -> split, by the index
 
     def run(
-        self, name: str, holds: str, looked_at: int, found: Iterable[Offence], most: float = MOST_NAMED, more: int = 0
+        self, name: str, holds: str, looked_at: int, found: Iterable[Finding], most: float = MOST_NAMED, more: int = 0
     ) -> None:
-        """Take a check's offences: name the first `most` and count all; `more` are not among `found`."""
+        """Take a check's findings: name the first `most` and count all; `more` are not among `found`."""
         count = 0
         for count, one in enumerate(found, start=1):
             if count <= most:
                 self.findings.append(replace(one, check=name))
         count += more
-        self.checks.append(Tally(name, holds, looked_at, max(0, looked_at - count), count))
+        self.checks.append(CheckResult(name, holds, looked_at, max(0, looked_at - count), count))
 
 
 def verify(
@@ -181,7 +181,7 @@ def _check_files(verifier: _Verifier, hashes: bool) -> None:
     """Enter the listed files and those that are there, and compare them."""
     root, ledger = verifier.root, verifier.ledger
     ledger.note_found(files.found(root))
-    refused: list[Offence] = []
+    refused: list[Finding] = []
     is_listed = files.enter_sums(root, ledger, refused)
     if not is_listed:
         files.enter_other_sums(root, ledger, verifier.said["splits"])
@@ -203,10 +203,10 @@ def _check_records(verifier: _Verifier) -> None:
         return
     damaged: list[str] = []
     said = verifier.said["images"]
-    verifier.run("records", "images' records agree with the files", said, _record_offences(verifier, place, damaged))
+    verifier.run("records", "images' records agree with the files", said, _record_findings(verifier, place, damaged))
 
 
-def _record_offences(verifier: _Verifier, place: LocalPlace, damaged: list[str]) -> Iterator[Offence]:
+def _record_findings(verifier: _Verifier, place: LocalPlace, damaged: list[str]) -> Iterator[Finding]:
     rows = _Rows(verifier.root)
     images = 0
     for record in records_of(place, damaged.append):
@@ -215,7 +215,7 @@ def _record_offences(verifier: _Verifier, place: LocalPlace, damaged: list[str])
             listed = verifier.ledger.file(path)
             if listed is None or listed.sha256 != said["sha256"]:
                 got = "not listed" if listed is None else f"sha256 {listed.sha256}"
-                yield Offence(path, "SHA256SUMS and the image's record disagree", f"sha256 {said['sha256']}", got)
+                yield Finding(path, "SHA256SUMS and the image's record disagree", f"sha256 {said['sha256']}", got)
         yield from _left_out(verifier.ledger, record)
         for row in record.rows:
             own = rows.take(str(row["frame"]))
@@ -225,23 +225,23 @@ def _record_offences(verifier: _Verifier, place: LocalPlace, damaged: list[str])
             for key in wrong[:1] if own is None else wrong:
                 got = "no row" if own is None else f"{own.get(key)!r:.80}"
                 problem = f"the row of {row['frame']} is not its record's: {key}"
-                yield Offence(INDEX_NAME, problem, f"{row[key]!r:.80}", got, image=str(row["frame"]))
+                yield Finding(INDEX_NAME, problem, f"{row[key]!r:.80}", got, image=str(row["frame"]))
     for note in damaged:
         path, _, problem = note.partition(": ")
-        yield Offence(path, problem or "the record is damaged")
+        yield Finding(path, problem or "the record is damaged")
     if images != verifier.said["images"] and not damaged:
-        yield Offence(JOBS, "there is not a record for each image", str(verifier.said["images"]), str(images))
+        yield Finding(JOBS, "there is not a record for each image", str(verifier.said["images"]), str(images))
     for name in rows.rest():
-        yield Offence(INDEX_NAME, "a row is of no image that has a record", got=name, image=name)
+        yield Finding(INDEX_NAME, "a row is of no image that has a record", got=name, image=name)
 
 
-def _left_out(ledger: Ledger, record: JobRecord) -> Iterator[Offence]:
+def _left_out(ledger: Ledger, record: JobRecord) -> Iterator[Finding]:
     """Files of an image's frames that its record lacks."""
     for row in record.rows:
         frame = str(row["frame"])
         for path in (*(file.path for file in ledger.files(f"{record.split}/{frame}")), thumbnail_name(frame)):
             if path not in record.files:
-                yield Offence(record_path(record.key), f"the record lacks {path}", "its bytes and SHA-256", "none")
+                yield Finding(record_path(record.key), f"the record lacks {path}", "its bytes and SHA-256", "none")
 
 
 class _Rows:
@@ -269,77 +269,77 @@ class _Rows:
 
 
 def _check_index(verifier: _Verifier) -> None:
-    verifier.run("index", "it has a row for each frame", verifier.said["frames"], _index_offences(verifier))
+    verifier.run("index", "it has a row for each frame", verifier.said["frames"], _index_findings(verifier))
 
 
-def _index_offences(verifier: _Verifier) -> Iterator[Offence]:
+def _index_findings(verifier: _Verifier) -> Iterator[Finding]:
     root, said = verifier.root, verifier.said
     frames: dict[str, set[str]] = {}
     try:
         for row in read_index(root / INDEX_NAME):
-            yield from _row_offences(verifier, row, frames)
+            yield from _row_findings(verifier, row, frames)
     except (DatasetError, TypeError, ValueError, KeyError) as error:
-        yield Offence(INDEX_NAME, "the index cannot be read", got=" ".join(str(error).split())[:200])
+        yield Finding(INDEX_NAME, "the index cannot be read", got=" ".join(str(error).split())[:200])
         return
     images = {split: sum(1 for own in verifier.splits.values() if own == split) for split in frames}
     for split, counts in said["splits"].items():
         counted = {"images": images.get(split, 0), "frames": len(frames.get(split, ()))}
         if counted != counts:
-            yield Offence(DATASET_NAME, f"it counts {split} otherwise than the index", str(counted), str(counts))
+            yield Finding(DATASET_NAME, f"it counts {split} otherwise than the index", str(counted), str(counts))
     for split in sorted(set(frames) - set(said["splits"])):
-        yield Offence(DATASET_NAME, "the index has a split that is not told here", split, "none")
+        yield Finding(DATASET_NAME, "the index has a split that is not told here", split, "none")
     text = "".join(f"{verifier.seeds[image]}\n" for image in sorted(verifier.seeds))
     digest = hashlib.sha256(text.encode()).hexdigest()
     if digest != said["image_seeds_sha256"]:
-        yield Offence(DATASET_NAME, "the images' seeds are not the index'", digest, str(said["image_seeds_sha256"]))
+        yield Finding(DATASET_NAME, "the images' seeds are not the index'", digest, str(said["image_seeds_sha256"]))
     yield from _frames_without_rows(root, {*frames, *said["splits"]}, frames)
     try:
-        yield from description_offences(said, verifier.splits)
+        yield from description_findings(said, verifier.splits)
     except (KeyError, TypeError, ValueError) as error:
-        yield Offence(DATASET_NAME, "the content is not of this format", got=f"{type(error).__name__}: {error}"[:200])
+        yield Finding(DATASET_NAME, "the content is not of this format", got=f"{type(error).__name__}: {error}"[:200])
 
 
-def _row_offences(verifier: _Verifier, row: Mapping[str, Any], frames: dict[str, set[str]]) -> Iterator[Offence]:
+def _row_findings(verifier: _Verifier, row: Mapping[str, Any], frames: dict[str, set[str]]) -> Iterator[Finding]:
     """Enter a row of the index, by split, and what is wrong with it."""
     split, name = str(row["split"]), str(row["frame"])
     if name in frames.setdefault(split, set()):
-        yield Offence(INDEX_NAME, "a frame has two rows", "one", "two", image=name)
+        yield Finding(INDEX_NAME, "a frame has two rows", "one", "two", image=name)
     frames[split].add(name)
     if row["folder"] != f"{split}/{name}" or not (SafePath(verifier.root, split) / name).is_folder():
-        yield Offence(INDEX_NAME, "a row is of a frame that is not there", f"{split}/{name}", image=name)
+        yield Finding(INDEX_NAME, "a row is of a frame that is not there", f"{split}/{name}", image=name)
     if verifier.ledger.file(thumbnail_name(name)) is None:
-        yield Offence(thumbnail_name(name), "a frame has no thumbnail in SHA256SUMS", "one", "none", image=name)
+        yield Finding(thumbnail_name(name), "a frame has no thumbnail in SHA256SUMS", "one", "none", image=name)
     try:
         image, seed = int(row["image"]), int(row["image_seed"])
     except (KeyError, TypeError, ValueError) as error:
-        yield Offence(INDEX_NAME, "a row has no image or no seed", "numbers", f"{error}"[:80], image=name)
+        yield Finding(INDEX_NAME, "a row has no image or no seed", "numbers", f"{error}"[:80], image=name)
         return
     first = verifier.seeds.setdefault(image, seed), verifier.splits.setdefault(image, split)
     if first != (seed, split):
         expected = f"{first[0]}, {first[1]}"
-        yield Offence(INDEX_NAME, "rows of one image differ in seed or split", expected, f"{seed}, {split}", image=name)
+        yield Finding(INDEX_NAME, "rows of one image differ in seed or split", expected, f"{seed}, {split}", image=name)
 
 
-def _frames_without_rows(root: Path, splits: Iterable[str], frames: Mapping[str, set[str]]) -> Iterator[Offence]:
+def _frames_without_rows(root: Path, splits: Iterable[str], frames: Mapping[str, set[str]]) -> Iterator[Finding]:
     place = LocalPlace(root)
     for split in sorted(splits):
         for name in place.names(split):
             if _FRAME.fullmatch(name) and name not in frames.get(split, ()) and (root / split / name).is_dir():
-                yield Offence(f"{split}/{name}", "the index has no row of this frame", "a row", "none", image=name)
+                yield Finding(f"{split}/{name}", "the index has no row of this frame", "a row", "none", image=name)
 
 
 def _check_manifests(verifier: _Verifier) -> None:
     root, said, ledger = verifier.root, verifier.said, verifier.ledger
     complete = not any(check.found for check in verifier.checks if check.name in ("sums", "listing"))
-    found: list[Iterator[Offence]] = []
+    found: list[Iterator[Finding]] = []
     for split in said["splits"]:
         seeds = {image: seed for image, seed in verifier.seeds.items() if verifier.splits[image] == split}
-        found.append(manifest_offences(root, split, said, ledger, seeds))
+        found.append(manifest_findings(root, split, said, ledger, seeds))
     if complete:
-        found.append(group_offences(said, ledger))
+        found.append(group_findings(said, ledger))
     holds = "they list the files, the recipes and the seeds"
     verifier.run("manifests", holds, len(said["splits"]), chain.from_iterable(found))
-    verifier.run("recipes", "recipes have their hashes", len(said["recipes"]), recipe_offences(root, said))
+    verifier.run("recipes", "recipes have their hashes", len(said["recipes"]), recipe_findings(root, said))
 
 
 def _check_labels(verifier: _Verifier) -> None:
@@ -347,20 +347,20 @@ def _check_labels(verifier: _Verifier) -> None:
     for split, counts in verifier.said["splits"].items():
         name, holds = f"labels {split}", "labels are true to each other"
         if not SafePath(verifier.root, split).is_folder():
-            offence = Offence(split, "the split is no folder of the data set", "a folder, and no link")
-            verifier.run(name, holds, counts["frames"], [offence])
+            finding = Finding(split, "the split is no folder of the data set", "a folder, and no link")
+            verifier.run(name, holds, counts["frames"], [finding])
             continue
         try:
             report = check_dataset(
                 verifier.root / split, jobs=verifier.workers, hashes=False, most=None, progress=verifier.progress
             )
         except ForestgenError as error:
-            offence = Offence(split, error.problem, error.expected or "", error.got or "")
-            verifier.run(name, holds, counts["frames"], [offence])
+            finding = Finding(split, error.problem, error.expected or "", error.got or "")
+            verifier.run(name, holds, counts["frames"], [finding])
             continue
         found = (
             replace(one, file=f"{split}/{one.file}", problem=f"{one.problem} (check {one.check!r})")
-            for one in report.offences
+            for one in report.findings
         )
-        more = sum(tally.found for tally in report.tallies) - len(report.offences)
+        more = sum(check_result.found for check_result in report.check_results) - len(report.findings)
         verifier.run(name, holds, counts["frames"], found, math.inf, more)

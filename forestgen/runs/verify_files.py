@@ -11,9 +11,9 @@ from pathlib import Path
 
 from forestgen.core.errors import DatasetError
 from forestgen.core.progress import Progress
-from forestgen.dataset.check import Offence
+from forestgen.dataset.check import Finding
 from forestgen.dataset.check.files import read_json
-from forestgen.dataset.check.offence import UnreadableError
+from forestgen.dataset.check.finding import UnreadableError
 from forestgen.dataset.checksums import SUMS_NAME, file_sum, read_sums
 from forestgen.dataset.foreign import tool_of
 from forestgen.dataset.manifest import MANIFEST_NAME
@@ -39,21 +39,21 @@ def found(root: Path) -> Iterator[tuple[str, int, int]]:
             yield name, (root / name).lstat().st_size, 0
 
 
-def enter_sums(root: Path, ledger: Ledger, refused: list[Offence]) -> bool:
+def enter_sums(root: Path, ledger: Ledger, refused: list[Finding]) -> bool:
     """Enter the lines of SHA256SUMS, and in `refused` what is wrong with it; whether all of it could be read."""
 
     def refuse(error: DatasetError) -> None:
         line = (error.where or "").rpartition(":")[2]
-        refused.append(Offence(SUMS_NAME, f"line {line}: {error.problem}", error.expected or "", error.got or ""))
+        refused.append(Finding(SUMS_NAME, f"line {line}: {error.problem}", error.expected or "", error.got or ""))
 
     try:
         for path, digest in read_sums(root / SUMS_NAME, refuse):
             try:
                 ledger.add_file(FileSum(path, 0, digest))
             except DatasetError:
-                refused.append(Offence(SUMS_NAME, f"{path} is listed twice, with different sums"))
+                refused.append(Finding(SUMS_NAME, f"{path} is listed twice, with different sums"))
     except DatasetError as error:
-        refused.append(Offence(SUMS_NAME, error.problem, error.expected or "", error.got or error.where or ""))
+        refused.append(Finding(SUMS_NAME, error.problem, error.expected or "", error.got or error.where or ""))
         return False
     return True
 
@@ -70,40 +70,40 @@ def enter_other_sums(root: Path, ledger: Ledger, splits: Iterable[str]) -> None:
                 ledger.add_file(FileSum(f"{split}/{path}", 0, str(said["sha256"])))
 
 
-def lost(ledger: Ledger) -> Iterator[Offence]:
+def lost(ledger: Ledger) -> Iterator[Finding]:
     """Listed files that are not there."""
     for path in ledger.lost():
-        yield Offence(path, "the file is missing", "a file, as SHA256SUMS lists it", "none")
+        yield Finding(path, "the file is missing", "a file, as SHA256SUMS lists it", "none")
 
 
-def changed(root: Path, ledger: Ledger, threads: int | None, progress: Progress) -> Iterator[Offence]:
+def changed(root: Path, ledger: Ledger, threads: int | None, progress: Progress) -> Iterator[Finding]:
     """Listed files that are there with another sum."""
     count = sum(1 for _ in ledger.present())
     with ThreadPoolExecutor(threads) as pool, progress.stage("sums", count) as advance:
-        for offence in in_order(pool, partial(_sum_offence, root), ledger.present()):
+        for finding in in_order(pool, partial(_sum_finding, root), ledger.present()):
             advance(1)
-            if offence is not None:
-                yield offence
+            if finding is not None:
+                yield finding
 
 
-def _sum_offence(root: Path, file: FileSum) -> Offence | None:
+def _sum_finding(root: Path, file: FileSum) -> Finding | None:
     try:
         digest = file_sum(SafePath(root, file.path))
     except OSError as error:
-        return Offence(file.path, "the file cannot be read", got=error.strerror or str(error))
+        return Finding(file.path, "the file cannot be read", got=error.strerror or str(error))
     if digest == file.sha256:
         return None
-    return Offence(file.path, "the file has changed since it was made", f"sha256 {file.sha256}", f"sha256 {digest}")
+    return Finding(file.path, "the file has changed since it was made", f"sha256 {file.sha256}", f"sha256 {digest}")
 
 
-def strangers(ledger: Ledger, note: Callable[[str], None]) -> Iterator[Offence]:
+def strangers(ledger: Ledger, note: Callable[[str], None]) -> Iterator[Finding]:
     """Files that SHA256SUMS does not list; those of other tools are a note."""
     foreign: list[str] = []
     count = 0
     for path in ledger.strangers():
         tool = tool_of(path)
         if tool is None:
-            yield Offence(path, "SHA256SUMS does not list this file", "nothing")
+            yield Finding(path, "SHA256SUMS does not list this file", "nothing")
             continue
         count += 1
         if count <= _MOST_IN_A_NOTE:
@@ -113,7 +113,7 @@ def strangers(ledger: Ledger, note: Callable[[str], None]) -> Iterator[Offence]:
         note(f"files of other tools are left out: {', '.join(foreign)}{more}")
 
 
-def empty_folders(root: Path) -> Iterator[Offence]:
+def empty_folders(root: Path) -> Iterator[Finding]:
     """Folders without a file, the topmost of each."""
     filled: set[Path] = set()
     empty: list[Path] = []
@@ -127,4 +127,4 @@ def empty_folders(root: Path) -> Iterator[Offence]:
         path = folder.relative_to(root)
         is_top = folder.parent in filled
         if is_top and path.parts and path.parts[0] not in RUN_DEPENDENT and tool_of(path.as_posix()) is None:
-            yield Offence(path.as_posix(), "this folder is empty", "no such folder")
+            yield Finding(path.as_posix(), "this folder is empty", "no such folder")

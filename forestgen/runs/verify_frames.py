@@ -15,13 +15,13 @@ import numpy as np
 from forestgen.core.errors import DatasetError
 from forestgen.core.progress import Progress
 from forestgen.dataset.check.files import read_json, read_picture, read_table, read_text
-from forestgen.dataset.check.offence import MISUNDERSTOOD, Offence, UnreadableError, misunderstood
+from forestgen.dataset.check.finding import MISUNDERSTOOD, Finding, UnreadableError, misunderstood
 from forestgen.dataset.index import INDEX_NAME, read_index
 from forestgen.recipe.hashing import recipe_hash
 from forestgen.runs.parallel import in_order
 from forestgen.runs.verify_manifests import plain_yaml
 
-Check = tuple[str, str, int, list[Offence]]  # name, what holds, how many it looked at, offences
+Check = tuple[str, str, int, list[Finding]]  # name, what holds, how many it looked at, findings
 _HINT = "give the recipe one split, or let it draw each image's plants"
 
 
@@ -31,7 +31,7 @@ class FrameFacts:
 
     row: Mapping[str, Any]  # the index' own
     community: bytes  # hash of the plants' species and places; empty: bare ground
-    offences: tuple[Offence, ...]
+    findings: tuple[Finding, ...]
 
 
 def check_frames(root: Path, said: Mapping[str, Any], jobs: int | None, progress: Progress) -> list[Check]:
@@ -43,19 +43,19 @@ def check_frames(root: Path, said: Mapping[str, Any], jobs: int | None, progress
     jobs : threads; by default the cores.
     """
     class_names = said["settings"]["class_names"]
-    frames: list[Offence] = []
+    frames: list[Finding] = []
     seeds, communities = _Shared("seed"), _Shared("plant community")
     with ThreadPoolExecutor(jobs) as pool, progress.stage("frames", int(said["frames"])) as advance:
         for facts in in_order(pool, partial(_facts, root, class_names), _rows(root)):
             advance(1)
-            frames += facts.offences
+            frames += facts.findings
             seeds.add(str(facts.row.get("image_seed")).encode(), facts.row)
             communities.add(facts.community, facts.row)
     images = int(said["images"])
     return [
         ("frames", "the index tells of frames what their files show", int(said["frames"]), frames),
-        ("seeds", "no image's seed is in two splits", images, seeds.offences),
-        ("communities", "no plant community is in two splits", images, communities.offences),
+        ("seeds", "no image's seed is in two splits", images, seeds.findings),
+        ("communities", "no plant community is in two splits", images, communities.findings),
     ]
 
 
@@ -73,7 +73,7 @@ class _Shared:
     def __init__(self, what: str) -> None:
         self._what = what
         self._first: dict[bytes, tuple[str, str]] = {}  # what -> split and frame that had it first
-        self.offences: list[Offence] = []
+        self.findings: list[Finding] = []
 
     def add(self, mark: bytes, row: Mapping[str, Any]) -> None:
         if not mark:
@@ -82,22 +82,22 @@ class _Shared:
         if split != row["split"]:
             problem = f"two splits share a {self._what}"
             expected = f"another than that of {frame} ({_HINT})"
-            self.offences.append(Offence(str(row["folder"]), problem, expected, f"the same in {row['split']}"))
+            self.findings.append(Finding(str(row["folder"]), problem, expected, f"the same in {row['split']}"))
 
 
 def _facts(root: Path, class_names: Sequence[str], row: Mapping[str, Any]) -> FrameFacts:
     """Compare each file of a frame with the row; one that cannot be read leaves the others."""
     folder = str(row["folder"])
-    offences: list[Offence] = []
+    findings: list[Finding] = []
 
     def compared(read: Callable[[], Mapping[str, Any]]) -> None:
         try:
             shown = read()
-            offences.extend(_wrong(row, key, value) for key, value in shown.items() if row[key] != value)
+            findings.extend(_wrong(row, key, value) for key, value in shown.items() if row[key] != value)
         except UnreadableError as error:
-            offences.append(error.offence)
+            findings.append(error.finding)
         except MISUNDERSTOOD as error:
-            offences.append(misunderstood(folder, error, str(row["frame"])))
+            findings.append(misunderstood(folder, error, str(row["frame"])))
 
     def plants() -> dict[str, Any]:
         table = read_table(root, f"{folder}/plants.parquet")
@@ -119,12 +119,12 @@ def _facts(root: Path, class_names: Sequence[str], row: Mapping[str, Any]) -> Fr
         try:
             return {"recipe_hash": _hash_of(read_text(root, file))}
         except UnreadableError as error:
-            raise UnreadableError(replace(error.offence, file=file)) from error
+            raise UnreadableError(replace(error.finding, file=file)) from error
 
     community: list[bytes] = []
     for read in (plants, classes, camera, recipe):
         compared(read)
-    return FrameFacts(row, community[0] if community else b"", tuple(offences))
+    return FrameFacts(row, community[0] if community else b"", tuple(findings))
 
 
 @lru_cache(maxsize=64)
@@ -133,9 +133,9 @@ def _hash_of(text: str) -> str:
     return recipe_hash(plain_yaml(text, ""))
 
 
-def _wrong(row: Mapping[str, Any], key: str, value: Any) -> Offence:
+def _wrong(row: Mapping[str, Any], key: str, value: Any) -> Finding:
     problem = f"{key} of {row['folder']} is not what its files show"
-    return Offence(INDEX_NAME, problem, f"{value!r:.120}", f"{row[key]!r:.120}", image=str(row["frame"]))
+    return Finding(INDEX_NAME, problem, f"{value!r:.120}", f"{row[key]!r:.120}", image=str(row["frame"]))
 
 
 def _plants_shown(plants: Mapping[str, Any]) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from typing import Any
 from forestgen.core.errors import ForestgenError
 from forestgen.dataset.card import CARD_NAME
 from forestgen.dataset.check.files import read_json, read_text
-from forestgen.dataset.check.offence import MISUNDERSTOOD, Offence, UnreadableError, misunderstood
+from forestgen.dataset.check.finding import MISUNDERSTOOD, Finding, UnreadableError, misunderstood
 from forestgen.dataset.index import INDEX_NAME
 from forestgen.dataset.manifest import MANIFEST_NAME
 from forestgen.recipe.hashing import recipe_hash
@@ -21,9 +21,9 @@ from forestgen.runs.ledger import Ledger
 _NOT_COUNTED = (DATASET_NAME, INDEX_NAME, CARD_NAME)  # in dataset.json's groups of files: they are written after it
 
 
-def manifest_offences(
+def manifest_findings(
     root: Path, split: str, said: Mapping[str, Any], ledger: Ledger, seeds: Mapping[int, int]
-) -> Iterator[Offence]:
+) -> Iterator[Finding]:
     """What is wrong in a split's manifest.json.
 
     Parameters
@@ -41,9 +41,9 @@ def manifest_offences(
         for key, value in wanted.items():
             if manifest.get(key) != value:
                 got = f"{manifest.get(key)!r:.120}"
-                yield Offence(name, f"{key} is not the index's or dataset.json's", f"{value!r:.120}", got)
+                yield Finding(name, f"{key} is not the index's or dataset.json's", f"{value!r:.120}", got)
     except UnreadableError as error:
-        yield error.offence
+        yield error.finding
         return
     except MISUNDERSTOOD as error:
         yield misunderstood(name, error)
@@ -52,13 +52,13 @@ def manifest_offences(
         known = ledger.file(path)
         if known is None or known.sha256 != digest:
             got = "not listed" if known is None else f"sha256 {known.sha256}"
-            yield Offence(path, f"SHA256SUMS and {name} disagree", f"sha256 {digest}", got)
+            yield Finding(path, f"SHA256SUMS and {name} disagree", f"sha256 {digest}", got)
     for file in ledger.files(split):
         if file.path not in listed and file.path != name:
-            yield Offence(file.path, f"{name} does not list this file", "its bytes and SHA-256", "none")
+            yield Finding(file.path, f"{name} does not list this file", "its bytes and SHA-256", "none")
 
 
-def description_offences(said: Mapping[str, Any], split_of_image: Mapping[int, str]) -> Iterator[Offence]:
+def description_findings(said: Mapping[str, Any], split_of_image: Mapping[int, str]) -> Iterator[Finding]:
     """What is wrong in dataset.json.
 
     Parameters
@@ -68,36 +68,36 @@ def description_offences(said: Mapping[str, Any], split_of_image: Mapping[int, s
     for key in ("images", "frames"):
         total = sum(int(counts[key]) for counts in said["splits"].values())
         if said[key] != total:
-            yield Offence(DATASET_NAME, f"{key} is not the sum over the splits", str(total), str(said[key]))
+            yield Finding(DATASET_NAME, f"{key} is not the sum over the splits", str(total), str(said[key]))
     made = dict.fromkeys(range(len(said["recipes"])), 0)
     for image, split in split_of_image.items():
         number = next((at for at, one in enumerate(said["recipes"]) if _holds(one["asked"], image)), None)
         if number is None:
-            yield Offence(DATASET_NAME, f"image {image} of the index is of no recipe", "one that asked for it", "none")
+            yield Finding(DATASET_NAME, f"image {image} of the index is of no recipe", "one that asked for it", "none")
             continue
         made[number] += 1
         shares = said["recipes"][number]["splits"]
         if shares and split_of(shares, image) != split:
             problem = f"image {image} is in another split than its number gives"
-            yield Offence(INDEX_NAME, problem, split_of(shares, image), split, image=str(image))
+            yield Finding(INDEX_NAME, problem, split_of(shares, image), split, image=str(image))
     for number, count in made.items():
         one = said["recipes"][number]
         asked, missing = (sum(last - first + 1 for first, last in one[key]) for key in ("asked", "missing"))
         if (one["images"], missing) != (asked, asked - count):
             expected, got = f"{asked} asked, {asked - count} missing", f"{one['images']} asked, {missing} missing"
-            yield Offence(DATASET_NAME, f"recipes[{number}] counts its images wrongly", expected, got)
+            yield Finding(DATASET_NAME, f"recipes[{number}] counts its images wrongly", expected, got)
 
 
-def group_offences(said: Mapping[str, Any], ledger: Ledger) -> Iterator[Offence]:
+def group_findings(said: Mapping[str, Any], ledger: Ledger) -> Iterator[Finding]:
     """Kinds of files that dataset.json counts otherwise; of a data set in which no file is missing or added."""
     there = file_groups(file for file in ledger.present() if file.path not in _NOT_COUNTED)
     for group in sorted({*there, *said["files"]}):
         if there.get(group) != said["files"].get(group):
             expected, got = str(there.get(group)), str(said["files"].get(group))
-            yield Offence(DATASET_NAME, f"files: {group} is counted wrongly", expected, got)
+            yield Finding(DATASET_NAME, f"files: {group} is counted wrongly", expected, got)
 
 
-def recipe_offences(root: Path, said: Mapping[str, Any]) -> Iterator[Offence]:
+def recipe_findings(root: Path, said: Mapping[str, Any]) -> Iterator[Finding]:
     """Recipes of the whole data set that do not have the hash of dataset.json."""
     for one in said["recipes"]:
         file = str(one["file"])
@@ -107,14 +107,14 @@ def recipe_offences(root: Path, said: Mapping[str, Any]) -> Iterator[Offence]:
             if digest != one["hash"]:  # maps that are drawn from a list have no sums in the file: the loader adds them
                 digest = _identity(load_recipe(root / file).complete)
         except UnreadableError as error:
-            yield error.offence
+            yield error.finding
         except ForestgenError as error:
-            yield Offence(
+            yield Finding(
                 file, "the recipe has changed, and cannot be loaded", one["hash"], " ".join(str(error).split())
             )
         else:
             if digest != one["hash"]:
-                yield Offence(file, "the recipe is not the one that dataset.json names", one["hash"], digest)
+                yield Finding(file, "the recipe is not the one that dataset.json names", one["hash"], digest)
 
 
 def plain_yaml(text: str, name: str) -> dict[str, Any]:
@@ -126,9 +126,9 @@ def plain_yaml(text: str, name: str) -> dict[str, Any]:
         content = YAML(typ="safe").load(text)
     except (YAMLError, ValueError, RecursionError) as error:
         got = " ".join(str(error).split())[:200]
-        raise UnreadableError(Offence(name, "the file cannot be read", got=got)) from error
+        raise UnreadableError(Finding(name, "the file cannot be read", got=got)) from error
     if not isinstance(content, dict):
-        raise UnreadableError(Offence(name, "this is no recipe", expected="a mapping"))
+        raise UnreadableError(Finding(name, "this is no recipe", expected="a mapping"))
     return content
 
 

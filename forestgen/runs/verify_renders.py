@@ -12,7 +12,7 @@ from typing import Any
 from forestgen.core.errors import ForestgenError
 from forestgen.core.progress import Progress
 from forestgen.core.timing import Timings
-from forestgen.dataset.check.offence import Offence
+from forestgen.dataset.check.finding import Finding
 from forestgen.dataset.index import INDEX_NAME, read_index
 from forestgen.dataset.safe_path import SafePath
 from forestgen.dataset.thumbnails import thumbnail_name, write_thumbnail
@@ -24,7 +24,7 @@ _RECIPE = "recipe.yaml"
 
 def check_renders(
     root: Path, said: Mapping[str, Any], count: int, seed: int, progress: Progress, note: Callable[[str], None]
-) -> Iterator[Offence]:
+) -> Iterator[Finding]:
     """Files that have other bytes than those that are rendered now.
 
     Parameters
@@ -66,7 +66,7 @@ def _drawn(root: Path, count: int, seed: int) -> dict[int, list[dict[str, Any]]]
 
 def _check_image(
     root: Path, image: int, rows: list[dict[str, Any]], progress: Progress, moved: str
-) -> Iterator[Offence]:
+) -> Iterator[Finding]:
     with TemporaryDirectory(prefix="forestgen-rerender-") as folder:
         fresh = Path(folder) / "fresh"
         fresh.mkdir()
@@ -76,12 +76,12 @@ def _check_image(
             again = _render(source.located(), fresh, progress)
         except (ForestgenError, OSError) as error:
             got = str(error).replace("\n", " ")
-            yield Offence(source.name, "the image cannot be rendered again", got=got)
+            yield Finding(source.name, "the image cannot be rendered again", got=got)
             return
         names = {str(row["frame"]) for row in rows}
         if names != set(again):
             expected, got = ", ".join(sorted(names)), ", ".join(sorted(again))
-            yield Offence(
+            yield Finding(
                 str(rows[0]["folder"]), f"image {image} has other frames when it is rendered again", expected, got
             )
         for row in rows:
@@ -109,7 +109,7 @@ def _render(source: Path, fresh: Path, progress: Progress) -> dict[str, dict[str
     return {str(row["frame"]): row for row in image.rows}
 
 
-def _compare(root: Path, fresh: Path, kept_name: str, fresh_name: str, moved: str) -> Iterator[Offence]:
+def _compare(root: Path, fresh: Path, kept_name: str, fresh_name: str, moved: str) -> Iterator[Finding]:
     """A file, or all files of a folder."""
     kept, made = SafePath(root, kept_name), fresh / fresh_name
     if made.is_file():
@@ -121,8 +121,8 @@ def _compare(root: Path, fresh: Path, kept_name: str, fresh_name: str, moved: st
         one, other = (kept / name, made / name) if name else (kept, made)
         problem = _difference(one, other)
         if problem is not None:
-            offence = Offence(f"{kept_name}/{name}" if name else kept_name, *problem)
-            yield replace(offence, got=f"{offence.got} ({moved})") if moved else offence
+            finding = Finding(f"{kept_name}/{name}" if name else kept_name, *problem)
+            yield replace(finding, got=f"{finding.got} ({moved})") if moved else finding
 
 
 def _difference(kept: SafePath, made: Path) -> tuple[str, str, str] | None:
@@ -138,13 +138,13 @@ def _difference(kept: SafePath, made: Path) -> tuple[str, str, str] | None:
     return "rendered again, the file has other bytes", f"{len(new)} bytes", f"{len(old)} bytes, other from byte {at} on"
 
 
-def _compare_rows(kept: Mapping[str, Any], made: Mapping[str, Any]) -> Iterator[Offence]:
+def _compare_rows(kept: Mapping[str, Any], made: Mapping[str, Any]) -> Iterator[Finding]:
     for key, value in made.items():
         if key.startswith("draw."):  # a drawn recipe draws nothing
             continue
         if kept.get(key) != value:
             problem = f"{key} of {made['frame']} is another when it is rendered again"
-            yield Offence(INDEX_NAME, problem, f"{value!r:.120}", f"{kept.get(key)!r:.120}")
+            yield Finding(INDEX_NAME, problem, f"{value!r:.120}", f"{kept.get(key)!r:.120}")
 
 
 def _moved(said: Mapping[str, Any]) -> str:

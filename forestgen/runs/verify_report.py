@@ -6,7 +6,7 @@ import json
 from dataclasses import dataclass
 from typing import Any
 
-from forestgen.dataset.check import Offence, Tally
+from forestgen.dataset.check import CheckResult, Finding
 
 
 @dataclass(frozen=True)
@@ -16,8 +16,8 @@ class VerificationReport:
     images: int
     frames: int
     files: int  # that SHA256SUMS lists
-    checks: tuple[Tally, ...]  # in their order; `images` counts what a check looked at
-    findings: tuple[Offence, ...]  # in the order of the checks; of each check the first thousand
+    checks: tuple[CheckResult, ...]  # in their order; `images` counts what a check looked at
+    findings: tuple[Finding, ...]  # in the order of the checks; of each check the first thousand
     notes: tuple[str, ...]  # for people; none of them is an error
     seconds: float
 
@@ -53,7 +53,7 @@ class VerificationReport:
         return json.dumps(self.as_dict(), indent=1, ensure_ascii=False)
 
 
-def _finding(one: Offence) -> dict[str, Any]:
+def _finding(one: Finding) -> dict[str, Any]:
     return {
         "check": one.check,
         "where": one.where,

@@ -37,7 +37,7 @@ def own(name: str) -> str:
     return f"{FRAME}/{name}"
 
 
-# name: (check, file, the break, what else the offence says)
+# name: (check, file, the break, what else the finding says)
 MUTATIONS: dict[str, tuple[str, str, Break, dict[str, object]]] = {
     # files that cannot be read
     "an EXR cut short": ("files", own("frame.exr"), cut(own("frame.exr")), {}),

@@ -27,7 +27,7 @@ def damaged(whole: Path, tmp_path: Path) -> Path:
 
 
 def named(report: VerificationReport) -> set[tuple[str, str]]:
-    return {(offence.check, offence.file) for offence in report.findings}
+    return {(finding.check, finding.file) for finding in report.findings}
 
 
 def test_a_sound_data_set_passes_in_full(whole):
@@ -35,11 +35,11 @@ def test_a_sound_data_set_passes_in_full(whole):
     assert report.findings == ()
     assert report.notes == ()
     assert (report.images, report.frames) == (4, 8)
-    names = [tally.name for tally in report.checks]
+    names = [check_result.name for check_result in report.checks]
     assert names[:7] == ["sums", "listing", "records", "index", "manifests", "recipes", "frames"]
     assert names[7:9] == ["seeds", "communities"]
     assert names[9:] == ["labels train", "labels val", "renders"]
-    assert all(tally.good == tally.images > 0 for tally in report.checks)
+    assert all(check_result.good == check_result.images > 0 for check_result in report.checks)
 
 
 def kinds(root: Path) -> Iterator[str]:
@@ -120,9 +120,9 @@ def test_damage_is_named(damaged, name):
     harm(damaged)
     report = verify(damaged, labels=False, workers=2)
     assert expected in named(report)
-    offence = next(one for one in report.findings if (one.check, one.file) == expected)
-    assert offence.problem
-    failed = {tally.name for tally in report.checks if tally.good < tally.images}
+    finding = next(one for one in report.findings if (one.check, one.file) == expected)
+    assert finding.problem
+    failed = {check_result.name for check_result in report.checks if check_result.good < check_result.images}
     assert expected[0] in failed
 
 
@@ -168,9 +168,9 @@ def test_a_community_in_two_splits_is_found(damaged):
     shutil.copyfile(damaged / "train/000000-near/plants.parquet", damaged / "val/000001-near/plants.parquet")
     sum_again(damaged)
     report = verify(damaged, labels=False, workers=1)
-    offence = next(one for one in report.findings if one.check == "communities")
-    assert offence.file == "val/000001-near"
-    assert "train/000000-" in offence.expected
+    finding = next(one for one in report.findings if one.check == "communities")
+    assert finding.file == "val/000001-near"
+    assert "train/000000-" in finding.expected
 
 
 def test_labels_of_each_split_are_checked(damaged):
@@ -205,10 +205,10 @@ def test_retouched_pictures_are_found_by_rendering_again(damaged):
     sum_again(damaged)
     assert verify(damaged, labels=False, workers=1).findings == ()
     report = verify(damaged, labels=False, rerender=1, workers=1)
-    (offence,) = report.findings
-    assert offence.check == "renders"
-    assert damaged / offence.file in paths
-    assert "numpy 1.0, now" in offence.got
+    (finding,) = report.findings
+    assert finding.check == "renders"
+    assert damaged / finding.file in paths
+    assert "numpy 1.0, now" in finding.got
     assert any("numpy 1.0, now" in note for note in report.notes)
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.dataset.check.offence import Offence, UnreadableError
+from forestgen.dataset.check.finding import Finding, UnreadableError
 from forestgen.dataset.exr_chunks import check_chunks
 from forestgen.dataset.safe_path import SafePath, check_cells, load_json
 
@@ -19,7 +19,7 @@ def read_bytes(root: Path, name: str) -> bytes:
     try:
         return SafePath(root, name).read()
     except FileNotFoundError as error:
-        raise UnreadableError(Offence(name, "the file is missing")) from error
+        raise UnreadableError(Finding(name, "the file is missing")) from error
     except OSError as error:
         raise unreadable(name, error) from error
 
@@ -35,7 +35,7 @@ def read_json(root: Path, name: str) -> Any:
     try:
         return load_json(read_text(root, name))
     except ValueError as error:
-        raise UnreadableError(Offence(name, "this is no JSON", got=_one_line(error))) from error
+        raise UnreadableError(Finding(name, "this is no JSON", got=_one_line(error))) from error
 
 
 def read_yaml(root: Path, name: str) -> Any:
@@ -45,13 +45,13 @@ def read_yaml(root: Path, name: str) -> Any:
 
     text = read_text(root, name)
     if len(text) > _MOST_YAML:
-        raise UnreadableError(Offence(name, "the file is too large", f"{_MOST_YAML:,} characters", f"{len(text):,}"))
+        raise UnreadableError(Finding(name, "the file is too large", f"{_MOST_YAML:,} characters", f"{len(text):,}"))
     reader = YAML(typ="safe", pure=True)
     reader.max_depth = _MOST_LEVELS
     try:
         return reader.load(text)
     except (YAMLError, ValueError, RecursionError) as error:
-        raise UnreadableError(Offence(name, "this is no YAML", got=_one_line(error))) from error
+        raise UnreadableError(Finding(name, "this is no YAML", got=_one_line(error))) from error
 
 
 def read_exr(root: Path, name: str) -> tuple[dict[str, dict[str, NDArray[Any]]], dict[str, Any]]:
@@ -59,7 +59,7 @@ def read_exr(root: Path, name: str) -> tuple[dict[str, dict[str, NDArray[Any]]],
     import OpenEXR
 
     if not read_head(root, name).startswith(b"\x76\x2f\x31\x01"):  # OpenEXR's magic number
-        raise UnreadableError(Offence(name, "this is no OpenEXR file"))
+        raise UnreadableError(Finding(name, "this is no OpenEXR file"))
     path = SafePath(root, name)
     try:
         with path.open() as stream:
@@ -130,13 +130,13 @@ def read_head(root: Path, name: str) -> bytes:
         with SafePath(root, name).open() as stream:
             return stream.read(16)
     except FileNotFoundError as error:
-        raise UnreadableError(Offence(name, "the file is missing")) from error
+        raise UnreadableError(Finding(name, "the file is missing")) from error
     except OSError as error:
         raise unreadable(name, error) from error
 
 
 def unreadable(name: str, error: Exception) -> UnreadableError:
-    return UnreadableError(Offence(name, "the file cannot be read", got=_one_line(error) or type(error).__name__))
+    return UnreadableError(Finding(name, "the file cannot be read", got=_one_line(error) or type(error).__name__))
 
 
 def _one_line(error: Exception) -> str:

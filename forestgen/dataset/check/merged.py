@@ -13,7 +13,7 @@ from typing import Any
 
 from forestgen.core.errors import RecipeError
 from forestgen.dataset.check.files import read_json
-from forestgen.dataset.check.offence import Offence, UnreadableError
+from forestgen.dataset.check.finding import Finding, UnreadableError
 from forestgen.dataset.check.recipe import categories, read_recipe
 from forestgen.dataset.safe_path import SafePath
 
@@ -49,11 +49,11 @@ class Merged:
     def manifest(self) -> dict[str, Any]:
         manifest = read_json(self.root, MANIFEST)
         if not isinstance(manifest, dict) or not str(manifest.get("schema", "")).startswith(_SCHEMA):
-            raise UnreadableError(Offence(MANIFEST, "this is no manifest of forestgen", expected=f"schema {_SCHEMA}1"))
+            raise UnreadableError(Finding(MANIFEST, "this is no manifest of forestgen", expected=f"schema {_SCHEMA}1"))
         files = manifest.get("files")
         if not isinstance(files, dict) or not all(isinstance(entry, dict) for entry in files.values()):
             expected = "files: path -> bytes, sha256"
-            raise UnreadableError(Offence(MANIFEST, "the manifest lists no files", expected=expected))
+            raise UnreadableError(Finding(MANIFEST, "the manifest lists no files", expected=expected))
         return manifest
 
     def has(self, name: str) -> bool:
@@ -171,11 +171,11 @@ class Merged:
         """A JSON mapping with lists of mappings under `keys`."""
         content = read_json(self.root, file)
         if not isinstance(content, dict):
-            raise UnreadableError(Offence(file, "this is no data set's description", expected="a JSON mapping"))
+            raise UnreadableError(Finding(file, "this is no data set's description", expected="a JSON mapping"))
         for key in keys:
             values = content.get(key)
             if not isinstance(values, list) or not all(isinstance(value, dict) for value in values):
-                raise UnreadableError(Offence(file, f"{key} is missing or no list", expected="a list of mappings"))
+                raise UnreadableError(Finding(file, f"{key} is missing or no list", expected="a list of mappings"))
         return content
 
 

@@ -1,4 +1,4 @@
-"""Offences of a picture: of each plant the first wrong pixel and how many there are."""
+"""Findings of a picture: of each plant the first wrong pixel and how many there are."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.dataset.check.finding import Finding, numbers
 from forestgen.dataset.check.frame_data import FrameData
-from forestgen.dataset.check.offence import Offence, numbers
 
 
 def wrong_pixels(
@@ -19,11 +19,11 @@ def wrong_pixels(
     problem: str,
     expected: NDArray[Any] | str = "",
     got: NDArray[Any] | str = "",
-) -> Iterator[Offence]:
-    """An offence for each plant of the mask that has true pixels in `wrong` (H, W), with the values at the first."""
+) -> Iterator[Finding]:
+    """A finding for each plant of the mask that has true pixels in `wrong` (H, W), with the values at the first."""
     for x, y, count in first_of_each(wrong, frame.instance):
         more = f" ({count:,} such pixels)" if count > 1 else ""
-        yield frame.offence(
+        yield frame.finding(
             file,
             problem + more,
             expected=expected if isinstance(expected, str) else numbers(expected[y, x]),

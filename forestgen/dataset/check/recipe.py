@@ -15,7 +15,7 @@ from typing import Any
 
 from forestgen.core.errors import DatasetError
 from forestgen.dataset.check.files import read_text
-from forestgen.dataset.check.offence import Offence, UnreadableError
+from forestgen.dataset.check.finding import Finding, UnreadableError
 from forestgen.recipe.yaml_source import parse_yaml
 
 _SECTION = re.compile(r"(?m)^(?=[A-Za-z_]\w*:)")
@@ -28,13 +28,13 @@ def read_recipe(root: Path, name: str) -> dict[str, Any]:
     try:
         recipe = parse_yaml(_excerpt(read_text(root, name)), name, error=DatasetError)[0]
     except DatasetError as error:
-        raise UnreadableError(Offence(name, error.problem, error.expected or "", error.got or "")) from error
+        raise UnreadableError(Finding(name, error.problem, error.expected or "", error.got or "")) from error
     if not isinstance(recipe, dict) or not isinstance(recipe.get("species"), dict):
-        raise UnreadableError(Offence(name, "this is no drawn recipe", expected="a mapping with species"))
+        raise UnreadableError(Finding(name, "this is no drawn recipe", expected="a mapping with species"))
     sections = {key: recipe.get(key) or {} for key in _WANTED}
     for key, section in sections.items():
         if not isinstance(section, dict):
-            raise UnreadableError(Offence(name, f"{key} is no section", expected="a mapping", got=str(section)[:80]))
+            raise UnreadableError(Finding(name, f"{key} is no section", expected="a mapping", got=str(section)[:80]))
     return {**sections, "species": [str(species) for species in recipe["species"]]}
 
 

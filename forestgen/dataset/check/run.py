@@ -1,6 +1,6 @@
 """Run all checks over a data set, on several processes; the outcome does not depend on their number.
 
-Offenders are ordered: frames by name, each with its checks in the registry's order, then the files over all images.
+Findings are ordered: frames by name, each with its checks in the registry's order, then the files over all images.
 """
 
 from __future__ import annotations
@@ -21,33 +21,33 @@ from typing import Any
 from forestgen.core.errors import ResourceError
 from forestgen.core.processes import without_main
 from forestgen.core.progress import Progress
-from forestgen.dataset.check.frame_data import FrameData, FrameTask
-from forestgen.dataset.check.merged import Merged, open_dataset
-from forestgen.dataset.check.offence import (
+from forestgen.dataset.check.finding import (
     MISUNDERSTOOD,
     DatasetCheck,
+    Finding,
     FrameCheck,
-    Offence,
     UnreadableError,
     misunderstood,
 )
+from forestgen.dataset.check.frame_data import FrameData, FrameTask
+from forestgen.dataset.check.merged import Merged, open_dataset
 from forestgen.dataset.check.registry import DATASET_CHECKS, FIRST, FRAME_CHECKS, HASHES, SHARED_HASHES
 from forestgen.dataset.check.sequences import UNKNOWN, following_frames
 
 _FRAMES_A_TASK = 4  # in a row, so that a sequence's next frame is read once
 _FEWEST_FOR_PROCESSES = 6  # frames: below, starting a process takes longer than its share of the work
-MOST_NAMED = 1000  # offences of one check that are named; the others are counted
+MOST_NAMED = 1000  # findings of one check that are named; the others are counted
 
 
 @dataclass(frozen=True)
-class Tally:
+class CheckResult:
     """How a check went."""
 
     name: str
     holds: str
     images: int  # that it looked at; of a check over all images, 1 or 0
     good: int
-    found: int = 0  # offences, also those that are not named
+    found: int = 0  # findings, also those that are not named
 
 
 @dataclass(frozen=True)
@@ -55,9 +55,9 @@ class Report:
     """What the checks found."""
 
     frames: int  # in the data set
-    checked: int  # frames that were looked at before the first offender stopped the work
-    tallies: tuple[Tally, ...]
-    offences: tuple[Offence, ...]  # in order; the first alone unless more were asked for
+    checked: int  # frames that were looked at before the first finding stopped the work
+    check_results: tuple[CheckResult, ...]
+    findings: tuple[Finding, ...]  # in order; the first alone unless more were asked for
     seconds: float
 
 
@@ -66,8 +66,8 @@ class FrameResult:
     """One frame's outcome, from a worker."""
 
     ran: tuple[str, ...]  # checks that applied
-    offences: tuple[Offence, ...]
-    found: Counter[str]  # check -> how many offences, also those beyond MOST_NAMED
+    findings: tuple[Finding, ...]
+    found: Counter[str]  # check -> how many findings, also those beyond MOST_NAMED
 
 
 def check_dataset(
@@ -84,7 +84,7 @@ def check_dataset(
     ----------
     jobs : worker processes; by default the cores. No result depends on it.
     hashes : compare each file with manifest.json's SHA-256.
-    most : offenders to name before stopping; None: go through everything, and name up to `MOST_NAMED` of each check.
+    most : findings to name before stopping; None: go through everything, and name up to `MOST_NAMED` of each check.
 
     Raises
     ------
@@ -98,7 +98,7 @@ def check_dataset(
     ran: Counter[str] = Counter()
     failed: Counter[str] = Counter()
     found: Counter[str] = Counter()
-    offences: list[Offence] = []
+    findings: list[Finding] = []
     checked = 0
     limit = math.inf if most is None else most
     results = _frame_results(tasks, _job_count(jobs, len(tasks)), hashes, limit)
@@ -107,49 +107,50 @@ def check_dataset(
             checked += 1
             ran.update(result.ran)
             failed.update(result.found.keys())
-            offences += _first_of_each(result.offences, found)
+            findings += _first_of_each(result.findings, found)
             found.update(result.found)
             advance(1)
-            if len(offences) >= limit:
+            if len(findings) >= limit:
                 results.close()
                 break
-    tallies = [
-        Tally(one.name, one.holds, ran[one.name], ran[one.name] - failed[one.name], found[one.name]) for one in checks
+    check_results = [
+        CheckResult(one.name, one.holds, ran[one.name], ran[one.name] - failed[one.name], found[one.name])
+        for one in checks
     ]
     for check in (*DATASET_CHECKS, *((SHARED_HASHES,) if hashes else ())):
-        if len(offences) >= limit or not check.applies(merged):
+        if len(findings) >= limit or not check.applies(merged):
             continue
         own, count = _found_by(check, merged, "")
-        offences += own
-        tallies.append(Tally(check.name, check.holds, 1, 0 if count else 1, count))
-    return Report(len(tasks), checked, tuple(tallies), tuple(offences[:most]), perf_counter() - start)
+        findings += own
+        check_results.append(CheckResult(check.name, check.holds, 1, 0 if count else 1, count))
+    return Report(len(tasks), checked, tuple(check_results), tuple(findings[:most]), perf_counter() - start)
 
 
 def check_frame(data: FrameData, hashes: bool, most: float) -> FrameResult:
-    """Run the checks of one frame; after `most` offenders no further ones.
+    """Run the checks of one frame; after `most` findings no further ones.
 
     A file that cannot be read is named once, and the checks that do without it go on.
     """
     ran: list[str] = []
-    offences: list[Offence] = []
+    findings: list[Finding] = []
     found: Counter[str] = Counter()
     for check in (FIRST, *FRAME_CHECKS, *((HASHES,) if hashes and data.task.listed else ())):
-        if len(offences) >= most:
+        if len(findings) >= most:
             break
         if not _applies(check, data):
             continue
         ran.append(check.name)
         own, count = _found_by(check, data, data.name)
-        known = {_place(one) for one in offences}  # of a file that cannot be read, which several checks ask for
+        known = {_place(one) for one in findings}  # of a file that cannot be read, which several checks ask for
         fresh = [one for one in own if _place(one) not in known]
-        offences += fresh
+        findings += fresh
         if count > len(own) - len(fresh):
             found[check.name] = count - (len(own) - len(fresh))
-    return FrameResult(tuple(ran), tuple(offences), found)
+    return FrameResult(tuple(ran), tuple(findings), found)
 
 
-def _place(offence: Offence) -> tuple[object, ...]:
-    return offence.file, offence.problem, offence.plant_id, offence.pixel
+def _place(finding: Finding) -> tuple[object, ...]:
+    return finding.file, finding.problem, finding.plant_id, finding.pixel
 
 
 def _applies(check: FrameCheck, data: FrameData) -> bool:
@@ -162,34 +163,34 @@ def _applies(check: FrameCheck, data: FrameData) -> bool:
         return True
 
 
-def _first_of_each(offences: Sequence[Offence], before: Counter[str]) -> Iterator[Offence]:
+def _first_of_each(findings: Sequence[Finding], before: Counter[str]) -> Iterator[Finding]:
     """Those of a frame that are named, by how many of each check there were in other frames."""
     number = Counter(before)
-    for offence in offences:
-        number[offence.check] += 1
-        if number[offence.check] <= MOST_NAMED:
-            yield offence
+    for finding in findings:
+        number[finding.check] += 1
+        if number[finding.check] <= MOST_NAMED:
+            yield finding
 
 
-def _found_by(check: FrameCheck | DatasetCheck, data: Any, image: str) -> tuple[list[Offence], int]:
-    """The check's first offenders and the number of all; content that it cannot understand is one."""
-    found: list[Offence] = []
+def _found_by(check: FrameCheck | DatasetCheck, data: Any, image: str) -> tuple[list[Finding], int]:
+    """The check's first findings and the number of all; content that it cannot understand is one."""
+    found: list[Finding] = []
     count = 0
     file = check.file or image
     if isinstance(check, FrameCheck) and check.file and not check.shared:
         file = f"{image}/{check.file}"
     try:
-        for offence in check.find(data):
+        for finding in check.find(data):
             count += 1
             if count <= MOST_NAMED:
-                found.append(offence)
+                found.append(finding)
     except UnreadableError as error:
-        found.append(error.offence)
+        found.append(error.finding)
         count += 1
     except MISUNDERSTOOD as error:
         found.append(misunderstood(file, error))
         count += 1
-    return [replace(offence, check=check.name, image=offence.image or image) for offence in found], count
+    return [replace(finding, check=check.name, image=finding.image or image) for finding in found], count
 
 
 def _tasks(merged: Merged) -> list[FrameTask]:
@@ -249,7 +250,7 @@ def _frames(tasks: Sequence[FrameTask], hashes: bool, most: float) -> Iterator[F
         result = check_frame(data, hashes, most)
         data.following = None
         yield result
-        if len(result.offences) >= most:
+        if len(result.findings) >= most:
             return
 
 

@@ -14,9 +14,9 @@ from rasterisers import opencv_fill
 
 from forestgen.dataset.check.camera_file import CameraFile, camera_of
 from forestgen.dataset.check.cryptomatte import murmur3, standard_id
+from forestgen.dataset.check.finding import UnreadableError
 from forestgen.dataset.check.frame_data import extents_of
 from forestgen.dataset.check.keypoints import states
-from forestgen.dataset.check.offence import UnreadableError
 from forestgen.dataset.check.recipe import read_recipe
 from forestgen.dataset.check.rle import decode, run_lengths
 from forestgen.dataset.check.sequences import UNKNOWN, following_frames
@@ -217,7 +217,7 @@ def test_what_is_no_recipe_is_refused(text, tmp_path):
     (tmp_path / "recipe.yaml").write_text(text)
     with pytest.raises(UnreadableError) as error:
         read_recipe(tmp_path, "recipe.yaml")
-    assert error.value.offence.file == "recipe.yaml"
+    assert error.value.finding.file == "recipe.yaml"
 
 
 def camera_file(root: Path, frame: str, text: str) -> str:

@@ -13,7 +13,7 @@ import pytest
 from dataset_shots import make_shot
 
 from forestgen.dataset.check.files import read_exr
-from forestgen.dataset.check.offence import UnreadableError
+from forestgen.dataset.check.finding import UnreadableError
 from forestgen.dataset.exr import write_exr
 from forestgen.dataset.exr_chunks import check_chunks
 
@@ -52,7 +52,7 @@ def test_half_a_file_is_refused_and_the_library_prints_nothing(
         (tmp_path / "a.exr").write_bytes(content[:length])
         with pytest.raises(UnreadableError) as caught:
             read_exr(tmp_path, "a.exr")
-        assert caught.value.offence.file == "a.exr"
+        assert caught.value.finding.file == "a.exr"
     assert capfd.readouterr() == ("", "")
 
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Offence:
+class Finding:
     """One place where a data set contradicts itself."""
 
     file: str  # relative to the data set's folder
@@ -42,18 +42,18 @@ class Offence:
 class UnreadableError(Exception):
     """A file that cannot be read or understood."""
 
-    def __init__(self, offence: Offence) -> None:
-        self.offence = offence
-        super().__init__(offence.where)
+    def __init__(self, finding: Finding) -> None:
+        self.finding = finding
+        super().__init__(finding.where)
 
 
 MISUNDERSTOOD = (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError, RecursionError)
 
 
-def misunderstood(file: str, error: Exception, image: str = "", plant_id: int | None = None) -> Offence:
-    """The offence of content that a check cannot understand; `error` is one of `MISUNDERSTOOD`."""
+def misunderstood(file: str, error: Exception, image: str = "", plant_id: int | None = None) -> Finding:
+    """The finding of content that a check cannot understand; `error` is one of `MISUNDERSTOOD`."""
     reason = f"{type(error).__name__}: {error}"
-    return Offence(file, "the content is not of this format", got=reason[:200], image=image, plant_id=plant_id)
+    return Finding(file, "the content is not of this format", got=reason[:200], image=image, plant_id=plant_id)
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class FrameCheck:
     holds: str  # what is true if it passes, for people
     file: str  # that it is about, inside the frame's folder or, if `shared`, in the data set's
     applies: Callable[[FrameData], bool]  # whether the files that it reads are there
-    find: Callable[[FrameData], Iterator[Offence]]
+    find: Callable[[FrameData], Iterator[Finding]]
     shared: bool = False
 
 
@@ -76,7 +76,7 @@ class DatasetCheck:
     holds: str
     file: str
     applies: Callable[[Merged], bool]
-    find: Callable[[Merged], Iterator[Offence]]
+    find: Callable[[Merged], Iterator[Finding]]
 
 
 def always(_: object) -> bool:
