@@ -44,7 +44,7 @@ def print_script(
 
 def add_completion(app: typer.Typer) -> None:
     """Give the program its command, and, where a shell asks for it, the answers."""
-    app.command("completion", epilog='Example: eval "$(forestgen completion bash)"')(print_script)
+    app.command("completion", epilog="Example: forestgen completion bash > ~/.forestgen-completion.bash")(print_script)
     if _VARIABLE in os.environ:
         completion.completion_init()  # type: ignore[attr-defined]
 
