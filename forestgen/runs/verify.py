@@ -155,7 +155,8 @@ def open_data_set(root: Path) -> dict[str, Any]:
     if (root.parent / DATASET_NAME).is_file():
         got, hint = "a part of a data set", f"name {root.parent}"
     elif is_run_folder(root):
-        got = "the output of forestgen simulate or calibrate"
+        got = "a split without its data set, or the output of forestgen simulate or calibrate"
+        hint = f"name the folder that has {DATASET_NAME}"
     elif (root / JOBS).is_dir():
         got, hint = "a batch that is not finished", "the command that began it, with --resume"
     else:

@@ -231,7 +231,7 @@ def test_other_folders_are_refused_with_what_to_do(whole, tmp_path):
     run("verify", whole / "train").refused(2, "a part of a data set", str(whole))
     run("verify", whole.parent).refused(2, "whole")
     shutil.copytree(whole / "train", tmp_path / "plain")
-    run("verify", tmp_path / "plain").refused(2, "forestgen render", "forestgen labels check")
+    run("verify", tmp_path / "plain").refused(2, "a split without its data set", "name the folder")
     unfinished = copied(whole, tmp_path / "unfinished", [0])
     run("verify", unfinished).refused(2, "not finished", "--resume")
     (unfinished / "dataset.json").write_text("{}")
