@@ -236,7 +236,7 @@ def _print(run: Run, say: Printer, *, verbose: bool) -> None:
     if summary.last is not None:
         _print_image(summary, say)
     before = f", {summary.already:,} of them before" if summary.already else ""
-    say(f"{summary.already + summary.made:,} of {count(summary.images, 'image')} done{before}")
+    say(f"{summary.images - len(summary.missing):,} of {count(summary.images, 'image')} done{before}")
     say(
         f"{count(summary.frames, 'frame')}, {summary.bytes / 1e6:,.1f} MB in {seconds(summary.seconds)}{_pace(summary)}"
     )

@@ -197,16 +197,13 @@ def cluster(features: Floats, clusters: int, seed: int) -> tuple[Floats, Ints]:
     distinct, rank = np.unique(features, axis=0, return_inverse=True)
     if len(distinct) <= clusters:
         return distinct, rank.reshape(-1)
-    from sklearn.cluster import KMeans
-    from threadpoolctl import threadpool_limits
+    from forestgen.scene.k_means import k_means  # brings SciPy's BLAS
 
-    with threadpool_limits(1):  # partial sums must not depend on the number of threads
-        model = KMeans(n_clusters=clusters, random_state=seed, n_init=1).fit(features)
-    centres = model.cluster_centers_.astype(np.float64)
+    centres, labels = k_means(features, clusters, seed)
     order = np.lexsort(centres.T[::-1])
     place = np.empty(clusters, dtype=np.int64)
     place[order] = np.arange(clusters)
-    return centres[order], place[model.labels_]
+    return centres[order], place[labels]
 
 
 def size_errors(

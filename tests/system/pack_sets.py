@@ -16,7 +16,7 @@ from PIL import Image
 
 from forestgen.dataset.index import write_index
 from forestgen.dataset.writer import write_dataset, write_frame
-from forestgen.runs.description import SCHEMA
+from forestgen.runs.description import SCHEMA, this_version
 
 sys.path.append(str(Path(__file__).parents[1] / "unit" / "dataset"))
 from dataset_shots import HEIGHT, SETTINGS, WIDTH, make_shot
@@ -59,7 +59,19 @@ def many(root: Path, frame: Path, copies: int) -> Path:
 def _describe(root: Path, splits: Mapping[str, tuple[int, ...]]) -> None:
     """dataset.json, with what packs need of it."""
     counts = {split: {"images": len(images), "frames": len(images)} for split, images in splits.items()}
-    content = {"schema": SCHEMA, "recipes": [], "splits": counts, "settings": asdict(_SETTINGS), "made_with": []}
+    images = sum(len(images) for images in splits.values())
+    recipe = {"file": "recipe.yaml", "hash": "", "root_seed": 7, "asked": [], "splits": dict.fromkeys(splits, 1.0)}
+    content = {
+        "schema": SCHEMA,
+        "recipes": [{**recipe, "draws": {}}],
+        "images": images,
+        "frames": images,
+        "splits": counts,
+        "image_seeds_sha256": "",
+        "settings": asdict(_SETTINGS),
+        "made_with": [this_version()],
+        "files": {},
+    }
     (root / "dataset.json").write_text(json.dumps(content), encoding="utf-8")
 
 

@@ -37,6 +37,7 @@ COMMANDS = (
     "calibrate",
     "light",
     "weather",
+    "completion",
     "doctor",
 )
 HEAVY = (

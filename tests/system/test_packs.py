@@ -295,6 +295,26 @@ def test_a_missing_file_is_found_before_anything_is_written(copy, tmp_path):
     assert not (tmp_path / "pack").exists()
 
 
+@pytest.mark.parametrize("channels", [None, ("preview", "overlay")])
+def test_a_channel_that_some_frames_lack_is_an_error_by_frame_and_file(copy, tmp_path, channels):
+    """Whichever frame it is: the first must not decide alone, or the whole pack would lack the channel unsaid."""
+    for name in ("train/000000-camera0", "val/000004-camera0"):
+        file = copy / name / ("depth.png" if channels is None else "overlay.png")
+        content = file.read_bytes()
+        file.unlink()
+        with pytest.raises(DatasetError, match="missing") as caught:
+            packed(copy, tmp_path / "pack", channels=channels)
+        assert caught.value.where == str(file)
+        file.write_bytes(content)
+    assert not (tmp_path / "pack").exists()
+
+
+def test_a_channel_that_no_frame_has_is_left_out(copy, tmp_path):
+    for file in copy.glob("*/*/depth.png"):
+        file.unlink()
+    assert packed(copy, tmp_path / "pack").channels == ("preview", "semantic", "instance", "annotations")
+
+
 def test_refusals_say_what_would_do(copy, tmp_path):
     def ask(*arguments, folder=copy, form="webdataset"):
         return run("pack", folder, "--format", form, "--out", tmp_path / "pack", *arguments)
@@ -314,14 +334,14 @@ def test_refusals_say_what_would_do(copy, tmp_path):
     ask("--channels", "depth").refused(2, "the data set has no such channel", "depth_m", "depth_png")
     (copy / ".forestgen" / "jobs").mkdir(parents=True)
     (copy / "index.parquet").write_bytes(b"PAR1 and no more")
-    ask().refused(6, "the index cannot be read", "index.parquet", "--resume")
+    ask().refused(6, "the index cannot be read", "index.parquet")
     _refused_by_pack(copy, "the index cannot be read")
     (copy / "dataset.json").rename(copy / "aside.json")
     ask().refused(6, "not finished", "dataset.json", "--resume")
     _refused_by_pack(copy, "not finished: it has no dataset.json yet")
     (copy / "index.parquet").unlink()
     (copy / "aside.json").rename(copy / "dataset.json")
-    ask().refused(6, "the index cannot be read", "index.parquet", "--resume")
+    ask().refused(6, "the index cannot be read", "index.parquet")
     _refused_by_pack(copy, "not finished: it has no index.parquet yet")
     assert not (tmp_path / "pack").exists()
 

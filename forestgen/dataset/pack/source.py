@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from forestgen.core.errors import DatasetError, RecipeError
-from forestgen.dataset.index import INDEX_NAME
+from forestgen.dataset.index import INDEX_NAME, open_index
 from forestgen.dataset.legend import FILE_NAME as CLASSES_FILE
 from forestgen.dataset.pack.channels import read_json
+from forestgen.dataset.safe_path import SafePath, is_frame, is_split, unreadable
 
 LAST_FILE = "dataset.json"  # that a run writes
 
@@ -20,7 +22,7 @@ class Split:
     """A part of the data set."""
 
     name: str
-    folder: Path
+    folder: SafePath
     frames: tuple[str, ...]  # names of the frames' folders, sorted
 
 
@@ -40,7 +42,10 @@ class Source:
 
     def row(self, frame: str) -> dict[str, Any]:
         """A frame's row of the index."""
-        rows = self.index.slice(self.row_numbers[frame], 1).to_pylist(maps_as_pydicts="strict")
+        try:
+            rows = self.index.slice(self.row_numbers[frame], 1).to_pylist(maps_as_pydicts="strict")
+        except (ValueError, KeyError) as error:  # a key twice, or a text that is no UTF-8
+            raise unreadable(self.root / INDEX_NAME, error) from error
         return dict(rows[0])
 
 
@@ -57,7 +62,7 @@ def open_source(root: Path, splits: Sequence[str] = ()) -> Source:
     DatasetError : the folder is no data set, is not finished, or is damaged.
     RecipeError : the data set has no such split.
     """
-    if not (root / INDEX_NAME).is_file() or not (root / LAST_FILE).is_file():
+    if not os.path.lexists(root / INDEX_NAME) or not os.path.lexists(root / LAST_FILE):
         raise _no_data_set(root)
     return _opened(root, splits)
 
@@ -76,11 +81,11 @@ def _no_data_set(root: Path) -> DatasetError:
 
 
 def _opened(root: Path, wanted: Sequence[str]) -> Source:
-    index = _read_index(root / INDEX_NAME)
-    told = read_json(root / LAST_FILE).get("splits")
+    index, names = _read_index(root / INDEX_NAME)
+    told = read_json(SafePath(root, LAST_FILE)).get("splits")
     order = list(told) if isinstance(told, dict) else []  # the recipe's
     frames: dict[str, list[str]] = {}
-    for split, frame in zip(index["split"].to_pylist(), index["frame"].to_pylist(), strict=True):
+    for split, frame in names:
         frames.setdefault(split, []).append(frame)
     for name in wanted:
         if name not in frames:
@@ -88,28 +93,34 @@ def _opened(root: Path, wanted: Sequence[str]) -> Source:
                 "the data set has no such split", where="--split", expected="of " + ", ".join(sorted(frames)), got=name
             )
     chosen = sorted(set(wanted) or frames, key=lambda name: (order.index(name) if name in order else len(order), name))
-    splits = tuple(Split(name, root / name, tuple(sorted(frames[name]))) for name in chosen)
+    splits = tuple(Split(name, SafePath(root, name), tuple(sorted(frames[name]))) for name in chosen)
     if not splits:
         raise DatasetError("the data set has no frame", where=str(root))
-    numbers = {frame: number for number, frame in enumerate(index["frame"].to_pylist())}
+    numbers = {frame: number for number, (_, frame) in enumerate(names)}
     return Source(root, splits, _common_classes(splits), index, numbers)
 
 
-def _read_index(path: Path) -> Any:
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    try:
-        index = pq.ParquetFile(path).read()
-    except (OSError, pa.ArrowException) as error:
-        raise DatasetError("the index cannot be read", where=str(path), got=str(error).partition("\n")[0]) from error
-    if not {"split", "frame"} <= set(index.column_names):
-        raise DatasetError("the index lacks a column", where=str(path), expected="split and frame")
-    return index
+def _read_index(path: Path) -> tuple[Any, list[tuple[str, str]]]:
+    """The table, and the split and frame of each row: they become names of files."""
+    with open_index(path, ("split", "frame")) as file:
+        index = file.read()
+        names = list(zip(index["split"].to_pylist(), index["frame"].to_pylist(), strict=True))
+    for split, frame in names:
+        if not is_split(split) or not is_frame(frame):
+            expected, got = "names such as train and 000000-camera0", ascii((split, frame))[:160]
+            raise DatasetError("a row of the index names no frame", where=str(path), expected=expected, got=got)
+    if len({frame for _, frame in names}) < len(names):
+        raise DatasetError("a frame has two rows of the index", where=str(path))
+    return index, names
 
 
 def _common_classes(splits: Sequence[Split]) -> dict[str, Any]:
     classes = read_json(splits[0].folder / CLASSES_FILE)
+    for key in ("semantic", "categories"):
+        named = classes.get(key)
+        if not isinstance(named, dict) or not all(isinstance(name, str) for name in named.values()):
+            where, expected = str(splits[0].folder / CLASSES_FILE), f"{key}: a name for each number"
+            raise DatasetError("a file is not what its name says", where=where, expected=expected)
     for split in splits[1:]:
         if read_json(split.folder / CLASSES_FILE) != classes:
             raise DatasetError(

@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from forestgen.cli.batch_command import Asked
 
 from forestgen.cli import batch_command
-from forestgen.cli.batch_command import Asked
 from forestgen.runs.contract import Failed, FailureKind, Job
 from forestgen.runs.discards import Standing
 from forestgen.runs.summary import BatchSummary
@@ -39,5 +39,5 @@ def test_measuring_is_told_where_no_bar_shows_it(
 )
 def test_images_that_cannot_be_made_are_not_worth_another_run(kinds: tuple[FailureKind, ...], hint: str) -> None:
     failed = tuple(Failed(Job(k, k, "train", "key"), 1, kind, "bad") for k, kind in enumerate(kinds))
-    summary = BatchSummary("out", 5, 0, 3, failed, 3, 1000, None, 1.0)
+    summary = BatchSummary("out", 5, 0, 3, failed, (0, 1), 3, 1000, None, 1.0)
     assert hint in str(batch_command._incomplete(summary))

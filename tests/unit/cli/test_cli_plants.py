@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pytest
-
 from forestgen.cli.plants import _mass, _size
 
 

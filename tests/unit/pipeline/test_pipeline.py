@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -99,3 +101,21 @@ def test_an_image_that_fails_takes_the_whole_run_with_it(tmp_path: Path, monkeyp
         pipeline.render(loaded, tmp_path / "out", progress=Silent(), timings=Timings())
     assert len(calls) == 2
     assert not list(tmp_path.iterdir())
+
+
+def test_the_pipeline_imports_nothing_that_is_not_always_needed():
+    heavy = {
+        "scipy.linalg",
+        "scipy.special",
+        "pandas",
+        "matplotlib",
+        "pvlib",
+        "colour",
+        "pyarrow",
+        "trimesh",
+        "mitsuba",
+        "h5py",
+    }
+    code = "import sys, forestgen.pipeline; print(*sys.modules)"
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    assert not heavy & set(loaded)

@@ -6,8 +6,8 @@ import errno
 import os
 
 import pytest
-
 from forestgen.cli.batch_command import amounts, bytes_of, seconds_of
+
 from forestgen.core.errors import AssetError, OutputError, RecipeError, RenderError, ResourceError
 from forestgen.dataset.files import output_error
 from forestgen.runs.contract import TRANSIENT
