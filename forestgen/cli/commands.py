@@ -110,7 +110,7 @@ def _say_size_errors(out: Console, errors: Sequence[SizeError]) -> None:
     for title in ("plants", "exemplars", "rms size error", "rms crown width error"):
         table.add_column(title, justify="right")
     for error in errors:
-        rms = (f"{100 * value:.1f} %" for value in (error.radius_rms, error.crown_width_rms))
+        rms = ("-" if value is None else f"{100 * value:.1f} %" for value in (error.radius_rms, error.crown_width_rms))
         table.add_row(Text(error.species), f"{error.plants:,}", f"{error.exemplars:,}", *rms)
     out.print(table)
 
