@@ -298,6 +298,9 @@ def _print_size_errors(errors: Sequence[Mapping[str, Any]], say: Printer) -> Non
         return
     rows = [("species", "plants", "exemplars", "rms size error", "rms crown width error")]
     for one in errors:
-        rms = (f"{100 * one[name]:.1f} %" for name in ("radius_rms", "crown_width_rms"))
+        rms = (
+            "-" if one[name] is None else f"{100 * one[name]:.1f} %"  # no species of its kind has a crown
+            for name in ("radius_rms", "crown_width_rms")
+        )
         rows.append((one["species"], f"{one['plants']:,}", f"{one['exemplars']:,}", *rms))
     say.table(rows)

@@ -9,8 +9,18 @@ import time
 
 import pytest
 
-from forestgen.cli.console import Bars, count, errors_for_people, seconds
+from forestgen.cli.commands import _say_size_errors
+from forestgen.cli.console import Bars, count, errors_for_people, output, seconds
 from forestgen.core.errors import AssetError, ForestgenError, OutputError, RecipeError, RenderError, ResourceError
+from forestgen.scene.exemplars import SizeError
+
+
+def test_a_width_that_no_plant_has_is_a_dash(capsys: pytest.CaptureFixture[str]) -> None:
+    errors = [SizeError("birch", 2, 1, 0.05, 0.1), SizeError("snag", 3, 1, 0.2, None)]
+    _say_size_errors(output(), errors)
+    birch, snag = (line.split() for line in capsys.readouterr().out.splitlines()[1:])
+    assert birch[-4:] == ["5.0", "%", "10.0", "%"]
+    assert snag[-3:] == ["20.0", "%", "-"]
 
 
 def _ends(error: BaseException, capsys: pytest.CaptureFixture[str]) -> tuple[object, str]:
