@@ -266,8 +266,7 @@ def _pace(summary: RunSummary) -> str:
 
 
 def _print_notes(summary: RunSummary, say: Printer, *, verbose: bool) -> None:
-    own = list(summary.last.notes) if summary.last is not None else []
-    notes = [*dict.fromkeys([*own, *summary.notes])]
+    notes = [*dict.fromkeys([*summary.image_notes, *summary.notes])]
     shown = notes if verbose else notes[:_MOST_NOTES]
     for note in shown:
         say(f"note: {note}")

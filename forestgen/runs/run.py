@@ -45,6 +45,7 @@ class _Run:
     retries: int
     strict: bool
     failed: list[Failed] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)  # on the images made
     last: JobRecord | None = None  # of the image that was finished last
     peak_memory_bytes: int = 0
     logged_s: float = 0.0
@@ -191,6 +192,7 @@ def _account(run: _Run, outcome: Outcome) -> None:
     if isinstance(outcome, Done):
         run.meter.count(outcome.run.timings_s)
         run.last = outcome.record
+        run.notes += outcome.record.notes
         run.peak_memory_bytes = max(run.peak_memory_bytes, outcome.run.peak_memory_bytes)
         run.log.event("job_done", **done_fields(outcome))
         return
@@ -284,6 +286,7 @@ def _summary(run: _Run, whole: Finished, report: str | None, notes: tuple[str, .
         stages_s=dict(sorted(meter.stages_s.items(), key=lambda stage: -stage[1])),
         peak_memory_bytes=run.peak_memory_bytes,
         notes=notes,
+        image_notes=tuple(run.notes),
         last=run.last,
     )
 

@@ -50,7 +50,7 @@ def test_the_estimate_holds(name: str, tmp_path: Path) -> None:
     assert process.returncode == 0, err
     plants = int(re.search(r"^([\d,]+) plants", out, re.MULTILINE)[1].replace(",", ""))  # type: ignore[index]
     assert plants >= least_plants
-    peak = json.loads((tmp_path / "out" / "manifest.json").read_text())["peak_memory_bytes"]
+    peak = json.loads((tmp_path / "out" / "run" / "summary.json").read_text())["peak_memory_bytes"]
     parts = estimate_bytes(check_plan(load_recipe(QUICKSTART, overrides)), plants=plants)
     estimate = sum(parts.values())
     print(f"{name}: estimate {estimate / 1e6:.0f} MB, peak {peak / 1e6:.0f} MB, {plants} plants")  # noqa: T201
