@@ -82,4 +82,4 @@ def test_a_simulations_estimate_holds(recipe: Path, overrides: list[str], tmp_pa
 
 def test_validate_tells_the_estimate() -> None:
     told = run("validate", QUICKSTART).out
-    assert re.search(r"memory +up to about \d+\.\d GB to render, \d+\.\d GB to simulate alone$", told, re.MULTILINE)
+    assert re.search(r"memory +up to about [\d.]+ GB to render, [\d.]+ [MG]B to simulate alone$", told, re.MULTILINE)
