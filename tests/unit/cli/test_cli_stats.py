@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import subprocess
 import sys
@@ -14,6 +15,8 @@ from typer.testing import CliRunner
 from forestgen.cli import app
 from forestgen.cli.variadic import repeat_option
 from forestgen.community import point_statistics
+
+command = importlib.import_module("forestgen.cli.stats")  # the package has a function of this name
 
 DATA = Path(__file__).parents[1] / "community" / "data"
 KEYS = {
