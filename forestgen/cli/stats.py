@@ -49,12 +49,12 @@ class PointStatistics:
 
 def stats(path: Path, window: tuple[float, float, float, float] | None, radii: Sequence[str], as_json: bool) -> None:
     """Print the statistics of a file's points."""
-    table = read_points(path, window)
+    table = read_points(path, window, allow_duplicates=True)
     radii_m = _radii(radii, table)
     _check_pairs(table.points_m, float(radii_m.max()))
     measured = measure(table.points_m, table.window, radii_m)
     if as_json:
-        sys.stdout.write(json.dumps(_document(measured, table.notes), indent=2, allow_nan=False) + "\n")
+        sys.stdout.write(json.dumps(_document(measured, table), indent=2, allow_nan=False) + "\n")
     else:
         _print(path, measured, table.notes)
 
@@ -122,10 +122,11 @@ def _number(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def _document(measured: PointStatistics, notes: Sequence[str]) -> dict[str, object]:
+def _document(measured: PointStatistics, table: PointTable) -> dict[str, object]:
     window = measured.window
     return {
         "n": measured.n,
+        "duplicates": table.duplicates,
         "density": measured.density,
         "hopkins": _number(measured.hopkins.value),
         "hopkins_error": _number(measured.hopkins.error),
@@ -137,7 +138,7 @@ def _document(measured: PointStatistics, notes: Sequence[str]) -> dict[str, obje
         "ripley_k_isotropic": measured.k_isotropic_m2.tolist(),
         "ripley_k_translation": measured.k_translation_m2.tolist(),
         "window": [window.x0, window.x1, window.y0, window.y1],
-        "notes": list(notes),
+        "notes": list(table.notes),
     }
 
 
