@@ -26,8 +26,8 @@ def main() -> int:
             [sys.executable, "-m", "forestgen", "render", str(recipe), "-o", str(target)], check=True, cwd=ROOT
         )
         total = perf_counter() - start
-        manifest = json.loads((target / "manifest.json").read_text(encoding="utf-8"))
-    stages = manifest["timings_s"]
+        summary = json.loads((target / "run" / "summary.json").read_text(encoding="utf-8"))
+    stages = summary["timings_s"]
     inside = stages["light paths"]
     outside = total - inside
     print()
@@ -37,7 +37,7 @@ def main() -> int:
     print(f"  {'start-up, the rest':<20} {rest:7.2f} s {100 * rest / total:5.1f}%")
     print(f"total                  {total:7.2f} s (bound {TOTAL_BOUND_S:.0f} s)")
     print(f"without light paths    {outside:7.2f} s (bound {OUTSIDE_BOUND_S:.0f} s)")
-    print(f"peak memory            {manifest['peak_memory_bytes'] / 1e9:7.2f} GB")
+    print(f"peak memory            {summary['peak_memory_bytes'] / 1e9:7.2f} GB")
     return int(total >= TOTAL_BOUND_S or outside >= OUTSIDE_BOUND_S)
 
 

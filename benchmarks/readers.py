@@ -1,7 +1,8 @@
 """Others read what we write: `uv run python benchmarks/readers.py --peer-python PATH [FOLDER]`; exit code 1 if not.
 
-FOLDER is a data set with the formats coco and yolo; without it, the quickstart's recipe is rendered, small. PATH
-is the interpreter of an environment with supervision (and OpenCV, which it fills polygons with):
+FOLDER is a split of a data set with the formats coco and yolo, such as outputs/forests/train; without it, the
+quickstart's recipe is rendered, small. PATH is the interpreter of an environment with supervision (and OpenCV, which it
+fills polygons with):
 
     uv venv readers && uv pip install --python readers/bin/python supervision opencv-python-headless pillow
     uv run python benchmarks/readers.py --peer-python readers/bin/python
@@ -111,7 +112,7 @@ def rendered(folder: Path) -> Path:
     options = [word for setting in SETTINGS for word in ("--set", setting)]
     command = [sys.executable, "-m", "forestgen", "render", str(recipe), "-o", str(folder / "out"), *options]
     subprocess.run(command, check=True, cwd=ROOT, stdout=subprocess.DEVNULL)
-    return folder / "out"
+    return folder / "out" / "train"
 
 
 def report(line: str, value: object, good: bool) -> bool:

@@ -24,7 +24,7 @@ from forestgen.recipe.load import LoadedRecipe, load_recipe
 from forestgen.runs.contract import Done, Engine, Notice, Work
 from forestgen.runs.engines.local import LocalEngine
 from forestgen.runs.estimate import Estimate, estimate
-from forestgen.runs.run import check_recipe, run_batch
+from forestgen.runs.run import check_recipe, images_of, run_batch
 from forestgen.runs.work import make_job
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -143,7 +143,7 @@ def row(name: str, expected: Estimate, ones: list[Pass], twos: list[Pass], ratio
 def measure(name: str, rounds: int, *, quick: bool) -> tuple[str, float]:
     loaded = load_recipe(ROOT / "recipes" / f"{name}.yaml", (*QUICK, *QUICK_OF[name]) if quick else ())
     images = QUICK_IMAGES if quick else IMAGES[name]
-    settings, _ = check_recipe(loaded)
+    settings, _ = check_recipe(loaded, images_of(loaded, LONG))
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
         os.environ["FORESTGEN_CACHE"] = str(folder / "cache")

@@ -39,7 +39,7 @@ def tile(name: str, folder: Path) -> Image.Image:
     subprocess.run([sys.executable, "-m", "forestgen", "render", recipe, "-o", folder, *settings], check=True)
     climate = load_recipe(recipe).draw(0).data["community"]["biome"]
     out = Image.new("RGB", (VIEW_PX[0], VIEW_PX[1] + CAPTION_PX), "white")
-    out.paste(Image.open(next(folder.glob("*/preview.png"))).convert("RGB"), (0, CAPTION_PX))
+    out.paste(Image.open(next(folder.glob("train/*/preview.png"))).convert("RGB"), (0, CAPTION_PX))
     warm, wet = climate["temperature_c"], climate["precipitation_mm_per_yr"]
     text = f"{name.replace('_', ' ')}: {warm:g} °C, {wet:,.0f} mm a year"
     ImageDraw.Draw(out).text((6, 5), text, fill="#222222", font=ImageFont.load_default(14))

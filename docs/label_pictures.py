@@ -45,7 +45,7 @@ def labels(scratch: Path) -> None:
     settings = [word for setting in SETTINGS for word in ("--set", setting)]
     command = [sys.executable, "-m", "forestgen", "render", str(recipe), "-o", str(folder), *settings]
     subprocess.run(command, check=True)
-    panels = panels_of(min(path for path in folder.iterdir() if path.is_dir()))
+    panels = panels_of(min(path.parent for path in folder.glob("train/*/preview.png")))
     rows = [list(panels.items())[k : k + COLUMNS] for k in range(0, len(panels), COLUMNS)]
     width, height = SIZE_PX
     across, down = COLUMNS * (width + GAP_PX) - GAP_PX, len(rows) * (height + GAP_PX) - GAP_PX

@@ -61,4 +61,4 @@ def _rendered(folder: Path, camera: str, settings: tuple[str, ...]) -> Path:
     words = [word for one in every for word in ("--set", one)]
     recipe = ROOT / "recipes" / "quickstart.yaml"
     subprocess.run([sys.executable, "-m", "forestgen", "render", str(recipe), "-o", str(folder), *words], check=True)
-    return min(path for path in folder.iterdir() if path.is_dir())
+    return min(path.parent for path in folder.glob("train/*/preview.png"))

@@ -76,7 +76,7 @@ def quickstart(scratch: Path) -> None:
 def branch_modules(scratch: Path) -> None:
     command = [sys.executable, "-m", "forestgen", "render", str(ROOT / "recipes" / "branch_modules.yaml")]
     subprocess.run([*command, "-o", str(scratch / "branch_modules")], check=True)
-    save(np.asarray(Image.open(next((scratch / "branch_modules").glob("*/preview.png")))), "branch_modules.jpg")
+    save(np.asarray(Image.open(next((scratch / "branch_modules").glob("train/*/preview.png")))), "branch_modules.jpg")
 
 
 def simulate(folder: Path, recipe: str, *options: str, steps: Sequence[int] = ()) -> list[Path]:
@@ -172,7 +172,7 @@ def render_recipe(recipe: Path, folder: Path, *settings: str) -> Path:
     """Render a recipe with some settings; its only frame's folder."""
     options = [word for setting in settings for word in ("--set", setting)]
     subprocess.run([sys.executable, "-m", "forestgen", "render", recipe, "-o", folder, *options], check=True)
-    return next(path for path in sorted(folder.iterdir()) if path.is_dir())
+    return min(path.parent for path in folder.glob("train/*/preview.png"))
 
 
 def save_sheet(

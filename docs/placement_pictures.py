@@ -188,8 +188,7 @@ def rendered(name: str, folder: Path, *settings: str) -> NDArray[np.uint8]:
     options = [word for setting in settings for word in ("--set", setting)]
     recipe = REPRODUCTIONS / f"{name}.yaml"
     subprocess.run([sys.executable, "-m", "forestgen", "render", recipe, "-o", folder, *options], check=True)
-    frame = next(path for path in sorted(folder.iterdir()) if path.is_dir() and (path / "preview.png").exists())
-    return np.asarray(Image.open(frame / "preview.png").convert("RGB"))
+    return np.asarray(Image.open(min(folder.glob("train/*/preview.png"))).convert("RGB"))
 
 
 MODELS = {

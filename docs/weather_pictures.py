@@ -172,7 +172,7 @@ def weather_cumulus(scratch: Path) -> None:
     """Some four minutes the first time."""
     recipe = PICTURES.parents[1] / "recipes" / "weather_cumulus.yaml"
     subprocess.run([sys.executable, "-m", "forestgen", "render", recipe, "-o", scratch / "cumulus"], check=True)
-    preview = next((scratch / "cumulus").glob("*/preview.png"))
+    preview = next((scratch / "cumulus").glob("train/*/preview.png"))
     path = PICTURES / "weather_cumulus.jpg"
     Image.open(preview).convert("RGB").save(path, quality=88, optimize=True)
     sys.stdout.write(f"{path}\n")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import importlib.util
 import inspect
 import sys
 from collections.abc import Iterator
@@ -147,9 +148,21 @@ def register(kind: str, name: str, part: object, description: str = "") -> None:
         raise RecipeError(
             "no such kind of part", expected="one of " + ", ".join(_REGISTRIES), got=repr(kind), hint=hint
         )
-    path = part if isinstance(part, str) else _path_of(part)
+    path = _checked(part) if isinstance(part, str) else _path_of(part)
     text = description or (inspect.getdoc(part) or "").partition("\n")[0] * (not isinstance(part, str))
     _REGISTRIES[kind].register(name, path, text)
+
+
+def _checked(path: str) -> str:
+    """A path ``module:attribute`` whose module is there; it is imported when the part is first used."""
+    module, _, attribute = path.partition(":")
+    try:
+        found = attribute.isidentifier() and importlib.util.find_spec(module) is not None
+    except (ImportError, ValueError):  # of a package above it, or no name of a module
+        found = False
+    if not found:
+        raise RecipeError("there is no such place", expected="'package.module:NAME'", got=repr(path)[:200])
+    return path
 
 
 def _path_of(part: object) -> str:

@@ -48,7 +48,7 @@ def display_of(progress: bool | Progress | None) -> Display:
     if progress is None or progress is True:
         if _in_notebook():
             return NotebookDisplay()
-        return Bars() if sys.stderr.isatty() else Lines()
+        return Bars() if sys.stderr.isatty() else Lines(_LINE_EVERY_S)
     return cast(Display, progress) if hasattr(progress, "running") else _Wrapped(progress)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +28,7 @@ class Words:
     file: str
     steps: int
     seed: int
-    last: derivation.Derivation
+    last: derivation.Derivation = field(repr=False)
 
     @property
     def modules(self) -> int:

@@ -56,6 +56,8 @@ def load(
 
 def _texts(overrides: Overrides) -> list[str]:
     """Overrides as ``key=YAML``."""
+    if isinstance(overrides, str):
+        return [overrides]
     if not isinstance(overrides, Mapping):
         return [str(one) for one in overrides]
     return [f"{key}={_yaml(key, value)}" for key, value in overrides.items()]

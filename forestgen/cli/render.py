@@ -77,7 +77,7 @@ def render(
         )
         return
     display = _display(quiet)
-    with stops_keep(lambda: kept(display)):
+    with stops_keep(lambda: kept(display, if_none="nothing was written")):
         run = loaded.render(
             target,
             count=images,
@@ -195,11 +195,13 @@ def _display(quiet: bool) -> Display:
     return display_of(progress_of(quiet))
 
 
-def kept(display: Display) -> str:
-    """What an interrupted run leaves behind, for people."""
+def kept(display: Display, if_none: str | None = None) -> str:
+    """What an interrupted run leaves behind, for people; `if_none`: where it has finished no image."""
     meter = display.meter
     if meter is None:
         return "nothing was written"
+    if if_none is not None and not meter.done:
+        return if_none
     total = count(meter.total, "image")
     done = f"{meter.done:,} of {total} are done and stay" if meter.done else f"none of {total} was done"
     return f"{done}; the same command with --resume goes on"
@@ -264,8 +266,7 @@ def _pace(summary: RunSummary) -> str:
 
 
 def _print_notes(summary: RunSummary, say: Printer, *, verbose: bool) -> None:
-    own = list(summary.last.notes) if summary.last is not None else []
-    notes = [*dict.fromkeys([*own, *summary.notes])]
+    notes = [*dict.fromkeys([*summary.image_notes, *summary.notes])]
     shown = notes if verbose else notes[:_MOST_NOTES]
     for note in shown:
         say(f"note: {note}")
@@ -298,6 +299,9 @@ def _print_size_errors(errors: Sequence[Mapping[str, Any]], say: Printer) -> Non
         return
     rows = [("species", "plants", "exemplars", "rms size error", "rms crown width error")]
     for one in errors:
-        rms = (f"{100 * one[name]:.1f} %" for name in ("radius_rms", "crown_width_rms"))
+        rms = (
+            "-" if one[name] is None else f"{100 * one[name]:.1f} %"  # no species of its kind has a crown
+            for name in ("radius_rms", "crown_width_rms")
+        )
         rows.append((one["species"], f"{one['plants']:,}", f"{one['exemplars']:,}", *rms))
     say.table(rows)

@@ -51,12 +51,14 @@ def check_ours(place: Place) -> None:
     ------
     OutputError
     """
+    if isinstance(place, LocalPlace) and place.root.exists() and not place.root.is_dir():
+        raise OutputError("the output is a file", where=place.name, expected="a folder", hint="choose another name")
     names = place.names("")
     if names and names != [HIDDEN] and not _is_batch(place):
         raise OutputError(
-            "the folder is not empty and holds no batch",
+            "the folder is not empty and holds no forestgen data set",
             where=place.name,
-            expected="a new or empty folder, or one that `forestgen batch` has made",
+            expected="a new or empty folder, or a previous data set",
             got=", ".join(names[:4]) + (", ..." if len(names) > 4 else ""),
             hint="choose another folder",
         )
@@ -70,13 +72,13 @@ def check_ours(place: Place) -> None:
 
 
 def check_resume(place: Place, *, resume: bool) -> None:
-    """Refuse to go on in a batch unasked. Raises `OutputError`."""
+    """Refuse to go on in a data set unasked. Raises `OutputError`."""
     if not resume and _is_batch(place):
         raise OutputError(
-            "the folder already holds a batch",
+            "the folder already holds a forestgen data set",
             where=place.name,
             hint="--resume goes on with it: images that are done stay, if the recipe still makes them; "
-            "or choose another folder",
+            "--overwrite replaces it; or choose another folder",
         )
 
 

@@ -61,7 +61,7 @@ class JobQueue:
         try:
             drawn = self._loaded.draw(image - self._images.start)
         except ForestgenError as error:  # a drawn value that the schema rejects
-            return Failed(self._job(image, ""), 1, "recipe", str(error))
+            return Failed(self._job(image, ""), 1, "recipe", str(error), error=error)
         return self._job(image, job_key(drawn, self._versions))
 
     def _job(self, image: int, key: str) -> Job:

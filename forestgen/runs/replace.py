@@ -1,10 +1,11 @@
-"""A previous data set makes room for a new one, and comes back if nothing takes its place."""
+"""A previous data set makes room for a new one and comes back if nothing takes its place; no empty one stays."""
 
 from __future__ import annotations
 
+import os
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from forestgen.core.errors import OutputError
@@ -67,3 +68,30 @@ def _keep_foreign(aside: Path, root: Path) -> None:
     for entry in aside.iterdir():
         if tool_of(entry.name) is not None and not (root / entry.name).exists():
             entry.rename(root / entry.name)
+
+
+@contextmanager
+def leaving_no_empty(place: Place) -> Iterator[None]:
+    """Remove the data set that the block has begun in an absent or empty folder, if it fails before an image is made.
+
+    An empty folder that was there before stays, and so does what another run has begun there meanwhile.
+    """
+    if not isinstance(place, LocalPlace) or place.names(""):
+        yield
+        return
+    new = [folder for folder in (place.root, *place.root.parents) if not os.path.lexists(folder)]  # the innermost first
+    try:
+        yield
+    except BaseException:
+        if place.root.is_dir() and not done_keys(place):
+            with suppress(OutputError), place.lock():
+                _remove_content(place.root)
+        for folder in new:
+            with suppress(OSError):  # it was never made, or something else lies there
+                folder.rmdir()
+        raise
+
+
+def _remove_content(folder: Path) -> None:
+    for path in folder.iterdir():
+        shutil.rmtree(path, ignore_errors=True)

@@ -26,7 +26,7 @@ from forestgen.runs.summary import RunSummary, write_jobs_table, write_summary
 from forestgen.stages.data_set import check_one_data_set, check_stands, data_set_of
 from forestgen.stages.plan import check_plan
 
-_AHEAD = 2  # jobs that are drawn and handed on, for each worker
+_AHEAD = 2  # jobs that are drawn and handed on, for each worker; one by one where the first failure ends the run
 _WAIT_S = 1.0
 _PROGRESS_EVERY_S = 60.0  # in the log
 _HOPELESS = 10  # images failed and not one made: the others would fail too
@@ -44,7 +44,9 @@ class _Run:
     queue: JobQueue
     listener: Listener
     retries: int
+    strict: bool
     failed: list[Failed] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)  # on the images made
     last: JobRecord | None = None  # of the image that was finished last
     peak_memory_bytes: int = 0
     logged_s: float = 0.0
@@ -64,6 +66,7 @@ def run_batch(
     resume: bool = False,
     discard: bool = False,
     retries: int = 2,
+    strict: bool = False,
     threads: int | None = None,
     memory_bytes: int | None = None,
     listener: Listener | None = None,
@@ -78,6 +81,7 @@ def run_batch(
         file is missing or damaged are made again.
     discard : whether finished images may be thrown away that are too many, or that would be made otherwise now.
     retries : attempts after the first, of jobs whose failure may pass.
+    strict : an image that cannot be drawn ends the run with its own error; the others before it are made.
     threads, memory_bytes : of each worker; None: no bound.
     listener : told how it goes.
 
@@ -103,7 +107,7 @@ def run_batch(
         known = open_batch(work.place, images, used, mark, listener.say, before.stale, damaged)
         queue = JobQueue(work, images, splits, known)
         with Log(work.place) as log:
-            run = _Run(work, lock, log, Meter(count, already=queue.done), queue, listener, retries)
+            run = _Run(work, lock, log, Meter(count, already=queue.done), queue, listener, retries, strict)
             log.event("start", target=target, recipe=str(loaded.path), images=count, done=queue.done, threads=threads)
             for image, problem in damaged.items():
                 log.event("image_damaged", image=image, message=problem)
@@ -175,7 +179,8 @@ def _hand_out(run: _Run, engine: Engine, in_flight: int) -> int:
     """How many jobs were submitted."""
     handed = 0
     run.meter.workers = engine.workers
-    while in_flight + handed < _AHEAD * max(1, engine.workers):
+    ahead = 1 if run.strict else _AHEAD * max(1, engine.workers)
+    while in_flight + handed < ahead:
         task = run.queue.next()
         run.meter.already = run.queue.done
         if task is None:
@@ -192,6 +197,7 @@ def _account(run: _Run, outcome: Outcome) -> None:
     if isinstance(outcome, Done):
         run.meter.count(outcome.run.timings_s)
         run.last = outcome.record
+        run.notes += outcome.record.notes
         run.peak_memory_bytes = max(run.peak_memory_bytes, outcome.run.peak_memory_bytes)
         run.log.event("job_done", **done_fields(outcome))
         return
@@ -210,6 +216,8 @@ def _give_up(run: _Run, failed: Failed) -> None:
     run.failed.append(failed)
     run.meter.failed += 1
     run.log.event("job_failed", **failed_fields(failed), will_retry=False)
+    if run.strict and failed.error is not None:
+        raise failed.error
     if failed.kind == "output":
         raise OutputError(
             f"the run has stopped: results cannot be written\n{failed.message}",
@@ -283,6 +291,7 @@ def _summary(run: _Run, whole: Finished, report: str | None, notes: tuple[str, .
         stages_s=dict(sorted(meter.stages_s.items(), key=lambda stage: -stage[1])),
         peak_memory_bytes=run.peak_memory_bytes,
         notes=notes,
+        image_notes=tuple(run.notes),
         last=run.last,
     )
 

@@ -23,7 +23,7 @@ from forestgen.runs.folder import check_ours, check_resume, fingerprint
 from forestgen.runs.keys import versions_hash
 from forestgen.runs.meter import Listener
 from forestgen.runs.places import place_of
-from forestgen.runs.replace import replacing
+from forestgen.runs.replace import leaving_no_empty, replacing
 from forestgen.runs.run import check_recipe, images_of, run_batch
 from forestgen.runs.summary import RunSummary
 from forestgen.runs.work import make_job
@@ -102,7 +102,7 @@ def render(loaded: LoadedRecipe, target: str, options: RunOptions, display: Disp
     """
     run = _prepared(loaded, target, options, display)
     check_disk(loaded, run.place, run.count - run.before.kept)
-    with _room_for(run.place, options):
+    with _room_for(run.place, options), leaving_no_empty(run.place):
         summary = run_batch(
             loaded,
             target,
@@ -111,6 +111,7 @@ def render(loaded: LoadedRecipe, target: str, options: RunOptions, display: Disp
             resume=options.resume,
             discard=options.discard,
             retries=0,
+            strict=True,
             threads=options.threads,
             listener=display,
         )

@@ -37,10 +37,9 @@ class RunSummary:
     images_per_hour: float | None = None  # of this run; None if it made none
     stages_s: Mapping[str, float] = field(default_factory=dict)  # of the workers, the longest first
     peak_memory_bytes: int = 0  # of the worker that took most
-    notes: tuple[str, ...] = ()
-    last: JobRecord | None = field(
-        default=None, repr=False
-    )  # of the image that was finished last, None if none was made
+    notes: tuple[str, ...] = ()  # on the whole
+    image_notes: tuple[str, ...] = field(default=(), repr=False)  # on the images that this run has made
+    last: JobRecord | None = field(default=None, repr=False)  # of the image that was finished last
 
 
 def write_summary(place: Place, summary: RunSummary) -> None:

@@ -10,7 +10,7 @@ import traceback
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from forestgen.core.errors import (
     AssetError,
@@ -56,6 +56,22 @@ def make_job(work: Work, job: Job, attempt: int) -> Outcome:
     except Exception as error:  # noqa: BLE001 - whatever an image breaks on, the other images go on
         return Failed(job, attempt, failure_kind(error), explained(error), time.perf_counter() - start, worker_name())
     return done(job, attempt, record, timings)
+
+
+def make_here(work: Work, job: Job, attempt: int, progress: Progress) -> Done:
+    """Do a job in this process. Its failure is the error that it raised; one of the storage is an `OutputError`."""
+    timings = Timings()
+    try:
+        return done(job, attempt, complete(work, job, progress, timings), timings)
+    except _NotPlacedError as error:
+        cause = error.__cause__
+        if not isinstance(cause, OutputError):
+            raise output_error(cast(OSError, cause)) from cause
+        raise cause from cause.__cause__
+    except OSError as error:
+        if error.errno not in STORAGE_ERRNOS:
+            raise
+        raise output_error(error, None if error.filename else Path(work.place.name)) from error
 
 
 def done(job: Job, attempt: int, record: JobRecord, timings: Timings) -> Done:

@@ -47,7 +47,7 @@ class SizeError:
     plants: int
     exemplars: int
     radius_rms: float  # root mean square of (exemplar radius / plant radius - 1)
-    crown_width_rms: float  # of (scaled exemplar's crown width / the plant's own allometric width - 1)
+    crown_width_rms: float | None  # of (scaled exemplar's crown width / allometric width - 1); None without a crown
 
 
 def check_traits(traits: Sequence[str], population: Population, where: str) -> None:
@@ -218,7 +218,7 @@ def size_errors(
     Parameters
     ----------
     exemplar_height_m, exemplar_width_m : (E,) measured on the geometry.
-    plant_width_m : (N,) crown width that each plant should have by its species' allometry.
+    plant_width_m : (N,) crown width that each plant should have by its species' allometry; NaN where it has no crown.
     """
     errors = []
     for index, name in enumerate(population.species_names):
@@ -228,6 +228,7 @@ def size_errors(
         mine = plan.exemplar_of_plant[rows]
         scale = population.height_m[rows] / exemplar_height_m[mine]
         width = exemplar_width_m[mine] * scale / plant_width_m[rows] - 1
+        has_crown = not np.isnan(plant_width_m[rows]).any()
         radius = plan.radius_m[mine] / population.radius_m[rows] - 1
         errors.append(
             SizeError(
@@ -235,7 +236,7 @@ def size_errors(
                 plants=int(rows.sum()),
                 exemplars=len(np.unique(mine)),
                 radius_rms=float(np.sqrt(np.mean(radius**2))),
-                crown_width_rms=float(np.sqrt(np.mean(width**2))),
+                crown_width_rms=float(np.sqrt(np.mean(width**2))) if has_crown else None,
             )
         )
     return errors

@@ -135,6 +135,8 @@ def check_numbers(order: Order) -> None:
     if order.seed + order.count > _MOST_SEEDS:
         expected = f"less than {_MOST_SEEDS - order.count + 1}"
         raise RecipeError("no such seed", where="--seed", expected=expected, got=str(order.seed))
+    if order.detail not in (None, 0, 1, 2):
+        raise RecipeError("no such level of detail", where="--detail", expected="0, 1 or 2", got=str(order.detail))
     check_wood_triangles(order.wood_triangles)
     order.shot.check()
 

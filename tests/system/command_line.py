@@ -9,9 +9,11 @@ import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from unittest.mock import patch
 
 from typer.testing import CliRunner
 
+from forestgen.api import display
 from forestgen.cli import app
 
 CAMERAS = "cameras: [{position_m: [3, -3, 1.5], look_at_m: [3, 3, 0.5], size_px: [48, 27]}]"
@@ -50,8 +52,9 @@ class Answer:
 
 
 def run(*arguments: str | Path) -> Answer:
-    """A command in this process."""
-    result = CliRunner().invoke(app, [str(one) for one in arguments], prog_name="forestgen")
+    """A command in this process. However busy the machine is, no line tells meanwhile how far it has come."""
+    with patch.object(display, "_LINE_EVERY_S", 3600.0):
+        result = CliRunner().invoke(app, [str(one) for one in arguments], prog_name="forestgen")
     return Answer(result.exit_code, result.stdout, result.stderr)
 
 

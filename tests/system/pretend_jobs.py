@@ -39,7 +39,8 @@ def make(work: Work, job: Job, attempt: int) -> Outcome:
             (staging / frame / name).write_bytes(content)
             said = {"bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}
             files[f"{job.split}/{frame}/{name}"] = said
-        rows.append({"frame": frame, "split": job.split, "image": job.image, "camera": camera})
+        folder = f"{job.split}/{frame}"
+        rows.append({"frame": frame, "folder": folder, "split": job.split, "image": job.image, "camera": camera})
     for camera in TWO_CAMERAS:
         frame = f"{job.image:06d}-{camera}"
         work.place.put_folder(staging / frame, f"{job.split}/{frame}")

@@ -216,7 +216,7 @@ def test_what_a_run_notes_down_may_be_damaged(tmp_path: Path, faults: Path) -> N
             log.write(b'{"event": "job_done", "image": "3", "time": 1}\n\xff\xfe\n[]\n')
             log.write(b'{"event":"job_done","image":1,"split":3,"attempt":"x","seconds":"s","timings_s":[],')
             log.write(b'"peak_memory_bytes":"a","worker":1,"frames":null,"time":3}\n')
-        with pytest.raises(OutputError, match="already holds a batch"):
+        with pytest.raises(OutputError, match="already holds a forestgen data set"):
             serial(path, target, 3, make)
         assert serial(path, target, 3, make, resume=True).made == 0
         assert shown(target) == whole
@@ -312,7 +312,7 @@ def test_a_folder_of_somebody_else_is_never_touched(tmp_path: Path, faults: Path
     target.mkdir()
     (target / "chapter1.tex").write_text("mine")
     for resume in (False, True):
-        with pytest.raises(OutputError, match="holds no batch"):
+        with pytest.raises(OutputError, match="holds no forestgen data set"):
             serial(path, target, 2, make, resume=resume)
     assert [one.name for one in target.iterdir()] == ["chapter1.tex"]
 

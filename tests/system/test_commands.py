@@ -16,27 +16,28 @@ import pytest
 from command_line import command, run, start, tiny, tree
 from ruamel.yaml import YAML
 
-from forestgen.cli import app, doctor
+from forestgen.api import diagnosis
+from forestgen.cli import app
 
 SPECIES = Path(__file__).parents[2] / "scenes" / "species"
 COMMANDS = (
     "render",
     "batch",
-    "report",
     "verify",
-    "merge",
+    "report",
     "pack",
+    "merge",
     "simulate",
     "plant",
     "validate",
-    "schema",
     "models",
+    "schema",
     "stats",
     "fit-kernel",
     "lsystem",
-    "calibrate",
     "light",
     "weather",
+    "calibrate",
     "completion",
     "doctor",
 )
@@ -160,9 +161,30 @@ def test_schema_agrees_with_the_loader(schema: dict[str, object]) -> None:
 def test_validate_tells_what_the_recipe_makes(tmp_path: Path) -> None:
     answer = run("validate", tiny(tmp_path), "--set", "images=3", "--set", "sky.turbidity={uniform: [2, 4]}")
     assert answer.code == 0
-    for part in ("tiny.yaml: valid", "3 frames: 3 images x 1 camera", "48 x 27 px", "6 x 5 m", "sky.turbidity", "GB"):
+    for part in ("tiny.yaml: valid", "3 frames: 3 images x 1 camera", "48 x 27 px", "6 x 5 m", "sky.turbidity"):
         assert part in answer.out
+    assert re.search(r"up to about [\d.]+ [MG]B to render, [\d.]+ [MG]B to simulate", answer.out)
     assert not answer.err
+
+
+def test_json_is_one_document_without_notes(tmp_path: Path) -> None:
+    answers = {
+        "validate": run("validate", tiny(tmp_path), "--set", "community.steps=0", "--json"),
+        "models": run("models", "--kind", "species", "--json"),
+        "page": run("models", "spruce", "--json"),
+        "doctor": run("doctor", "--json"),
+        "list": run("plant", "--list", "--json"),
+        "plant": run("plant", "fireweed", "-o", tmp_path / "a.ply", "--json", "--quiet"),
+    }
+    assert {name: (one.code, one.err) for name, one in answers.items()} == dict.fromkeys(answers, (0, ""))
+    told = {name: json.loads(one.out) for name, one in answers.items()}
+    assert (told["validate"]["valid"], told["validate"]["frames"]) == (True, 1)
+    assert "community.steps is 0" in told["validate"]["notes"][0]
+    assert {one["kind"] for one in told["models"]} == {"species"}
+    assert "ecology:" in told["page"][0]["page"]
+    assert told["doctor"]["ready"] is True
+    assert {one["name"] for one in told["models"]} == {one["name"] for one in told["list"]}
+    assert told["plant"][0]["files"] == {str(tmp_path / "a.ply"): (tmp_path / "a.ply").stat().st_size}
 
 
 def test_simulate_writes_history_maps_and_curves(tmp_path: Path) -> None:
@@ -191,18 +213,22 @@ def test_simulate_writes_history_maps_and_curves(tmp_path: Path) -> None:
 
 def test_render_names_its_files_and_is_repeated_from_the_stored_recipe(tmp_path: Path) -> None:
     recipe = tiny(tmp_path, ("seed: 3", "seed: 3\nsky: {turbidity: {uniform: [2, 6]}}"))
-    answer = run("render", recipe, "-o", tmp_path / "out", "--count", "2")
+    answer = run("render", recipe, "-o", tmp_path / "out", "--count", "2", "--verbose")
     assert answer.code == 0, answer.err
-    assert not answer.err  # no bars, no warnings where there is no terminal
+    assert answer.err == "writing the files over all images\n"  # no bars, no warnings where there is no terminal
     assert "\x1b" not in answer.out
-    for part in ("2 frames in", "on light paths", f"{tmp_path}/out/", "preview.png", "The last image:", "fireweed"):
+    for part in ("2 of 2 images done", "2 frames, ", "images an hour", "image 1:", " fireweed); "):
         assert part in answer.out
-    first, second = (tree(tmp_path / "out" / f"00000{k}-camera0") for k in (0, 1))
+    assert re.search(r"^time: .*\blight paths \d+ %", answer.out, re.MULTILINE)
+    assert f"files: {tmp_path}/out/\n" in answer.out
+    view, report = f"{tmp_path}/out/train/000001-camera0", f"{tmp_path}/out/report.html"
+    assert f"look at {view}/preview.png and {view}/overlay.png, or at {report}" in answer.out
+    first, second = (tree(tmp_path / "out" / "train" / f"00000{k}-camera0") for k in (0, 1))
     assert all(first[name] != second[name] for name in ("frame.exr", "recipe.yaml", "plants.parquet"))
     # The recipe stored beside the second image draws that image again, alone, to the byte.
-    again = run("render", tmp_path / "out" / "000001-camera0" / "recipe.yaml", "-o", tmp_path / "again")
+    again = run("render", tmp_path / "out" / "train" / "000001-camera0" / "recipe.yaml", "-o", tmp_path / "again")
     assert again.code == 0, again.err
-    repeated = tree(tmp_path / "again" / "000001-camera0")
+    repeated = tree(tmp_path / "again" / "train" / "000001-camera0")
     assert [name for name in second if repeated[name] != second[name]] == []
     assert set(repeated) == set(second)
 
@@ -322,7 +348,7 @@ def test_doctor_finds_this_machine_ready() -> None:
     ],
 )
 def test_doctor_survives_what_is_broken(broken: str, said: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(doctor, "_PREPARE", broken)
+    monkeypatch.setattr(diagnosis, "_PREPARE", broken)
     answer = run("doctor")
     assert answer.code == 3
     assert said in answer.out

@@ -77,18 +77,18 @@ def test_an_output_folder_holds_the_maps_that_its_recipes_need(recipe: Path, tmp
     recipe.write_text(RECIPE.replace("seed: 3", "seed: 3\nimages: 2"))
     assert run("render", recipe, "-o", tmp_path / "first").code == 0
     written = tree(tmp_path / "first")
-    maps = {name: content for name, content in written.items() if name.startswith("maps/")}
+    maps = {name: content for name, content in written.items() if name.startswith("train/maps/")}
     assert set(maps.values()) == {(recipe.parent / name).read_bytes() for name in ("meadow.png", "path.png")}
-    listed = json.loads(written["manifest.json"] or b"")["files"]
-    assert set(maps) < set(listed)
+    listed = json.loads(written["train/manifest.json"] or b"")["files"]
+    assert {name.removeprefix("train/") for name in maps} < set(listed)
 
     elsewhere = tmp_path / "elsewhere"
     shutil.move(tmp_path / "first", elsewhere)
     shutil.rmtree(recipe.parent)
-    assert run("render", elsewhere / "000001-camera0" / "recipe.yaml", "-o", tmp_path / "again").code == 0
+    assert run("render", elsewhere / "train" / "000001-camera0" / "recipe.yaml", "-o", tmp_path / "again").code == 0
     again = tree(tmp_path / "again")
     assert {name: again[name] for name in maps} == maps
-    frame = {name: content for name, content in written.items() if name.startswith("000001-camera0")}
+    frame = {name: content for name, content in written.items() if name.startswith("train/000001-camera0")}
     assert len(frame) > 5
     assert {name: again[name] for name in frame} == frame
 

@@ -50,7 +50,7 @@ def test_the_estimate_holds(name: str, tmp_path: Path) -> None:
     assert process.returncode == 0, err
     plants = int(re.search(r"^([\d,]+) plants", out, re.MULTILINE)[1].replace(",", ""))  # type: ignore[index]
     assert plants >= least_plants
-    peak = json.loads((tmp_path / "out" / "manifest.json").read_text())["peak_memory_bytes"]
+    peak = json.loads((tmp_path / "out" / "run" / "summary.json").read_text())["peak_memory_bytes"]
     parts = estimate_bytes(check_plan(load_recipe(QUICKSTART, overrides)), plants=plants)
     estimate = sum(parts.values())
     print(f"{name}: estimate {estimate / 1e6:.0f} MB, peak {peak / 1e6:.0f} MB, {plants} plants")  # noqa: T201
@@ -82,4 +82,4 @@ def test_a_simulations_estimate_holds(recipe: Path, overrides: list[str], tmp_pa
 
 def test_validate_tells_the_estimate() -> None:
     told = run("validate", QUICKSTART).out
-    assert re.search(r"memory +up to about \d+\.\d GB to render, \d+\.\d GB to simulate alone$", told, re.MULTILINE)
+    assert re.search(r"memory +up to about [\d.]+ GB to render, [\d.]+ [MG]B to simulate alone$", told, re.MULTILINE)

@@ -31,7 +31,8 @@ def test_simulate_and_render_tell_who_found_no_place(tmp_path: Path) -> None:
         assert answer.code == 0, answer.err
         (line,) = (one for one in answer.out.splitlines() if one.startswith("note: "))
         assert "of 40 plants of fireweed were placed: " in line
-        told[verb] = json.loads((tmp_path / verb / "manifest.json").read_text(encoding="utf-8"))["run"]["notes"]
+        folder = tmp_path / "render" / "train" if verb == "render" else tmp_path / verb
+        told[verb] = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))["run"]["notes"]
         assert [line.removeprefix("note: ")] == told[verb]
     assert told["render"] == [f"image 0: {told['simulate'][0]}"]
     placed = int(told["simulate"][0].split()[0])

@@ -56,4 +56,4 @@ def test_the_wheel_works_without_the_checkout(tmp_path: Path) -> None:
     assert str(ROOT) not in listing
     assert "Parameters" in _done(elsewhere, forestgen, "models", "silhouette")
     assert "1 frame" in _done(elsewhere, forestgen, "render", recipe, "-o", "out")
-    assert (elsewhere / "out" / "000000-camera0" / "frame.exr").is_file()
+    assert (elsewhere / "out" / "train" / "000000-camera0" / "frame.exr").is_file()

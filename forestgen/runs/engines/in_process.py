@@ -6,9 +6,8 @@ from collections import deque
 
 from forestgen.core.progress import Progress
 from forestgen.core.threads import limit_cores
-from forestgen.core.timing import Timings
 from forestgen.runs.contract import Job, Outcome, Work
-from forestgen.runs.work import complete, done
+from forestgen.runs.work import make_here
 
 
 class InProcessEngine:
@@ -42,5 +41,4 @@ class InProcessEngine:
         if not self._queue:
             return []
         job, attempt = self._queue.popleft()
-        timings = Timings()
-        return [done(job, attempt, complete(self._work, job, self._progress, timings), timings)]
+        return [make_here(self._work, job, attempt, self._progress)]

@@ -1,16 +1,25 @@
-"""Exit codes, signals, progress bars."""
+"""Exit codes, signals, numbers in words."""
 
 from __future__ import annotations
 
-import io
 import signal
-import sys
 import time
+from dataclasses import asdict
 
 import pytest
 
-from forestgen.cli.console import Bars, count, errors_for_people, seconds
+from forestgen.cli.console import Printer, count, errors_for_people, seconds
+from forestgen.cli.render import _print_size_errors
 from forestgen.core.errors import AssetError, ForestgenError, OutputError, RecipeError, RenderError, ResourceError
+from forestgen.scene.exemplars import SizeError
+
+
+def test_a_width_that_no_plant_has_is_a_dash(capsys: pytest.CaptureFixture[str]) -> None:
+    errors = [asdict(SizeError("birch", 2, 1, 0.05, 0.1)), asdict(SizeError("snag", 3, 1, 0.2, None))]
+    _print_size_errors(errors, Printer())
+    birch, snag = (line.split() for line in capsys.readouterr().out.splitlines()[1:])
+    assert birch[-4:] == ["5.0", "%", "10.0", "%"]
+    assert snag[-3:] == ["20.0", "%", "-"]
 
 
 def _ends(error: BaseException, capsys: pytest.CaptureFixture[str]) -> tuple[object, str]:
@@ -134,45 +143,6 @@ def test_an_import_cut_short_is_no_bug(capsys: pytest.CaptureFixture[str]) -> No
         importing()
     assert ended.value.code == 130
     assert "interrupted" in capsys.readouterr().err
-
-
-class _Terminal(io.StringIO):
-    def isatty(self) -> bool:
-        return True
-
-
-def _shown(stream: io.StringIO, monkeypatch: pytest.MonkeyPatch) -> str:
-    monkeypatch.setattr(sys, "stderr", stream)
-    monkeypatch.setenv("COLUMNS", "80")
-    monkeypatch.setenv("TERM", "xterm")
-    bars = Bars()
-    with bars.running():
-        for title, total in (("community", 100_001), ("identity camera0", 16_384), ("community", 100_001)):
-            with bars.stage(title, total) as advance:
-                advance(total)
-    return stream.getvalue()
-
-
-def test_bars_on_a_terminal_fit_and_are_reused(monkeypatch: pytest.MonkeyPatch) -> None:
-    shown = _shown(_Terminal(), monkeypatch)
-    last = shown.rsplit("community", 1)[1]
-    assert "100001/100001" in last
-    assert "identity camera0" in last
-    assert "16384/16384" in last
-
-
-def test_no_bars_without_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert _shown(io.StringIO(), monkeypatch) == ""
-
-
-def test_many_stages_do_not_grow_off_the_screen(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "stderr", io.StringIO())
-    bars = Bars()
-    with bars.running() as running:
-        for number in range(100):
-            with bars.stage(f"radiance {number}", 1) as advance:
-                advance(1)
-        assert len(running._progress.tasks) <= 12
 
 
 def test_words() -> None:

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from forestgen.cli import app, fit_report
+from forestgen.cli import app
+from forestgen.cli.fit_kernel import _in_words
 from forestgen.community.fitting import fit as fitting
 from forestgen.community.fitting import founders, likeliest, matching
 from forestgen.core.errors import RecipeError
@@ -146,7 +147,7 @@ def test_a_window_that_nobody_stated_is_told_before_the_fit(points, tmp_path, mo
     def stop(*_):
         raise RecipeError("stopped")
 
-    monkeypatch.setattr(fit_report, "fit_stand", stop)
+    monkeypatch.setattr(fitting, "fit_stand", stop)
     result = run(points(scattered(30), "x,y"), "-o", tmp_path / "fit")
     assert result.output.index("note: the window is the points' bounding box") < result.output.index("stopped")
     assert "note: new plants: drawn as poplar" in result.output
@@ -163,7 +164,7 @@ def test_a_window_that_nobody_stated_is_told_before_the_fit(points, tmp_path, mo
 )
 def test_the_verdict_in_words(held, own, says):
     fit = SimpleNamespace(checks=[()] * 20, held=held.__getitem__, own_held=lambda _: own)
-    verdict = fit_report._in_words(fit)
+    verdict = _in_words(fit)
     assert says in verdict
     assert f"K (pairs) in {held['K']} of 20, " in verdict
     assert verdict.endswith(f"G (nearest neighbours) in {held['G']} of 20 fresh sets")

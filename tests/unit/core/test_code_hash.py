@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import ast
+import subprocess
+import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from forestgen.core import code_hash as module
+from forestgen.core.registry import Registration
 
 PARTS = ("core", "plants", "pipeline.py")
 
@@ -23,7 +27,7 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def now(*tables: Path) -> str:
-    return module.code_hash.__wrapped__(PARTS, ("numpy",), tables)
+    return module._code_hash.__wrapped__(PARTS, ("numpy",), tables, (), ())
 
 
 def test_every_change_of_the_code_counts(package: Path) -> None:
@@ -53,7 +57,7 @@ def test_other_layers_and_what_is_compiled_do_not(package: Path) -> None:
 
 def test_what_is_left_out_does_not_count(package: Path) -> None:
     def hashed() -> str:
-        return module.code_hash.__wrapped__(PARTS, (), (), ("plants/deep", "core/a.py"))
+        return module._code_hash.__wrapped__(PARTS, (), (), ("plants/deep", "core/a.py"), ())
 
     (package / "core" / "a.py").write_text("x = 1")
     before = hashed()
@@ -84,6 +88,20 @@ def test_tables_and_versions_count(package: Path, monkeypatch: pytest.MonkeyPatc
     assert len(seen) == 4
 
 
+def test_parts_of_other_packages_count(package: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def hashed(*registered: Registration) -> str:
+        return module._code_hash.__wrapped__(PARTS, (), (), (), registered)
+
+    own = package / "own_model_of_a_test.py"
+    own.write_text("MODEL = 1")
+    monkeypatch.syspath_prepend(package)
+    part = Registration("community model", "own", "own_model_of_a_test:MODEL", "")
+    seen = {hashed(), hashed(part), hashed(replace(part, name="other"))}
+    own.write_text("MODEL = 2")
+    seen.add(hashed(part))
+    assert len(seen) == 4
+
+
 def test_every_user_of_it_names_parts_that_exist() -> None:
     from forestgen.atmosphere import simulate
     from forestgen.plants import cache
@@ -106,11 +124,19 @@ def test_jobs_are_known_by_all_code_that_makes_their_files() -> None:
     left_out = set(module.source_files(keys._SOURCES)) - counted
     assert {one.partition("/")[0] for one in keys._WITHOUT} == {"dataset"}
     assert all((root / one).exists() for one in keys._WITHOUT)
-    for path in (root / "runs" / "work.py", *(one for one in counted if one.suffix == ".py")):
+    counted_code = {one for one in counted if one.suffix == ".py"} - {root / "__init__.py"}  # see below
+    for path in (root / "runs" / "work.py", *counted_code):
         for imported in imports_of(path, root) - counted:
             assert path.name == "work.py", (path, imported)
             assert imported not in left_out
             assert imported.parent == root / "runs"
+
+
+def test_the_package_itself_imports_nothing() -> None:
+    """Its names come from modules that are imported when they are first asked for."""
+    code = "import forestgen, sys; print([name for name in sys.modules if name.startswith('forestgen.')])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "[]\n"
 
 
 def imports_of(path: Path, root: Path) -> set[Path]:

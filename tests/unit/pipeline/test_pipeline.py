@@ -1,8 +1,7 @@
-"""The stages in a row, as a library calls them."""
+"""The stages in a row."""
 
 from __future__ import annotations
 
-import json
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -16,6 +15,8 @@ from forestgen import pipeline
 from forestgen.core.progress import Silent
 from forestgen.core.timing import Timings
 from forestgen.recipe.load import load_recipe
+from forestgen.stages.data_set import data_set_of
+from forestgen.stages.plan import make_plan
 
 QUICKSTART = Path(__file__).parents[3] / "recipes" / "quickstart.yaml"
 TINY = (
@@ -46,61 +47,50 @@ class Noted:
 
 
 @dataclass(frozen=True)
-class Rendered:
-    """A run of the tiny recipe, which the tests share: it takes seconds."""
+class Written:
+    """The tiny recipe's image, which the tests share: it takes seconds."""
 
     folder: Path
-    summary: pipeline.RunSummary
+    image: pipeline.WrittenImage
     noted: Noted
     timings: Timings
+    total_s: float
 
 
 @pytest.fixture(scope="module")
-def rendered(tmp_path_factory: pytest.TempPathFactory) -> Rendered:
-    folder, noted, timings = tmp_path_factory.mktemp("run") / "out", Noted(), Timings()
-    summary = pipeline.render(load_recipe(QUICKSTART, TINY), folder, progress=noted, timings=timings)
-    return Rendered(folder, summary, noted, timings)
+def written(tmp_path_factory: pytest.TempPathFactory) -> Written:
+    folder, noted, timings = tmp_path_factory.mktemp("run"), Noted(), Timings()
+    loaded = load_recipe(QUICKSTART, TINY)
+    scene = pipeline.assemble_image(make_plan(loaded.draw(0)), loaded.seed, noted, timings)
+    image = pipeline.write_image(scene, data_set_of(scene.drawn), folder, noted, timings)
+    return Written(folder, image, noted, timings, timings.total())
 
 
-def test_a_run_tells_its_progress_its_notes_and_its_numbers(rendered: Rendered) -> None:
-    summary, noted, timings = rendered.summary, rendered.noted, rendered.timings
-    assert summary.frames == 2
-    assert summary.plants == sum(summary.counts.values()) > 0
-    assert summary.notes[-1] == "000000-b: the camera stands below the ground"
-    assert {"images", "community", "plants", "identity a", "identity b", "radiance"} <= set(noted.done)
+def test_an_image_tells_its_progress_its_notes_and_its_numbers(written: Written) -> None:
+    image, noted = written.image, written.noted
+    assert [folder.relative_to(written.folder).as_posix() for folder in image.folders] == ["000000-a", "000000-b"]
+    assert all((folder / "frame.exr").exists() for folder in image.folders)
+    assert [row["frame"] for row in image.rows] == ["000000-a", "000000-b"]
+    assert image.report["image"] == 0
+    assert sum(image.report["counts"].values()) > 0 == image.report["visible_plants"]  # too small to be in view
+    assert image.notes[-1] == "000000-b: the camera stands below the ground"
+    assert {"community", "plants", "identity a", "identity b", "radiance"} <= set(noted.done)
     assert all(done == total for done, total in noted.done.values()), noted.done
-    assert set(summary.timings_s) <= set(timings.seconds)
-    assert 0 < sum(summary.timings_s.values()) <= summary.total_s * 1.01
-    manifest = json.loads((rendered.folder / "manifest.json").read_text())
-    assert manifest["run"]["notes"] == summary.notes
-    assert "coco.json" in manifest["files"]
+    seconds = written.timings.seconds
+    assert {"community", "measures", "labels", "write"} <= set(seconds)
+    assert 0 < sum(seconds.values()) <= written.total_s * 1.01
 
 
-def test_a_simulation_is_the_first_images_community(tmp_path: Path, rendered: Rendered) -> None:
+def test_a_simulation_is_the_first_images_community(tmp_path: Path, written: Written) -> None:
     loaded = load_recipe(QUICKSTART, TINY)
     alone = pipeline.simulate(loaded, tmp_path / "alone", progress=Silent(), timings=Timings())
-    assert alone.frames == 0
     assert not alone.notes
-    assert alone.counts == rendered.summary.counts
-
-
-def test_an_image_that_fails_takes_the_whole_run_with_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    calls = []
-    real = pipeline.build_scene
-
-    def second_fails(*arguments: object) -> object:
-        calls.append(1)
-        if len(calls) == 2:
-            raise RuntimeError("no")
-        return real(*arguments)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(pipeline, "build_scene", second_fails)
-    one_camera = ["cameras=[{size_px: [16, 16]}]", "community.steps=3", "images=2"]
-    loaded = load_recipe(QUICKSTART, [*TINY, *one_camera])
-    with pytest.raises(RuntimeError, match="no"):
-        pipeline.render(loaded, tmp_path / "out", progress=Silent(), timings=Timings())
-    assert len(calls) == 2
-    assert not list(tmp_path.iterdir())
+    assert alone.counts == written.image.report["counts"]
+    assert (tmp_path / "alone" / "history.parquet").exists()
+    in_memory = pipeline.simulate(loaded, None, progress=Silent(), timings=Timings())
+    assert in_memory.counts == alone.counts
+    assert in_memory.last.plant_id.tobytes() == alone.last.plant_id.tobytes()
+    assert [path.name for path in tmp_path.iterdir()] == ["alone"]
 
 
 def test_the_pipeline_imports_nothing_that_is_not_always_needed():

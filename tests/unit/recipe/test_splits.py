@@ -9,7 +9,7 @@ import pytest
 
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.load import load_recipe
-from forestgen.recipe.splits import check_splits, place_in_splits, split_of
+from forestgen.recipe.splits import check_splits, place_in_splits, split_of, used_splits
 
 Write = Callable[..., Path]
 SPLITS = [
@@ -78,20 +78,27 @@ def test_a_stand_for_each_split(write: Write) -> None:
     assert all(len(of_split) == 1 for of_split in seeds.values())
     assert len(set.union(*seeds.values())) == 3
     assert len({one.recipe.sky.turbidity for one in drawn}) == 30  # what is drawn is still drawn
-    check_splits(loaded)
+    check_splits(loaded, ["train", "val", "test"])
     own = load_recipe(write(), ["same_stand=by_split", "seed=8"])
     assert own.draw(0).image_seed not in seeds["train"]
 
 
 def test_one_stand_may_not_be_in_two_splits(write: Write) -> None:
-    check_splits(load_recipe(write()))
-    check_splits(load_recipe(write(), ["same_stand=true", "dataset.splits={train: 1}"]))
+    check_splits(load_recipe(write()), ["train", "val", "test"])
+    check_splits(load_recipe(write(), ["same_stand=true"]), ["train"])  # the others hold no image
     with pytest.raises(RecipeError) as caught:
-        check_splits(load_recipe(write(), ["same_stand=true"]))
+        check_splits(load_recipe(write(), ["same_stand=true"]), ["train", "val", "test"])
     message = str(caught.value)
     assert "--set same_stand=true: same_stand: one stand cannot be in several splits" in message
     assert "train, val, test" in message
     assert "by_split" in message
+
+
+@pytest.mark.parametrize("splits", SPLITS)
+def test_used_splits_are_those_of_the_images(splits: dict[str, float]) -> None:
+    for images in (range(0), range(1), range(3, 5), range(40), range(10**9, 10**9 + 7)):
+        assert used_splits(splits, images) == list(dict.fromkeys(split_of(splits, image) for image in images))
+    assert set(used_splits(splits, range(10**15))) == set(splits)  # without looking at them all
 
 
 @pytest.mark.parametrize("value", ["{choice: [true, false]}", "by_image", "1"])

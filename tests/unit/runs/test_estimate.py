@@ -52,7 +52,7 @@ def recipe(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., LoadedReci
 
 @pytest.fixture(scope="module")
 def settings(recipe: Callable[..., LoadedRecipe]) -> DatasetSettings:
-    return check_recipe(recipe())[0]
+    return check_recipe(recipe(), range(1))[0]
 
 
 def probe(
@@ -278,7 +278,7 @@ def test_what_comes_is_within_a_factor_of_two(
 ) -> None:
     monkeypatch.setenv("FORESTGEN_CACHE", "")
     loaded = recipe(*overrides)
-    settings, _ = check_recipe(loaded)
+    settings, _ = check_recipe(loaded, range(8))
     made = estimate(loaded, settings, count=8, workers=1, threads=1, progress=Silent(), probe=True, budget_s=200)
     assert made.seconds is not None
 

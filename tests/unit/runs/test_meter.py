@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import pytest
-from forestgen.cli.batch_display import line, span
 
+from forestgen.api.display import line, span
 from forestgen.runs import meter as module
 from forestgen.runs.meter import Meter
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import pytest
-from forestgen.cli.plants import _mass, _size
+
+from forestgen.cli.plant import _mass, _size
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,122 @@
+"""`register` adds parts of other packages; `models`, `species` and `schema` list what there is."""
+
+from __future__ import annotations
+
+import json
+import sys
+import types
+from collections.abc import Iterator
+
+import own_parts
+import pytest
+from api_recipe import STAND
+
+import forestgen as fg
+from forestgen.community.registry import COMMUNITY_MODELS
+from forestgen.core import registry
+from forestgen.core.code_hash import code_hash
+
+
+@pytest.fixture(autouse=True)
+def _as_before() -> Iterator[None]:
+    """What a test registers is forgotten."""
+    entries, registered = dict(COMMUNITY_MODELS._entries), list(registry._registered)
+    yield
+    COMMUNITY_MODELS._entries.clear()
+    COMMUNITY_MODELS._entries.update(entries)
+    registry._registered[:] = registered
+
+
+@pytest.mark.parametrize("part", [own_parts.MODEL, "own_parts:MODEL"])
+def test_a_registered_model_is_used_like_a_shipped_one(part: object) -> None:
+    before = code_hash(("core",), ())
+    fg.register("community_model", "own", part, "my own")
+    (entry,) = fg.models("own")
+    assert (entry.kind, entry.description) == ("community_model", "my own")
+    assert "A community model of another package" in entry.page
+    stand = fg.load(STAND, set={"community.model": "own"}).simulate(progress=False)
+    assert len(stand) == 42
+    assert "own" in json.dumps(fg.schema())
+    assert code_hash(("core",), ()) != before  # what is kept on disk depends on its code
+    (sent,) = registry.registrations()
+    assert (sent.name, sent.path) == ("own", "own_parts:MODEL")  # what worker processes import
+
+
+def test_its_description_is_its_documentations_first_line() -> None:
+    fg.register("community_model", "own", own_parts.MODEL)
+    assert fg.models("own")[0].description == "Plants at random, by another name."
+
+
+def test_the_same_again_changes_nothing_and_another_is_refused() -> None:
+    for _ in range(2):
+        fg.register("community_model", "own", own_parts.MODEL)
+    assert len(registry.registrations()) == 1
+    registry.register_again(registry.registrations())
+    assert len(registry.registrations()) == 1
+    for name in ("own", "uniform"):
+        with pytest.raises(fg.RecipeError, match="of this name already") as caught:
+            fg.register("community_model", name, "own_parts:UNIFORM")
+        assert caught.value.got == repr(name)
+
+
+@pytest.mark.parametrize("name", ["", "1st", "my own", "../up", "a" * 65, "über"])
+def test_what_is_no_name(name: str) -> None:
+    with pytest.raises(fg.RecipeError, match="a letter first"):
+        fg.register("community_model", name, own_parts.MODEL)
+    assert not registry.registrations()
+
+
+def test_an_unknown_kind_lists_the_known_ones() -> None:
+    with pytest.raises(fg.RecipeError, match="community_model, environment, plant_generator") as caught:
+        fg.register("comunity_model", "own", own_parts.MODEL)
+    assert caught.value.hint == "did you mean 'community_model'?"
+
+
+def test_what_workers_cannot_import_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    script = types.ModuleType("__main__")
+    made = type("Mine", (own_parts.Own,), {"__module__": "__main__"})
+    script.MODEL = made()  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "__main__", script)
+    for part in (script.MODEL, made, own_parts.Own()):  # the last one lies at the top of no module
+        with pytest.raises(fg.RecipeError, match="cannot be imported again by worker processes") as caught:
+            fg.register("community_model", "mine", part)
+        assert "module of its own" in str(caught.value.hint)
+    assert not registry.registrations()
+
+
+@pytest.mark.parametrize(
+    "path", ["own_parts", "own_parts:", "nix_of_nowhere:MODEL", "own_parts.sub:MODEL", ":X", "a b:c d"]
+)
+def test_a_place_that_is_none_is_refused_at_once(path: str) -> None:
+    with pytest.raises(fg.RecipeError, match="no such place"):
+        fg.register("community_model", "own", path)
+
+
+def test_models_of_a_kind_or_a_name() -> None:
+    assert {one.kind for one in fg.models(kind="environment")} == {"environment"}
+    names = {one.name for one in fg.models()}
+    assert {"uniform", "silhouette", "spruce", "koch", "quickstart"} <= names
+    (spruce,) = fg.models("spruce", kind="species")
+    assert spruce.path is not None
+    assert "ecology:" in spruce.page
+    assert json.loads(json.dumps(spruce.as_dict()))["path"] == str(spruce.path)
+    with pytest.raises(fg.RecipeError, match="did you mean 'species'"):
+        fg.models(kind="specie")
+    with pytest.raises(fg.RecipeError, match="did you mean 'spruce'"):
+        fg.models("sprce")
+    with pytest.raises(fg.RecipeError, match="no page of this name"):
+        fg.models("spruce", kind="recipe")
+
+
+def test_species_have_the_size_of_a_mature_plant() -> None:
+    found = {one.name: one for one in fg.species()}
+    assert set(found) == {one.name for one in fg.models(kind="species")}
+    assert found["fireweed"].height_m == pytest.approx(1.54, abs=0.01)
+    assert 0 < found["spruce"].crown_width_m < found["spruce"].height_m
+    assert found["fireweed"].generator == "silhouette"
+
+
+def test_the_schema_is_a_copy() -> None:
+    first = fg.schema()
+    first.clear()
+    assert "properties" in fg.schema()

@@ -1,0 +1,208 @@
+"""What a run hands to the estimate, what it refuses, and what it says of images that are missing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from forestgen.core.errors import DatasetError, RecipeError
+from forestgen.runs import start
+from forestgen.runs.contract import Failed, FailureKind, Job
+from forestgen.runs.discards import Standing
+from forestgen.runs.meter import Meter
+from forestgen.runs.places import LocalPlace
+from forestgen.runs.replace import leaving_no_empty
+from forestgen.runs.start import RunOptions, bytes_of, seconds_of
+from forestgen.runs.summary import RunSummary
+
+
+class Told:
+    """A display that remembers what it was told."""
+
+    def __init__(self) -> None:
+        self.said: list[str] = []
+
+    @contextmanager
+    def stage(self, title: str, total: int) -> Iterator[Any]:
+        yield lambda steps: None
+
+    def say(self, text: str) -> None:
+        self.said.append(text)
+
+    def show(self, meter: Meter) -> None:
+        pass
+
+
+@pytest.mark.parametrize(("count", "probe", "said"), [(1000, False, True), (10, False, False), (10, True, True)])
+def test_measuring_takes_a_minute_and_is_announced(
+    count: int, probe: bool, said: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given: dict[str, Any] = {}
+    monkeypatch.setattr(start, "estimate", lambda *_, **named: given.update(named))
+    nothing: Any = None
+    told, prepared = Told(), start._Prepared(nothing, count, nothing, Standing(0, 0, frozenset()))
+    start._expected(nothing, prepared, RunOptions(), told, probe=probe)
+    assert ("making some images to measure them" in "".join(told.said)) == said
+    assert (given["workers"], given["threads"]) == (None, None)  # the estimate shares the cores out
+    assert given["count"] == count
+
+
+def test_finished_images_are_not_estimated(monkeypatch: pytest.MonkeyPatch) -> None:
+    given: dict[str, Any] = {}
+    monkeypatch.setattr(start, "estimate", lambda *_, **named: given.update(named))
+    nothing: Any = None
+    prepared = start._Prepared(nothing, 1000, nothing, Standing(960, 0, frozenset()))
+    start._expected(nothing, prepared, RunOptions(workers=3, threads=2), Told(), probe=False)
+    assert (given["count"], given["workers"], given["threads"]) == (40, 3, 2)
+
+
+def summary(failed: tuple[Failed, ...], missing: tuple[int, ...]) -> RunSummary:
+    return RunSummary("out", 5, 0, 3, failed, missing, 3, 1000, None, 1.0, notes=("image 4 is damaged",))
+
+
+def failures(*kinds: FailureKind) -> tuple[Failed, ...]:
+    return tuple(Failed(Job(k, k, "train", "key"), 1, kind, "bad") for k, kind in enumerate(kinds))
+
+
+@pytest.mark.parametrize(
+    ("kinds", "hint"),
+    [(("recipe", "bug"), "fail again in the same way"), (("recipe", "time"), "--resume tries them again")],
+)
+def test_images_that_cannot_be_made_are_not_worth_another_run(kinds: tuple[FailureKind, ...], hint: str) -> None:
+    with pytest.raises(DatasetError, match=r"2 of 5 images could not be made") as caught:
+        start._check_complete(summary(failures(*kinds), (0, 1)))
+    assert hint in str(caught.value)
+    assert "image 1 (train), 1 attempt" in str(caught.value)
+
+
+def test_images_that_are_missing_for_another_reason_are_tried_again() -> None:
+    with pytest.raises(DatasetError, match="1 of 5 images") as caught:
+        start._check_complete(summary((), (4,)))
+    assert "--resume makes them again" in str(caught.value)
+    assert "image 4 is damaged" in str(caught.value)
+    start._check_complete(summary((), ()))
+
+
+def test_many_failures_are_counted() -> None:
+    with pytest.raises(DatasetError, match=r"\.\.\. and 3 more: run/log.jsonl has all"):
+        start._check_complete(summary(failures(*["bug"] * 8), tuple(range(8))))
+
+
+@pytest.mark.parametrize(
+    ("options", "where", "said"),
+    [
+        ({"count": 0}, "--count", "1 to 100,000,000"),
+        ({"count": 2.0}, "--count", "2.0"),
+        ({"count": True}, "--count", "True"),
+        ({"workers": 2000}, "--workers", "1 to 1,024"),
+        ({"threads": -1}, "--threads", "1 to 4,096"),
+        ({"retries": -1}, "--retries", "0 to 100"),
+        ({"engine": "slurm"}, "--engine", "local or dask"),
+        ({"discard": True}, "--discard", "belongs to --resume"),
+        ({"resume": True, "overwrite": True}, "--overwrite", "--resume goes on with"),
+        ({"scheduler": "tcp://x"}, "--engine", "--engine dask"),
+        ({"resources": {"GPU": 1.0}}, "--engine", "--engine dask"),
+        ({"engine": "dask", "workers": 2}, "--workers", "its own workers"),
+        ({"engine": "dask", "timeout": "3min"}, "--timeout", "of this machine"),
+    ],
+)
+def test_options_that_cannot_be(options: dict[str, Any], where: str, said: str) -> None:
+    with pytest.raises(RecipeError) as caught:
+        RunOptions(**options).check()
+    assert caught.value.where == where
+    assert said in str(caught.value)
+
+
+def test_options_that_can() -> None:
+    RunOptions().check()
+    RunOptions(count=3, resume=True, discard=True, workers=4, threads=1, timeout="3min", worker_memory="4GB").check()
+    RunOptions(engine="dask", scheduler="tcp://x", resources={"GPU": 1.0}).check()
+    assert RunOptions(worker_memory="4GB").memory_bytes == 4_000_000_000
+    assert (RunOptions().memory_bytes, RunOptions().timeout_s) == (None, None)
+
+
+@pytest.mark.parametrize(
+    ("text", "size"),
+    [
+        ("4GB", 4_000_000_000), ("500 MB", 500_000_000), ("1.5GiB", 3 << 29), ("2g", 2_000_000_000),
+        ("100000000", 10**8), (3_000_000_000, 3_000_000_000),
+    ],
+)  # fmt: skip
+def test_sizes(text: str | int, size: int) -> None:
+    assert bytes_of(text, "--worker-memory") == size
+
+
+@pytest.mark.parametrize("text", ["", "GB", "-1GB", "4XB", "0", "4", "four", "1e9", 4])
+def test_what_is_no_size(text: str | int) -> None:
+    with pytest.raises(RecipeError, match="4GB") as caught:
+        bytes_of(text, "--worker-memory")
+    assert caught.value.where == "--worker-memory"
+
+
+@pytest.mark.parametrize(("text", "seconds"), [("90s", 90.0), ("30 min", 1800.0), ("1.5h", 5400.0), (90, 90.0)])
+def test_durations(text: str | float, seconds: float) -> None:
+    assert seconds_of(text, "--timeout") == seconds
+
+
+@pytest.mark.parametrize("text", ["", "90", "0s", "-1h", "2 days", "min", 0, -3.0, float("nan"), float("inf")])
+def test_what_is_no_duration(text: str | float) -> None:
+    with pytest.raises(RecipeError, match="30min") as caught:
+        seconds_of(text, "--timeout")
+    assert caught.value.where == "--timeout"
+
+
+def begin(place: LocalPlace) -> None:
+    """What a run leaves whose first image has failed."""
+    with place.lock():
+        place.write(".forestgen/batch.json", b"{}")
+        place.write("run/log.jsonl", b"{}")
+
+
+def failed(place: LocalPlace, error: type[BaseException], records: int = 0) -> None:
+    """A run that has made so many images when an error ends it."""
+    with leaving_no_empty(place):
+        begin(place)
+        for image in range(records):
+            place.write(f".forestgen/jobs/{image:06d}-{'a' * 40}.json", b"{}")
+        raise error
+
+
+def test_a_run_that_made_nothing_leaves_no_folder(tmp_path: Path) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        failed(LocalPlace(tmp_path / "a" / "b" / "out"), KeyboardInterrupt)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_folder_that_was_there_stays_empty(tmp_path: Path) -> None:
+    place = LocalPlace(tmp_path / "out")
+    place.root.mkdir()
+    with pytest.raises(ZeroDivisionError):
+        failed(place, ZeroDivisionError)
+    assert list(tmp_path.rglob("*")) == [place.root]
+
+
+def test_finished_images_and_what_was_there_stay(tmp_path: Path) -> None:
+    made, old = LocalPlace(tmp_path / "made"), LocalPlace(tmp_path / "old")
+    begin(old)
+    for place, records in ((made, 1), (old, 0)):
+        with pytest.raises(ZeroDivisionError):
+            failed(place, ZeroDivisionError, records)
+    for place in (made, old):
+        assert place.exists("run/log.jsonl")
+    with leaving_no_empty(LocalPlace(tmp_path / "new")):
+        begin(LocalPlace(tmp_path / "new"))
+    assert (tmp_path / "new" / "run" / "log.jsonl").exists()
+
+
+def test_the_folder_of_another_run_is_not_touched(tmp_path: Path) -> None:
+    place, error = LocalPlace(tmp_path / "out"), ZeroDivisionError()
+    leaving = leaving_no_empty(place)
+    leaving.__enter__()
+    begin(place)
+    with place.lock():  # the other run's
+        assert not leaving.__exit__(ZeroDivisionError, error, None)
+    assert place.exists("run/log.jsonl")
