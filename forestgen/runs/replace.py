@@ -53,12 +53,27 @@ def replacing(place: Place) -> Iterator[None]:
         yield
     except BaseException:
         if not done_keys(place):
-            shutil.rmtree(root, ignore_errors=True)
-            aside.rename(root)
+            _put_back(aside, root)
+            raise
+        _discard(aside, root)
         raise
-    finally:
-        _keep_foreign(aside, root)
-        shutil.rmtree(aside, ignore_errors=True)
+    _discard(aside, root)
+
+
+def _put_back(aside: Path, root: Path) -> None:
+    """Give the previous data set its name again; what the new one has begun is removed."""
+    try:
+        shutil.rmtree(root, ignore_errors=True)
+        aside.rename(root)
+    except OSError as error:
+        raise OutputError(
+            "the previous data set could not be put back", where=str(aside), hint=f"rename this folder to {root.name}"
+        ) from error
+
+
+def _discard(aside: Path, root: Path) -> None:
+    _keep_foreign(aside, root)
+    shutil.rmtree(aside, ignore_errors=True)
 
 
 def _keep_foreign(aside: Path, root: Path) -> None:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 from forestgen.core.errors import DatasetError, RecipeError
+from forestgen.core.figures import parse_bytes
 from forestgen.core.progress import Progress
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.recipe.load import LoadedRecipe
@@ -29,7 +30,6 @@ from forestgen.runs.summary import RunSummary
 from forestgen.runs.work import make_job
 
 ENGINES = ("local", "dask")
-_UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "t": 10**12, "ki": 2**10, "mi": 2**20, "gi": 2**30, "ti": 2**40}
 _LEAST_BYTES = 10**8  # less is a mistake, such as a number without its unit: Python and Mitsuba alone take more
 _MOST_FAILURES = 5  # that an error names
 
@@ -54,6 +54,7 @@ class RunOptions:
     engine: str = "local"  # or dask
     scheduler: str | None = None  # address of a Dask scheduler
     resources: Mapping[str, float] = field(default_factory=dict)  # that each image takes of a Dask worker
+    device: str | None = None  # what traces rays, llvm or cuda; None: what FORESTGEN_TRACING says
 
     def check(self) -> None:
         """Raise `RecipeError` for values that are none, and options that exclude one another."""
@@ -79,13 +80,29 @@ class RunOptions:
                 "--timeout",
                 "only workers of this machine can be stopped",
             ),
+            (
+                self.engine == "dask" and self.device is not None,
+                "--device",
+                "set FORESTGEN_TRACING where the workers start",
+            ),
         ):
             if wrong:
                 raise RecipeError(f"this option cannot be used here: {why}", where=where)
+        _ = self.memory_bytes, self.timeout_s  # which refuse texts that are no size and no duration
 
     @property
     def memory_bytes(self) -> int | None:
-        return None if self.worker_memory is None else bytes_of(self.worker_memory, "--worker-memory")
+        if self.worker_memory is None:
+            return None
+        size = parse_bytes(self.worker_memory, "--worker-memory")
+        if size < _LEAST_BYTES:
+            raise RecipeError(
+                "this is too little for a worker",
+                where="--worker-memory",
+                expected="such as 4GB",
+                got=repr(self.worker_memory),
+            )
+        return size
 
     @property
     def timeout_s(self) -> float | None:
@@ -160,7 +177,8 @@ class DryRun:
 
 def dry_run(loaded: LoadedRecipe, target: str, options: RunOptions, display: Display) -> DryRun:
     """Check a batch and estimate its time, memory and disk; nothing is made."""
-    lenient = replace(options, discard=True, resume=True, overwrite=False)
+    options.check()
+    lenient = options if options.overwrite else replace(options, discard=True, resume=True)
     run = _prepared(loaded, target, lenient, display)
     expected = _expected(loaded, run, options, display, probe=True)
     check_fits(expected, run.place, workers_here=options.engine == "local")
@@ -257,18 +275,6 @@ def _check_complete(summary: RunSummary) -> None:
 def _failure(failed: Failed) -> str:
     tries = f"{failed.attempt} attempt{'s' if failed.attempt > 1 else ''}"
     return f"image {failed.job.image} ({failed.job.split}), {tries}, {failed.kind}: {failed.message}"
-
-
-def bytes_of(size: int | str, option: str) -> int:
-    """Bytes of a number, or of a text such as 4GB, 500 MB or 1.5GiB. Raises `RecipeError`."""
-    found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([kmgt]?i?)b?\s*", str(size), re.IGNORECASE)
-    unit = found[2].lower() if found else None
-    if found is None or unit not in _UNITS:
-        raise RecipeError("no such size", where=option, expected="such as 4GB or 500MB", got=repr(size))
-    number = int(float(found[1]) * _UNITS[unit])
-    if number < _LEAST_BYTES:
-        raise RecipeError("this is too little for a worker", where=option, expected="such as 4GB", got=repr(size))
-    return number
 
 
 def seconds_of(duration: float | str, option: str) -> float:

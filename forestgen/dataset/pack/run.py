@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 from forestgen.core.errors import DatasetError, OutputError, RecipeError
+from forestgen.core.figures import parse_bytes
 from forestgen.core.progress import Progress
 from forestgen.dataset.files import write_bytes, write_json
 from forestgen.dataset.folder import OutputFolder
@@ -24,8 +25,6 @@ from forestgen.dataset.safe_path import SafePath
 Format = Literal["webdataset", "huggingface"]
 FORMATS: tuple[Format, ...] = ("webdataset", "huggingface")
 PACK_FILE = "pack.json"
-_UNITS = {"": 1, "K": 1000, "M": 1000**2, "G": 1000**3, "T": 1000**4}
-_BINARY_UNITS = {"K": 1 << 10, "M": 1 << 20, "G": 1 << 30, "T": 1 << 40}
 _SCHEMA = "forestgen-pack/1"
 
 
@@ -57,18 +56,7 @@ def packing_of(
     if chosen is None:
         raise RecipeError("there is no such format", where="--format", expected=" or ".join(FORMATS), got=form)
     names = None if channels is None else tuple(channels)
-    return Packing(chosen, size_bytes(str(shard_size)), names, tuple(splits), seed)
-
-
-def size_bytes(text: str) -> int:
-    """Bytes of a size such as 500MB (decimal), 256MiB (binary) or 1000000; anything else raises `RecipeError`."""
-    found = re.fullmatch(r"(\d+(?:\.\d+)?)\s*(?:([KMGT])(I?))?B?", text.strip().upper(), re.ASCII)
-    if found:
-        number, unit, binary = found.groups(default="")
-        size = int(float(number) * (_BINARY_UNITS if binary else _UNITS)[unit]) if len(number) < 20 else 0
-        if size > 0:
-            return size
-    raise RecipeError("this is no size", where="--shard-size", expected="such as 500MB, 1.5GB or 256MiB", got=text)
+    return Packing(chosen, parse_bytes(shard_size, "--shard-size"), names, tuple(splits), seed)
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from forestgen.core.errors import DatasetError, RecipeError
-from forestgen.dataset.index import INDEX_NAME, open_index
+from forestgen.dataset.index import INDEX_NAME, whole_index
 from forestgen.dataset.legend import FILE_NAME as CLASSES_FILE
 from forestgen.dataset.pack.channels import read_json
-from forestgen.dataset.safe_path import SafePath, is_frame, is_split, unreadable
+from forestgen.dataset.safe_path import SafePath, unreadable
 
 LAST_FILE = "dataset.json"  # that a run writes
 
@@ -81,7 +81,8 @@ def _no_data_set(root: Path) -> DatasetError:
 
 
 def _opened(root: Path, wanted: Sequence[str]) -> Source:
-    index, names = _read_index(root / INDEX_NAME)
+    index = whole_index(root / INDEX_NAME)
+    names = list(zip(index["split"].to_pylist(), index["frame"].to_pylist(), strict=True))
     told = read_json(SafePath(root, LAST_FILE)).get("splits")
     order = list(told) if isinstance(told, dict) else []  # the recipe's
     frames: dict[str, list[str]] = {}
@@ -98,20 +99,6 @@ def _opened(root: Path, wanted: Sequence[str]) -> Source:
         raise DatasetError("the data set has no frame", where=str(root))
     numbers = {frame: number for number, (_, frame) in enumerate(names)}
     return Source(root, splits, _common_classes(splits), index, numbers)
-
-
-def _read_index(path: Path) -> tuple[Any, list[tuple[str, str]]]:
-    """The table, and the split and frame of each row: they become names of files."""
-    with open_index(path, ("split", "frame")) as file:
-        index = file.read()
-        names = list(zip(index["split"].to_pylist(), index["frame"].to_pylist(), strict=True))
-    for split, frame in names:
-        if not is_split(split) or not is_frame(frame):
-            expected, got = "names such as train and 000000-camera0", ascii((split, frame))[:160]
-            raise DatasetError("a row of the index names no frame", where=str(path), expected=expected, got=got)
-    if len({frame for _, frame in names}) < len(names):
-        raise DatasetError("a frame has two rows of the index", where=str(path))
-    return index, names
 
 
 def _common_classes(splits: Sequence[Split]) -> dict[str, Any]:
