@@ -8,7 +8,6 @@ parallel (`_exposure` in render/denoise.py).
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 import subprocess
 import sys
@@ -31,29 +30,24 @@ cameras: [{position_m: [7, -5, 2], look_at_m: [7, 7, 3], size_px: [48, 27]}]
 render: {samples: 9}
 labels: {samples: 4}
 """
-# What a manifest says about the run and not about its results.
-OF_THE_RUN = ("timings_s", "peak_memory_bytes")
+OF_THE_RUN = ("run", ".forestgen", "report.html")  # and not of its results
 
 
 def run(recipe, folder, threads: int, hash_seed: str) -> dict[str, bytes]:
-    """Files of a run in a process of its own: relative path -> content, the manifest without timings."""
+    """Files of a run in a process of its own: relative path -> content, without those that tell how it went."""
     command = [sys.executable, "-m", "forestgen", "render", str(recipe), "-o", str(folder), "--threads", str(threads)]
     environment = {**os.environ, "PYTHONHASHSEED": hash_seed, "OPENBLAS_NUM_THREADS": str(threads)}
     done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
     assert done.returncode == 0, done.stderr
-    files = {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
-    manifest = json.loads(files["manifest.json"])
-    for key in OF_THE_RUN:
-        manifest.pop(key)
-    manifest["run"].pop("total_s")
-    return {**files, "manifest.json": json.dumps(manifest).encode()}
+    files = {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    return {path.as_posix(): content for path, content in files.items() if path.parts[0] not in OF_THE_RUN}
 
 
 def assert_equal_runs(recipe_text: str, folder, threads: tuple[int, ...]) -> None:
     recipe = folder / "stand.yaml"
     recipe.write_text(recipe_text, encoding="utf-8")
     first, *others = (run(recipe, folder / f"run{k}", count, str(k)) for k, count in enumerate(threads))
-    assert {"classes.json", "coco.json", "manifest.json"} < set(first)
+    assert {"dataset.json", "train/classes.json", "train/coco.json", "train/manifest.json"} < set(first)
     assert any(name.endswith("frame.exr") for name in first)
     for other in others:
         assert set(first) == set(other)
