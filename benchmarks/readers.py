@@ -10,9 +10,8 @@ fills polygons with):
 1. pycocotools, installed here: every mask of coco.json is that of instance.png. Bound: all pixels.
 2. supervision, COCO: masks, boxes and classes. Bound: all pixels, exact boxes.
 3. supervision, YOLO boxes. Bound: 1e-3 pixels.
-4. supervision, YOLO outlines. Our rings hold a mask exactly by the even-odd rule; OpenCV also draws the ring's line,
-   which adds pixels. Bound: no pixel of a plant is missing. Printed, not bound: the mean of the intersection by the
-   union, and the plants' pixels by those that it adds.
+4. supervision, YOLO outlines, which one ring cannot hold exactly: bridges add pixels, and pieces are left out. Bound:
+   mean intersection over union 0.75. Printed: pixels missing and added, by the plants' own.
 """
 
 from __future__ import annotations
@@ -27,13 +26,12 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from forestgen.dataset.png import read_instance
 
 ROOT = Path(__file__).resolve().parents[1]
 SETTINGS = ("render.samples=1", "cameras.0.size_px=[320, 180]", "dataset.formats=[coco, yolo]", "images=2")
 BOX_BOUND_PX = 1e-3
+IOU_BOUND = 0.75
 PEER = r"""
 import json, sys
 from pathlib import Path
@@ -142,11 +140,10 @@ def main() -> int:
         report("COCO: largest error of a box, pixels", found["coco_box_px"], found["coco_box_px"] == 0.0),
         report("YOLO: classes that are not COCO's", found["classes"], found["classes"] == 0),
         report("YOLO: largest error of a box, pixels", found["yolo_box_px"], found["yolo_box_px"] <= BOX_BOUND_PX),
-        report("YOLO: pixels that filled outlines miss", found["missing"], found["missing"] == 0),
+        report("YOLO: mean intersection by union of filled outlines", f"{found['iou']:.3f}", found["iou"] >= IOU_BOUND),
     ]
-    print(f"    {'YOLO: mean intersection by union of filled outlines':<58} {found['iou']:.3f}")
-    share = found["added"] / np.maximum(found["pixels"], 1)
-    print(f"    {'YOLO: pixels that they add, by the plants own':<58} {share:.3f}")
+    for what in ("missing", "added"):
+        print(f"    {f'YOLO: pixels {what}, by the plants own':<58} {found[what] / max(found['pixels'], 1):.3f}")
     return int(not all(good))
 
 

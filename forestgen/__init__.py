@@ -20,7 +20,7 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from forestgen.api.catalogue import doctor, models, register, schema, species
-    from forestgen.api.datasets import Dataset, merge
+    from forestgen.api.datasets import Dataset, merge, verify
     from forestgen.api.plants import Plant, plant
     from forestgen.api.points import fit_kernel, stats
     from forestgen.api.programs import derive
@@ -46,7 +46,7 @@ _MODULES = {
     **dict.fromkeys(("load", "Recipe"), "forestgen.api.recipes"),
     "Stand": "forestgen.api.stands",
     "Frame": "forestgen.dataset.frame",
-    **dict.fromkeys(("Dataset", "merge"), "forestgen.api.datasets"),
+    **dict.fromkeys(("Dataset", "merge", "verify"), "forestgen.api.datasets"),
     **dict.fromkeys(("plant", "Plant"), "forestgen.api.plants"),
     **dict.fromkeys(("doctor", "models", "register", "schema", "species"), "forestgen.api.catalogue"),
     **dict.fromkeys(("fit_kernel", "stats"), "forestgen.api.points"),
@@ -57,7 +57,7 @@ _MODULES = {
 __all__ = [
     "AssetError", "Dataset", "DatasetError", "ForestgenError", "Frame", "LsystemError", "OutputError", "Plant",
     "Recipe", "RecipeError", "RenderError", "ResourceError", "Stand", "__version__", "derive", "doctor", "fit_kernel",
-    "load", "merge", "models", "plant", "register", "schema", "species", "stats",
+    "load", "merge", "models", "plant", "register", "schema", "species", "stats", "verify",
 ]  # fmt: skip
 
 

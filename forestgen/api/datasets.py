@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,13 +15,14 @@ from forestgen.api.display import display_of
 from forestgen.core.errors import DatasetError, RecipeError
 from forestgen.core.progress import Progress
 from forestgen.dataset.frame import Frame, StoredFrame
-from forestgen.dataset.index import INDEX_NAME
+from forestgen.dataset.index import INDEX_NAME, whole_index
 from forestgen.dataset.legend import FILE_NAME as LEGEND_NAME
+from forestgen.dataset.safe_path import SafePath, unreadable
 from forestgen.runs.summary import RunSummary
 
 if TYPE_CHECKING:
     from forestgen.dataset.pack.run import Packed
-    from forestgen.runs.verify import Verdict
+    from forestgen.runs.verify_report import VerificationReport
 
 PathLike = str | os.PathLike[str]
 _TORCH_CHANNELS = ("preview", "semantic", "instance")
@@ -119,7 +119,7 @@ class Dataset(Sequence[Frame]):
         if not 0 <= number < len(self):
             raise IndexError(f"the data set has {len(self)} frames, there is none of number {index}")
         row = self._rows.slice(number, 1).to_pylist(maps_as_pydicts="strict")[0]
-        return Frame(StoredFrame(self.folder / row["folder"], row, self.classes))
+        return Frame(StoredFrame(SafePath(self.folder, row["folder"]), row, self.classes))
 
     def frame(self, name: str) -> Frame:
         """The frame of a name such as 000000-camera0."""
@@ -137,16 +137,17 @@ class Dataset(Sequence[Frame]):
         workers: int | None = None,
         hashes: bool = True,
         progress: bool | Progress | None = None,
-    ) -> Verdict:
-        """Check files, index, splits and labels; with `rerender`, render so many images again and compare all bytes.
+    ) -> VerificationReport:
+        """Check files, index, splits and labels. `ok` of the report says whether all is right, `findings` what is not.
 
-        `Verdict.offences` has all that is wrong; it is empty for a sound data set.
+        Parameters
+        ----------
+        rerender : render so many images again and compare all bytes.
+        seed : draws these.
+        workers : processes and threads that check; by default one a core.
+        hashes : read all files and compare their checksums.
         """
-        from forestgen.runs.verify import verify
-
-        display = display_of(progress)
-        with display.running():
-            return verify(self.folder, rerender=rerender, seed=seed, jobs=workers, hashes=hashes, progress=display)
+        return verify(self.folder, rerender=rerender, seed=seed, workers=workers, hashes=hashes, progress=progress)
 
     def report(self, out: PathLike | None = None) -> Path:
         """Write the data set's page, by default report.html in its folder; the path of it."""
@@ -226,11 +227,11 @@ class Dataset(Sequence[Frame]):
 
     @cached_property
     def _legend(self) -> Mapping[str, Any]:
-        path = self.folder / self.splits[0] / LEGEND_NAME
+        path = SafePath(self.folder, self.splits[0]) / LEGEND_NAME
         try:
-            content = json.loads(path.read_bytes())
-        except (OSError, ValueError, RecursionError) as error:
-            raise DatasetError("the file cannot be read", where=str(path), got=str(error)[:200]) from error
+            content = path.read_json()
+        except (OSError, ValueError) as error:
+            raise unreadable(path, error) from error
         if not isinstance(content, dict):
             raise DatasetError("the file holds no classes", where=str(path))
         return content
@@ -240,6 +241,23 @@ class Dataset(Sequence[Frame]):
 
     def __repr__(self) -> str:
         return f"<Dataset {self.folder}: {len(self)} frames, {', '.join(self.splits)}>"
+
+
+def verify(
+    folder: PathLike,
+    *,
+    rerender: int = 0,
+    seed: int = 0,
+    workers: int | None = None,
+    hashes: bool = True,
+    progress: bool | Progress | None = None,
+) -> VerificationReport:
+    """Check a data set that may be damaged; see `Dataset.verify`. Raises `RecipeError` if the folder holds none."""
+    from forestgen.runs.verify import verify as check
+
+    display = display_of(progress)
+    with display.running():
+        return check(Path(folder), rerender=rerender, seed=seed, workers=workers, hashes=hashes, progress=display)
 
 
 def write_report(folder: PathLike, out: PathLike | None = None) -> Path:
@@ -289,20 +307,10 @@ def merge(
 
 
 def _rows_of(folder: Path) -> Any:
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
     from forestgen.runs.verify import open_data_set
 
     open_data_set(folder)  # says what the folder is, if it is no finished data set
-    path = folder / INDEX_NAME
-    try:
-        return pq.ParquetFile(path).read()
-    except (OSError, pa.ArrowException) as error:
-        hint = "the command that made the data set, with --resume, writes it again"
-        raise DatasetError(
-            "the index cannot be read", where=str(path), got=str(error).partition("\n")[0], hint=hint
-        ) from error
+    return whole_index(folder / INDEX_NAME)
 
 
 def _for_torch(values: Any) -> Any:

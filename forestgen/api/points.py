@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,12 +18,31 @@ from forestgen.stages.plant_files import FileSet, check_writable
 if TYPE_CHECKING:
     from forestgen.community.fitting.fit import Fit
     from forestgen.community.fitting.stand import MeasuredStand
+    from forestgen.community.point_statistics import PointStatistics
 
 PathLike = str | os.PathLike[str]
 Bounds = tuple[float, float, float, float]
 _RECIPES = (".yaml", ".yml")
 _UNEVEN = 0.05
 _SPECIES = "poplar"  # what plants look like of which nothing is said
+
+
+def stats(points: PathLike, *, window: Bounds | None = None, radii: Sequence[float | str] = ()) -> PointStatistics:
+    """Measure whether points are clustered, random or regular.
+
+    Parameters
+    ----------
+    points : a CSV file with columns x,y in metres; # begins a comment.
+    window : x0, x1, y0, y1 where points were looked for; by default what a comment in the file says.
+    radii : of Ripley's K, metres; by default ten.
+
+    Raises
+    ------
+    RecipeError, ResourceError
+    """
+    from forestgen.community.point_statistics import measure_file
+
+    return measure_file(Path(points), window, radii)
 
 
 @dataclass(frozen=True)

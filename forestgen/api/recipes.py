@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from forestgen.core.errors import RecipeError
 from forestgen.core.progress import Progress
-from forestgen.recipe.load import LoadedRecipe, load_recipe, load_recipe_data
+from forestgen.stages.load_checked import load_checked
 
 if TYPE_CHECKING:
     from forestgen.api.datasets import Run
@@ -79,11 +79,7 @@ class Recipe:
 
     def __init__(self, source: PathLike | Mapping[str, Any], overrides: Sequence[str] = ()) -> None:
         self._source, self._overrides = source, tuple(overrides)
-        self._loaded: LoadedRecipe = (
-            load_recipe_data(source, "recipe", overrides=overrides)
-            if isinstance(source, Mapping)
-            else load_recipe(Path(source), overrides)
-        )
+        self._loaded = load_checked(source if isinstance(source, Mapping) else Path(source), overrides)
 
     @property
     def name(self) -> str:

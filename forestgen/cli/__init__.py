@@ -10,6 +10,7 @@ import typer
 
 from forestgen import __version__
 from forestgen.cli.calibrate import calibrate
+from forestgen.cli.completion import add_completion, complete_names
 from forestgen.cli.console import errors_for_people
 from forestgen.cli.datasets import merge, pack, report
 from forestgen.cli.fit_kernel import fit_kernel
@@ -20,7 +21,8 @@ from forestgen.cli.lsystem import lsystem
 from forestgen.cli.plant import plant
 from forestgen.cli.render import batch, render
 from forestgen.cli.simulate import simulate
-from forestgen.cli.stats_command import stats
+from forestgen.cli.stats import stats
+from forestgen.cli.suggestions import options_suggested
 from forestgen.cli.variadic import RadiiCommand
 from forestgen.cli.verify import verify
 from forestgen.cli.weather import weather
@@ -32,9 +34,14 @@ class _Commands(typer.core.TyperGroup):
     def __init__(self, **arguments: Any) -> None:
         super().__init__(**arguments)
         show_plainly(self)
+        complete_names(self)
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        with options_suggested():
+            return super().parse_args(ctx, args)
 
     def invoke(self, ctx: Any) -> Any:
-        with errors_for_people():
+        with errors_for_people(), options_suggested():
             return super().invoke(ctx)
 
 
@@ -101,6 +108,7 @@ _COMMANDS: tuple[tuple[Callable[..., None], str, type[typer.core.TyperCommand] |
 )
 for _function, _example, _class in _COMMANDS:
     app.command(_function.__name__.replace("_", "-"), cls=_class, epilog=f"Example: forestgen {_example}")(_function)
+add_completion(app)
 
 
 def main() -> None:

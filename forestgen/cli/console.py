@@ -173,7 +173,7 @@ def errors_for_people() -> Iterator[None]:
     except (typer.Exit, typer.Abort, _UsageError):
         raise  # typer's own way out: --version, a misspelt option
     except ForestgenError as error:
-        fail(f"error: {error}", error.exit_code)
+        fail(error.text("error: "), error.exit_code)
     except MemoryError:
         hint = "make images or the site smaller, or take fewer species or exemplars"
         fail(f"error: {ResourceError('memory ran out', hint=hint)}", ResourceError.exit_code)

@@ -238,7 +238,7 @@ def _print(run: Run, say: Printer, *, verbose: bool) -> None:
     if summary.last is not None:
         _print_image(summary, say)
     before = f", {summary.already:,} of them before" if summary.already else ""
-    say(f"{summary.already + summary.made:,} of {count(summary.images, 'image')} done{before}")
+    say(f"{summary.images - len(summary.missing):,} of {count(summary.images, 'image')} done{before}")
     say(
         f"{count(summary.frames, 'frame')}, {summary.bytes / 1e6:,.1f} MB in {seconds(summary.seconds)}{_pace(summary)}"
     )
@@ -299,6 +299,9 @@ def _print_size_errors(errors: Sequence[Mapping[str, Any]], say: Printer) -> Non
         return
     rows = [("species", "plants", "exemplars", "rms size error", "rms crown width error")]
     for one in errors:
-        rms = (f"{100 * one[name]:.1f} %" for name in ("radius_rms", "crown_width_rms"))
+        rms = (
+            "-" if one[name] is None else f"{100 * one[name]:.1f} %"  # no species of its kind has a crown
+            for name in ("radius_rms", "crown_width_rms")
+        )
         rows.append((one["species"], f"{one['plants']:,}", f"{one['exemplars']:,}", *rms))
     say.table(rows)

@@ -33,6 +33,9 @@ from forestgen.lsystem.derivation import Derivation
 from forestgen.lsystem.multiset import Kind, words_as_lists
 from forestgen.lsystem.program import Program
 
+_MODULES_OF_A_PLANT = 2  # T and ?E
+_MOST_OWN_MODULES = 50_000  # of words that are no plants
+
 
 @dataclass(frozen=True)
 class State:
@@ -59,6 +62,7 @@ def answered(state: State) -> State:
     parameters, form, size_m = state.parameters, state.form, state.site.size_m
     plants = plants_of(state.derivation.multiset, form, state.program.name)
     values = plants.values
+    _check_own_words(state, len(plants))
     _check_plants(state, values)
     if len(plants) > parameters.most_plants:
         raise too_many(state, state.step)
@@ -92,6 +96,19 @@ def answered(state: State) -> State:
         for axis in (0, 1):
             state.derivation.multiset.parameter[plants.first + axis] = values[:, axis]
     return state
+
+
+def _check_own_words(state: State, plants: int) -> None:
+    """Few modules in words that are no plants: every step of the history holds them all as a list."""
+    modules = len(state.derivation.multiset.code) - _MODULES_OF_A_PLANT * plants
+    if modules > _MOST_OWN_MODULES:
+        raise ResourceError(
+            "the program's own words, those without a plant, grow too long",
+            where=state.program.name,
+            expected=f"at most {_MOST_OWN_MODULES:,} modules in all of them",
+            got=f"{modules:,} in step {state.step}",
+            hint="a production that makes more of its own module in each step has no end: give it a condition",
+        )
 
 
 def _check_plants(state: State, values: NDArray[np.float64]) -> None:

@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.integrate import quad
-from scipy.spatial import cKDTree
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
 
 _FEWEST_FOR_ERROR = 10
 _BLOCKS = 36  # of the jackknife; more would be smaller than clusters, fewer would make the error itself uncertain
@@ -73,6 +74,8 @@ def density(points_m: NDArray[np.float64], window: Window) -> float:
 
 def pattern_tree(points_m: NDArray[np.float64], window: Window, periodic: bool) -> tuple[cKDTree, NDArray[np.float64]]:
     """Tree of the points moved to the origin, and the moved points."""
+    from scipy.spatial import cKDTree  # late: half a second
+
     moved = points_m - window.corner_m
     if not periodic:
         return cKDTree(moved), moved
@@ -202,6 +205,7 @@ def _mean_reciprocal(values: NDArray[np.float64], n: int) -> float:
 
     E[1 / S] is the integral of E[exp(-t S)] over t > 0, and the sum S of independent draws makes it a power.
     """
+    from scipy.integrate import quad  # late, as above
 
     def integrand(u: float) -> float:
         return float(np.mean(np.exp(-u / n * values)) ** n)

@@ -2,6 +2,7 @@
 
     ForestgenError            exit code 1
     ├── RecipeError           2   the recipe or a command's argument is wrong
+    │   └── RecipeErrors      2   several of these at once, and of AssetError and LsystemError
     ├── AssetError            2   a file that the recipe names is missing or unreadable
     ├── LsystemError          2   an L-system program is wrong, or asks for the impossible
     ├── ResourceError         3   this machine lacks memory or a library for the task
@@ -16,6 +17,10 @@ ours: the command line turns it into exit code 130.
 from __future__ import annotations
 
 import unicodedata
+from collections.abc import Sequence
+from typing import Any
+
+MOST_SHOWN = 50
 
 
 def plain(text: str) -> str:
@@ -62,6 +67,15 @@ class ForestgenError(Exception):
         """The same as `where`: file, line and key."""
         return self.where
 
+    @property
+    def errors(self) -> tuple[ForestgenError, ...]:
+        """The error itself; of `RecipeErrors`, each of them."""
+        return (self,)
+
+    def text(self, prefix: str = "") -> str:
+        """The message behind a word such as ``error: ``."""
+        return f"{prefix}{self}"
+
     def __str__(self) -> str:
         head = f"{self.where}: {self.problem}" if self.where else self.problem
         rows = [("expected", self.expected), ("got", self.got), ("try", self.hint)]
@@ -73,6 +87,32 @@ class RecipeError(ForestgenError):
 
     code = "recipe"
     exit_code = 2
+
+
+class RecipeErrors(RecipeError):  # noqa: N818 - a group
+    """Several errors of one recipe, in the order of its file; what it says of itself is the first one's."""
+
+    def __init__(self, errors: Sequence[ForestgenError]) -> None:
+        self._errors = tuple(errors)
+        first = self._errors[0]
+        super().__init__(first.problem, where=first.where, expected=first.expected, got=first.got, hint=first.hint)
+
+    @property
+    def errors(self) -> tuple[ForestgenError, ...]:
+        return self._errors
+
+    def text(self, prefix: str = "") -> str:
+        """All errors, each as it would be alone and behind `prefix`, and their number."""
+        shown = [f"{prefix}{error}" for error in self._errors[:MOST_SHOWN]]
+        if len(self._errors) > MOST_SHOWN:
+            shown.append(f"... and {len(self._errors) - MOST_SHOWN} more")
+        return "\n\n".join([*shown, f"{len(self._errors)} errors"])
+
+    def __str__(self) -> str:
+        return self.text()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return RecipeErrors, (self._errors,)
 
 
 class AssetError(ForestgenError):

@@ -24,9 +24,8 @@ Arrays are (H, W) or (H, W, C), row 0 at the top. What a recipe's `labels.channe
 from __future__ import annotations
 
 import io
-import json
-import shutil
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Protocol
@@ -34,7 +33,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.core.errors import DatasetError, RecipeError
+from forestgen.core.errors import RecipeError
+from forestgen.dataset.files import make_folder, write_bytes
+from forestgen.dataset.safe_path import SafePath, check_cells, unreadable
 from forestgen.recipe.paths import MAPS
 
 Parts = Mapping[str, Mapping[str, NDArray[Any]]]
@@ -261,56 +262,68 @@ class StoredFrame:
     classes : names of the semantic classes, by number.
     """
 
-    def __init__(self, folder: Path, info: Mapping[str, Any], classes: tuple[str, ...]) -> None:
-        self.folder, self.name, self.info, self.classes = folder, folder.name, info, classes
+    def __init__(self, folder: SafePath, info: Mapping[str, Any], classes: tuple[str, ...]) -> None:
+        self.folder, self.info, self.classes = folder, info, classes
+
+    @property
+    def name(self) -> str:
+        return str(self.info["frame"])
 
     def parts(self) -> Parts:
         from forestgen.dataset.exr import read_exr
+        from forestgen.dataset.exr_chunks import check_chunks
 
-        try:
-            return read_exr(self.folder / "frame.exr")
-        except (OSError, RuntimeError, ValueError) as error:
-            raise self._unreadable("frame.exr", error) from error
+        with self._reading("frame.exr") as path:
+            with path.open() as stream:
+                # The library writes what it finds damaged to standard error. To unpack the blocks would take as long as
+                # to read them; without it a file that is cut short is found.
+                check_chunks(stream, unpack=False)
+            return read_exr(path.located())
 
     def plants(self) -> Any:
-        import pyarrow as pa
         import pyarrow.parquet as pq
 
-        try:
-            return pq.ParquetFile(self.folder / "plants.parquet").read()
-        except (OSError, pa.ArrowException) as error:
-            raise self._unreadable("plants.parquet", error) from error
+        with self._reading("plants.parquet") as path, path.open() as stream, pq.ParquetFile(stream) as file:
+            check_cells(file.metadata.num_rows, file.metadata.num_columns)
+            return file.read()
 
     def camera(self) -> dict[str, Any]:
-        content = json.loads(self._read("camera.json"))
-        if not isinstance(content, dict):
-            raise self._unreadable("camera.json", "no mapping")
-        return content
+        with self._reading("camera.json") as path:
+            content = path.read_json()
+            if not isinstance(content, dict):
+                raise ValueError("no JSON object")
+            return content
 
     def preview(self) -> NDArray[np.uint8]:
         from PIL import Image
 
-        with Image.open(io.BytesIO(self._read("preview.png"))) as picture:
+        with self._reading("preview.png") as path, Image.open(io.BytesIO(path.read()), formats=("PNG",)) as picture:
             return np.asarray(picture.convert("RGB"))
 
     @property
     def recipe_yaml(self) -> str:
-        return self._read("recipe.yaml").decode()
+        with self._reading("recipe.yaml") as path:
+            return path.read().decode()
 
     def save(self, folder: Path, beside: Path) -> None:
-        shutil.copytree(self.folder, folder, dirs_exist_ok=True)
-        maps = self.folder.parent / MAPS
-        if maps.is_dir():
-            shutil.copytree(maps, beside / MAPS, dirs_exist_ok=True)
+        maps = SafePath(self.folder.root, f"{self.info['split']}/{MAPS}")
+        for source, target in ((self.folder, folder), (maps, beside / MAPS)):
+            for name in source.names():
+                with self._reading(name, source) as path:
+                    write_bytes(_made(target) / name, path.read())
 
-    def _read(self, name: str) -> bytes:
+    @contextmanager
+    def _reading(self, name: str, folder: SafePath | None = None) -> Iterator[SafePath]:
+        """A file of the frame's folder; what fails while it is read is a `DatasetError` that names it."""
+        import pyarrow as pa
+
+        path = (folder or self.folder) / name
         try:
-            return (self.folder / name).read_bytes()
-        except OSError as error:
-            raise self._unreadable(name, error) from error
+            yield path
+        except (OSError, ValueError, SyntaxError, RuntimeError, pa.ArrowException) as error:
+            raise unreadable(path, error, "forestgen verify checks all files") from error
 
-    def _unreadable(self, name: str, reason: object) -> DatasetError:
-        got = " ".join(str(reason).split())[:200]
-        return DatasetError(
-            "the file cannot be read", where=str(self.folder / name), got=got, hint="forestgen verify checks all files"
-        )
+
+def _made(folder: Path) -> Path:
+    make_folder(folder)
+    return folder

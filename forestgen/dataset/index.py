@@ -47,13 +47,15 @@ JSON.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
 from forestgen.core.errors import DatasetError
 from forestgen.dataset.files import make_folder, output_error
+from forestgen.dataset.safe_path import SafePath, check_cells, is_frame, is_split
 from forestgen.dataset.settings import DRAW
 
 INDEX_NAME = "index.parquet"
@@ -167,31 +169,115 @@ def read_index(path: Path) -> Iterator[dict[str, Any]]:
     ------
     DatasetError : there is no such file, or it is no index.
     """
+    maps = {name for name, kind in COLUMNS.items() if kind == _BY_NAME}
+    with open_index(path, ("frame", "folder", "split", "image")) as file:
+        for number in range(file.num_row_groups):
+            for row in file.read_row_group(number).to_pylist():
+                yield {
+                    name: dict(value) if name in maps and value is not None else value for name, value in row.items()
+                }
+
+
+@contextmanager
+def open_index(path: Path, needed: Sequence[str]) -> Iterator[Any]:
+    """The index as a pyarrow.parquet.ParquetFile, whose known columns are of their types; see `read_index`.
+
+    Parameters
+    ----------
+    needed : columns that must be there.
+
+    Raises
+    ------
+    DatasetError : there is no such file, it is no index, or it cannot be read in this block.
+    """
     import pyarrow as pa
     import pyarrow.parquet as pq
 
     try:
-        with pq.ParquetFile(path) as file:
-            missing = [name for name in ("frame", "folder", "split", "image") if name not in file.schema_arrow.names]
+        with SafePath(path.parent, path.name).open() as stream, pq.ParquetFile(stream) as file:
+            names = file.schema_arrow.names
+            missing = [name for name in needed if name not in names]
             if missing:
                 raise DatasetError(
                     "this is no index of forestgen", where=str(path), expected=f"columns {', '.join(missing)}"
                 )
-            maps = {name for name, kind in COLUMNS.items() if kind == _BY_NAME}
-            for number in range(file.num_row_groups):
-                for row in file.read_row_group(number).to_pylist():
-                    yield {
-                        name: dict(value) if name in maps and value is not None else value
-                        for name, value in row.items()
-                    }
+            check_cells(file.metadata.num_rows, len(names))
+            strange = [field.name for field in file.schema_arrow if not _is_of_its_type(field, needed)]
+            if strange or len(set(names)) < len(names):
+                raise DatasetError("a column of the index is not of its type", where=str(path), got=", ".join(strange))
+            yield file
     except FileNotFoundError as error:
         raise DatasetError(
             "there is no index", where=str(path), hint="forestgen batch writes it when it ends"
         ) from error
-    except (OSError, pa.ArrowException) as error:
+    except (OSError, ValueError, pa.ArrowException) as error:  # ValueError: texts that are no UTF-8
         raise DatasetError(
             "the index cannot be read", where=str(path), got=" ".join(str(error).split())[:200]
         ) from error
+
+
+def whole_index(path: Path) -> Any:
+    """The index as a `pyarrow.Table`, whose rows name folders of frames below the data set's folder.
+
+    Raises
+    ------
+    DatasetError : see `open_index`; or a row names no frame, or a frame has two rows.
+    """
+    with open_index(path, ("split", "frame", "folder")) as file:
+        index = file.read()
+        names = list(zip(*(index[name].to_pylist() for name in ("split", "frame", "folder")), strict=True))
+    for split, frame, folder in names:
+        if not is_split(split) or not is_frame(frame) or folder != f"{split}/{frame}":
+            expected, got = "names such as train and 000000-camera0", ascii((split, frame, folder))[:160]
+            raise DatasetError("a row of the index names no frame", where=str(path), expected=expected, got=got)
+    if len({frame for _, frame, _ in names}) < len(names):
+        raise DatasetError("a frame has two rows of the index", where=str(path))
+    return index
+
+
+def _is_of_its_type(field: Any, needed: Sequence[str]) -> bool:
+    """Whether a column is of the kind that its name stands for; others may be of any, and null where none is needed."""
+    from pyarrow import types
+
+    wanted, kind = COLUMNS.get(field.name), field.type
+    if wanted is None or (types.is_null(kind) and field.name not in needed):
+        return True
+    if wanted == _TEXT:
+        return bool(types.is_string(kind) or types.is_large_string(kind))
+    if wanted in (_WHOLE, _SMALL):
+        return bool(types.is_integer(kind))
+    if wanted == _NUMBER:
+        return bool(types.is_floating(kind) or types.is_integer(kind))
+    if wanted == _BY_NAME:
+        return bool(types.is_map(kind) and types.is_string(kind.key_type) and types.is_integer(kind.item_type))
+    return bool(types.is_list(kind))
+
+
+def check_row(row: Mapping[str, Any]) -> None:
+    """Refuse a row that `write_index` cannot take, with a `ValueError`."""
+    for name, value in row.items():
+        kind = COLUMNS.get(name)
+        if kind is None and not name.startswith(DRAW):
+            raise ValueError(f"{name!r:.60} is no column of the index")
+        if kind is not None and value is not None and not _FITS[kind](value):
+            raise ValueError(f"{name} is {value!r:.60}")
+    if not {"frame", "split", "image"} <= row.keys():
+        raise ValueError("a row lacks frame, split or image")
+
+
+def _is_whole(value: Any, bits: int = 64) -> bool:
+    return type(value) is int and -(2 ** (bits - 1)) <= value < 2 ** (bits - 1)
+
+
+_FITS: dict[str, Callable[[Any], bool]] = {
+    _TEXT: lambda value: isinstance(value, str),
+    _WHOLE: _is_whole,
+    _SMALL: lambda value: _is_whole(value, 32),
+    _NUMBER: lambda value: isinstance(value, float) or _is_whole(value),
+    _TEXTS: lambda value: isinstance(value, list) and all(isinstance(one, str) for one in value),
+    _COUNTS: lambda value: isinstance(value, list) and all(map(_is_whole, value)),
+    _BY_NAME: lambda value: isinstance(value, dict) and all(map(_is_whole, value.values())),
+}
 
 
 def _write_group(writer: Any, schema: Any, columns: Mapping[str, str], rows: list[Mapping[str, Any]]) -> bool:

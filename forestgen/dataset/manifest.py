@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from forestgen.dataset.files import write_json
+from forestgen.dataset.safe_path import SafePath
 
 MANIFEST_NAME = "manifest.json"
 SCHEMA = "forestgen-manifest/1"
@@ -19,7 +20,6 @@ PACKAGES = (
     "numpy",
     "scipy",
     "numba",
-    "scikit-learn",
     "mitsuba",
     "drjit",
     "mitsuba-oidn",
@@ -74,10 +74,8 @@ def write_manifest(root: Path, manifest: Mapping[str, Any]) -> None:
 
 def is_run_folder(folder: Path) -> bool:
     """Whether `folder` holds a manifest of ours: only such a folder may ever be replaced."""
-    import json
-
     try:
-        content = json.loads((folder / MANIFEST_NAME).read_text(encoding="utf-8"))
+        content = SafePath(folder, MANIFEST_NAME).read_json()
     except (OSError, ValueError):
         return False
     return isinstance(content, dict) and str(content.get("schema", "")).startswith("forestgen-manifest/")

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 COMPRESS_LEVEL = 4
 MAX_PNG_ID = (1 << 24) - 1
+_PALETTE_COLOURS = 256  # those without a class are black
 _TINT = 0.42  # share of a plant's own colour inside its mask
 _SKY_RGB, _GROUND_RGB = (110, 160, 220), (122, 96, 70)
 
@@ -69,14 +70,17 @@ def read_instance(path: Path) -> NDArray[np.uint32]:
 
 
 def write_semantic(path: Path, semantic: NDArray[np.uint8], class_names: Sequence[str]) -> None:
-    """Write (H, W) uint8 classes as a palette PNG: pixel values are class numbers, shown in `class_palette`.
+    """Write (H, W) uint8 classes as a palette PNG of 8 bits a pixel: values are class numbers, in `class_palette`.
 
     The text chunk `classes` holds the names as JSON, number -> name.
     """
     from PIL import Image
 
     image = Image.fromarray(np.ascontiguousarray(semantic))
-    image.putpalette(class_palette(len(class_names)).tobytes())
+    # Pillow packs a short palette's pixels into 1, 2 or 4 bits, which some readers do not unpack (torchvision 0.29).
+    palette = np.zeros((_PALETTE_COLOURS, 3), dtype=np.uint8)
+    palette[: len(class_names)] = class_palette(len(class_names))
+    image.putpalette(palette.tobytes())
     _save(path, image, text={"classes": classes_text(class_names)})
 
 

@@ -41,6 +41,7 @@ from __future__ import annotations
 
 import io
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -83,27 +84,22 @@ def plants_table(labelled: LabelledFrame) -> Any:
 
 
 def _community(population: Population) -> dict[str, Any]:
-    import pyarrow as pa
-
     unknown = np.full(len(population), np.nan)
-    names = np.array([*population.species_names, ""], dtype=object)  # the last only keeps an empty list an array
     return {
-        "plant_id": pa.array(population.plant_id, type=pa.uint32()),
-        "species": pa.array(names[population.species], type=pa.string()),
+        "plant_id": _column("uint32", population.plant_id),
+        "species": _names(population.species_names, population.species),
         **{f"{axis}_m": _numbers(population.position_m[:, i]) for i, axis in enumerate("xyz")},
         "height_m": _numbers(population.height_m),
         "radius_m": _numbers(population.radius_m),
         "age_yr": _numbers(population.age_yr),
-        "status": pa.array(population.status, type=pa.uint8()),
+        "status": _column("uint8", population.status),
         "adaptation": _numbers(np.asarray(population.columns.get("adaptation", unknown), dtype=np.float64)),
     }
 
 
 def _measures(measures: PlantMeasures) -> dict[str, Any]:
-    import pyarrow as pa
-
     return {
-        "exemplar": pa.array(measures.exemplar, type=pa.uint32()),
+        "exemplar": _column("uint32", measures.exemplar),
         "crown_width_m": _numbers(measures.crown_width_m),
         "dbh_m": _numbers(measures.dbh_m),
         "leaf_area_m2": _numbers(measures.leaf_area_m2),
@@ -111,26 +107,22 @@ def _measures(measures: PlantMeasures) -> dict[str, Any]:
 
 
 def _views(views: PlantViews) -> dict[str, Any]:
-    import pyarrow as pa
-
     visible = views.visible
     return {
         "distance_m": _numbers(views.distance_m),
-        "visible_pixels": pa.array(visible.visible_pixels, type=pa.int64()),
+        "visible_pixels": _column("int64", visible.visible_pixels),
         "visible_area_px": _numbers(visible.visible_area_px),
         **_box("box", visible.box_px, ~visible.has_box),
-        "truncated": pa.array(visible.truncated, type=pa.bool_()),
-        "stem_pixels": pa.array(views.stem_pixels, type=pa.int64()),
+        "truncated": _column("bool", visible.truncated),
+        "stem_pixels": _column("int64", views.stem_pixels),
     }
 
 
 def _amodal(views: PlantViews) -> dict[str, Any]:
-    import pyarrow as pa
-
     unknown = np.isnan(views.amodal_area_px)
     sides = ("left", "top", "right", "bottom")
     return {
-        "amodal_pixels": pa.array(views.amodal_pixels, type=pa.int64(), mask=unknown),
+        "amodal_pixels": _column("int64", views.amodal_pixels, unknown),
         "amodal_area_px": _numbers(views.amodal_area_px),
         **_box("amodal_box", views.amodal_box_px, views.amodal_pixels == 0),
         "visible_fraction": _numbers(views.visible_fraction),
@@ -140,24 +132,42 @@ def _amodal(views: PlantViews) -> dict[str, Any]:
 
 
 def _keypoints(views: PlantViews) -> dict[str, Any]:
-    import pyarrow as pa
-
     columns: dict[str, Any] = {}
     for k, name in enumerate(KEYPOINTS):
         for axis, symbol in enumerate("xy"):
             columns[f"{name}_{symbol}_px"] = _numbers(views.keypoint_px[:, k, axis])
-        columns[f"{name}_state"] = pa.array(views.keypoint_state[:, k], type=pa.uint8())
+        columns[f"{name}_state"] = _column("uint8", views.keypoint_state[:, k])
     return columns
 
 
 def _box(name: str, box_px: NDArray[np.int32], none: NDArray[np.bool_]) -> dict[str, Any]:
-    import pyarrow as pa
-
-    return {f"{name}_{side}": pa.array(box_px[:, i], type=pa.int32(), mask=none) for i, side in enumerate(_SIDES)}
+    return {f"{name}_{side}": _column("int32", box_px[:, i], none) for i, side in enumerate(_SIDES)}
 
 
 def _numbers(values: NDArray[np.float64]) -> Any:
     """A column of doubles; NaN is null."""
+    return _column("float64", values, np.isnan(values))
+
+
+def _column(kind: str, values: NDArray[Any], null: NDArray[np.bool_] | None = None) -> Any:
+    """A column of a type's values, null where `null` is true.
+
+    As ``pyarrow.array`` makes it, which would import pandas for it: a second.
+    """
     import pyarrow as pa
 
-    return pa.array(np.ascontiguousarray(values), type=pa.float64(), mask=np.isnan(values))
+    content = np.ascontiguousarray(values, dtype=kind)
+    bits = content if kind != "bool" else np.packbits(content, bitorder="little")
+    known = None if null is None else pa.py_buffer(np.packbits(~null, bitorder="little"))
+    return pa.Array.from_buffers(pa.type_for_alias(kind), len(content), [known, pa.py_buffer(bits)])
+
+
+def _names(names: Sequence[str], index: NDArray[np.unsignedinteger[Any]]) -> Any:
+    """A column of strings: the names with the indices (N,)."""
+    import pyarrow as pa
+
+    encoded = [name.encode() for name in names]
+    length = np.array([len(name) for name in encoded], dtype=np.int64)[index]
+    offset = np.concatenate([[0], np.cumsum(length)]).astype(np.int32)
+    text = b"".join([encoded[i] for i in index])
+    return pa.StringArray.from_buffers(len(index), pa.py_buffer(offset), pa.py_buffer(text))

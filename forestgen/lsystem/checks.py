@@ -19,18 +19,19 @@ def _fail(name: str, problem: str, place: Place, **about: str | None) -> NoRetur
 
 
 def check_heads(production: Production, listing: Listing) -> None:
-    """Predecessor and contexts: no brackets, and only names as parameters."""
-    contexts = (*production.left, *production.right)
-    for module in (*contexts, *production.predecessor):
-        in_context = any(module is one for one in contexts)
-        if module.symbol in "[]":
+    """Predecessor and contexts: brackets, balanced, in the right context only; as parameters only names."""
+    check_brackets(production.right, listing.name)
+    for part, word in (("left context", production.left), ("predecessor", production.predecessor)):
+        bracket = next((module for module in word if module.symbol in "[]"), None)
+        if bracket is not None:
             _fail(
                 listing.name,
-                f"a bracket stands in a {'context' if in_context else 'predecessor'}",
-                module.place,
-                expected="modules only: contexts see through branches" if in_context else "modules only",
-                got=module.symbol,
+                f"a bracket stands in a {part}",
+                bracket.place,
+                expected="modules only: branches may stand in the right context",
+                got=bracket.symbol,
             )
+    for module in (*production.left, *production.right, *production.predecessor):
         if module.symbol == "%" and listing.dialect != "rhover":
             _fail(listing.name, "% cuts or fragments, and cannot be rewritten", module.place)
         for argument in module.arguments:
@@ -44,7 +45,7 @@ def check_heads(production: Production, listing: Listing) -> None:
 
 
 def check_brackets(modules: Sequence[Module], name: str, *, percent_turns: bool = False) -> None:
-    """Brackets of a successor or an axiom's word are balanced, and take no parameters."""
+    """Brackets of a successor, a right context or an axiom's word are balanced, and take no parameters."""
     opened: list[Place] = []
     for module in modules:
         if module.symbol in "[]" and module.arguments:

@@ -330,21 +330,36 @@ def _left_context(t, m, rule, i, begin, codes, mate):  # type: ignore[no-untyped
 
 @compiled
 def _right_context(t, m, rule, i, end, codes, mate):  # type: ignore[no-untyped-def]
-    """Whether the right context stands from index i on; m[FOUND] as in `_left_context`."""
-    cursor = i
-    for k in range(t[rule + RIGHTS]):
-        while True:
-            if cursor >= end or codes[cursor] == _CLOSE:
-                return False
-            if codes[cursor] == _OPEN:
-                cursor = mate[cursor] + 1
-            elif t[t[IGNORED] + codes[cursor]]:
-                cursor += 1
-            else:
-                break
-        if codes[cursor] != t[t[rule + RIGHT] + k]:
-            return False
+    """Whether the right context stands from index i on; m[FOUND] as in `_left_context`, with brackets.
+
+    A branch of the context takes the first branch of the word that fits it. Where one does not fit, the search goes on
+    at the next branch of the same node: the first fit leaves most for what follows, so no other need be tried.
+    """
+    cursor, k, n = i, 0, t[rule + RIGHTS]
+    right = t[rule + RIGHT]
+    enclosing = right + n
+    while k < n:
+        wanted = t[right + k]
+        if wanted == _CLOSE:
+            cursor = mate[m[FOUND + t[enclosing + k]]]  # past what else the branch holds
+        else:
+            while cursor < end and codes[cursor] != _CLOSE:
+                if codes[cursor] == _OPEN:
+                    if wanted == _OPEN:
+                        break
+                    cursor = mate[cursor] + 1
+                elif t[t[IGNORED] + codes[cursor]]:
+                    cursor += 1
+                else:
+                    break
+            if cursor >= end or codes[cursor] != wanted:
+                k = t[enclosing + k]
+                if k < 0:
+                    return False
+                cursor = mate[m[FOUND + k]] + 1
+                continue
         m[FOUND + k] = cursor
+        k += 1
         cursor += 1
     return True
 

@@ -25,7 +25,7 @@ LEFT: Final = 4
 LEFTS: Final = 5
 HEAD: Final = 6
 HEADS: Final = 7
-RIGHT: Final = 8
+RIGHT: Final = 8  # with brackets; behind them, for each the index of the bracket that encloses it, or -1
 RIGHTS: Final = 9
 MOST_MODULES: Final = 10
 MOST_VALUES: Final = 11
@@ -49,7 +49,7 @@ WRITTEN: Final = 11
 WRITTEN_VALUES: Final = 12
 NEED: Final = 13  # what MORE_SPACE asks for
 EXPANSIONS: Final = 14  # productions of blocks applied in this call
-FOUND: Final = 15  # indices of context modules, to the end
+FOUND: Final = 15  # indices of context modules and brackets, to the end
 # Answers in m[NEED]
 NEED_OUT: Final = 0  # modules or parameters written
 NEED_WORDS: Final = 1

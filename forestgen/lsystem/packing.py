@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from forestgen.lsystem import machine_layout as layout
 from forestgen.lsystem.emitter import Emitter, Region
 from forestgen.lsystem.functions import sample_function
+from forestgen.lsystem.multiset import CLOSE, OPEN
 from forestgen.lsystem.program import RuleSet
 
 
@@ -21,7 +22,7 @@ class Rule:
     group: int
     left: tuple[int, ...]
     predecessor: tuple[int, ...]
-    right: tuple[int, ...]
+    right: tuple[int, ...]  # with the brackets of its branches
     condition: int
     probability: int
     successor: int
@@ -126,7 +127,7 @@ def _pack_rules(whole: list[int], rules: Sequence[Rule], code_at: int, arity: Se
         return RuleSet(-1, modules, values)
     ordered = sorted(rules, key=lambda rule: rule.predecessor[0])  # stable
     lists = [
-        [_append(whole, kinds) for kinds in (rule.left, rule.predecessor, rule.right, rule.plain or ())]
+        [_append(whole, kinds) for kinds in (rule.left, rule.predecessor, _with_branches(rule.right), rule.plain or ())]
         for rule in ordered
     ]
     records = len(whole)
@@ -141,3 +142,19 @@ def _pack_rules(whole: list[int], rules: Sequence[Rule], code_at: int, arity: Se
     counts = np.bincount([rule.predecessor[0] for rule in ordered], minlength=len(arity))
     first = records + layout.RECORD * np.concatenate([[0], np.cumsum(counts)])
     return RuleSet(_append(whole, first.tolist()), modules, values)
+
+
+def _with_branches(right: Sequence[int]) -> list[int]:
+    """The kinds of a right context and, behind them, the index of the ``[`` around each; -1: there is none.
+
+    A ``]`` has the index of its own ``[``.
+    """
+    enclosing: list[int] = []
+    opened = [-1]
+    for k, kind in enumerate(right):
+        enclosing.append(opened[-1])
+        if kind == OPEN:
+            opened.append(k)
+        elif kind == CLOSE:
+            opened.pop()
+    return [*right, *enclosing]

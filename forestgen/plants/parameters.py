@@ -82,6 +82,7 @@ class Generator(Protocol):
     """A plant generator: one file in plants/generators, one line in plants/registry.py."""
 
     Parameters: type[PlantParameters]
+    has_crown: bool  # whether the species' crown width means anything to its plants: not to dead wood or a house
 
     def grow(self, parameters: Any, height_m: float, width_m: float, rng: np.random.Generator) -> Skeleton:
         """A plant about `height_m` tall and `width_m` wide, with the organs that the generator itself places.

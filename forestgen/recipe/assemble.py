@@ -8,9 +8,10 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+from forestgen.core.error_list import ErrorList
 from forestgen.core.errors import AssetError, RecipeError
 from forestgen.core.text_file import read_text
-from forestgen.recipe.assets import find_asset
+from forestgen.recipe.assets import find_asset, list_assets
 from forestgen.recipe.distributions import is_distribution
 from forestgen.recipe.own_tables import embed_sensors, embed_spectra
 from forestgen.recipe.sources import Keys, Place, SourceMap, dotted
@@ -19,6 +20,8 @@ from forestgen.recipe.yaml_source import parse_yaml, read_yaml
 
 _LARGEST_PROGRAM_BYTES = 1_000_000
 MOST_SPECIES = 1000
+
+_Files = dict[Path, tuple[dict[str, Any], SourceMap]]  # read once: many species may be made from one
 
 SHORTHANDS: dict[Keys, str] = {("site", "terrain"): "kind", ("sky", "clouds"): "type"}
 OPTIONAL: tuple[Keys, ...] = (
@@ -95,45 +98,84 @@ def _step(container: Any, part: str, keys: Keys, place: Place) -> str | int:
     return int(part)
 
 
-def merge_species(data: dict[str, Any], sources: SourceMap, folder: Path) -> None:
-    """Replace each ``{from: NAME, ...}`` of the species in place by the file's content under the recipe's overrides."""
+def merge_species(data: dict[str, Any], sources: SourceMap, folder: Path, errors: ErrorList | None = None) -> list[str]:
+    """Replace each ``{from: NAME, ...}`` of the species in place by the file's content under the recipe's overrides.
+
+    A mapping without ``from`` that is no whole species, such as ``pine: {height_m: 20}``, takes the rest from the
+    shipped species of its name, as ``pine:`` alone does.
+
+    Parameters
+    ----------
+    errors : takes the errors of species' files; None: the first is raised.
+
+    Returns
+    -------
+    list : names of the species with errors.
+    """
     species = data.get("species")
     if not isinstance(species, dict) or is_distribution(species):
-        return
+        return []
     if len(species) > MOST_SPECIES:
         expected = f"at most {MOST_SPECIES} species"
         raise RecipeError(
             "too many species", where=sources.where(("species",)), expected=expected, got=str(len(species))
         )
+    collected = ErrorList(sources.place(()).origin) if errors is None else errors
     written = _sources_by_species(sources)
-    files: dict[Path, tuple[dict[str, Any], SourceMap]] = {}  # many species may be made from one
+    files: _Files = {}
+    shipped = frozenset(list_assets("species")) if any(map(_is_partial, species.values())) else frozenset()
+    failed = []
     for name, entry in species.items():
+        if name in shipped and _is_partial(entry):
+            entry["from"] = name
         if not isinstance(entry, dict) or "from" not in entry:
             continue
-        keys: Keys = ("species", name)
-        where = sources.where((*keys, "from"))
-        source = entry.pop("from")
-        if not isinstance(source, str):
-            raise RecipeError(
-                "bad value", where=where, expected="the name or path of a species file", got=f"{source!r:.60}"
-            )
-        path = find_asset("species", source, folder=folder, where=where)
-        if path not in files:
-            files[path] = read_yaml(path, error=AssetError)
-            _embed(files[path][0].get("plant"), files[path][1], ("plant", "program"), path.parent, folder)
-            embed_spectra(files[path][0].get("materials"), files[path][1], ("materials",), path.parent, root=folder)
-        base, base_sources = copy.deepcopy(files[path][0]), files[path][1]
-        _without_other_light(base.get("materials"), entry.get("materials"))
-        recipe_sources = SourceMap(written.get(name, {}))
-        merged = SourceMap(dict(recipe_sources.places))  # of this species alone, for dropping keys looks at all
-        merged.take(base_sources, (), keys)
-        merged.set(keys, sources.place(keys))
-        species[name] = _merged(
-            _without_other_generator(base, entry, merged, keys), entry, merged, recipe_sources, keys
+        merged = collected.attempt(_from_file, name, entry, written.get(name, {}), sources, files, folder)
+        if merged is None:
+            failed.append(name)
+        else:
+            species[name] = merged
+    if errors is None:
+        collected.raise_all()
+    return failed
+
+
+def _from_file(
+    name: str, entry: dict[str, Any], written: dict[Keys, Place], sources: SourceMap, files: _Files, folder: Path
+) -> Any:
+    """The content of the file that `entry` names under its other keys; `sources` take the file's places."""
+    keys: Keys = ("species", name)
+    where = sources.where((*keys, "from"))
+    source = entry.pop("from")
+    if not isinstance(source, str):
+        raise RecipeError(
+            "bad value", where=where, expected="the name or path of a species file", got=f"{source!r:.60}"
         )
-        for one in recipe_sources.places:
-            del sources.places[one]
-        sources.places.update(merged.places)
+    path = find_asset("species", source, folder=folder, where=where)
+    if path not in files:
+        base, base_sources = read_yaml(path, error=AssetError)
+        _embed(base.get("plant"), base_sources, ("plant", "program"), path.parent, folder)
+        embed_spectra(base.get("materials"), base_sources, ("materials",), path.parent, root=folder)
+        files[path] = base, base_sources
+    base, base_sources = copy.deepcopy(files[path][0]), files[path][1]
+    _without_other_light(base.get("materials"), entry.get("materials"))
+    recipe_sources = SourceMap(written)
+    merged = SourceMap(dict(recipe_sources.places))  # of this species alone, for dropping keys looks at all
+    merged.take(base_sources, (), keys)
+    merged.set(keys, sources.place(keys))
+    result = _merged(_without_other_generator(base, entry, merged, keys), entry, merged, recipe_sources, keys)
+    for one in recipe_sources.places:
+        del sources.places[one]
+    sources.places.update(merged.places)
+    return result
+
+
+def _is_partial(entry: Any) -> bool:
+    """Whether a species' mapping names no file and lacks what a species must have."""
+    if not isinstance(entry, dict) or "from" in entry or is_distribution(entry) or is_reference(entry):
+        return False
+    plant = entry.get("plant")
+    return not ({"ecology", "allometry"} <= entry.keys() and isinstance(plant, dict) and "generator" in plant)
 
 
 def _sources_by_species(sources: SourceMap) -> dict[str | int, dict[Keys, Place]]:
@@ -201,7 +243,7 @@ def _without_other_light(base: Any, override: Any) -> None:
         new = override.get(name)
         if not (isinstance(material, dict) and isinstance(new, dict)):
             continue
-        if "reflectance" in new and "spectrum" not in new:
+        if "reflectance" in new and new.get("spectrum") is None:
             material.pop("spectrum", None)
             material.pop("season", None)
         elif new.get("spectrum") is not None:

@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from forestgen.core.error_list import ErrorList
 from forestgen.core.errors import RecipeError
 from forestgen.core.randomness import child_rng
 from forestgen.recipe.distributions import (
@@ -183,32 +184,38 @@ def _find(value: Any, keys: Keys, variables: Mapping[str, Any]) -> Iterator[tupl
 
 
 def parsed(written: Mapping[Keys, Any], sources: SourceMap) -> dict[Keys, Distribution]:
-    """The distributions among what is written; raises `RecipeError` with the place of a bad one."""
+    """The distributions among what is written; raises `RecipeError` with the places of bad ones."""
     found: dict[Keys, Distribution] = {}
+    errors = ErrorList(sources.place(()).origin)
     for keys, value in written.items():
-        if not is_distribution(value):
-            continue
-        where = sources.where(keys)
-        try:
-            found[keys] = parse_distribution(value)
-        except BadDistributionError as cause:
-            raise RecipeError(
-                "bad distribution", where=where, expected=str(cause), got=show(value), hint=cause.hint
-            ) from cause
-        one = found[keys]
-        if isinstance(one, Choice) and one.numbered and (keys[0] == "species" or keys[: len(VARIABLES)] == VARIABLES):
-            expected = "numbers, texts, true or false" + (
-                ": all images have the same species" if keys[0] == "species" else ""
-            )
-            hint = "choose how many there are of each: community: {plants: {choice: [...]}}"
-            raise RecipeError(
-                "no mappings or lists are chosen here",
-                where=where,
-                expected=expected,
-                got=show(value),
-                hint=hint if keys[0] == "species" else None,
-            )
+        one = errors.attempt(_distribution, keys, value, sources) if is_distribution(value) else None
+        if one is not None:
+            found[keys] = one
+    errors.raise_all()
     return found
+
+
+def _distribution(keys: Keys, value: Any, sources: SourceMap) -> Distribution:
+    where = sources.where(keys)
+    try:
+        one = parse_distribution(value)
+    except BadDistributionError as cause:
+        raise RecipeError(
+            "bad distribution", where=where, expected=str(cause), got=show(value), hint=cause.hint
+        ) from cause
+    if isinstance(one, Choice) and one.numbered and (keys[0] == "species" or keys[: len(VARIABLES)] == VARIABLES):
+        expected = "numbers, texts, true or false" + (
+            ": all images have the same species" if keys[0] == "species" else ""
+        )
+        hint = "choose how many there are of each: community: {plants: {choice: [...]}}"
+        raise RecipeError(
+            "no mappings or lists are chosen here",
+            where=where,
+            expected=expected,
+            got=show(value),
+            hint=hint if keys[0] == "species" else None,
+        )
+    return one
 
 
 def copied(value: Any) -> Any:

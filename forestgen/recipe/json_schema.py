@@ -7,9 +7,11 @@ are admitted, and a species is a file's name with overrides or a whole species.
 from __future__ import annotations
 
 import copy
+import re
 from collections.abc import Mapping
 from typing import Any
 
+from forestgen.recipe.assets import list_assets
 from forestgen.recipe.distributions import KINDS, MOST_VALUES
 from forestgen.recipe.fields import NAME_PATTERN
 from forestgen.recipe.messages import UNDRAWN
@@ -190,12 +192,16 @@ def _admit_species_files(schema: Json) -> None:
     override = definitions["SpeciesOverride"]
     source = {"type": "string", "description": "Name of a species in scenes/species, or the path of its file."}
     override["properties"] = {"from": source, **override["properties"]}
-    override["required"] = ["from"]
+    definitions["SpeciesFromFile"] = {**override, "required": ["from"]}
     whole = {"$ref": "#/$defs/Species"}
-    entry = {"anyOf": [{"type": "null"}, source, {"$ref": "#/$defs/SpeciesOverride"}, whole]}
+    arms = [{"type": "null"}, source, {"$ref": "#/$defs/SpeciesFromFile"}, whole]
+    # A shipped species' name says where the rest comes from.
+    by_name = {"anyOf": [{"type": "null"}, source, {"$ref": "#/$defs/SpeciesOverride"}, whole]}
     place = schema["properties"]["species"]
     place.pop("additionalProperties", None)
-    place["patternProperties"] = {NAME_PATTERN: entry}
+    shipped = "|".join(name for name in list_assets("species") if re.fullmatch(NAME_PATTERN, name))
+    others = f"^(?!({shipped})$)" + NAME_PATTERN.removeprefix("^")
+    place["patternProperties"] = {f"^({shipped})$": by_name, others: {"anyOf": arms}}
     place["additionalProperties"] = False
 
 

@@ -8,10 +8,9 @@
 from __future__ import annotations
 
 import copy
-import difflib
 import io
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
@@ -20,30 +19,32 @@ from pydantic import BaseModel, ValidationError
 from ruamel.yaml import YAML
 from ruamel.yaml.representer import SafeRepresenter
 
-from forestgen.core.errors import AssetError, RecipeError
+from forestgen.core.error_list import ErrorList
+from forestgen.core.errors import RecipeError
 from forestgen.core.randomness import child_root
 from forestgen.recipe.assemble import apply_override, embed_program, embed_tables, merge_species, spell_out
-from forestgen.recipe.assets import list_assets, recipes_dir
 from forestgen.recipe.biome import forget_drawn_biome, settle_biome
-from forestgen.recipe.dataset import DEFAULT_SPLITS
 from forestgen.recipe.distributions import Distribution, Scalar
-from forestgen.recipe.draws import MOST_PROBES, Draws, copied, find_written, mentions, parsed, put
+from forestgen.recipe.draws import Draws, copied, find_written, mentions, put
 from forestgen.recipe.hashing import recipe_hash
 from forestgen.recipe.map_files import embed_maps
-from forestgen.recipe.messages import Explainer, show
-from forestgen.recipe.sampler import Sampler, make_sampler
-from forestgen.recipe.sampling import Sampling
+from forestgen.recipe.messages import Explainer
+from forestgen.recipe.reading import check_version, make_draws, splits_of, suggest_shipped, whole_number
 from forestgen.recipe.schema import SCHEMA_VERSION, Recipe
 from forestgen.recipe.sources import Keys, Place, SourceMap
 from forestgen.recipe.species import Species
 from forestgen.recipe.splits import split_of
-from forestgen.recipe.variables import is_reference, make_variables
+from forestgen.recipe.stand_ins import replace_sections, sections_of
 from forestgen.recipe.yaml_source import read_yaml
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
 # Words of keys that files are found by, or checked with: see `LoadedRecipe._template`.
 _OF_FILES = frozenset({"program", "spectrum", "season", "bands", "biome"})
 _MOST_TEMPLATES = 16
+_MOST_PROBES_OF_ERRORS = 50  # of a recipe with errors
+_MOST_ROUNDS = 4
+# Where the schema tells what does not go with another section: of no use where that one is a stand-in.
+_ERRORS_OF_OTHERS = {"site": "site", "species": "labels", "wind": "cameras"}
 
 
 @dataclass(frozen=True)
@@ -111,7 +112,7 @@ class LoadedRecipe:
     @property
     def seed(self) -> int:
         """The root seed."""
-        return _whole(self.data, "seed", 0)
+        return whole_number(self.data, "seed", 0)
 
     @property
     def distributions(self) -> Mapping[Keys, Distribution]:
@@ -126,12 +127,12 @@ class LoadedRecipe:
     @property
     def splits(self) -> Mapping[str, float]:
         """Name -> share of the parts of a batch."""
-        return _splits(self.data)
+        return splits_of(self.data)
 
     @property
     def images(self) -> int:
         """How many images the recipe makes."""
-        return _whole(self.data, "images", 1)
+        return whole_number(self.data, "images", 1)
 
     @cached_property
     def complete(self) -> dict[str, Any]:
@@ -151,7 +152,7 @@ class LoadedRecipe:
 
     @property
     def _first_image(self) -> int:
-        return _whole(self.data, "first_image", 0)
+        return whole_number(self.data, "first_image", 0)
 
     def draw(self, image_index: int) -> DrawnRecipe:
         """The recipe of one image, 0 being the recipe's first.
@@ -180,8 +181,12 @@ class LoadedRecipe:
 
     def check(self) -> None:
         """Raise `RecipeError` if the first image, or a distribution's extreme value, breaks the schema."""
-        for values in self._probe_values():
-            self._validated(values)
+        errors = ErrorList(str(self.path))
+        for number, values in enumerate(self._probe_values()):
+            if errors and number > _MOST_PROBES_OF_ERRORS:
+                break
+            errors.attempt(self._validated, values)
+        errors.raise_all()
 
     def _probe_values(self) -> Iterator[Mapping[Keys, Scalar]]:
         values = self.draws.values(self._first_image)
@@ -189,31 +194,41 @@ class LoadedRecipe:
         yield from self.draws.probes(values)
 
     def _validated(self, values: Mapping[Keys, Scalar]) -> Recipe:
-        data = copied(self._template(values))
+        errors = ErrorList(str(self.path))
+        data = copied(self._template(values, errors))
         self.draws.put(data, values, {keys: None for keys in self.written if keys not in self._file_keys})
         spell_out(data)
-        embed_maps(data, self.sources, self.path.parent, self.file_sha256)
+        errors.attempt(embed_maps, data, self.sources, self.path.parent, self.file_sha256)
+        recipe = errors.attempt(self._parsed, data, values)
+        errors.raise_all()
+        assert recipe is not None
+        return recipe
+
+    def _parsed(self, data: dict[str, Any], values: Mapping[Keys, Scalar]) -> Recipe:
         try:
             return Recipe.model_validate(data)
         except ValidationError as failure:
             sources, written = self.draws.placed(values, self.sources)
             raise Explainer(Recipe, data, sources, (), written).error(failure) from failure
 
-    def _template(self, values: Mapping[Keys, Scalar]) -> dict[str, Any]:
+    def _template(self, values: Mapping[Keys, Scalar], errors: ErrorList) -> dict[str, Any]:
         """The data with all that files are needed for; it is the same for most images, so the last few are kept."""
         chosen = tuple(values[keys] for keys in self._file_keys if keys in values)
-        if chosen not in self._templates:
-            data = copied(self.data)
-            self.draws.put(data, values, dict.fromkeys(self._file_keys))
-            spell_out(data)
-            if settle_biome(data, self.sources):
-                merge_species(data, self.sources, self.path.parent)
-            embed_program(data, self.sources, self.path.parent)
-            embed_tables(data, self.sources, self.path.parent)
+        if chosen in self._templates:
+            return self._templates[chosen]
+        data: dict[str, Any] = copied(self.data)
+        self.draws.put(data, values, dict.fromkeys(self._file_keys))
+        spell_out(data)
+        if errors.attempt(settle_biome, data, self.sources):
+            merge_species(data, self.sources, self.path.parent, errors)
+        for part in _parts_with_files(data):
+            errors.attempt(embed_program, part, self.sources, self.path.parent)
+            errors.attempt(embed_tables, part, self.sources, self.path.parent)
+        if not errors:
             while len(self._templates) >= _MOST_TEMPLATES:
                 del self._templates[next(iter(self._templates))]
             self._templates[chosen] = data
-        return self._templates[chosen]
+        return data
 
     @cached_property
     def _file_keys(self) -> tuple[Keys, ...]:
@@ -251,63 +266,96 @@ def load_recipe(path: Path | str, overrides: Sequence[str] = ()) -> LoadedRecipe
     Raises
     ------
     RecipeError, AssetError : with the place, what was expected, what was found, what to do.
+    RecipeErrors : several of them, in the file's order.
     """
-    path = Path(path)
-    _suggest_shipped(path)
-    data, sources = read_yaml(path)
-    return _loaded(path, data, sources, overrides)
+    return read_recipe(path, overrides).whole()
 
 
 def load_recipe_data(
     data: Mapping[str, Any], name: str, folder: Path = Path(), overrides: Sequence[str] = ()
 ) -> LoadedRecipe:
     """A recipe that is no file; errors name it `name`, and its paths are relative to `folder`."""
-    return _loaded(folder / name, copy.deepcopy(dict(data)), SourceMap({(): Place(name)}), overrides)
+    return read_recipe_data(data, name, folder, overrides).whole()
 
 
-def _loaded(path: Path, data: dict[str, Any], sources: SourceMap, overrides: Sequence[str]) -> LoadedRecipe:
+@dataclass(frozen=True)
+class Loading:
+    """A recipe's file as far as it can be understood, and all that is wrong with it."""
+
+    errors: ErrorList
+    sound: LoadedRecipe | None  # the recipe with stand-ins for what is wrong, for further checks; None: impossible
+    stand_ins: frozenset[str]  # sections that hold some
+
+    def whole(self) -> LoadedRecipe:
+        """The recipe; raises all errors if it has any."""
+        self.errors.raise_all()
+        assert self.sound is not None
+        return self.sound
+
+
+def read_recipe(path: Path | str, overrides: Sequence[str] = ()) -> Loading:
+    """Read a recipe as `load_recipe` does, and keep its errors; those of a file that is no YAML mapping are raised."""
+    path = Path(path)
+    suggest_shipped(path)
+    data, sources = read_yaml(path)
+    return _loading(path, data, sources, overrides)
+
+
+def read_recipe_data(
+    data: Mapping[str, Any], name: str, folder: Path = Path(), overrides: Sequence[str] = ()
+) -> Loading:
+    """The same of a recipe that is no file."""
+    return _loading(folder / name, copy.deepcopy(dict(data)), SourceMap({(): Place(name)}), overrides)
+
+
+def _loading(path: Path, data: dict[str, Any], sources: SourceMap, overrides: Sequence[str]) -> Loading:
+    errors = ErrorList(sources.place(()).origin)
     spell_out(data)
     for override in overrides:
-        apply_override(data, sources, override)
+        errors.attempt(apply_override, data, sources, override)
         spell_out(data)
-    _check_version(data, sources)
-    merge_species(data, sources, path.parent)
-    loaded = LoadedRecipe(path, data, sources, _draws(data, sources))
-    if loaded.draws.probe_count > MOST_PROBES:
-        raise RecipeError(
-            "the recipe draws too much to be checked",
-            where=sources.where(()),
-            expected=f"at most {MOST_PROBES:,} ends of distributions and choices in all",
-            got=f"{loaded.draws.probe_count:,}",
-        )
-    loaded.check()
-    return loaded
+    if isinstance(version := data.get("forestgen"), int) and version > SCHEMA_VERSION:
+        check_version(data, sources)  # a newer schema's keys are not ours to judge
+    errors.attempt(check_version, data, sources)
+    failed = errors.attempt(merge_species, data, sources, path.parent, errors) or []
+    stand_ins = replace_sections(data, {("species", name) for name in failed})
+    draws = errors.attempt(make_draws, data, sources)
+    if draws is None:
+        wrong = [keys for keys in find_written(data) if sources.where(keys) in errors.places]
+        stand_ins |= replace_sections(data, {*wrong, ("sampling",)})
+        draws = ErrorList("").attempt(make_draws, data, sources)
+    if draws is None:
+        return Loading(errors, None, stand_ins)
+    return _checked(LoadedRecipe(path, data, sources, draws), errors, stand_ins)
 
 
-def _draws(data: Mapping[str, Any], sources: SourceMap) -> Draws:
-    """All that is drawn, checked."""
-    section = _sampling(data, sources)
-    written, seed = find_written(data), _whole(data, "seed", 0)
-    distributions = parsed(written, sources)
-    references = {keys: value for keys, value in written.items() if is_reference(value)}
-    given = section.variables if section is not None else {}
-    variables = make_variables(given, references, distributions, sources)
-    sampler: Sampler | None = None
-    if section is not None:
-        sampler = make_sampler(section, distributions, references, sources, seed, _splits(data))
-    return Draws(seed, written, distributions, variables, sampler)
+def _checked(loaded: LoadedRecipe, errors: ErrorList, stand_ins: frozenset[str]) -> Loading:
+    """The sections that the schema rejects are replaced until it takes the recipe."""
+    for _ in range(_MOST_ROUNDS):
+        found = ErrorList(errors.origin)
+        found.attempt(loaded.check)
+        if not found:
+            return Loading(errors, loaded, stand_ins)
+        sections = {sections_of(place) for place in found.places}
+        doubtful = {(_ERRORS_OF_OTHERS[one],) for one in stand_ins & _ERRORS_OF_OTHERS.keys()}
+        if len(found.found) > 1 or not sections <= doubtful:  # such an error comes alone
+            errors.add_all(found)
+        data = copied(loaded.data)
+        stand_ins |= replace_sections(data, sections)
+        draws = ErrorList("").attempt(make_draws, data, loaded.sources)
+        if draws is None:
+            break
+        loaded = replace(loaded, data=data, draws=draws)
+    return Loading(errors, None, stand_ins)
 
 
-def _sampling(data: Mapping[str, Any], sources: SourceMap) -> Sampling | None:
-    """The section of the name, which decides how all the others are drawn."""
-    written = data.get("sampling")
-    if written is None:
-        return None
-    try:
-        return Sampling.model_validate(written)
-    except ValidationError as failure:
-        given = written if isinstance(written, dict) else {}
-        raise Explainer(Sampling, given, sources, ("sampling",)).error(failure) from failure
+def _parts_with_files(data: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """The sections that name files, each alone: an error in one does not hide those of another."""
+    species = data.get("species")
+    for name, entry in species.items() if isinstance(species, dict) else ():
+        yield {"species": {name: entry}, "plants": data.get("plants")}
+    yield {"community": data.get("community")}
+    yield {"cameras": data.get("cameras")}
 
 
 class _Representer(SafeRepresenter):
@@ -338,52 +386,6 @@ def yaml_text(data: Mapping[str, Any]) -> str:
     text = io.StringIO()
     yaml.dump(data, text)
     return text.getvalue()
-
-
-def _suggest_shipped(path: Path) -> None:
-    """A missing file that looks like a shipped recipe's name is met with that recipe's path."""
-    name = path.name.removesuffix(".yaml")
-    try:
-        if path.exists():
-            return
-    except (OSError, ValueError) as cause:
-        raise AssetError("not a file's name", where=f"{str(path)!r:.80}", expected="a recipe's path") from cause
-    names = list_assets("recipes")
-    near = difflib.get_close_matches(name, names, n=1)
-    hint = f"a recipe comes with forestgen: {recipes_dir() / near[0]}.yaml" if near else None
-    raise AssetError("no such recipe", where=str(path), expected="the path of a YAML file", got="no file", hint=hint)
-
-
-def _check_version(data: Mapping[str, Any], sources: SourceMap) -> None:
-    version = data.get("forestgen")
-    if version == SCHEMA_VERSION and not isinstance(version, bool):
-        return
-    got = show(version) if "forestgen" in data else "no such key"
-    newer = isinstance(version, int) and version > SCHEMA_VERSION
-    raise RecipeError(
-        "unknown version of the recipe's schema",
-        where=sources.where(("forestgen",)),
-        expected=f"forestgen: {SCHEMA_VERSION}",
-        got=got,
-        hint="this recipe is for a newer forestgen" if newer else f"write 'forestgen: {SCHEMA_VERSION}' at the top",
-    )
-
-
-def _whole(data: Mapping[str, Any], key: str, default: int) -> int:
-    """A whole number needed before validation; a bad one counts as the default until validation rejects it."""
-    value = data.get(key, default)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 2**63:
-        return default
-    return int(value)
-
-
-def _splits(data: Mapping[str, Any]) -> Mapping[str, float]:
-    """Splits are needed before validation, too; bad ones count as the default until validation rejects them."""
-    section = data.get("dataset")
-    splits = section.get("splits") if isinstance(section, Mapping) else None
-    shares = list(splits.values()) if isinstance(splits, Mapping) else []
-    good = all(isinstance(one, int | float) and not isinstance(one, bool) and 0 < one < 1e100 for one in shares)
-    return {str(name): float(share) for name, share in splits.items()} if splits and shares and good else DEFAULT_SPLITS
 
 
 def _image_seed(root: int, recipe: Recipe, image: int) -> int:

@@ -10,13 +10,12 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 
-from forestgen.core.errors import RecipeError
+from forestgen.core.errors import RecipeError, RecipeErrors
 from forestgen.recipe.distributions import KINDS, is_distribution
 from forestgen.recipe.fields import NAME_PATTERN
 from forestgen.recipe.sources import Keys, SourceMap
 from forestgen.recipe.suggestions import did_you_mean
 
-MOST_SHOWN = 10
 UNDRAWN: tuple[Keys, ...] = (
     ("forestgen",),
     ("seed",),
@@ -116,19 +115,13 @@ class Explainer:
     written: Mapping[Keys, Any] | None = None
 
     def error(self, failure: ValidationError) -> RecipeError:
-        """One error that tells all findings, up to ten."""
+        """One error that holds all findings."""
         by_place: dict[tuple[str, str], _Finding] = {}
         for details in failure.errors(include_url=False):
             finding = self._finding(details)
             by_place.setdefault((finding.where, finding.problem), finding)
-        findings = list(by_place.values())
-        if len(findings) == 1:
-            return findings[0].error()
-        texts = [str(finding.error()) for finding in findings[:MOST_SHOWN]]
-        if len(findings) > MOST_SHOWN:
-            texts.append(f"... and {len(findings) - MOST_SHOWN} more")
-        indented = ["\n".join("  " + line for line in text.splitlines()) for text in texts]
-        return RecipeError("\n".join([f"the recipe has {len(findings)} mistakes:", *indented]))
+        errors = [finding.error() for finding in by_place.values()]
+        return errors[0] if len(errors) == 1 else RecipeErrors(errors)
 
     def _finding(self, details: Any) -> _Finding:
         kind, value, context = details["type"], details["input"], details.get("ctx", {})

@@ -75,7 +75,8 @@ class Plants(Section):
     season: Annotated[
         Season,
         Field(
-            description="Of the leaves' spectra: spring, summer, autumn, dry. It changes their light, not their number."
+            description="Of the leaves' spectra: spring, summer, autumn, dry. It changes their light, not their "
+            "number; shipped evergreens stay green."
         ),
     ] = "summer"
     cache: Annotated[

@@ -1,7 +1,7 @@
 """A species: its ecology, its shape's scaling, its geometry's generator and its materials.
 
 One file a species, ``scenes/species/NAME.yaml``; a recipe's ``species`` section names the file and overrides its keys,
-or holds the whole species itself.
+or holds the whole species itself. Under a shipped species' name the overrides do without ``from``.
 """
 
 from __future__ import annotations

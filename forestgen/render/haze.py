@@ -253,6 +253,7 @@ def _trace_rows(tracer: SceneTracer, camera: Camera, extinction_per_m: Floats, f
     for value in extinction_per_m:
         through = dr.exp(-dr.opaque(mi.Float, float(value)) * hits.distance_m)
         parts.append(dr.select(hits.valid, through, 0.0))
+    dr.eval(parts)  # together: each sum alone would trace all the rays again
     sums = [dr.block_sum(part, SAMPLES) for part in parts]
     dr.eval(sums)
     return np.stack([np.array(one, dtype=np.float64) for one in sums])

@@ -30,7 +30,7 @@ _SOURCES = (
     "architecture", "atmosphere", "community", "core", "geometry", "lsystem", "plants", "recipe", "render",
     "scene", "stages",
 )  # fmt: skip
-_COMPUTE_WITH = ("numpy", "scipy", "scikit-learn", "numba", "pvlib", "mitsuba", "drjit")
+_COMPUTE_WITH = ("numpy", "scipy", "numba", "pvlib", "mitsuba", "drjit")
 
 
 @dataclass

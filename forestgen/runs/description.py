@@ -9,16 +9,20 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import PurePosixPath
-from typing import Any
+from typing import Annotated, Any, get_args, get_type_hints
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 
 from forestgen.core.errors import DatasetError
 from forestgen.dataset.manifest import package_versions
+from forestgen.dataset.safe_path import load_json
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.dataset.thumbnails import FOLDER_NAME as THUMBNAILS
+from forestgen.recipe.dataset import Format, SplitName
 from forestgen.runs.keys import versions_hash
 from forestgen.runs.ledger import FileSum, Ledger
 
-MOST_IMAGES = 100_000_000  # of a recipe; a number from a stranger's file is counted up to
+MOST_IMAGES = 10_000_000  # of a recipe; a number from a stranger's file is counted up to
 DATASET_NAME = "dataset.json"
 SCHEMA = "forestgen-dataset/1"
 _FRAME = re.compile(r"\d{6,}-.+")
@@ -56,6 +60,17 @@ def ranges_of(numbers: Iterable[int]) -> list[Range]:
         else:
             found.append((number, number))
     return found
+
+
+def union_of(one: Iterable[Range], other: Iterable[Range]) -> tuple[Range, ...]:
+    """The numbers of both as ranges that do not touch."""
+    found: list[Range] = []
+    for first, last in sorted([*one, *other]):
+        if found and first <= found[-1][1] + 1:
+            found[-1] = (found[-1][0], max(found[-1][1], last))
+        else:
+            found.append((first, last))
+    return tuple(found)
 
 
 def numbers_in(ranges: Iterable[Sequence[int]]) -> Iterator[int]:
@@ -99,7 +114,7 @@ def describe(
         "image_seeds_sha256": _digest(ledger.seeds()),
         "settings": asdict(settings),
         "made_with": [dict(one) for one in made_with],
-        "files": _groups(ledger.files()),
+        "files": file_groups(ledger.files()),
     }
 
 
@@ -146,7 +161,7 @@ def _digest(numbers: Iterable[int]) -> str:
     return digest.hexdigest()
 
 
-def _groups(files: Iterable[FileSum]) -> dict[str, dict[str, int]]:
+def file_groups(files: Iterable[FileSum]) -> dict[str, dict[str, int]]:
     """Kind of file -> how many there are, and their size together."""
     groups: dict[str, dict[str, int]] = {}
     for file in files:
@@ -182,21 +197,96 @@ def read_description(content: bytes | None, where: str) -> dict[str, Any]:
     if content is None:
         raise DatasetError("this is no finished data set", where=where, expected=DATASET_NAME, got="none", hint=hint)
     try:
-        data = json.loads(content)
-        if data["schema"] != SCHEMA:
-            raise ValueError(f"schema {data['schema']!r:.40}")
-        for one in data["recipes"]:
-            _ = one["hash"], one["file"], int(one["root_seed"]), dict(one["splits"]), dict(one["draws"])
-            if any(not 0 <= first <= last for first, last in one["asked"]):
+        data = load_json(content)
+        said = _Description.model_validate(data)
+        if said.schema_ != SCHEMA:
+            raise ValueError(f"schema {said.schema_!r:.40}")
+        for one in said.recipes:
+            if any(not 0 <= first <= last for first, last in one.asked):
                 raise ValueError("a range of images ends before it begins")
-            if sum(last - first + 1 for first, last in one["asked"]) > MOST_IMAGES:
+            if sum(last - first + 1 for first, last in one.asked) > MOST_IMAGES:
                 raise ValueError(f"more than {MOST_IMAGES:,} images")
-        settings_of(data)
-        _ = data["splits"].keys(), list(data["made_with"])
+        _check_settings(settings_of(data))
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        got = f"{type(error).__name__}: {error}"
+        got = f"{type(error).__name__}: {_first_error(error)}"
         raise DatasetError("dataset.json is damaged", where=where, expected=SCHEMA, got=got, hint=hint) from error
     return dict(data)
+
+
+Count = Annotated[int, Field(ge=0, lt=2**63)]
+
+
+class _Part(BaseModel):
+    """A part of dataset.json, as far as it is used."""
+
+    model_config = ConfigDict(strict=True)
+
+
+class _SplitSaid(_Part):
+    images: Count
+    frames: Count
+
+
+class _GroupSaid(_Part):
+    files: Count
+    bytes: Count
+
+
+class _RecipeSaid(_Part):
+    file: Annotated[str, Field(pattern=r"^recipe(-[0-9]+)?\.yaml$")]
+    hash: str
+    root_seed: int
+    asked: list[Annotated[list[Count], Field(min_length=2, max_length=2)]]
+    splits: dict[str, float]
+    draws: dict[str, Any]
+
+
+class _PlatformSaid(_Part):
+    system: str
+    machine: str
+
+
+class _MachineSaid(_Part):
+    versions_hash: str
+    packages: dict[str, str | None]
+    python: str
+    platform: _PlatformSaid
+
+
+class _Description(_Part):
+    schema_: str = Field(alias="schema")
+    recipes: Annotated[list[_RecipeSaid], Field(min_length=1)]
+    images: Count
+    frames: Count
+    splits: dict[SplitName, _SplitSaid]
+    image_seeds_sha256: str
+    settings: dict[str, Any]
+    made_with: Annotated[list[_MachineSaid], Field(min_length=1)]
+    files: dict[str, _GroupSaid]
+
+
+_SETTINGS: dict[str, Any] = {name: (kind, ...) for name, kind in get_type_hints(DatasetSettings).items()}
+_SettingsSaid = create_model("_SettingsSaid", __base__=_Part, **_SETTINGS)
+
+
+def _check_settings(settings: DatasetSettings) -> None:
+    """Refuse settings of wrong types, or that contradict each other, with a `ValueError`."""
+    _SettingsSaid.model_validate(asdict(settings))
+    unknown = set(settings.formats) - set(get_args(Format))
+    if unknown or len(settings.species_category) != len(settings.species_names):
+        raise ValueError(f"settings: no such format {unknown}" if unknown else "settings: not a category a species")
+    if not all(0 <= number < len(settings.category_names) for number in settings.species_category):
+        raise ValueError("settings: a species is of no category")
+    if settings.depth_unit_m <= 0 or settings.point_stride < 1:
+        raise ValueError("settings: depth_unit_m or point_stride is not positive")
+
+
+def _first_error(error: Exception) -> str:
+    """What is wrong, on one line."""
+    if isinstance(error, ValidationError):
+        first = error.errors(include_url=False, include_input=False)[0]
+        return f"{'.'.join(map(str, first['loc']))}: {first['msg']}"[:200]
+    return " ".join(str(error).split())[:200]
 
 
 def settings_of(description: Mapping[str, Any]) -> DatasetSettings:

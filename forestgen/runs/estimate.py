@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from statistics import fmean, stdev
 
-from forestgen.core.errors import ResourceError
+from forestgen.core.errors import OutputError, ResourceError
 from forestgen.core.figures import show_bytes
 from forestgen.core.memory import free_bytes
 from forestgen.core.progress import Progress
@@ -159,7 +159,8 @@ def check_fits(expected: Estimate, place: Place, *, workers_here: bool = True) -
 
     Raises
     ------
-    ResourceError : the disk is too small, or the memory for a worker, or for the workers that were asked for.
+    ResourceError : too little memory for a worker, or for the workers that were asked for.
+    OutputError : the disk is too small.
     """
     if workers_here:
         _check_memory(expected)
@@ -279,7 +280,7 @@ def _check_disk(place: Place, images: int, image_bytes: float) -> None:
     free, need = shutil.disk_usage(folder).free, round(images * image_bytes)
     if need + _ROOM_BYTES > free:
         fits = max(0, int((free - _ROOM_BYTES) / max(image_bytes, 1.0)))
-        raise ResourceError(
+        raise OutputError(
             "the data set would be larger than what is free on the disk",
             where=place.name,
             expected=f"at most {show_bytes(max(0, free - _ROOM_BYTES))}",

@@ -9,7 +9,9 @@ from __future__ import annotations
 import copy
 import hashlib
 import os
+import re
 import shutil
+import stat
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -21,9 +23,11 @@ from forestgen.core.errors import DatasetError
 from forestgen.dataset.card import CARD_NAME, CardCounts, card_text
 from forestgen.dataset.checksums import SUMS_NAME, file_sum, write_sums
 from forestgen.dataset.files import disk_errors
+from forestgen.dataset.foreign import tool_of
 from forestgen.dataset.formats import yolo
 from forestgen.dataset.index import INDEX_NAME, DrawTypes, write_index
 from forestgen.dataset.maps import write_map
+from forestgen.dataset.safe_path import SafePath
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.dataset.thumbnails import FOLDER_NAME as THUMBNAILS
 from forestgen.recipe.hashing import recipe_hash
@@ -47,6 +51,8 @@ from forestgen.runs.description import (
 from forestgen.runs.ledger import FileSum, Ledger
 from forestgen.runs.records import JOBS, record_path
 from forestgen.runs.split_files import write_split
+
+_FRAME = re.compile(r"\d{6,}-.+")
 
 
 @dataclass(frozen=True)
@@ -186,17 +192,17 @@ def _look(place: Place, folders: Sequence[str], ledger: Ledger) -> None:
 
 def files_below(root: Path, folder: str = "") -> Iterator[tuple[str, int, int]]:
     """Path relative to `root`, size in bytes and inode of each file below a folder of it."""
-    waiting = [folder]
+    waiting = [folder] if not folder or SafePath(root, folder).is_folder() else []
     while waiting:
         inside = waiting.pop()
         with suppress(FileNotFoundError, NotADirectoryError), os.scandir(root / inside) as entries:
-            for entry in entries:
+            for entry in entries:  # a link is no file of the data set, whatever it leads to: its size is none
                 path = f"{inside}/{entry.name}" if inside else entry.name
                 if entry.is_dir(follow_symlinks=False):
                     waiting.append(path)
                 else:
                     status = entry.stat(follow_symlinks=False)
-                    yield path, status.st_size, status.st_ino
+                    yield path, status.st_size if stat.S_ISREG(status.st_mode) else -1, status.st_ino
 
 
 def _drop_absent(place: Place, ledger: Ledger) -> list[str]:
@@ -210,7 +216,10 @@ def _drop_absent(place: Place, ledger: Ledger) -> list[str]:
 
 
 def _remove_strangers(place: Place, folders: Sequence[str], ledger: Ledger) -> None:
-    """Remove what no record vouches for: records of other jobs, then files; a whole folder where all of it goes."""
+    """Remove what no record vouches for: records of other jobs, then files; a whole folder where all of it goes.
+
+    Files that other tools have added stay in folders that stay.
+    """
     for name in place.names(JOBS):
         if not ledger.has_key(name.removesuffix(".json")):
             place.remove(f"{JOBS}/{name}")
@@ -220,7 +229,11 @@ def _remove_strangers(place: Place, folders: Sequence[str], ledger: Ledger) -> N
             continue
         parts = path.split("/")
         above = ("/".join(parts[:depth]) for depth in range(1, len(parts)))
-        removed = next((folder for folder in above if not ledger.has_below(folder)), path)
+        gone = next((folder for folder in above if not ledger.has_below(folder)), path)
+        is_frame = gone != path and _FRAME.fullmatch(gone.rpartition("/")[2]) is not None
+        if tool_of(path) is not None and not is_frame:
+            continue
+        removed = gone
         place.remove(removed)
     root: Path | None = getattr(place, "root", None)
     if root is not None:
@@ -229,11 +242,12 @@ def _remove_strangers(place: Place, folders: Sequence[str], ledger: Ledger) -> N
 
 def _remove_empty_folders(root: Path, folders: Sequence[str]) -> None:
     """Of frames that never came to a file, and of splits that have no images any more."""
-    for folder in folders:
+    for folder in filter(lambda name: SafePath(root, name).is_folder(), folders):
         with suppress(FileNotFoundError, NotADirectoryError), os.scandir(root / folder) as entries:
             for entry in entries:
-                with suppress(OSError):  # it is a file, or not empty
-                    Path(entry.path).rmdir()
+                if tool_of(entry.name) is None:
+                    with suppress(OSError):  # it is a file, or not empty
+                        Path(entry.path).rmdir()
         with suppress(OSError):
             (root / folder).rmdir()
 

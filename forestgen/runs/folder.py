@@ -5,17 +5,18 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 
 from forestgen.core.errors import DatasetError, OutputError
+from forestgen.dataset.safe_path import is_split, load_json
 from forestgen.dataset.thumbnails import FOLDER_NAME as THUMBNAILS
 from forestgen.recipe.hashing import recipe_hash
 from forestgen.recipe.load import LoadedRecipe
 from forestgen.recipe.paths import MAPS
 from forestgen.runs.contract import HIDDEN, JobRecord, Place
 from forestgen.runs.places import LocalPlace
-from forestgen.runs.records import JOBS, is_split, read_record, record_path, records_of
+from forestgen.runs.records import JOBS, read_record, record_path, records_of
 
 BATCH = f"{HIDDEN}/batch.json"
 TAKEN = ("maps", "run", "thumbnails")  # names in the data set's folder that no split can have
@@ -93,6 +94,7 @@ def open_batch(
     mark: str,
     note: Callable[[str], None],
     stale: frozenset[int] = frozenset(),
+    damaged: Collection[int] = (),
 ) -> Known:
     """Which images are done; removes what does not belong, and what killed runs have left.
 
@@ -103,6 +105,7 @@ def open_batch(
     mark : the `fingerprint`.
     note : told of damaged records.
     stale : finished images that would be made otherwise now; they stay until their turn comes.
+    damaged : finished images that have lost a file or its content: what is left of them is removed.
     """
     for name in _WHOLE:
         place.remove(name)
@@ -117,6 +120,7 @@ def open_batch(
     for record in records_of(place, note):
         frames = _frames(record)
         whole = record.image in images and record.image not in keys and record.split in splits
+        whole = whole and record.image not in damaged
         if whole and all(frame in listed[record.split] for frame in frames):
             keys[record.image] = record.key
             vouched.update(f"{record.split}/{frame}" for frame in frames)
@@ -179,7 +183,7 @@ def _state(place: Place) -> dict[str, object] | None:
     """What batch.json says; None if there is none of ours."""
     content = place.read(BATCH)
     try:
-        state = json.loads(content or b"")
-    except (ValueError, RecursionError):
+        state = load_json(content or b"")
+    except ValueError:
         return None
     return state if isinstance(state, dict) and state.get("schema") == _SCHEMA else None

@@ -16,11 +16,11 @@ _SOURCES = (
 )  # fmt: skip
 # Of these, what only reads frames, or writes the files over all of them.
 _WITHOUT = (
-    "dataset/balance.py", "dataset/card.py", "dataset/check", "dataset/checksums.py", "dataset/index.py",
-    "dataset/pack", "dataset/report",
+    "dataset/balance.py", "dataset/card.py", "dataset/check", "dataset/checksums.py", "dataset/exr_chunks.py",
+    "dataset/index.py", "dataset/pack", "dataset/report",
 )  # fmt: skip
 _COMPUTE_WITH = (
-    "numpy", "scipy", "scikit-learn", "numba", "pvlib", "mitsuba", "drjit", "mitsuba-oidn", "colour-science", "trimesh",
+    "numpy", "scipy", "numba", "pvlib", "mitsuba", "drjit", "mitsuba-oidn", "colour-science", "trimesh",
     "OpenEXR", "pillow", "pyarrow", "pycocotools", "laspy", "mmh3",
 )  # fmt: skip
 

@@ -15,6 +15,7 @@ from types import TracebackType
 from typing import Any
 
 from forestgen.core.errors import DatasetError, OutputError
+from forestgen.dataset.index import check_row
 from forestgen.runs.contract import JobRecord
 
 _TABLES = """
@@ -84,8 +85,15 @@ class Ledger:
 
         Raises
         ------
-        DatasetError : an image, a frame's name or a file that another record has as something else.
+        DatasetError : an image, a frame's name or a file that another record has as something else; or a row that the
+            index cannot hold.
         """
+        try:
+            for row in record.rows:
+                check_row(row)
+        except ValueError as error:
+            problem = "a row of this record is none of the index"
+            raise DatasetError(problem, where=f"image {record.image}", got=str(error)) from error
         report, notes = json.dumps(record.report, sort_keys=True), json.dumps(record.notes)
         names = [str(row["frame"]) for row in record.rows]
         known = self._column("SELECT image FROM images WHERE image = ?", record.image)
@@ -129,7 +137,9 @@ class Ledger:
 
     def note_found(self, files: Iterable[tuple[str, int, int]]) -> None:
         """Enter what lies in the data set: path, size in bytes, inode or 0."""
-        self._base.executemany("INSERT OR REPLACE INTO found VALUES (?, ?, ?)", files)
+        # A name that is no UTF-8 has half characters in Python, which no text here may have.
+        rows = ((path.encode("utf-8", "backslashreplace").decode(), size, inode) for path, size, inode in files)
+        self._base.executemany("INSERT OR REPLACE INTO found VALUES (?, ?, ?)", rows)
 
     # -- reading
 
@@ -215,6 +225,12 @@ class Ledger:
     def lost(self) -> Iterator[str]:
         """Paths of files that were not found."""
         yield from self._each("SELECT path FROM files WHERE path NOT IN (SELECT path FROM found) ORDER BY path")
+
+    def present(self) -> Iterator[FileSum]:
+        """Files of the data set that were found, in the sizes that they have now; by path."""
+        query = "SELECT path, found.bytes, sha256 FROM files JOIN found USING (path) ORDER BY path"
+        for path, size, digest in self._base.execute(query):
+            yield FileSum(path, size, digest)
 
     def strangers(self) -> Iterator[str]:
         """Paths of what was found and is no file of the data set."""

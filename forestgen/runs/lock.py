@@ -15,8 +15,9 @@ from typing import Any
 
 from forestgen.core.errors import OutputError
 from forestgen.dataset.files import make_folder, output_error, write_bytes
+from forestgen.dataset.safe_path import SafePath
 
-_HOLDER = "holder.json"  # beside the lock: who holds it
+_LOCK, _HOLDER = "lock", "holder.json"  # the latter says who holds the lock
 
 
 class LocalLock:
@@ -37,7 +38,9 @@ class LocalLock:
         from filelock import FileLock, Timeout
 
         make_folder(self._folder)
-        self._lock = FileLock(self._folder / "lock", timeout=0)
+        for name in (_LOCK, _HOLDER):
+            _refuse_link(self._folder / name)
+        self._lock = FileLock(self._folder / _LOCK, timeout=0)
         try:
             self._lock.acquire()
         except Timeout:
@@ -60,6 +63,12 @@ class LocalLock:
 
     def check(self) -> None:
         """Nobody takes a lock of the operating system's away."""
+
+
+def _refuse_link(path: Path) -> None:
+    """What would be written through a link, or wait in a pipe, is refused: the data set may be a stranger's."""
+    if os.path.lexists(path) and not SafePath(path.parent, path.name).is_file():
+        raise OutputError("this is no plain file", where=str(path), hint="remove it")
 
 
 def refusal(where: str, holder: str) -> OutputError:
@@ -90,7 +99,7 @@ def started() -> str:
 
 def _holder(folder: Path) -> str:
     try:
-        content = json.loads((folder / _HOLDER).read_bytes())
+        content = SafePath(folder, _HOLDER).read_json()
         return f"{content['owner']}, since {content['since']}"
     except (OSError, ValueError, KeyError, TypeError):  # it is just being written
         return "a run that has just begun"

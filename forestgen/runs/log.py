@@ -1,12 +1,14 @@
 """run/log.jsonl: what happened, one JSON object a line, each on the disk when it has happened.
 
-Every line has `time` (ISO 8601, UTC) and `event`: start, job_done, job_failed, worker_lost, progress, finish, stop; of
-a cluster also worker_joined, worker_refused, waiting. A run that resumes appends to the log of those before it.
+Every line has `time` (ISO 8601, UTC) and `event`: start, image_damaged, job_done, job_failed, worker_lost, progress,
+finish, stop; of a cluster also worker_joined, worker_refused, waiting. A run that resumes appends to the log of those
+before it.
 """
 
 from __future__ import annotations
 
 import json
+import os
 import tempfile
 import time
 from collections.abc import Iterator
@@ -17,6 +19,7 @@ from types import TracebackType
 from typing import IO, Any
 
 from forestgen.dataset.files import make_folder, output_error
+from forestgen.dataset.safe_path import load_json
 from forestgen.runs.contract import RUN, Done, Failed, Place
 from forestgen.runs.places import LocalPlace
 
@@ -42,7 +45,9 @@ class Log:
         else:
             self._path = Path(tempfile.mkdtemp(prefix="forestgen-log-")) / "log.jsonl"
         try:
-            self._file = self._path.open("ab+")
+            # To append to what a link in a stranger's data set points at would change a file elsewhere.
+            flags = os.O_RDWR | os.O_CREAT | os.O_APPEND | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
+            self._file = os.fdopen(os.open(self._path, flags, 0o666), "ab+")
             self._file.write(before)
             self._end_torn_line(self._file)
         except OSError as error:
@@ -82,7 +87,7 @@ class Log:
         with self._path.open("rb") as stream:
             for text in stream:
                 try:
-                    line = json.loads(text)
+                    line = load_json(text)
                 except ValueError:
                     continue
                 if isinstance(line, dict):

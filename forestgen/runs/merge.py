@@ -14,6 +14,7 @@ import os
 import shutil
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
+from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -22,15 +23,15 @@ from forestgen.core.errors import DatasetError, OutputError, RecipeError
 from forestgen.core.progress import Progress, Silent
 from forestgen.dataset.files import output_error
 from forestgen.dataset.folder import OutputFolder
+from forestgen.dataset.safe_path import SafePath, unreadable
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.recipe.paths import MAPS
 from forestgen.runs.contract import JobRecord
 from forestgen.runs.description import (
     MOST_IMAGES,
     RecipePart,
-    numbers_in,
-    ranges_of,
     settings_of,
+    union_of,
 )
 from forestgen.runs.finish import Finished, write_data_set
 from forestgen.runs.folder import settle_batch
@@ -116,7 +117,7 @@ def _check_target(target: Path, sources: Sequence[Path]) -> None:
 
 def _piece(root: Path) -> Piece:
     said = open_data_set(root)
-    if said["images"] and not (root / JOBS).is_dir():
+    if said["images"] and not SafePath(root, JOBS).is_folder():
         raise RecipeError(
             "this copy of a data set has no records, by which images are merged",
             where=str(root),
@@ -164,8 +165,7 @@ def _parts(pieces: Sequence[Piece]) -> list[RecipePart]:
             part = _part(piece, said)
             known = by_hash.get(part.hash)
             if known is not None:
-                asked = sorted({*numbers_in(known.asked), *numbers_in(part.asked)})
-                part = replace(known, asked=tuple(ranges_of(asked)), maps={**known.maps, **part.maps})
+                part = replace(known, asked=union_of(known.asked, part.asked), maps={**known.maps, **part.maps})
             by_hash[part.hash] = part
     parts = sorted(by_hash.values(), key=lambda part: (part.asked, part.hash))
     if len(parts) == 1:  # a hole between two pieces is what one run would have left out
@@ -187,24 +187,25 @@ def _part(piece: Piece, said: dict[str, Any]) -> RecipePart:
         raise DatasetError("the data set has lost its recipe", where=str(piece.root / said["file"]))
     maps = {f"{MAPS}/{name}": piece.place.read(f"{MAPS}/{name}") or b"" for name in piece.place.names(MAPS)}
     asked = tuple((int(first), int(last)) for first, last in said["asked"])
-    return RecipePart(said["hash"], int(said["root_seed"]), asked, said["splits"], said["draws"], yaml.decode(), maps)
+    try:
+        text = yaml.decode()
+    except UnicodeDecodeError as error:
+        raise unreadable(SafePath(piece.root, said["file"]), error) from error
+    return RecipePart(said["hash"], int(said["root_seed"]), asked, said["splits"], said["draws"], text, maps)
 
 
 def _check_numbers(parts: Sequence[RecipePart], pieces: Sequence[Piece]) -> None:
     """Images of different recipes need different numbers: frames are named by them."""
-    taken: dict[int, RecipePart] = {}
-    for part in parts:
-        for image in numbers_in(part.asked):
-            if image in taken:
-                highest = max(last for one in parts for _, last in one.asked)
-                raise RecipeError(
-                    "two recipes have images of the same numbers",
-                    where=", ".join(str(piece.root) for piece in pieces),
-                    expected="numbers that differ: frames are named by them",
-                    got=f"image {image} in both",
-                    hint=f"make one of the data sets with --set first_image={highest + 1}",
-                )
-            taken[image] = part
+    ranges = sorted(one for part in parts for one in part.asked)
+    for (_, last), (first, _) in pairwise(ranges):
+        if first <= last:
+            raise RecipeError(
+                "two recipes have images of the same numbers",
+                where=", ".join(str(piece.root) for piece in pieces),
+                expected="numbers that differ: frames are named by them",
+                got=f"image {first} in both",
+                hint=f"make one of the data sets with --set first_image={max(last for _, last in ranges) + 1}",
+            )
 
 
 def _records(pieces: Sequence[Piece]) -> Iterator[tuple[Piece | None, JobRecord]]:
@@ -274,7 +275,7 @@ def _check_seeds(ledger: Ledger) -> None:
 def _take(piece: Piece, record: JobRecord, place: LocalPlace, link: bool) -> None:
     """Copy or link an image's files, then write its record."""
     for path, said in record.files.items():
-        source, target = piece.root / path, place.root / path
+        source, target = SafePath(piece.root, path), place.root / path
         if target.exists():  # a map that images share; the ledger compares its sums
             continue
         try:
@@ -282,7 +283,7 @@ def _take(piece: Piece, record: JobRecord, place: LocalPlace, link: bool) -> Non
         except OSError as error:
             raise output_error(error, target) from error
         found = _linked(source, target) if link else None
-        digest, size = found if found is not None else _copied(source, target)
+        digest, size = found if found is not None else _copied(source, target, int(said["bytes"]))
         if size != said["bytes"] or digest not in ("", said["sha256"]):
             raise DatasetError(
                 "the file has changed since it was made",
@@ -294,41 +295,41 @@ def _take(piece: Piece, record: JobRecord, place: LocalPlace, link: bool) -> Non
     place.write(record_path(record.key), record_bytes(record))
 
 
-def _linked(source: Path, target: Path) -> tuple[str, int] | None:
+def _linked(source: SafePath, target: Path) -> tuple[str, int] | None:
     """No sum, and size in bytes, of a file that has a second name now; None where it cannot have one."""
-    if not source.is_file():
-        raise _lost(source)
     try:
-        os.link(source, target)
+        source.size_bytes()
+    except OSError as error:
+        raise _lost(source, error) from error
+    try:
+        os.link(source.located(), target)
     except OSError:  # another file system, or one without links
         return None
     return "", target.stat().st_size
 
 
-def _copied(source: Path, target: Path) -> tuple[str, int]:
-    """SHA-256 and size of what was copied."""
+def _copied(source: SafePath, target: Path, most_bytes: int) -> tuple[str, int]:
+    """SHA-256 and size of what was copied: of a file that is longer than `most_bytes` not all."""
     digest, size = hashlib.sha256(), 0
     try:
-        stream = source.open("rb")
+        stream = source.open()
     except OSError as error:
-        raise _lost(source) from error
+        raise _lost(source, error) from error
     with stream:
         try:
             with target.open("wb") as copy:
-                while block := stream.read(_BLOCK_BYTES):
+                while size <= most_bytes and (block := stream.read(_BLOCK_BYTES)):
                     digest.update(block)
                     copy.write(block)
                     size += len(block)
         except OSError as error:
             raise output_error(error, target) from error
-    shutil.copystat(source, target)
+    shutil.copystat(source.located(), target)
     return digest.hexdigest(), size
 
 
-def _lost(path: Path) -> DatasetError:
-    return DatasetError(
-        "a file of the data set is missing", where=str(path), hint="forestgen verify names all such files"
-    )
+def _lost(path: SafePath, error: OSError) -> DatasetError:
+    return unreadable(path, error, "forestgen verify names all such files")
 
 
 def _size(piece: Piece) -> int:

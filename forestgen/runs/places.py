@@ -14,10 +14,11 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 from forestgen.core.errors import DatasetError, OutputError
 from forestgen.dataset.files import output_error
+from forestgen.dataset.safe_path import RefusedFileError, SafePath, is_inside, unreadable
 from forestgen.runs.contract import HIDDEN, Place
 from forestgen.runs.lock import LocalLock
 
@@ -86,23 +87,22 @@ class LocalPlace:
             staged.unlink(missing_ok=True)
 
     def read(self, path: str) -> bytes | None:
-        file = self._path(path)
+        file = SafePath(self.root, path)
         with _reading(file), suppress(FileNotFoundError, NotADirectoryError, IsADirectoryError):
-            return file.read_bytes()
+            return file.read()
         return None
 
     def exists(self, path: str) -> bool:
         return self._path(path).exists()
 
     def size_bytes(self, path: str) -> int | None:
-        file = self._path(path)
-        return file.stat().st_size if file.is_file() else None
+        file = SafePath(self.root, path)
+        return file.size_bytes() if file.is_file() else None
 
     def names(self, folder: str) -> list[str]:
-        found = self._path(folder)
-        with _reading(found), suppress(FileNotFoundError, NotADirectoryError):
-            return sorted(path.name for path in found.iterdir())
-        return []
+        found = SafePath(self.root, folder)
+        with _reading(found):
+            return found.names()
 
     def remove(self, path: str) -> None:
         """See `contract.Place`; a folder loses its name at once, then its content."""
@@ -119,18 +119,23 @@ class LocalPlace:
 
     def clear_staging(self) -> None:
         """Remove what runs that were killed have left."""
-        shutil.rmtree(self.root / STAGING, ignore_errors=True)
+        shutil.rmtree(self._path(STAGING), ignore_errors=True)
 
     def _path(self, relative: str) -> Path:
-        """A path below the root: records and recipes may come from strangers."""
-        parts = PurePosixPath(relative)
-        if parts.is_absolute() or ".." in parts.parts or "\\" in relative:
-            raise DatasetError("this path leaves the data set's folder", where=self.name, got=repr(relative))
-        return self.root / parts
+        """A path below the root, in folders that are no links: data sets and recipes may come from strangers."""
+        above = SafePath(self.root, relative.rpartition("/")[0])
+        try:
+            if relative and not is_inside(relative):
+                raise RefusedFileError("the path leaves the data set's folder")
+            with suppress(FileNotFoundError, NotADirectoryError):
+                above.located()
+        except RefusedFileError as error:
+            raise DatasetError(str(error), where=self.name, got=repr(relative)) from error
+        return self.root / relative
 
     def _hidden(self, kind: str) -> Path:
         """A name for work in progress that nothing has."""
-        folder = self.root / STAGING
+        folder = self._path(f"{STAGING}/x").parent
         with _writing(folder):
             folder.mkdir(parents=True, exist_ok=True)
         return folder / f"{kind}-{os.getpid()}-{secrets.token_hex(6)}"
@@ -146,10 +151,12 @@ def _writing(path: Path) -> Iterator[None]:
 
 
 @contextmanager
-def _reading(path: Path) -> Iterator[None]:
-    """What is there and cannot be read, as an `OutputError` that names `path`."""
+def _reading(path: SafePath) -> Iterator[None]:
+    """What is there and cannot be read, as an error that names `path`."""
     try:
         yield
+    except RefusedFileError as error:
+        raise unreadable(path, error, "a data set's files lie in its own folder: copy it without links") from error
     except OSError as error:
         raise OutputError(
             f"cannot read: {error.strerror or error}", where=str(path), hint="check the folder's permissions and disk"

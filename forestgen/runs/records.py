@@ -10,6 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 from forestgen.core.errors import DatasetError
+from forestgen.dataset.safe_path import is_frame, is_inside, is_split, load_json
 from forestgen.runs.contract import HIDDEN, JobRecord, Place
 from forestgen.runs.keys import image_of_key
 from forestgen.runs.parallel import in_order
@@ -19,8 +20,6 @@ _SCHEMA = "forestgen-job/1"
 _ENDING = ".json"
 _SUM = b',"sha256":"'
 _SHA256 = re.compile(r"[0-9a-f]{64}")
-_FRAME = re.compile(r"\d{6,}-[^/\\\x00-\x1f]+")
-_SPLIT = re.compile(r"[a-z][a-z0-9_-]{0,31}")
 _READERS = 8
 _AGAIN = "`forestgen batch ... --resume` makes the image again"
 
@@ -51,7 +50,7 @@ def record_bytes(record: JobRecord) -> bytes:
 def read_record(content: bytes, where: str) -> JobRecord:
     """A record from its bytes; `where` names it in the `DatasetError` of one that is damaged or of another version."""
     try:
-        data = json.loads(content)
+        data = load_json(content)
         if hashlib.sha256(content.rpartition(_SUM)[0]).hexdigest() != data["sha256"]:
             raise ValueError("its content has not its own SHA-256")
         if data["schema"] != _SCHEMA:
@@ -106,15 +105,14 @@ def _number(value: Any) -> int:
 def _row(value: Any) -> dict[str, Any]:
     """A frame's row of the index; its name becomes a path too."""
     row = dict(value)
-    if not _FRAME.fullmatch(_text(row["frame"])):
+    if not is_frame(row["frame"]):
         raise ValueError(f"{row['frame']!r:.60} is no frame's name")
     return row
 
 
 def _path(value: Any) -> str:
     """A file's path below the data set's folder."""
-    parts = _text(value).split("/")
-    if not all(parts) or {".", ".."} & set(parts) or "\\" in value or parts[0] == HIDDEN:
+    if not is_inside(value) or value.partition("/")[0] == HIDDEN:
         raise ValueError(f"{value!r:.80} is no path of an image's file")
     return str(value)
 
@@ -124,11 +122,6 @@ def _file(value: Any) -> dict[str, Any]:
     if not _SHA256.fullmatch(_text(said["sha256"])):
         raise ValueError(f"{value!r:.80} is no SHA-256")
     return {"bytes": _number(said["bytes"]), "sha256": said["sha256"]}
-
-
-def is_split(value: Any) -> bool:
-    """Whether this can be a split's name; it becomes a path, and records may come from strangers."""
-    return isinstance(value, str) and _SPLIT.fullmatch(value) is not None
 
 
 def _split(value: Any) -> str:

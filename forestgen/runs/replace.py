@@ -11,6 +11,7 @@ from pathlib import Path
 from forestgen.core.errors import OutputError
 from forestgen.dataset.files import output_error
 from forestgen.dataset.folder import clear_leftovers, hidden_name
+from forestgen.dataset.foreign import tool_of
 from forestgen.runs.contract import Place
 from forestgen.runs.folder import check_ours
 from forestgen.runs.places import LocalPlace
@@ -32,9 +33,12 @@ def replacing(place: Place) -> Iterator[None]:
         raise OutputError(
             "only a folder of this machine can be replaced", where=place.name, hint="remove it there, or choose another"
         )
-    clear_leftovers(place.root.resolve())
+    try:
+        root = place.root.resolve()
+    except (OSError, RuntimeError) as error:  # a loop of links
+        raise OutputError("the folder's path cannot be followed", where=place.name, got=str(error)) from error
+    clear_leftovers(root)
     check_ours(place)
-    root = place.root.resolve()
     if not place.names(""):
         yield
         return
@@ -53,7 +57,17 @@ def replacing(place: Place) -> Iterator[None]:
             aside.rename(root)
         raise
     finally:
+        _keep_foreign(aside, root)
         shutil.rmtree(aside, ignore_errors=True)
+
+
+def _keep_foreign(aside: Path, root: Path) -> None:
+    """Move what other tools have left beside the data set, such as ``.git``, into the folder that replaces it."""
+    if not aside.is_dir() or not root.is_dir():
+        return
+    for entry in aside.iterdir():
+        if tool_of(entry.name) is not None and not (root / entry.name).exists():
+            entry.rename(root / entry.name)
 
 
 @contextmanager

@@ -12,6 +12,7 @@ from forestgen.dataset.settings import DatasetSettings
 from forestgen.recipe.load import LoadedRecipe
 from forestgen.recipe.splits import check_splits, used_splits
 from forestgen.runs.contract import TRANSIENT, Done, Engine, Failed, JobRecord, Lock, Notice, Outcome, Place, Work
+from forestgen.runs.damage import damaged_images
 from forestgen.runs.discards import check_discards, standing
 from forestgen.runs.finish import Finished, finish
 from forestgen.runs.folder import TAKEN, check_ours, check_resume, fingerprint, open_batch, settle_batch
@@ -76,7 +77,8 @@ def run_batch(
     ----------
     target : a folder, or the address of an object store.
     engine : makes what does the jobs, given what they need, and whom to tell which workers come and go.
-    resume : go on in a data set that is there; without it, one that is there is refused.
+    resume : go on in a data set that is there; without it, one that is there is refused. Finished images of which a
+        file is missing or damaged are made again.
     discard : whether finished images may be thrown away that are too many, or that would be made otherwise now.
     retries : attempts after the first, of jobs whose failure may pass.
     strict : an image that cannot be drawn ends the run with its own error; the others before it are made.
@@ -101,11 +103,14 @@ def run_batch(
         check_discards(before, work.place.name, agreed=discard)
         _clear_staging(work.place)
         used = used_splits(splits, images)
-        known = open_batch(work.place, images, used, mark, listener.say, before.stale)
+        damaged = damaged_images(work.place, loaded, images, before.stale, listener.say)
+        known = open_batch(work.place, images, used, mark, listener.say, before.stale, damaged)
         queue = JobQueue(work, images, splits, known)
         with Log(work.place) as log:
             run = _Run(work, lock, log, Meter(count, already=queue.done), queue, listener, retries, strict)
             log.event("start", target=target, recipe=str(loaded.path), images=count, done=queue.done, threads=threads)
+            for image, problem in damaged.items():
+                log.event("image_damaged", image=image, message=problem)
             try:
                 _make_all(run, engine(work, run.notice))
                 settle_batch(work.place, used, mark)

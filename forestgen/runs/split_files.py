@@ -11,10 +11,12 @@ import json
 import os
 import shutil
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any
 
 from forestgen.dataset.checksums import file_sum
+from forestgen.dataset.foreign import tool_of
 from forestgen.dataset.formats.shards import json_text, whole_file
 from forestgen.dataset.manifest import MANIFEST_NAME
 from forestgen.dataset.manifest import SCHEMA as MANIFEST_SCHEMA
@@ -124,9 +126,25 @@ def _publish(place: Place, split: str, root: Path, placed: Sequence[tuple[str, s
         remote.link(placed)
         remote.upload(root, split)
         return
+    home: Any = place
     for path in sorted(root.iterdir()):
-        put = place.put_folder if path.is_dir() else place.put_file
-        put(path, f"{split}/{path.name}")
+        if path.is_dir():
+            _keep_foreign(home.root / split / path.name, path)
+            place.put_folder(path, f"{split}/{path.name}")
+        else:
+            place.put_file(path, f"{split}/{path.name}")
+
+
+def _keep_foreign(before: Path, staged: Path) -> None:
+    """Take over what other tools have added to a folder that is about to be replaced, such as caches of labels."""
+    for path in _files_below(before):
+        target = staged / path.relative_to(before)
+        if tool_of(path.relative_to(before).as_posix()) is None or path.is_symlink() or not path.is_file():
+            continue
+        if not target.exists():
+            target.parent.mkdir(parents=True, exist_ok=True)
+            with suppress(FileNotFoundError):  # its tool has removed it meanwhile
+                shutil.copyfile(path, target)
 
 
 def _write_manifest(

@@ -233,15 +233,21 @@ def _check_complete(summary: RunSummary) -> None:
     """Raise `DatasetError` if an image that was asked for is not in the data set."""
     if not summary.failed and not summary.missing:
         return
+    if not summary.failed:
+        raise DatasetError(
+            f"{len(summary.missing):,} of {summary.images:,} images are missing: files have changed meanwhile",
+            where=summary.target,
+            got="\n".join(summary.notes[:_MOST_FAILURES]),
+            hint="the same command with --resume makes them again",
+        )
     shown = [_failure(failed) for failed in summary.failed[:_MOST_FAILURES]]
     if len(summary.failed) > _MOST_FAILURES:
         shown.append(f"... and {len(summary.failed) - _MOST_FAILURES} more: run/log.jsonl has all")
-    again = not summary.failed or any(failed.kind in TRANSIENT for failed in summary.failed)
-    lacking = max(len(summary.failed), len(summary.missing))
+    again = any(failed.kind in TRANSIENT for failed in summary.failed)
     raise DatasetError(
-        f"{lacking:,} of {summary.images:,} images could not be made",
+        f"{len(summary.missing):,} of {summary.images:,} images could not be made",
         where=summary.target,
-        got="\n".join(shown or summary.notes),
+        got="\n".join(shown),
         hint="the same command with --resume tries them again"
         if again
         else "they would fail again in the same way; the data set is finished without them",

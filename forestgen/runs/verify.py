@@ -1,27 +1,35 @@
 """Whether a data set is what its records say, from the sums of its files to the plants of its splits.
 
-The checks, in their order:
+Every check goes on after its first finding, and names up to `MOST_NAMED`; the report counts the others. The checks, in
+their order:
 
 | check | holds if |
 |---|---|
 | sums | every file that SHA256SUMS lists is there and has its bytes |
-| listing | nothing else lies in the data set's folder, but run/, report.html and .forestgen/ |
+| listing | nothing else lies in the data set's folder, but run/, report.html and .forestgen/; no folder is empty |
 | records | the records of the images say the same sums and rows |
 | index | it has the frames that are there, and dataset.json counts them right |
+| manifests | the manifest.json of each split lists the split's files with the sums of SHA256SUMS |
+| recipes | recipe.yaml is the recipe that dataset.json names |
 | frames | the index tells of each frame what its files show |
 | seeds | no image's seed is in two splits |
 | communities | no plant community, by species and places of its plants, is in two splits |
 | labels SPLIT | `forestgen labels check` accepts the split |
 | renders | images that are rendered again have the same bytes |
+
+Files that other tools leave in the folder (forestgen/dataset/foreign.py) are a note.
 """
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
-from itertools import islice
+import math
+import os
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import perf_counter
@@ -29,51 +37,49 @@ from typing import Any
 
 from forestgen.core.errors import DatasetError, ForestgenError, RecipeError
 from forestgen.core.progress import Progress, Silent
-from forestgen.dataset.check import Offence, Tally, check_dataset
-from forestgen.dataset.checksums import SUMS_NAME, file_sum, read_sums
+from forestgen.dataset.check import MOST_NAMED, CheckResult, Finding, check_dataset
 from forestgen.dataset.index import INDEX_NAME, read_index
 from forestgen.dataset.manifest import is_run_folder
-from forestgen.runs.contract import RUN_DEPENDENT
+from forestgen.dataset.safe_path import SafePath, unreadable
+from forestgen.dataset.thumbnails import thumbnail_name
+from forestgen.runs import verify_files as files
+from forestgen.runs.contract import JobRecord
 from forestgen.runs.description import DATASET_NAME, read_description
-from forestgen.runs.finish import files_below
-from forestgen.runs.ledger import FileSum, Ledger
-from forestgen.runs.parallel import in_order
+from forestgen.runs.ledger import Ledger
 from forestgen.runs.places import LocalPlace
-from forestgen.runs.records import JOBS, records_of
+from forestgen.runs.records import JOBS, record_path, records_of
 from forestgen.runs.verify_frames import check_frames
+from forestgen.runs.verify_manifests import description_findings, group_findings, manifest_findings, recipe_findings
 from forestgen.runs.verify_renders import check_renders
+from forestgen.runs.verify_report import VerificationReport
 
-MOST_OFFENCES = 10  # that one check names
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """What the checks found."""
-
-    images: int
-    frames: int
-    files: int
-    tallies: tuple[Tally, ...]  # by check; `images` counts what it looked at
-    offences: tuple[Offence, ...]
-    notes: tuple[str, ...]
-    seconds: float
+_FRAME = re.compile(r"\d{6,}-.+")
 
 
 class _Verifier:
     """What the checks share, and what they found."""
 
-    def __init__(self, root: Path, ledger: Ledger, said: dict[str, Any], jobs: int | None, progress: Progress) -> None:
+    def __init__(
+        self, root: Path, ledger: Ledger, said: dict[str, Any], workers: int | None, progress: Progress
+    ) -> None:
         self.root, self.ledger, self.said = root, ledger, said
-        self.jobs, self.progress = jobs, progress
-        self.tallies: list[Tally] = []
-        self.offences: list[Offence] = []
+        self.workers, self.progress = workers, progress
+        self.checks: list[CheckResult] = []
+        self.findings: list[Finding] = []
         self.notes: list[str] = []
+        self.seeds: dict[int, int] = {}  # image -> seed, by the index
+        self.splits: dict[int, str] = {}  # image -> split, by the index
 
-    def run(self, name: str, holds: str, looked_at: int, found: Iterable[Offence]) -> None:
-        """Take the first offences of a check."""
-        own = [replace(one, check=name) for one in islice(found, MOST_OFFENCES)]
-        self.offences += own
-        self.tallies.append(Tally(name, holds, looked_at, max(0, looked_at - len(own))))
+    def run(
+        self, name: str, holds: str, looked_at: int, found: Iterable[Finding], most: float = MOST_NAMED, more: int = 0
+    ) -> None:
+        """Take a check's findings: name the first `most` and count all; `more` are not among `found`."""
+        count = 0
+        for count, one in enumerate(found, start=1):
+            if count <= most:
+                self.findings.append(replace(one, check=name))
+        count += more
+        self.checks.append(CheckResult(name, holds, looked_at, max(0, looked_at - count), count))
 
 
 def verify(
@@ -81,33 +87,34 @@ def verify(
     *,
     rerender: int = 0,
     seed: int = 0,
-    jobs: int | None = None,
+    workers: int | None = None,
     hashes: bool = True,
     labels: bool = True,
     progress: Progress | None = None,
-) -> Verdict:
+) -> VerificationReport:
     """Check a data set's folder.
 
     Parameters
     ----------
     rerender : how many images to render again.
     seed : draws these.
-    jobs : processes and threads that check; by default the cores. No result depends on it.
+    workers : processes and threads that check; by default the cores. No result depends on it.
     hashes : read all files and compare their sums; otherwise only that they are there.
     labels : check the labels of each split.
 
     Raises
     ------
-    RecipeError : the folder is no data set of `forestgen batch`.
+    RecipeError : the folder is no data set of forestgen.
     """
     start = perf_counter()
     said = open_data_set(root)
     with TemporaryDirectory(prefix="forestgen-verify-") as scratch, Ledger(Path(scratch)) as ledger:
-        verifier = _Verifier(root, ledger, said, jobs, progress or Silent())
+        verifier = _Verifier(root, ledger, said, workers, progress or Silent())
         _check_files(verifier, hashes)
         _check_records(verifier)
         _check_index(verifier)
-        for name, holds, looked_at, found in check_frames(root, said, jobs, verifier.progress):
+        _check_manifests(verifier)
+        for name, holds, looked_at, found in check_frames(root, said, workers, verifier.progress):
             verifier.run(name, holds, looked_at, found)
         if labels:
             _check_labels(verifier)
@@ -115,13 +122,13 @@ def verify(
             holds = "images rendered again have the same bytes"
             renders = check_renders(root, said, rerender, seed, verifier.progress, verifier.notes.append)
             verifier.run("renders", holds, min(rerender, int(said["images"])), renders)
-        files = sum(1 for _ in ledger.files())
-    return Verdict(
+        listed = sum(1 for _ in ledger.files())
+    return VerificationReport(
         int(said["images"]),
         int(said["frames"]),
-        files,
-        tuple(verifier.tallies),
-        tuple(verifier.offences),
+        listed,
+        tuple(verifier.checks),
+        tuple(verifier.findings),
         tuple(verifier.notes),
         perf_counter() - start,
     )
@@ -138,23 +145,25 @@ def open_data_set(root: Path) -> dict[str, Any]:
     refuse_address(root)
     if not root.is_dir():
         problem = "this is a file" if root.exists() else "there is no such folder"
-        raise RecipeError(problem, where=str(root), expected="a folder that forestgen batch made")
+        raise RecipeError(problem, where=str(root), expected="a folder that forestgen render or batch made")
     content, hint = root / DATASET_NAME, None
-    if content.is_file():
-        return read_description(content.read_bytes(), str(content))
+    if os.path.lexists(content):
+        try:
+            return read_description(SafePath(root, DATASET_NAME).read(), str(content))
+        except OSError as error:
+            raise unreadable(content, error) from error
     if (root.parent / DATASET_NAME).is_file():
         got, hint = "a part of a data set", f"name {root.parent}"
     elif is_run_folder(root):
-        got, hint = "the output of forestgen render", f"forestgen labels check {root}"
+        got = "a split without its data set, or the output of forestgen simulate or calibrate"
+        hint = f"name the folder that has {DATASET_NAME}"
     elif (root / JOBS).is_dir():
         got, hint = "a batch that is not finished", "the command that began it, with --resume"
     else:
         inside = sorted(path.parent.name for path in root.glob(f"*/{DATASET_NAME}"))
         got = f"a folder of data sets, such as {inside[0]}" if inside else "no forestgen output"
         hint = f"name {root / inside[0]}" if inside else None
-    raise RecipeError(
-        "this is no data set of forestgen batch", where=str(root), expected=DATASET_NAME, got=got, hint=hint
-    )
+    raise RecipeError("this is no data set of forestgen", where=str(root), expected=DATASET_NAME, got=got, hint=hint)
 
 
 def refuse_address(path: Path) -> None:
@@ -172,58 +181,17 @@ def refuse_address(path: Path) -> None:
 def _check_files(verifier: _Verifier, hashes: bool) -> None:
     """Enter the listed files and those that are there, and compare them."""
     root, ledger = verifier.root, verifier.ledger
-    ledger.note_found(_found(root))
-    try:
-        for path, digest in read_sums(root / SUMS_NAME):
-            ledger.add_file(FileSum(path, 0, digest))
-    except DatasetError as error:
-        offence = Offence(SUMS_NAME, error.problem, error.expected or "", error.got or error.where or "")
-        verifier.run("sums", "files have their SHA-256", 1, [offence])
-        return
+    ledger.note_found(files.found(root))
+    refused: list[Finding] = []
+    is_listed = files.enter_sums(root, ledger, refused)
+    if not is_listed:
+        files.enter_other_sums(root, ledger, verifier.said["splits"])
     count = sum(1 for _ in ledger.files())
-    lost = (Offence(path, "the file is missing", "a file, as SHA256SUMS lists it", "none") for path in ledger.lost())
-    verifier.run(
-        "sums",
-        "files are those that SHA256SUMS lists",
-        count,
-        [*islice(lost, MOST_OFFENCES)] or _sums(verifier, hashes),
-    )
-    strangers = (Offence(path, "SHA256SUMS does not list this file", "nothing") for path in ledger.strangers())
-    verifier.run("listing", "nothing else lies in the folder", count, strangers)
-
-
-def _found(root: Path) -> Iterator[tuple[str, int, int]]:
-    """What lies in the folder and belongs to the data set."""
-    for name in sorted(path.name for path in root.iterdir()):
-        if name in RUN_DEPENDENT or name == SUMS_NAME:
-            continue
-        if (root / name).is_dir():
-            yield from files_below(root, name)
-        else:
-            yield name, (root / name).stat().st_size, 0
-
-
-def _sums(verifier: _Verifier, hashes: bool) -> Iterator[Offence]:
-    if not hashes:
-        return
-    count = sum(1 for _ in verifier.ledger.files())
-    with ThreadPoolExecutor(verifier.jobs) as pool, verifier.progress.stage("sums", count) as advance:
-        tasks = ((file, verifier.root) for file in verifier.ledger.files())
-        for offence in in_order(pool, _sum_offence, tasks):
-            advance(1)
-            if offence is not None:
-                yield offence
-
-
-def _sum_offence(task: tuple[FileSum, Path]) -> Offence | None:
-    file, root = task
-    try:
-        digest = file_sum(root / file.path)
-    except OSError as error:
-        return Offence(file.path, "the file cannot be read", got=error.strerror or str(error))
-    if digest == file.sha256:
-        return None
-    return Offence(file.path, "the file has changed since it was made", f"sha256 {file.sha256}", f"sha256 {digest}")
+    changed = files.changed(root, ledger, verifier.workers, verifier.progress) if hashes else ()
+    found = chain(refused, files.lost(ledger), changed)
+    verifier.run("sums", "files are those that SHA256SUMS lists", max(count, 1), found)
+    strangers = files.strangers(ledger, verifier.notes.append) if is_listed else ()
+    verifier.run("listing", "nothing else lies in the folder", count, chain(strangers, files.empty_folders(root)))
 
 
 def _check_records(verifier: _Verifier) -> None:
@@ -236,10 +204,10 @@ def _check_records(verifier: _Verifier) -> None:
         return
     damaged: list[str] = []
     said = verifier.said["images"]
-    verifier.run("records", "images' records agree with the files", said, _record_offences(verifier, place, damaged))
+    verifier.run("records", "images' records agree with the files", said, _record_findings(verifier, place, damaged))
 
 
-def _record_offences(verifier: _Verifier, place: LocalPlace, damaged: list[str]) -> Iterator[Offence]:
+def _record_findings(verifier: _Verifier, place: LocalPlace, damaged: list[str]) -> Iterator[Finding]:
     rows = _Rows(verifier.root)
     images = 0
     for record in records_of(place, damaged.append):
@@ -248,21 +216,33 @@ def _record_offences(verifier: _Verifier, place: LocalPlace, damaged: list[str])
             listed = verifier.ledger.file(path)
             if listed is None or listed.sha256 != said["sha256"]:
                 got = "not listed" if listed is None else f"sha256 {listed.sha256}"
-                yield Offence(path, "SHA256SUMS and the image's record disagree", f"sha256 {said['sha256']}", got)
+                yield Finding(path, "SHA256SUMS and the image's record disagree", f"sha256 {said['sha256']}", got)
+        yield from _left_out(verifier.ledger, record)
         for row in record.rows:
             own = rows.take(str(row["frame"]))
+            if own is None and rows.is_cut:
+                continue  # the index's own check says why
             wrong = [key for key, value in row.items() if own is None or own.get(key) != value]
-            if wrong:
-                got = "no row" if own is None else f"{own.get(wrong[0])!r:.80}"
-                problem = f"the row of {row['frame']} is not its record's: {wrong[0]}"
-                yield Offence(INDEX_NAME, problem, f"{row[wrong[0]]!r:.80}", got, image=str(row["frame"]))
+            for key in wrong[:1] if own is None else wrong:
+                got = "no row" if own is None else f"{own.get(key)!r:.80}"
+                problem = f"the row of {row['frame']} is not its record's: {key}"
+                yield Finding(INDEX_NAME, problem, f"{row[key]!r:.80}", got, image=str(row["frame"]))
     for note in damaged:
         path, _, problem = note.partition(": ")
-        yield Offence(path, problem or "the record is damaged")
+        yield Finding(path, problem or "the record is damaged")
     if images != verifier.said["images"] and not damaged:
-        yield Offence(JOBS, "there is not a record for each image", str(verifier.said["images"]), str(images))
+        yield Finding(JOBS, "there is not a record for each image", str(verifier.said["images"]), str(images))
     for name in rows.rest():
-        yield Offence(INDEX_NAME, "a row is of no image that has a record", got=name, image=name)
+        yield Finding(INDEX_NAME, "a row is of no image that has a record", got=name, image=name)
+
+
+def _left_out(ledger: Ledger, record: JobRecord) -> Iterator[Finding]:
+    """Files of an image's frames that its record lacks."""
+    for row in record.rows:
+        frame = str(row["frame"])
+        for path in (*(file.path for file in ledger.files(f"{record.split}/{frame}")), thumbnail_name(frame)):
+            if path not in record.files:
+                yield Finding(record_path(record.key), f"the record lacks {path}", "its bytes and SHA-256", "none")
 
 
 class _Rows:
@@ -271,6 +251,7 @@ class _Rows:
     def __init__(self, root: Path) -> None:
         self._waiting = read_index(root / INDEX_NAME)
         self._held: dict[str, dict[str, Any]] = {}
+        self.is_cut = False  # whether it could not be read to its end
 
     def take(self, frame: str) -> dict[str, Any] | None:
         """A frame's row, once."""
@@ -278,73 +259,109 @@ class _Rows:
             while frame not in self._held and (row := next(self._waiting, None)) is not None:
                 self._held[str(row["frame"])] = row
         except DatasetError:
-            return None
+            self.is_cut = True
         return self._held.pop(frame, None)
 
     def rest(self) -> Iterator[str]:
         """Frames whose rows nobody took."""
         yield from self._held
-        try:
+        with suppress(DatasetError):  # the index's own check says why
             yield from (str(row["frame"]) for row in self._waiting)
-        except DatasetError as error:
-            yield error.problem
 
 
 def _check_index(verifier: _Verifier) -> None:
-    verifier.run("index", "it has a row for each frame", verifier.said["frames"], _index_offences(verifier))
+    verifier.run("index", "it has a row for each frame", verifier.said["frames"], _index_findings(verifier))
 
 
-def _index_offences(verifier: _Verifier) -> Iterator[Offence]:
+def _index_findings(verifier: _Verifier) -> Iterator[Finding]:
     root, said = verifier.root, verifier.said
-    images: dict[str, set[int]] = {}
-    frames: dict[str, int] = {}
-    seeds: dict[int, int] = {}
-    split_of: dict[int, str] = {}
+    frames: dict[str, set[str]] = {}
     try:
         for row in read_index(root / INDEX_NAME):
-            split, name = str(row["split"]), str(row["frame"])
-            images.setdefault(split, set()).add(int(row["image"]))
-            frames[split] = frames.get(split, 0) + 1
-            image, seed = int(row["image"]), int(row["image_seed"])
-            if seeds.setdefault(image, seed) != seed or split_of.setdefault(image, split) != split:
-                expected, got = f"{seeds[image]}, {split_of[image]}", f"{seed}, {split}"
-                yield Offence(INDEX_NAME, "rows of one image differ in seed or split", expected, got, image=name)
-            if row["folder"] != f"{split}/{name}" or not (root / split / name).is_dir():
-                yield Offence(INDEX_NAME, "a row is of a frame that is not there", f"{split}/{name}", image=name)
+            yield from _row_findings(verifier, row, frames)
     except (DatasetError, TypeError, ValueError, KeyError) as error:
-        yield Offence(INDEX_NAME, "the index cannot be read", got=" ".join(str(error).split())[:200])
+        yield Finding(INDEX_NAME, "the index cannot be read", got=" ".join(str(error).split())[:200])
         return
+    images = {split: sum(1 for own in verifier.splits.values() if own == split) for split in frames}
     for split, counts in said["splits"].items():
-        counted = {"images": len(images.get(split, ())), "frames": frames.get(split, 0)}
+        counted = {"images": images.get(split, 0), "frames": len(frames.get(split, ()))}
         if counted != counts:
-            yield Offence(DATASET_NAME, f"it counts {split} otherwise than the index", str(counted), str(counts))
-    for split in sorted(set(images) - set(said["splits"])):
-        yield Offence(DATASET_NAME, "the index has a split that is not told here", split, "none")
-    text = "".join(f"{seeds[image]}\n" for image in sorted(seeds))
+            yield Finding(DATASET_NAME, f"it counts {split} otherwise than the index", str(counted), str(counts))
+    for split in sorted(set(frames) - set(said["splits"])):
+        yield Finding(DATASET_NAME, "the index has a split that is not told here", split, "none")
+    text = "".join(f"{verifier.seeds[image]}\n" for image in sorted(verifier.seeds))
     digest = hashlib.sha256(text.encode()).hexdigest()
     if digest != said["image_seeds_sha256"]:
-        yield Offence(DATASET_NAME, "the images' seeds are not the index'", digest, str(said["image_seeds_sha256"]))
+        yield Finding(DATASET_NAME, "the images' seeds are not the index'", digest, str(said["image_seeds_sha256"]))
+    yield from _frames_without_rows(root, {*frames, *said["splits"]}, frames)
+    try:
+        yield from description_findings(said, verifier.splits)
+    except (KeyError, TypeError, ValueError) as error:
+        yield Finding(DATASET_NAME, "the content is not of this format", got=f"{type(error).__name__}: {error}"[:200])
+
+
+def _row_findings(verifier: _Verifier, row: Mapping[str, Any], frames: dict[str, set[str]]) -> Iterator[Finding]:
+    """Enter a row of the index, by split, and what is wrong with it."""
+    split, name = str(row["split"]), str(row["frame"])
+    if name in frames.setdefault(split, set()):
+        yield Finding(INDEX_NAME, "a frame has two rows", "one", "two", image=name)
+    frames[split].add(name)
+    if row["folder"] != f"{split}/{name}" or not (SafePath(verifier.root, split) / name).is_folder():
+        yield Finding(INDEX_NAME, "a row is of a frame that is not there", f"{split}/{name}", image=name)
+    if verifier.ledger.file(thumbnail_name(name)) is None:
+        yield Finding(thumbnail_name(name), "a frame has no thumbnail in SHA256SUMS", "one", "none", image=name)
+    try:
+        image, seed = int(row["image"]), int(row["image_seed"])
+    except (KeyError, TypeError, ValueError) as error:
+        yield Finding(INDEX_NAME, "a row has no image or no seed", "numbers", f"{error}"[:80], image=name)
+        return
+    first = verifier.seeds.setdefault(image, seed), verifier.splits.setdefault(image, split)
+    if first != (seed, split):
+        expected = f"{first[0]}, {first[1]}"
+        yield Finding(INDEX_NAME, "rows of one image differ in seed or split", expected, f"{seed}, {split}", image=name)
+
+
+def _frames_without_rows(root: Path, splits: Iterable[str], frames: Mapping[str, set[str]]) -> Iterator[Finding]:
+    place = LocalPlace(root)
+    for split in sorted(splits):
+        for name in place.names(split):
+            if _FRAME.fullmatch(name) and name not in frames.get(split, ()) and (root / split / name).is_dir():
+                yield Finding(f"{split}/{name}", "the index has no row of this frame", "a row", "none", image=name)
+
+
+def _check_manifests(verifier: _Verifier) -> None:
+    root, said, ledger = verifier.root, verifier.said, verifier.ledger
+    complete = not any(check.found for check in verifier.checks if check.name in ("sums", "listing"))
+    found: list[Iterator[Finding]] = []
+    for split in said["splits"]:
+        seeds = {image: seed for image, seed in verifier.seeds.items() if verifier.splits[image] == split}
+        found.append(manifest_findings(root, split, said, ledger, seeds))
+    if complete:
+        found.append(group_findings(said, ledger))
+    holds = "they list the files, the recipes and the seeds"
+    verifier.run("manifests", holds, len(said["splits"]), chain.from_iterable(found))
+    verifier.run("recipes", "recipes have their hashes", len(said["recipes"]), recipe_findings(root, said))
 
 
 def _check_labels(verifier: _Verifier) -> None:
+    """Labels of each split; the sums are compared already."""
     for split, counts in verifier.said["splits"].items():
-        verifier.run(
-            f"labels {split}", "labels are true to each other", counts["frames"], _label_offences(verifier, split)
+        name, holds = f"labels {split}", "labels are true to each other"
+        if not SafePath(verifier.root, split).is_folder():
+            finding = Finding(split, "the split is no folder of the data set", "a folder, and no link")
+            verifier.run(name, holds, counts["frames"], [finding])
+            continue
+        try:
+            report = check_dataset(
+                verifier.root / split, jobs=verifier.workers, hashes=False, most=None, progress=verifier.progress
+            )
+        except ForestgenError as error:
+            finding = Finding(split, error.problem, error.expected or "", error.got or "")
+            verifier.run(name, holds, counts["frames"], [finding])
+            continue
+        found = (
+            replace(one, file=f"{split}/{one.file}", problem=f"{one.problem} (check {one.check!r})")
+            for one in report.findings
         )
-
-
-def _label_offences(verifier: _Verifier, split: str) -> Iterator[Offence]:
-    """The sums are compared already."""
-    try:
-        report = check_dataset(
-            verifier.root / split,
-            jobs=verifier.jobs,
-            hashes=False,
-            most=MOST_OFFENCES,
-            progress=verifier.progress,
-        )
-    except ForestgenError as error:
-        yield Offence(split, error.problem, error.expected or "", error.got or "")
-        return
-    for one in report.offences:
-        yield replace(one, file=f"{split}/{one.file}", problem=f"{one.problem} (check {one.check!r})")
+        more = sum(check_result.found for check_result in report.check_results) - len(report.findings)
+        verifier.run(name, holds, counts["frames"], found, math.inf, more)

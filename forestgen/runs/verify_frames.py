@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +14,14 @@ import numpy as np
 
 from forestgen.core.errors import DatasetError
 from forestgen.core.progress import Progress
-from forestgen.dataset.check.files import read_json, read_picture, read_table
-from forestgen.dataset.check.offence import Offence, UnreadableError
+from forestgen.dataset.check.files import read_json, read_picture, read_table, read_text
+from forestgen.dataset.check.finding import MISUNDERSTOOD, Finding, UnreadableError, misunderstood
 from forestgen.dataset.index import INDEX_NAME, read_index
+from forestgen.recipe.hashing import recipe_hash
 from forestgen.runs.parallel import in_order
+from forestgen.runs.verify_manifests import plain_yaml
 
-Check = tuple[str, str, int, list[Offence]]  # name, what holds, how many it looked at, offences
+Check = tuple[str, str, int, list[Finding]]  # name, what holds, how many it looked at, findings
 _HINT = "give the recipe one split, or let it draw each image's plants"
 
 
@@ -29,7 +31,7 @@ class FrameFacts:
 
     row: Mapping[str, Any]  # the index' own
     community: bytes  # hash of the plants' species and places; empty: bare ground
-    offences: tuple[Offence, ...]
+    findings: tuple[Finding, ...]
 
 
 def check_frames(root: Path, said: Mapping[str, Any], jobs: int | None, progress: Progress) -> list[Check]:
@@ -41,19 +43,19 @@ def check_frames(root: Path, said: Mapping[str, Any], jobs: int | None, progress
     jobs : threads; by default the cores.
     """
     class_names = said["settings"]["class_names"]
-    frames: list[Offence] = []
+    frames: list[Finding] = []
     seeds, communities = _Shared("seed"), _Shared("plant community")
     with ThreadPoolExecutor(jobs) as pool, progress.stage("frames", int(said["frames"])) as advance:
         for facts in in_order(pool, partial(_facts, root, class_names), _rows(root)):
             advance(1)
-            frames += facts.offences
-            seeds.add(str(facts.row["image_seed"]).encode(), facts.row)
+            frames += facts.findings
+            seeds.add(str(facts.row.get("image_seed")).encode(), facts.row)
             communities.add(facts.community, facts.row)
     images = int(said["images"])
     return [
         ("frames", "the index tells of frames what their files show", int(said["frames"]), frames),
-        ("seeds", "no image's seed is in two splits", images, seeds.offences),
-        ("communities", "no plant community is in two splits", images, communities.offences),
+        ("seeds", "no image's seed is in two splits", images, seeds.findings),
+        ("communities", "no plant community is in two splits", images, communities.findings),
     ]
 
 
@@ -71,7 +73,7 @@ class _Shared:
     def __init__(self, what: str) -> None:
         self._what = what
         self._first: dict[bytes, tuple[str, str]] = {}  # what -> split and frame that had it first
-        self.offences: list[Offence] = []
+        self.findings: list[Finding] = []
 
     def add(self, mark: bytes, row: Mapping[str, Any]) -> None:
         if not mark:
@@ -80,34 +82,60 @@ class _Shared:
         if split != row["split"]:
             problem = f"two splits share a {self._what}"
             expected = f"another than that of {frame} ({_HINT})"
-            self.offences.append(Offence(str(row["folder"]), problem, expected, f"the same in {row['split']}"))
+            self.findings.append(Finding(str(row["folder"]), problem, expected, f"the same in {row['split']}"))
 
 
 def _facts(root: Path, class_names: Sequence[str], row: Mapping[str, Any]) -> FrameFacts:
+    """Compare each file of a frame with the row; one that cannot be read leaves the others."""
     folder = str(row["folder"])
-    try:
-        plants = read_table(root, f"{folder}/plants.parquet")
+    findings: list[Finding] = []
+
+    def compared(read: Callable[[], Mapping[str, Any]]) -> None:
+        try:
+            shown = read()
+            findings.extend(_wrong(row, key, value) for key, value in shown.items() if row[key] != value)
+        except UnreadableError as error:
+            findings.append(error.finding)
+        except MISUNDERSTOOD as error:
+            findings.append(misunderstood(folder, error, str(row["frame"])))
+
+    def plants() -> dict[str, Any]:
+        table = read_table(root, f"{folder}/plants.parquet")
+        community.append(_community(table))
+        return _plants_shown(table)
+
+    def classes() -> dict[str, Any]:
         semantic = read_picture(root, f"{folder}/semantic.png")
-        camera = read_json(root, f"{folder}/camera.json")
-        shown = {
-            **_plants_shown(plants),
-            "class_pixels": _counts(semantic, class_names),
-            "height_px": semantic.shape[0],
-            "width_px": semantic.shape[1],
-            "camera": camera.get("name"),
-        }
-        offences = [_wrong(row, key, value) for key, value in shown.items() if row[key] != value]
-        return FrameFacts(row, _community(plants), tuple(offences))
-    except UnreadableError as error:
-        return FrameFacts(row, b"", (error.offence,))
-    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
-        got = f"{type(error).__name__}: {error}"
-        return FrameFacts(row, b"", (Offence(folder, "a file is not of its format", got=got[:200]),))
+        height, width = semantic.shape
+        return {"class_pixels": _counts(semantic, class_names), "height_px": height, "width_px": width}
+
+    def camera() -> dict[str, Any]:
+        content = read_json(root, f"{folder}/camera.json")
+        place = zip(("camera_x_m", "camera_y_m", "camera_z_m"), content["position_m"], strict=True)
+        return {"camera": content.get("name"), **dict(place)}
+
+    def recipe() -> dict[str, Any]:
+        file = f"{folder}/recipe.yaml"
+        try:
+            return {"recipe_hash": _hash_of(read_text(root, file))}
+        except UnreadableError as error:
+            raise UnreadableError(replace(error.finding, file=file)) from error
+
+    community: list[bytes] = []
+    for read in (plants, classes, camera, recipe):
+        compared(read)
+    return FrameFacts(row, community[0] if community else b"", tuple(findings))
 
 
-def _wrong(row: Mapping[str, Any], key: str, value: Any) -> Offence:
+@lru_cache(maxsize=64)
+def _hash_of(text: str) -> str:
+    """Hash of a drawn recipe, which all frames of an image share."""
+    return recipe_hash(plain_yaml(text, ""))
+
+
+def _wrong(row: Mapping[str, Any], key: str, value: Any) -> Finding:
     problem = f"{key} of {row['folder']} is not what its files show"
-    return Offence(INDEX_NAME, problem, f"{value!r:.120}", f"{row[key]!r:.120}")
+    return Finding(INDEX_NAME, problem, f"{value!r:.120}", f"{row[key]!r:.120}", image=str(row["frame"]))
 
 
 def _plants_shown(plants: Mapping[str, Any]) -> dict[str, Any]:

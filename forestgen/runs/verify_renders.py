@@ -12,17 +12,19 @@ from typing import Any
 from forestgen.core.errors import ForestgenError
 from forestgen.core.progress import Progress
 from forestgen.core.timing import Timings
-from forestgen.dataset.check.offence import Offence
+from forestgen.dataset.check.finding import Finding
 from forestgen.dataset.index import INDEX_NAME, read_index
+from forestgen.dataset.safe_path import SafePath
 from forestgen.dataset.thumbnails import thumbnail_name, write_thumbnail
 from forestgen.runs.description import this_version
+from forestgen.runs.finish import files_below
 
 _RECIPE = "recipe.yaml"
 
 
 def check_renders(
     root: Path, said: Mapping[str, Any], count: int, seed: int, progress: Progress, note: Callable[[str], None]
-) -> Iterator[Offence]:
+) -> Iterator[Finding]:
     """Files that have other bytes than those that are rendered now.
 
     Parameters
@@ -64,21 +66,22 @@ def _drawn(root: Path, count: int, seed: int) -> dict[int, list[dict[str, Any]]]
 
 def _check_image(
     root: Path, image: int, rows: list[dict[str, Any]], progress: Progress, moved: str
-) -> Iterator[Offence]:
+) -> Iterator[Finding]:
     with TemporaryDirectory(prefix="forestgen-rerender-") as folder:
         fresh = Path(folder) / "fresh"
         fresh.mkdir()
-        source = root / str(rows[0]["folder"]) / _RECIPE
+        source = SafePath(root, str(rows[0]["folder"])) / _RECIPE
         try:
-            again = _render(source, fresh, progress)
-        except ForestgenError as error:
+            source.size_bytes()  # it is a file of the data set
+            again = _render(source.located(), fresh, progress)
+        except (ForestgenError, OSError) as error:
             got = str(error).replace("\n", " ")
-            yield Offence(source.relative_to(root).as_posix(), "the image cannot be rendered again", got=got)
+            yield Finding(source.name, "the image cannot be rendered again", got=got)
             return
         names = {str(row["frame"]) for row in rows}
         if names != set(again):
             expected, got = ", ".join(sorted(names)), ", ".join(sorted(again))
-            yield Offence(
+            yield Finding(
                 str(rows[0]["folder"]), f"image {image} has other frames when it is rendered again", expected, got
             )
         for row in rows:
@@ -106,43 +109,42 @@ def _render(source: Path, fresh: Path, progress: Progress) -> dict[str, dict[str
     return {str(row["frame"]): row for row in image.rows}
 
 
-def _compare(root: Path, fresh: Path, kept_name: str, fresh_name: str, moved: str) -> Iterator[Offence]:
+def _compare(root: Path, fresh: Path, kept_name: str, fresh_name: str, moved: str) -> Iterator[Finding]:
     """A file, or all files of a folder."""
-    kept, made = root / kept_name, fresh / fresh_name
+    kept, made = SafePath(root, kept_name), fresh / fresh_name
     if made.is_file():
         names = [""]
     else:
-        names = sorted(
-            {path.relative_to(one).as_posix() for one in (kept, made) for path in one.rglob("*") if path.is_file()}
-        )
+        below = [path.removeprefix(f"{kept_name}/") for path, _, _ in files_below(root, kept_name)]
+        names = sorted({*below, *(path.relative_to(made).as_posix() for path in made.rglob("*") if path.is_file())})
     for name in names:
         one, other = (kept / name, made / name) if name else (kept, made)
         problem = _difference(one, other)
         if problem is not None:
-            offence = Offence(f"{kept_name}/{name}" if name else kept_name, *problem)
-            yield replace(offence, got=f"{offence.got} ({moved})") if moved else offence
+            finding = Finding(f"{kept_name}/{name}" if name else kept_name, *problem)
+            yield replace(finding, got=f"{finding.got} ({moved})") if moved else finding
 
 
-def _difference(kept: Path, made: Path) -> tuple[str, str, str] | None:
+def _difference(kept: SafePath, made: Path) -> tuple[str, str, str] | None:
     """Problem, expected, got; None for equal files. What is rendered now is what is expected."""
     if not made.is_file():
         return "rendered again, the image has no such file", "none", "a file"
     if not kept.is_file():
         return "the file is missing", "one, as the image rendered again has it", "none"
-    old, new = kept.read_bytes(), made.read_bytes()
+    old, new = kept.read(), made.read_bytes()
     if old == new:
         return None
     at = next((place for place, (a, b) in enumerate(zip(old, new, strict=False)) if a != b), min(len(old), len(new)))
     return "rendered again, the file has other bytes", f"{len(new)} bytes", f"{len(old)} bytes, other from byte {at} on"
 
 
-def _compare_rows(kept: Mapping[str, Any], made: Mapping[str, Any]) -> Iterator[Offence]:
+def _compare_rows(kept: Mapping[str, Any], made: Mapping[str, Any]) -> Iterator[Finding]:
     for key, value in made.items():
         if key.startswith("draw."):  # a drawn recipe draws nothing
             continue
         if kept.get(key) != value:
             problem = f"{key} of {made['frame']} is another when it is rendered again"
-            yield Offence(INDEX_NAME, problem, f"{value!r:.120}", f"{kept.get(key)!r:.120}")
+            yield Finding(INDEX_NAME, problem, f"{value!r:.120}", f"{kept.get(key)!r:.120}")
 
 
 def _moved(said: Mapping[str, Any]) -> str:

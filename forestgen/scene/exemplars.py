@@ -47,7 +47,7 @@ class SizeError:
     plants: int
     exemplars: int
     radius_rms: float  # root mean square of (exemplar radius / plant radius - 1)
-    crown_width_rms: float  # of (scaled exemplar's crown width / the plant's own allometric width - 1)
+    crown_width_rms: float | None  # of (scaled exemplar's crown width / allometric width - 1); None without a crown
 
 
 def check_traits(traits: Sequence[str], population: Population, where: str) -> None:
@@ -197,16 +197,13 @@ def cluster(features: Floats, clusters: int, seed: int) -> tuple[Floats, Ints]:
     distinct, rank = np.unique(features, axis=0, return_inverse=True)
     if len(distinct) <= clusters:
         return distinct, rank.reshape(-1)
-    from sklearn.cluster import KMeans
-    from threadpoolctl import threadpool_limits
+    from forestgen.scene.k_means import k_means  # brings SciPy's BLAS
 
-    with threadpool_limits(1):  # partial sums must not depend on the number of threads
-        model = KMeans(n_clusters=clusters, random_state=seed, n_init=1).fit(features)
-    centres = model.cluster_centers_.astype(np.float64)
+    centres, labels = k_means(features, clusters, seed)
     order = np.lexsort(centres.T[::-1])
     place = np.empty(clusters, dtype=np.int64)
     place[order] = np.arange(clusters)
-    return centres[order], place[model.labels_]
+    return centres[order], place[labels]
 
 
 def size_errors(
@@ -221,7 +218,7 @@ def size_errors(
     Parameters
     ----------
     exemplar_height_m, exemplar_width_m : (E,) measured on the geometry.
-    plant_width_m : (N,) crown width that each plant should have by its species' allometry.
+    plant_width_m : (N,) crown width that each plant should have by its species' allometry; NaN where it has no crown.
     """
     errors = []
     for index, name in enumerate(population.species_names):
@@ -231,6 +228,7 @@ def size_errors(
         mine = plan.exemplar_of_plant[rows]
         scale = population.height_m[rows] / exemplar_height_m[mine]
         width = exemplar_width_m[mine] * scale / plant_width_m[rows] - 1
+        has_crown = not np.isnan(plant_width_m[rows]).any()
         radius = plan.radius_m[mine] / population.radius_m[rows] - 1
         errors.append(
             SizeError(
@@ -238,7 +236,7 @@ def size_errors(
                 plants=int(rows.sum()),
                 exemplars=len(np.unique(mine)),
                 radius_rms=float(np.sqrt(np.mean(radius**2))),
-                crown_width_rms=float(np.sqrt(np.mean(width**2))),
+                crown_width_rms=float(np.sqrt(np.mean(width**2))) if has_crown else None,
             )
         )
     return errors

@@ -6,11 +6,14 @@ answer; the mesh and the plants' feet both ask the same function.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.core.bounded_cache import BoundedCache
 from forestgen.core.compiled import compiled
 from forestgen.core.spectrum import Spectrum
 from forestgen.geometry.mesh import Mesh
@@ -276,13 +279,29 @@ def build_terrain(
         wet = wet_ground(spectrum, wetness.at(x, y, smooth_step(away / _MARGIN_M)))
     return Terrain(
         mesh=mesh,
-        texture=with_mean(litter_texture(rng) if ground == "litter" else uneven_texture(ground, rng), colour),
+        texture=_texture(ground, colour, rng),
         far_share=far.astype(np.float32),
         far_reflectance=colours_of_surface(far_spectrum, None)[0],
         spectrum=spectrum,
         far_spectrum=far_spectrum,
         wet=wet,
     )
+
+
+_Kept = tuple[NDArray[np.float32], Mapping[str, Any]]  # a texture, and the generator's state after it
+_kept: BoundedCache[_Kept] = BoundedCache(_TEXTURE_PX**2 * 12, lambda kept: kept[0].nbytes)  # one
+
+
+def _texture(ground: str, colour: tuple[float, float, float], rng: np.random.Generator) -> NDArray[np.float32]:
+    """(P, P, 3) reflectance of mean `colour`. The last one is kept, for an image that is made again."""
+
+    def make() -> _Kept:
+        pattern = litter_texture(rng) if ground == "litter" else uneven_texture(ground, rng)
+        return with_mean(pattern, colour), rng.bit_generator.state
+
+    key = (ground, colour, repr(rng.bit_generator.state))
+    texture, rng.bit_generator.state = _kept.get(key, make)
+    return texture
 
 
 def _reflectance(name: str) -> Spectrum:

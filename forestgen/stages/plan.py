@@ -7,7 +7,7 @@ machine's memory by estimate.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -18,6 +18,7 @@ from forestgen.community.model import CommunityParameters, Site, SpeciesEcology
 from forestgen.community.placement.density_map import check_maps
 from forestgen.community.placement.stands import PlacementParameters
 from forestgen.community.registry import COMMUNITY_MODELS
+from forestgen.core.error_list import ErrorList
 from forestgen.core.errors import RecipeError, ResourceError
 from forestgen.core.figures import show_bytes
 from forestgen.core.memory import free_bytes
@@ -25,6 +26,7 @@ from forestgen.plants.bark.texture import with_bark_tiles
 from forestgen.plants.parameters import PlantParameters
 from forestgen.plants.registry import GENERATORS
 from forestgen.recipe.load import DrawnRecipe, LoadedRecipe
+from forestgen.recipe.sources import Keys
 from forestgen.recipe.species import Plant, Species
 from forestgen.recipe.suggestions import did_you_mean
 from forestgen.scene.exemplars import check_traits
@@ -98,24 +100,65 @@ def make_plan(drawn: DrawnRecipe) -> Plan:
     Raises
     ------
     RecipeError : an unknown model or generator, or parameters that it rejects; with file, line and key.
+    RecipeErrors : several of these.
     """
-    community = drawn.recipe.community
-    model = COMMUNITY_MODELS.load(community.model, where=drawn.where("community", "model"))
+    errors = ErrorList(drawn.sources.place(()).origin)
+    plan = collect_plan(drawn, errors)
+    errors.raise_all()
+    assert plan is not None
+    return plan
+
+
+def collect_plan(drawn: DrawnRecipe, errors: ErrorList, stand_ins: frozenset[str] = frozenset()) -> Plan | None:
+    """The plan of a drawn recipe, or None if `errors` has some now.
+
+    Parameters
+    ----------
+    stand_ins : sections that are not the recipe's own: what depends on them is not checked.
+    """
+    had = len(errors.found)
     generators = {}
     for name, species in drawn.species.items():
-        generators[name] = _generator(drawn, species, species.plant, ("species", name, "plant"))
-    clothing = clothing_of(drawn, generators, _generator)
-    check_above_ground(drawn)
-    _check_clouds(drawn)
-    check_sun(drawn)
-    parameters = drawn.parse(model.Parameters, community.parameters, ("community",))
-    _check_named_species(drawn, parameters)
-    _check_disturbances(drawn, parameters)
-    check_branch_modules(drawn, parameters)
-    check_wet_soil(drawn, parameters)
-    check_own_clouds(drawn, parameters)
-    check_maps(parameters, drawn.recipe.site.size_m, lambda *keys: drawn.where("community", *keys))
-    return Plan(drawn, model, parameters, generators, clothing)
+        parameters = errors.attempt(_generator, drawn, species, species.plant, ("species", name, "plant"))
+        if parameters is not None:
+            generators[name] = parameters
+    for check, sections in _CHECKS_OF_THE_VIEW:
+        if not sections & stand_ins:
+            errors.attempt(check, drawn)
+    if "community" in stand_ins:
+        return None
+    where = drawn.where("community", "model")
+    model = errors.attempt(COMMUNITY_MODELS.load, drawn.recipe.community.model, where=where)
+    if model is None:
+        return None
+    community = drawn.recipe.community.parameters
+    model_parameters = errors.attempt(drawn.parse, model.Parameters, community, ("community",))
+    clothing = None
+    if len(generators) == len(drawn.species) and "species" not in stand_ins:
+        clothing = errors.attempt(clothing_of, drawn, generators, _generator)
+    if model_parameters is not None:
+        _check_community(drawn, model_parameters, errors, stand_ins)
+    if len(errors.found) > had or model_parameters is None or clothing is None:
+        return None
+    return Plan(drawn, model, model_parameters, generators, clothing)
+
+
+def _check_community(
+    drawn: DrawnRecipe, parameters: CommunityParameters, errors: ErrorList, stand_ins: frozenset[str]
+) -> None:
+    """What the community's keys and those of other sections say of each other."""
+    if "species" not in stand_ins:
+        had = len(errors.found)
+        for keys, name in parameters.named_species():
+            errors.attempt(_check_named_species, drawn, keys, name)
+        if len(errors.found) > had:
+            stand_ins |= {"species"}
+    for check, sections in _CHECKS_OF_THE_COMMUNITY:
+        if not sections & stand_ins:
+            errors.attempt(check, drawn, parameters)
+    if "site" not in stand_ins:
+        size_m = drawn.recipe.site.size_m
+        errors.attempt(check_maps, parameters, size_m, lambda *keys: drawn.where("community", *keys))
 
 
 def _generator(drawn: DrawnRecipe, species: Species, plant: Plant, keys: tuple[str, ...]) -> PlantParameters:
@@ -132,12 +175,16 @@ def check_plan(loaded: LoadedRecipe, *, simulate_only: bool = False) -> Plan:
     RecipeError : see `make_plan`.
     ResourceError : more memory than this machine has free would be needed.
     """
-    plans = [make_plan(drawn) for drawn in loaded.probes()]
+    errors = ErrorList(loaded.sources.place(()).origin)
+    plans = [collect_plan(drawn, errors) for drawn in loaded.probes()]
+    errors.raise_all()
     for plan in plans:
+        assert plan is not None
         check_memory(plan, simulate_only=simulate_only)
         if not simulate_only:
             _check_traits(plan)
             check_dead_are_drawn(plan.drawn, plan.model_parameters, plan.module_parameters)
+    assert plans[0] is not None
     return plans[0]
 
 
@@ -152,16 +199,15 @@ def views_below_ground(plan: Plan) -> list[str]:
     return [camera.name for _, camera, _ in below_ground(plan.drawn)]
 
 
-def _check_named_species(drawn: DrawnRecipe, parameters: CommunityParameters) -> None:
-    for keys, name in parameters.named_species():
-        if name not in drawn.species:
-            raise RecipeError(
-                "the recipe has no species of this name",
-                where=drawn.where("community", *keys),
-                expected="one of " + ", ".join(drawn.species),
-                got=repr(name),
-                hint=did_you_mean(name, drawn.species),
-            )
+def _check_named_species(drawn: DrawnRecipe, keys: Keys, name: str) -> None:
+    if name not in drawn.species:
+        raise RecipeError(
+            "the recipe has no species of this name",
+            where=drawn.where("community", *keys),
+            expected="one of " + ", ".join(drawn.species),
+            got=repr(name),
+            hint=did_you_mean(name, drawn.species),
+        )
 
 
 def _check_disturbances(drawn: DrawnRecipe, parameters: CommunityParameters) -> None:
@@ -220,6 +266,19 @@ def _check_clouds(drawn: DrawnRecipe) -> None:
                 got=f"{highest_m:g} m",
                 hint="set render.clouds to exact; or lower the camera, raise base_m, or set sky.clouds to none",
             )
+
+
+_CHECKS_OF_THE_VIEW: tuple[tuple[Callable[[DrawnRecipe], None], frozenset[str]], ...] = (
+    (check_above_ground, frozenset({"cameras", "site"})),
+    (_check_clouds, frozenset({"sky", "cameras", "render", "site"})),
+    (check_sun, frozenset({"sky", "site"})),
+)
+_CHECKS_OF_THE_COMMUNITY: tuple[tuple[Callable[[DrawnRecipe, CommunityParameters], None], frozenset[str]], ...] = (
+    (_check_disturbances, frozenset({"species", "site"})),
+    (check_branch_modules, frozenset({"species", "site"})),
+    (check_wet_soil, frozenset({"site"})),
+    (check_own_clouds, frozenset({"sky", "site"})),
+)
 
 
 def estimate_bytes(plan: Plan, *, simulate_only: bool = False, plants: int = 0) -> dict[str, int]:

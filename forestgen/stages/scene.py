@@ -260,6 +260,9 @@ def _errors(
             (np.array([exemplar.crown_width_m for exemplar in exemplars]), widths_m),
         )
     )
+    for index, name in enumerate(population.species_names):
+        if not GENERATORS.load(plan.generator_parameters[name].generator).has_crown:
+            widths_m[population.species == index] = np.nan
     return size_errors(population, exemplar_plan, height_m, width_m, widths_m)
 
 

@@ -180,6 +180,24 @@ def untold(name: str) -> Break:
     return make
 
 
+def short_palette(name: str) -> Break:
+    """Write a palette PNG with 4 bits a pixel, as Pillow does where its palette has few colours."""
+
+    def make(root: Path) -> None:
+        from PIL import Image
+        from PIL.PngImagePlugin import PngInfo
+
+        texts = PngInfo()
+        with Image.open(root / name) as image:
+            image.load()
+        for key, value in image.text.items():
+            texts.add_text(key, value)
+        (root / name).unlink()  # it may be linked with another file of the data set
+        image.save(root / name, bits=4, pnginfo=texts)
+
+    return make
+
+
 def gone(name: str) -> Break:
     return lambda root: (root / name).unlink()
 

@@ -21,6 +21,7 @@ from label_breaks import (
     numbers,
     picture,
     points,
+    short_palette,
     table,
     text,
     turned_mask,
@@ -36,7 +37,7 @@ def own(name: str) -> str:
     return f"{FRAME}/{name}"
 
 
-# name: (check, file, the break, what else the offence says)
+# name: (check, file, the break, what else the finding says)
 MUTATIONS: dict[str, tuple[str, str, Break, dict[str, object]]] = {
     # files that cannot be read
     "an EXR cut short": ("files", own("frame.exr"), cut(own("frame.exr")), {}),
@@ -61,6 +62,11 @@ MUTATIONS: dict[str, tuple[str, str, Break, dict[str, object]]] = {
         {"spot": "birch", "plant_id": BIRCH, "got": str(HIDDEN)},
     ),
     "semantic.png, a pixel": ("semantic", own("semantic.png"), picture(own("semantic.png"), 1, "sky"), {"spot": "sky"}),
+    "semantic.png of 4 bits a pixel": (
+        *("semantic", own("semantic.png")),
+        short_palette(own("semantic.png")),
+        {"expected": "8", "got": "4"},
+    ),
     "the semantic channel and its picture": (
         *("semantic", own("frame.exr")),
         all_of(exr("identity", "semantic", 2, "birch"), picture(own("semantic.png"), 2, "birch")),

@@ -207,7 +207,7 @@ def test_what_a_run_notes_down_may_be_damaged(tmp_path: Path, faults: Path) -> N
     """Its own file, by a disk or by a stranger, and lines of the log: no image is lost, nothing else is removed."""
     path, target = recipe(tmp_path), tmp_path / "data"
     serial(path, target, 3, make)
-    whole, marks = shown(target), target / ".forestgen/runs.json"
+    whole, marks = shown(target), target / ".forestgen/batch.json"
     said = json.loads(marks.read_text())
     texts = [json.dumps({**said, "splits": names}) for names in (["", "."], ["run", ".."], [3, None], "x")]
     for text in ("", "{", "[" * 100_000, *texts):

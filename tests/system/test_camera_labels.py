@@ -69,9 +69,9 @@ FRAMES = [f"000000-{name}-{frame:04d}" for name in ("up", "ahead", "around", "na
 @pytest.mark.slow
 def test_a_data_set_of_all_kinds_passes(data_set):
     report = check_dataset(data_set, jobs=1, most=20)
-    assert report.offences == ()
+    assert report.findings == ()
     assert report.frames == report.checked == 10
-    ran = {tally.name: tally.images for tally in report.tallies}
+    ran = {check_result.name: check_result.images for check_result in report.check_results}
     for check in ("camera", "circle", "position", "normals", "motion", "stem places", "amodal", "points.ply"):
         assert ran[check] == 10
 
@@ -135,9 +135,9 @@ def test_what_is_wrong_is_found(name, data_set, tmp_path):
     shutil.copytree(data_set, tmp_path / "bad")
     spoil(tmp_path / "bad" / frame)
     report = check_dataset(tmp_path / "bad", jobs=1, hashes=False, most=5)
-    assert report.offences
-    assert report.offences[0].check == check
-    assert report.offences[0].image == frame
+    assert report.findings
+    assert report.findings[0].check == check
+    assert report.findings[0].image == frame
 
 
 @pytest.mark.parametrize(("name", "kind"), [("bop", "fisheye"), ("nerfstudio", "orthographic")])

@@ -38,6 +38,7 @@ COMMANDS = (
     "light",
     "weather",
     "calibrate",
+    "completion",
     "doctor",
 )
 HEAVY = (

@@ -63,7 +63,7 @@ def test_sums_are_those_of_all_files(whole):
 def test_each_split_is_a_data_set(whole):
     assert is_run_folder(whole / "train")
     report = check_dataset(whole / "train", jobs=1)
-    assert report.offences == ()
+    assert report.findings == ()
     assert report.frames == 4
     manifest = json.loads((whole / "train" / "manifest.json").read_text())
     assert not {"timings_s", "peak_memory_bytes"} & set(manifest)

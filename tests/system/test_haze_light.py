@@ -21,7 +21,7 @@ from forestgen.render.identity import SceneTracer
 from forestgen.render.identity.tracer import sample_offsets
 from forestgen.render.light import lights
 from forestgen.render.sky_radiance import MAP_ROWS
-from forestgen.render.variant import SCALAR, mitsuba, using
+from forestgen.render.variant import SCALAR, drjit, mitsuba, using
 from forestgen.render.wavelengths import ColourAtOnce, Pass, quadrature_of
 from forestgen.scene.channels import RGB, Channels
 from forestgen.scene.projection import rays, world_rays
@@ -144,6 +144,16 @@ def test_shares_and_transmittances_are_those_of_the_samples(kind):
     assert ground.any()
     expected = np.mean([np.exp(-ground_distance(camera, *at)[..., None] * extinction) for at in sample_offsets(64)], 0)
     np.testing.assert_allclose(found.transmittance[ground], expected[ground], rtol=2e-3)
+
+
+def test_the_rays_are_traced_once_for_all_channels():
+    camera, dr = views()["perspective"], drjit()
+    tracer = SceneTracer(stand(camera, 2000.0), Timings())
+    with using(tracer.variant), dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        trace_seen(tracer, camera, np.array([1e-3, 2e-3, 4e-3]), timer=Timings())
+        launched = [kernel for kernel in dr.kernel_history() if kernel["type"] == dr.KernelType.JIT]
+    assert len(launched) == 1
 
 
 def ground_distance(camera: Camera, dx: float, dy: float):

@@ -54,12 +54,20 @@ def data_set(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_rendered_data_set_passes(data_set):
     report = check_dataset(data_set, jobs=1)
-    assert report.offences == ()
+    assert report.findings == ()
     assert report.frames == report.checked == 2
-    assert all(tally.good == tally.images for tally in report.tallies)
-    idle = {tally.name for tally in report.tallies if not tally.images}
+    assert all(check_result.good == check_result.images for check_result in report.check_results)
+    idle = {check_result.name for check_result in report.check_results if not check_result.images}
     # Of fisheyes, of exposures and of branch modules: see test_module_labels.
     assert idle <= {"circle", "raw", "modules"}, "a check that looked at nothing"
+
+
+def test_every_picture_has_8_bits_or_16_of_depth(data_set):
+    pictures = sorted(data_set.rglob("*.png"))
+    assert {"semantic.png", "instance.png", "panoptic.png", "depth.png"} <= {path.name for path in pictures}
+    for path in pictures:
+        is_depth = path.stem == "depth" or path.parent.name == "depth"
+        assert path.read_bytes()[24] == (16 if is_depth else 8), path
 
 
 CLASSES = {
@@ -92,8 +100,8 @@ def of_classes(folder: Path, name: str) -> Path:
 def test_classes_are_categories(name, tmp_path):
     root, expected = of_classes(tmp_path, name), CLASSES[name][1]
     report = check_dataset(root, jobs=1)
-    assert report.offences == ()
-    ran = {tally.name for tally in report.tallies if tally.images}
+    assert report.findings == ()
+    ran = {check_result.name for check_result in report.check_results if check_result.images}
     assert {"coco", "coco files", "panoptic", "yolo boxes", "cryptomatte", "names", "classes.json"} <= ran
     assert "coverage" not in ran
     legend = json.loads((root / "classes.json").read_text())
@@ -110,8 +118,8 @@ def test_classes_are_categories(name, tmp_path):
         broken = tmp_path / check
         shutil.copytree(root, broken)
         make(broken)
-        found = check_dataset(broken, jobs=1, hashes=False, most=50).offences
-        assert check in {offence.check for offence in found}, check
+        found = check_dataset(broken, jobs=1, hashes=False, most=50).findings
+        assert check in {finding.check for finding in found}, check
 
 
 @pytest.mark.parametrize("name", MUTATIONS)
@@ -121,14 +129,14 @@ def test_a_single_break_is_named(name, data_set, tmp_path):
     shutil.copytree(data_set, broken)
     make(broken)
     report = check_dataset(broken, jobs=1, hashes="hashes" in check)
-    assert len(report.offences) == 1, "nothing found"
-    offence = report.offences[0]
-    assert (offence.check, offence.file) == (check, file), offence
+    assert len(report.findings) == 1, "nothing found"
+    finding = report.findings[0]
+    assert (finding.check, finding.file) == (check, file), finding
     place = dict(place)
     if "spot" in place:
         place["pixel"] = spots(data_set)[place.pop("spot")]
-    assert {key: getattr(offence, key) for key in place} == place, offence
-    assert offence.problem
+    assert {key: getattr(finding, key) for key in place} == place, finding
+    assert finding.problem
 
 
 def test_the_command_tells_what_it_found(data_set, tmp_path):
@@ -155,7 +163,7 @@ def test_the_command_tells_what_it_found(data_set, tmp_path):
     assert every.code == 6
     for word in ("plants: ", "stems: ", "hashes: "):
         assert word in every.out
-    assert "3 offenders" in every.err
+    assert "3 findings" in every.err
 
 
 @pytest.mark.slow
@@ -165,8 +173,8 @@ def test_the_number_of_processes_changes_nothing(data_set, tmp_path):
     for frame in (FRAME, NEXT):
         text(f"{frame}/semantic.png", "none")(broken)
     one, two = (check_dataset(broken, jobs=jobs, most=50) for jobs in (1, 2))
-    assert one.offences == two.offences
-    assert [offence.image for offence in one.offences] == [FRAME, FRAME, NEXT, NEXT]
+    assert one.findings == two.findings
+    assert [finding.image for finding in one.findings] == [FRAME, FRAME, NEXT, NEXT]
 
 
 def test_what_is_no_data_set_is_refused(tmp_path, data_set):

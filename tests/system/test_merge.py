@@ -47,7 +47,7 @@ def test_pieces_are_the_whole(whole, tmp_path, link):
     assert [tree(one) for one in pieces] == before
     same = (tmp_path / "c/train/000000-near/frame.exr").samefile(tmp_path / "a/train/000000-near/frame.exr")
     assert same == link
-    assert verify(tmp_path / "c", labels=False, jobs=1).offences == ()
+    assert verify(tmp_path / "c", labels=False, workers=1).findings == ()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "b", "c"]
 
 
@@ -144,7 +144,7 @@ def test_data_sets_of_two_recipes(whole, tmp_path):
         ("recipe-2.yaml", 10, 1),
     ]
     assert load_recipe(tmp_path / "c/recipe-2.yaml").draw(0).image_index == 10
-    assert verify(tmp_path / "c", labels=False, jobs=1).offences == ()
+    assert verify(tmp_path / "c", labels=False, workers=1).findings == ()
     clash = other_set(tmp_path, "e", 1, images=0)
     answer = run("merge", first, clash, "--out", tmp_path / "f")
     answer.refused(2, "image 1 in both", "--set first_image=2")

@@ -59,8 +59,8 @@ def kinds(data_set: Path) -> dict[str, np.ndarray]:
 def test_modules_pass(data_set: Path, kinds: dict[str, np.ndarray]) -> None:
     assert all(mask.sum() > 3 for mask in kinds.values())
     report = check_dataset(data_set, jobs=1)
-    assert report.offences == ()
-    assert "modules" in {tally.name for tally in report.tallies if tally.images}
+    assert report.findings == ()
+    assert "modules" in {check_result.name for check_result in report.check_results if check_result.images}
     assert branches._MOST_NODES == MOST_NODES
 
 
@@ -92,6 +92,6 @@ def test_a_single_break_is_named(name: str, data_set: Path, kinds: dict[str, np.
     shutil.copytree(data_set, broken)
     exr("module", channel, changed, frame=FRAME)(broken)
     report = check_dataset(broken, jobs=1, hashes=False, most=50)
-    found = [offence for offence in report.offences if offence.check == "modules"]
-    assert any(offence.problem.startswith(problem) and offence.pixel == (x, y) for offence in found), found
-    assert {offence.check for offence in report.offences} == {"modules"}
+    found = [finding for finding in report.findings if finding.check == "modules"]
+    assert any(finding.problem.startswith(problem) and finding.pixel == (x, y) for finding in found), found
+    assert {finding.check for finding in report.findings} == {"modules"}

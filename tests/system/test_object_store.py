@@ -345,3 +345,12 @@ def test_a_batch_in_s3_has_the_bytes_of_one_in_a_folder(whole: Path, bucket: str
     assert batch_pieces.shown(tmp_path / "fetched") == batch_pieces.shown(whole)
     assert (tmp_path / "fetched" / "dataset.json").exists()
     assert not any(_SECRET.encode() in path.read_bytes() for path in fetched)
+
+    place.write("train/000000-near/preview.png", b"cut")
+    place.remove("val/000001-high/camera.json")
+    place.remove("thumbnails/000002-near.jpg")
+    summary = run_batch(loaded, target, count=4, engine=resumed, resume=True)
+    assert engines[1].images == [0, 1], "what a listing shows to be damaged is made again"
+    assert summary.missing == ()
+    place.fetch(place.files(), tmp_path / "again")
+    assert batch_pieces.shown(tmp_path / "again") == batch_pieces.shown(whole)

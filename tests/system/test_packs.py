@@ -304,6 +304,26 @@ def test_a_missing_file_is_found_before_anything_is_written(copy, tmp_path):
     assert not (tmp_path / "pack").exists()
 
 
+@pytest.mark.parametrize("channels", [None, ("preview", "overlay")])
+def test_a_channel_that_some_frames_lack_is_an_error_by_frame_and_file(copy, tmp_path, channels):
+    """Whichever frame it is: the first must not decide alone, or the whole pack would lack the channel unsaid."""
+    for name in ("train/000000-camera0", "val/000004-camera0"):
+        file = copy / name / ("depth.png" if channels is None else "overlay.png")
+        content = file.read_bytes()
+        file.unlink()
+        with pytest.raises(DatasetError, match="missing") as caught:
+            packed(copy, tmp_path / "pack", channels=channels)
+        assert caught.value.where == str(file)
+        file.write_bytes(content)
+    assert not (tmp_path / "pack").exists()
+
+
+def test_a_channel_that_no_frame_has_is_left_out(copy, tmp_path):
+    for file in copy.glob("*/*/depth.png"):
+        file.unlink()
+    assert packed(copy, tmp_path / "pack").channels == ("preview", "semantic", "instance", "annotations")
+
+
 def test_refusals_say_what_would_do(copy, tmp_path):
     def ask(*arguments, folder=copy, form="webdataset"):
         return run("pack", folder, "--format", form, "--out", tmp_path / "pack", *arguments)

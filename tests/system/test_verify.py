@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import shutil
 from collections.abc import Callable, Iterator
@@ -13,10 +12,12 @@ from pathlib import Path
 import pytest
 from batch_pieces import copied
 from command_line import run
+from dataset_breaks import edit, flip, sum_again
 
 from forestgen.dataset.index import read_index, write_index
 from forestgen.runs.records import read_record, record_bytes
-from forestgen.runs.verify import Verdict, verify
+from forestgen.runs.verify import verify
+from forestgen.runs.verify_report import VerificationReport
 
 
 @pytest.fixture
@@ -25,33 +26,20 @@ def damaged(whole: Path, tmp_path: Path) -> Path:
     return copied(whole, tmp_path / "set")
 
 
-def named(verdict: Verdict) -> set[tuple[str, str]]:
-    return {(offence.check, offence.file) for offence in verdict.offences}
-
-
-def flip(path: Path) -> None:
-    content = bytearray(path.read_bytes())
-    content[len(content) // 2] ^= 1
-    path.write_bytes(content)
-
-
-def sum_again(root: Path) -> None:
-    """SHA256SUMS of the files as they are, by one who means to deceive, and who removes the records."""
-    shutil.rmtree(root / ".forestgen")
-    names = [line[66:] for line in (root / "SHA256SUMS").read_text().splitlines()]
-    lines = (f"{hashlib.sha256((root / name).read_bytes()).hexdigest()}  {name}\n" for name in names)
-    (root / "SHA256SUMS").write_text("".join(lines))
+def named(report: VerificationReport) -> set[tuple[str, str]]:
+    return {(finding.check, finding.file) for finding in report.findings}
 
 
 def test_a_sound_data_set_passes_in_full(whole):
-    verdict = verify(whole, rerender=1, seed=2, jobs=1)
-    assert verdict.offences == ()
-    assert verdict.notes == ()
-    assert (verdict.images, verdict.frames) == (4, 8)
-    names = [tally.name for tally in verdict.tallies]
-    assert names[:7] == ["sums", "listing", "records", "index", "frames", "seeds", "communities"]
-    assert names[7:] == ["labels train", "labels val", "renders"]
-    assert all(tally.good == tally.images > 0 for tally in verdict.tallies)
+    report = verify(whole, rerender=1, seed=2, workers=1)
+    assert report.findings == ()
+    assert report.notes == ()
+    assert (report.images, report.frames) == (4, 8)
+    names = [check_result.name for check_result in report.checks]
+    assert names[:7] == ["sums", "listing", "records", "index", "manifests", "recipes", "frames"]
+    assert names[7:9] == ["seeds", "communities"]
+    assert names[9:] == ["labels train", "labels val", "renders"]
+    assert all(check_result.good == check_result.images > 0 for check_result in report.checks)
 
 
 def kinds(root: Path) -> Iterator[str]:
@@ -74,7 +62,7 @@ def test_a_flipped_bit_is_found_in_every_kind_of_file(whole, tmp_path):
         for path in paths:
             (root / path).write_bytes((root / path).read_bytes())  # it may be a link
             flip(root / path)
-        found = {file for check, file in named(verify(root, labels=False, jobs=2)) if check == "sums"}
+        found = {file for check, file in named(verify(root, labels=False, workers=2)) if check == "sums"}
         assert found == set(paths)
         count += len(paths)
         shutil.rmtree(root)
@@ -86,12 +74,6 @@ def replace_frame(root: Path) -> None:
     one.rename(root / "aside")
     other.rename(one)
     (root / "aside").rename(other)
-
-
-def edit(path: Path, old: str, new: str) -> None:
-    text = path.read_text()
-    assert old in text
-    path.write_text(text.replace(old, new, 1))
 
 
 def rename_camera(path: Path) -> None:
@@ -136,25 +118,25 @@ DAMAGES: dict[str, tuple[Callable[[Path], object], tuple[str, str]]] = {
 def test_damage_is_named(damaged, name):
     harm, expected = DAMAGES[name]
     harm(damaged)
-    verdict = verify(damaged, labels=False, jobs=2)
-    assert expected in named(verdict)
-    offence = next(one for one in verdict.offences if (one.check, one.file) == expected)
-    assert offence.problem
-    failed = {tally.name for tally in verdict.tallies if tally.good < tally.images}
+    report = verify(damaged, labels=False, workers=2)
+    assert expected in named(report)
+    finding = next(one for one in report.findings if (one.check, one.file) == expected)
+    assert finding.problem
+    failed = {check_result.name for check_result in report.checks if check_result.good < check_result.images}
     assert expected[0] in failed
 
 
 def test_a_damaged_record_is_named(damaged):
     path = next((damaged / ".forestgen/jobs").glob("000002-*"))
     path.write_bytes(path.read_bytes()[:-40])
-    assert ("records", f".forestgen/jobs/{path.name}") in named(verify(damaged, labels=False, jobs=1))
+    assert ("records", f".forestgen/jobs/{path.name}") in named(verify(damaged, labels=False, workers=1))
 
 
 def test_without_hashes_only_what_is_missing_is_found(damaged):
     flip(damaged / "train/000000-near/overlay.png")
-    assert verify(damaged, labels=False, hashes=False, jobs=1).offences == ()
+    assert verify(damaged, labels=False, hashes=False, workers=1).findings == ()
     (damaged / "train/000000-near/overlay.png").unlink()
-    assert named(verify(damaged, labels=False, hashes=False, jobs=1)) == {("sums", "train/000000-near/overlay.png")}
+    assert named(verify(damaged, labels=False, hashes=False, workers=1)) == {("sums", "train/000000-near/overlay.png")}
 
 
 def rows_changed(root: Path, **values: object) -> None:
@@ -167,28 +149,28 @@ def rows_changed(root: Path, **values: object) -> None:
 
 def test_an_index_that_lies_is_found_by_the_frames(damaged):
     rows_changed(damaged, plants_in_view=99)
-    verdict = verify(damaged, labels=False, jobs=1)
-    assert named(verdict) == {("frames", "index.parquet")}
-    assert "99" in verdict.offences[0].got
-    assert any("no records" in note for note in verdict.notes)
+    report = verify(damaged, labels=False, workers=1)
+    assert named(report) == {("frames", "index.parquet")}
+    assert "99" in report.findings[0].got
+    assert any("no records" in note for note in report.notes)
 
 
 def test_a_seed_in_two_splits_is_found(damaged):
     rows = list(read_index(damaged / "index.parquet"))
     other = next(row["image_seed"] for row in rows if row["split"] != rows[0]["split"])
     rows_changed(damaged, image_seed=other)
-    found = named(verify(damaged, labels=False, jobs=1))
-    assert {check for check, _ in found} == {"index", "seeds"}  # and dataset.json has another digest
+    found = named(verify(damaged, labels=False, workers=1))
+    assert {check for check, _ in found} == {"index", "manifests", "seeds"}  # and dataset.json has another digest
 
 
 def test_a_community_in_two_splits_is_found(damaged):
     """The plants of a training frame, copied into the validation's."""
     shutil.copyfile(damaged / "train/000000-near/plants.parquet", damaged / "val/000001-near/plants.parquet")
     sum_again(damaged)
-    verdict = verify(damaged, labels=False, jobs=1)
-    offence = next(one for one in verdict.offences if one.check == "communities")
-    assert offence.file == "val/000001-near"
-    assert "train/000000-" in offence.expected
+    report = verify(damaged, labels=False, workers=1)
+    finding = next(one for one in report.findings if one.check == "communities")
+    assert finding.file == "val/000001-near"
+    assert "train/000000-" in finding.expected
 
 
 def test_labels_of_each_split_are_checked(damaged):
@@ -197,7 +179,7 @@ def test_labels_of_each_split_are_checked(damaged):
     content["annotations"][0]["area"] += 1
     path.write_text(json.dumps(content))
     sum_again(damaged)
-    found = [one for one in verify(damaged, jobs=1).offences if one.check.startswith("labels")]
+    found = [one for one in verify(damaged, workers=1).findings if one.check.startswith("labels")]
     assert {one.check for one in found} == {"labels val"}
     assert found[0].file == "val/coco.json"
 
@@ -221,13 +203,13 @@ def test_retouched_pictures_are_found_by_rendering_again(damaged):
     said["made_with"][0]["packages"]["numpy"] = "1.0"
     (damaged / "dataset.json").write_text(json.dumps(said))
     sum_again(damaged)
-    assert verify(damaged, labels=False, jobs=1).offences == ()
-    verdict = verify(damaged, labels=False, rerender=1, jobs=1)
-    (offence,) = verdict.offences
-    assert offence.check == "renders"
-    assert damaged / offence.file in paths
-    assert "numpy 1.0, now" in offence.got
-    assert any("numpy 1.0, now" in note for note in verdict.notes)
+    assert verify(damaged, labels=False, workers=1).findings == ()
+    report = verify(damaged, labels=False, rerender=1, workers=1)
+    (finding,) = report.findings
+    assert finding.check == "renders"
+    assert damaged / finding.file in paths
+    assert "numpy 1.0, now" in finding.got
+    assert any("numpy 1.0, now" in note for note in report.notes)
 
 
 def test_the_command_says_what_it_found(whole, damaged):
@@ -249,7 +231,7 @@ def test_other_folders_are_refused_with_what_to_do(whole, tmp_path):
     run("verify", whole / "train").refused(2, "a part of a data set", str(whole))
     run("verify", whole.parent).refused(2, "whole")
     shutil.copytree(whole / "train", tmp_path / "plain")
-    run("verify", tmp_path / "plain").refused(2, "forestgen render", "forestgen labels check")
+    run("verify", tmp_path / "plain").refused(2, "a split without its data set", "name the folder")
     unfinished = copied(whole, tmp_path / "unfinished", [0])
     run("verify", unfinished).refused(2, "not finished", "--resume")
     (unfinished / "dataset.json").write_text("{}")

@@ -100,6 +100,7 @@ Decisions
 - Cells are an eighth of the least median radius, kernel reach in metres, or spacing; at most 2^25 in all fields.
   Where that is too coarse a note says so. A kernel counts at a cell's middle: a hard core may be violated by part of
   a diagonal.
+- Kernels that would change more than 2e10 cells in all, about a minute's work, are refused before the first plant.
 - Plants that find no place are left out, and a note says how many and why.
 - {hopkins: H}: all kernels are one, of the family in `placement/clustering.py`, found by bisection with the same
   random numbers, on the plants themselves or, of more than 2,000, on every so-manieth of them on a smaller site. H is
@@ -161,6 +162,7 @@ from forestgen.community.placement.model import (
     wanted_plants,
 )
 from forestgen.community.placement.stands import PlacementParameters
+from forestgen.community.placement.work import kernel_work
 from forestgen.community.population import Population
 from forestgen.community.standing import State
 from forestgen.recipe.fields import Whole
@@ -173,6 +175,7 @@ _MOST_PIXELS = 2048  # of a map, along its longer side, that its own detail asks
 _IDLE, _MANY = 0.2, 100  # reach over spacing below which kernels hardly act, of so many plants
 _BLURRED = 2  # cells per length: with fewer, a note says so
 _BYTES_PER_CELL = 24  # of a field and what it sums up
+_MOST_CHANGES = 2e10  # of cells by all plants: 50 s of one core
 _BYTES_PER_CELL_MADE = 40  # of the one field that is being read from map and conditions
 
 
@@ -295,6 +298,7 @@ class DeformationKernel(PlacementModel):
         plants = super().estimate_bytes(parameters, site, species)
         layout = _layout(parameters, site, species)
         rows, cols = grid_shape(site, layout.cells)
+        _check_work(parameters, site, species, layout)
         return plants + rows * cols * (len(layout.species) * _BYTES_PER_CELL + _BYTES_PER_CELL_MADE)
 
     def densities(
@@ -308,6 +312,25 @@ class DeformationKernel(PlacementModel):
         cells = min(max(_layout(parameters, site, species).cells, COUNTING_CELLS), 2048)
         asked = asked_densities(parameters, site, species, grid_shape(site, cells))
         return deformed(asked, site, parameters.periodic, species, placed, kernel_matrix(parameters.kernels, names))
+
+
+def _check_work(
+    parameters: DeformationKernelParameters, site: Site, species: Sequence[SpeciesEcology], layout: _Layout
+) -> None:
+    """Refuse kernels that would change more cells than a minute allows."""
+    acting = {}
+    for one, count in zip(species, plant_counts(parameters, site, species).tolist(), strict=True):
+        if count:
+            sizes = sizes_of(parameters.plants[one.name].radius_m, one)
+            acting[one.name] = (count, min(sizes.median * math.exp(sizes.sigma**2), one.max_radius_m))  # mean square
+    cells = math.prod(grid_shape(site, layout.cells))
+    work = kernel_work(parameters.kernels, site, acting, {species[i].name: cells for i in layout.species})
+    work.refuse_over(
+        _MOST_CHANGES,
+        "changes of cells by all plants, about a minute's work",
+        f"{sum(count for count, _ in acting.values()):,} plants on a grid of {cells:,} cells",
+        "fewer plants, or a smaller community.cells",
+    )
 
 
 def _kernels(

@@ -377,7 +377,8 @@ def _longest_life(parameters: FootprintParameters, one: SpeciesEcology) -> float
     loss = parameters.health_loss_per_yr * (1 - one.shade_tolerance) * parameters.step_yr
     slowest = one.growth_m_per_yr * parameters.step_yr * min(1.0, gain) ** parameters.growth_exponent
     free = one.max_radius_m / slowest + 1 if slowest > 0 else math.inf
-    dominated = (1 + gain * free) / loss + 1 if loss > 0 else math.inf
+    regained = gain * free if gain > 0 else 0.0
+    dominated = (1 + regained) / loss + 1 if loss > 0 else math.inf
     mature = 1 / (1 - one.old_age_survival) if one.old_age_survival < 1 else math.inf
     return free + dominated + mature
 

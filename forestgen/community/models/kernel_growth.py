@@ -105,6 +105,7 @@ from forestgen.community.placement.kernels import (
     kernel_matrix,
     species_named,
 )
+from forestgen.community.placement.work import kernel_work
 from forestgen.community.population import Population, Status
 from forestgen.community.snapshot_checks import Limits, arrival_limits, check_columns, check_radii
 from forestgen.core.randomness import child_rng
@@ -115,6 +116,7 @@ _BYTES_PER_PLANT = 400  # at the peak: a state, its successor, the tables betwee
 _BYTES_PER_CELL = 32  # and a species, with one more for what is made of them
 _BYTES_PER_KERNEL = 2 * 8 * 1025  # of the matrix, once more while it is made
 _BYTES_AT_LEAST = 1024 * 1024
+_MOST_PAIRS = 2e9
 
 
 class KernelGrowthParameters(CommunityParameters):
@@ -352,9 +354,23 @@ class KernelGrowth:
         """Bytes for the bound of the mean number of plants and six standard deviations of a Poisson number more."""
         plants = self.expected_plants(parameters, site, species)
         plants = min(plants + 6 * math.sqrt(plants), 1e30)
+        _check_work(parameters, site, species)
         cells = math.prod(_ground(parameters, site, species).shape) * (len(species) + 1)
         kernels = len(species) ** 2 * _BYTES_PER_KERNEL
         return _BYTES_AT_LEAST + math.ceil(plants * _BYTES_PER_PLANT) + cells * _BYTES_PER_CELL + kernels
+
+
+def _check_work(parameters: KernelGrowthParameters, site: Site, species: Sequence[SpeciesEcology]) -> None:
+    """Refuse an initial cohort of which so many plants lie within a kernel's reach that a step takes half a minute."""
+    plants = parameters.initial_plants_per_ha * site.area_ha / max(1, len(species))
+    acting = {one.name: (plants, one.seedling_radius_m) for one in species}
+    if plants:
+        kernel_work(parameters.kernels, site, acting, dict.fromkeys(acting, plants)).refuse_over(
+            _MOST_PAIRS,
+            "pairs of the first plants, about 20 s a step",
+            f"initial_plants_per_ha is {parameters.initial_plants_per_ha:g}",
+            "or fewer initial_plants_per_ha",
+        )
 
 
 def _ground(parameters: KernelGrowthParameters, site: Site, species: Sequence[SpeciesEcology]) -> Ground:

@@ -71,7 +71,8 @@ Decided where the thesis is silent or contradicts itself:
   seeds that fall beyond it are lost.
 - The thesis prints neither the parameters of its species nor the size of its site. recipes/reproductions/ has values
   that give its numbers.
-- A word that holds a T must be a plant and nothing else. Other words (X above) are the program's own.
+- A word that holds a T must be a plant and nothing else. Other words (X above) are the program's own,
+  of 50,000 modules at most in all: each step of a history holds them.
 """
 
 from __future__ import annotations

@@ -33,6 +33,7 @@ from forestgen.recipe.sources import Keys
 
 SAMPLES = 1024  # of a kernel's table; κ is linear between them
 GREATEST = 1e6  # of κ: what one plant may multiply a field by, which is scaled between plants lest it overflow
+GREATEST_REACH = 1e4  # radii or metres
 LEAST_HOPKINS, MOST_HOPKINS = 0.4, 10.0
 
 KernelName = Literal["inhibition", "neutral", "weak_clustering", "clustering"]
@@ -53,7 +54,9 @@ class KernelSection(Section):
 
     curve: Curve = Field(description="κ by distance: a number, points, {smooth: points} or {formula: text}; >= 0.")
     reach: Positive | None = Field(
-        None, le=1e4, description="Distance beyond which κ is 1; null: that of the last point. A formula needs one."
+        None,
+        le=GREATEST_REACH,
+        description="Distance beyond which κ is 1; null: that of the last point. A formula needs one.",
     )
     distance: Literal["radii", "metres"] = Field(
         "radii", description="What distances count in: radii of the plant that deforms, or metres."
@@ -85,6 +88,13 @@ class KernelSection(Section):
         if len(points) > 1 and (points[0][0] < 0 or points[-1][0] <= 0):
             raise mistake(
                 "positions from 0 on", problem="a distance is not negative", got=f"{points[0][0]:g}", at=("curve",)
+            )
+        if self.reach is None and points[-1][0] > GREATEST_REACH:
+            raise mistake(
+                f"a last point at {GREATEST_REACH:g} at most",
+                problem="this kernel reaches too far",
+                got=f"{points[-1][0]:g}",
+                at=("curve",),
             )
         return self
 

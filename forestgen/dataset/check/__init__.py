@@ -5,7 +5,7 @@ recompute from the files' definitions in plain NumPy. They share no code with th
 numbers of parts.
 """
 
-from forestgen.dataset.check.offence import Offence
-from forestgen.dataset.check.run import Report, Tally, check_dataset
+from forestgen.dataset.check.finding import Finding
+from forestgen.dataset.check.run import MOST_NAMED, CheckResult, Report, check_dataset
 
-__all__ = ["Offence", "Report", "Tally", "check_dataset"]
+__all__ = ["MOST_NAMED", "CheckResult", "Finding", "Report", "check_dataset"]

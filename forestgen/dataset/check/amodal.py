@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.dataset.check.finding import Finding, number, numbers
 from forestgen.dataset.check.frame_data import PLANTS, FrameData
-from forestgen.dataset.check.offence import Offence, number, numbers
 
 _BOX = ("amodal_box_x", "amodal_box_y", "amodal_box_w", "amodal_box_h")
 _FULL = ("full_box_left", "full_box_top", "full_box_right", "full_box_bottom")
@@ -22,7 +22,7 @@ def has_amodal(frame: FrameData) -> bool:
     return there and bool(_asked(frame).any())
 
 
-def amodal(frame: FrameData) -> Iterator[Offence]:
+def amodal(frame: FrameData) -> Iterator[Finding]:
     """Visible pixels, box and fraction lie within the amodal ones, these within the image and the full box."""
     asked = _asked(frame)
     width, height = frame.size_px
@@ -43,7 +43,7 @@ def amodal(frame: FrameData) -> Iterator[Offence]:
         yield from _full_boxes(frame, box, filled)
 
 
-def _visible_inside(frame: FrameData, box: NDArray[np.float64]) -> Iterator[Offence]:
+def _visible_inside(frame: FrameData, box: NDArray[np.float64]) -> Iterator[Finding]:
     own = np.stack([_column(frame, f"box_{side}") for side in "xywh"], axis=1)
     seen = ~np.isnan(own).any(axis=1)
     low = own[:, :2] >= box[:, :2]
@@ -52,7 +52,7 @@ def _visible_inside(frame: FrameData, box: NDArray[np.float64]) -> Iterator[Offe
     yield from _rows(frame, seen & ~within, "the box is not within amodal_box", own, box)
 
 
-def _fractions(frame: FrameData, asked: NDArray[np.bool_]) -> Iterator[Offence]:
+def _fractions(frame: FrameData, asked: NDArray[np.bool_]) -> Iterator[Finding]:
     """visible_fraction = visible area / amodal area, at most 1; null where that is nothing."""
     area, seen = _column(frame, "amodal_area_px"), _column(frame, "visible_area_px")
     fraction = _column(frame, "visible_fraction")
@@ -63,7 +63,7 @@ def _fractions(frame: FrameData, asked: NDArray[np.bool_]) -> Iterator[Offence]:
     yield from _rows(frame, ~agree, "visible_fraction is not visible by amodal area", expected, fraction)
 
 
-def _full_boxes(frame: FrameData, box: NDArray[np.float64], filled: NDArray[np.bool_]) -> Iterator[Offence]:
+def _full_boxes(frame: FrameData, box: NDArray[np.float64], filled: NDArray[np.bool_]) -> Iterator[Finding]:
     width, height = frame.size_px
     full = np.stack([_column(frame, side) for side in _FULL], axis=1)
     known = ~np.isnan(full).any(axis=1)
@@ -97,9 +97,9 @@ def _rows(
     problem: str,
     expected: NDArray[np.float64] | str,
     got: NDArray[np.float64],
-) -> Iterator[Offence]:
+) -> Iterator[Finding]:
     for row in np.flatnonzero(wrong):
-        yield frame.offence(
+        yield frame.finding(
             PLANTS,
             problem,
             expected=expected if isinstance(expected, str) else numbers(expected[row]),

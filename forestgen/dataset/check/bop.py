@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from forestgen.dataset.check.files import read_picture
+from forestgen.dataset.check.finding import Finding, numbers
 from forestgen.dataset.check.frame_data import FrameData
 from forestgen.dataset.check.merged import BOP, Merged
-from forestgen.dataset.check.offence import Offence, numbers
 
 _TOLERANCE = 1e-9
 
@@ -24,33 +24,33 @@ def has_share(frame: FrameData) -> bool:
     return BOP in frame.task.shared
 
 
-def structure(merged: Merged) -> Iterator[Offence]:
+def structure(merged: Merged) -> Iterator[Finding]:
     """Each frame is one image of one scene."""
     for name in merged.frames:
         if name not in merged.bop_by_frame:
-            yield Offence(f"{BOP}/train_pbr", "a frame is in no scene", expected="an image", got="none", image=name)
+            yield Finding(f"{BOP}/train_pbr", "a frame is in no scene", expected="an image", got="none", image=name)
 
 
-def plants(frame: FrameData) -> Iterator[Offence]:
+def plants(frame: FrameData) -> Iterator[Finding]:
     """The plants of the mask by rising id, with the counts of visible and amodal masks, and their pictures."""
     share = frame.task.shared[BOP]
     scene, image = PurePosixPath(share["scene"]), int(share["image"])
+    yield from _camera(frame, share, scene)
     listed = [one["plant_id"] for one in share["gt"]]
     if listed != frame.extents.plant_id.tolist() or len(share["info"]) != len(listed):
         file = str(scene / "scene_gt.json")
-        missing = sorted(set(listed) ^ set(frame.extents.plant_id.tolist()))
-        plant = missing[0] if missing else None
+        differing = sorted(set(listed) ^ set(frame.extents.plant_id.tolist()))
         problem = "plants are not those of the mask, by rising id"
-        yield Offence(file, problem, str(len(frame.extents.plant_id)), str(len(listed)), frame.name, plant)
+        for plant in differing or [None]:
+            yield Finding(file, problem, str(len(frame.extents.plant_id)), str(len(listed)), frame.name, plant)
         return
-    yield from _camera(frame, share, scene)
     for row, info in enumerate(share["info"]):
         yield from _info(frame, str(scene / "scene_gt_info.json"), row, info)
         for folder in ("mask", "mask_visib"):
             yield from _mask(frame, str(scene / folder / f"{image:06d}_{row:06d}.png"), folder, row)
 
 
-def _camera(frame: FrameData, share: dict[str, Any], scene: PurePosixPath) -> Iterator[Offence]:
+def _camera(frame: FrameData, share: dict[str, Any], scene: PurePosixPath) -> Iterator[Finding]:
     camera, entry = frame.camera, share["camera"]
     pairs = (
         ("cam_K", np.asarray(camera.values["K"], dtype=np.float64).ravel()),
@@ -60,10 +60,10 @@ def _camera(frame: FrameData, share: dict[str, Any], scene: PurePosixPath) -> It
     for key, expected in pairs:
         if not np.allclose(np.asarray(entry[key], dtype=np.float64), expected, rtol=1e-6, atol=1e-6):
             file = str(scene / "scene_camera.json")
-            yield Offence(file, f"{key} is not camera.json's", numbers(expected), numbers(entry[key]), frame.name)
+            yield Finding(file, f"{key} is not camera.json's", numbers(expected), numbers(entry[key]), frame.name)
 
 
-def _info(frame: FrameData, file: str, row: int, info: dict[str, Any]) -> Iterator[Offence]:
+def _info(frame: FrameData, file: str, row: int, info: dict[str, Any]) -> Iterator[Finding]:
     plant = int(frame.extents.plant_id[row])
     table = frame.row_of.get(plant)
     if table is None:
@@ -79,29 +79,29 @@ def _info(frame: FrameData, file: str, row: int, info: dict[str, Any]) -> Iterat
     ):
         if info[key] != expected:
             problem = f"{key} is not the mask's"
-            yield Offence(file, problem, str(expected), str(info[key]), frame.name, plant)
+            yield Finding(file, problem, str(expected), str(info[key]), frame.name, plant)
     if not abs(info["visib_fract"] - seen / alone) <= _TOLERANCE:
         problem = "visib_fract is not px_count_visib / px_count_all"
-        yield Offence(file, problem, str(seen / alone), str(info["visib_fract"]), frame.name, plant)
+        yield Finding(file, problem, str(seen / alone), str(info["visib_fract"]), frame.name, plant)
     if not 0 <= info["px_count_valid"] <= info["px_count_all"]:
         problem = "px_count_valid is more than px_count_all"
-        yield Offence(file, problem, f"0 to {info['px_count_all']}", str(info["px_count_valid"]), frame.name, plant)
+        yield Finding(file, problem, f"0 to {info['px_count_all']}", str(info["px_count_valid"]), frame.name, plant)
 
 
-def _mask(frame: FrameData, file: str, folder: str, row: int) -> Iterator[Offence]:
+def _mask(frame: FrameData, file: str, folder: str, row: int) -> Iterator[Finding]:
     plant = int(frame.extents.plant_id[row])
     mask = read_picture(frame.task.root, file)
     if mask.shape != frame.instance.shape or not np.isin(mask, (0, 255)).all():
-        yield Offence(file, "this is no mask of the image's size", "0 and 255", str(mask.shape), frame.name, plant)
+        yield Finding(file, "this is no mask of the image's size", "0 and 255", str(mask.shape), frame.name, plant)
         return
     own = frame.instance == plant
     wrong = (mask != 0) != own if folder == "mask_visib" else own & (mask == 0)
     if wrong.any():
         line, column = np.argwhere(wrong)[0].tolist()
         problem = {"mask": "a visible pixel is outside the mask"}.get(folder, "the mask is not the instance mask")
-        yield Offence(file, problem, "", "", frame.name, plant, (column, line))
+        yield Finding(file, problem, "", "", frame.name, plant, (column, line))
     if folder == "mask" and plant in frame.row_of:
         expected, got = int(frame.plants["amodal_pixels"][frame.row_of[plant]]), int(np.count_nonzero(mask))
         if expected != got:
             problem = "the mask has another area than amodal_pixels"
-            yield Offence(file, problem, str(expected), str(got), frame.name, plant)
+            yield Finding(file, problem, str(expected), str(got), frame.name, plant)

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from forestgen.core.parts import Part
+from forestgen.dataset.check.finding import Finding
 from forestgen.dataset.check.frame_data import EXR, FrameData
-from forestgen.dataset.check.offence import Offence
 from forestgen.dataset.check.pixels import wrong_pixels
 
 _MOST_NODES = 32  # of a prototype; nodes are below
@@ -19,7 +19,7 @@ def has_branches(frame: FrameData) -> bool:
     return frame.has_part("module", "number", "node", "own")
 
 
-def branches(frame: FrameData) -> Iterator[Offence]:
+def branches(frame: FrameData) -> Iterator[Finding]:
     """Numbers within their ranges; a plant's pixels have a module all or none, and no ground, sky or house has one."""
     module = frame.exr["module"]
     number, node, own = module["number"], module["node"], module["own"]

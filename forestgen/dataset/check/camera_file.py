@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.dataset.check.offence import Offence, UnreadableError
+from forestgen.dataset.check.finding import Finding, UnreadableError
 
 PINHOLE, ORTHOGRAPHIC, FISHEYE, PANORAMA = "pinhole", "orthographic", "fisheye", "equirectangular"
 
@@ -141,7 +141,7 @@ def camera_of(values: Any, file: str) -> CameraFile:
             "size_px, camera_from_world (4 x 4), position_m, and K (3 x 3) or what the model needs, finite numbers"
         )
         raise UnreadableError(
-            Offence(file, "the camera cannot be understood", expected=expected, got=_reason(error))
+            Finding(file, "the camera cannot be understood", expected=expected, got=_reason(error))
         ) from error
     return CameraFile((size[0], size[1]), model, focal, centre, float(widest), pose, position, values)
 

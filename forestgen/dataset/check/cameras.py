@@ -8,9 +8,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from forestgen.dataset.check.camera_file import PANORAMA
+from forestgen.dataset.check.finding import Finding, number, numbers
 from forestgen.dataset.check.frame_data import FrameData
 from forestgen.dataset.check.merged import TRANSFORMS, Merged, folder_of
-from forestgen.dataset.check.offence import Offence, number, numbers
 
 _TOLERANCE = 1e-6
 
@@ -23,7 +23,7 @@ def has_share(frame: FrameData) -> bool:
     return TRANSFORMS in frame.task.shared
 
 
-def structure(merged: Merged) -> Iterator[Offence]:
+def structure(merged: Merged) -> Iterator[Finding]:
     """Each frame is once in the transforms of its image, and the files that they name are there."""
     seen: Counter[str] = Counter()
     for file in merged.transforms_files:
@@ -32,14 +32,14 @@ def structure(merged: Merged) -> Iterator[Offence]:
             seen[name] += 1
             for key in ("file_path", "depth_file_path"):
                 if key in frame and not (merged.root / str(frame[key])).is_file():
-                    yield Offence(file, f"{key} is not there", got=str(frame[key]), image=name)
+                    yield Finding(file, f"{key} is not there", got=str(frame[key]), image=name)
     for name in merged.frames:
         if seen[name] != 1:
             got = f"{seen[name]} times"
-            yield Offence(merged.transforms_files[0], "a frame is not listed once", "once", got, name)
+            yield Finding(merged.transforms_files[0], "a frame is not listed once", "once", got, name)
 
 
-def transforms(frame: FrameData) -> Iterator[Offence]:
+def transforms(frame: FrameData) -> Iterator[Finding]:
     """The pose is camera.json's inverse with y and z turned round; the focal lengths and the centre are its model's."""
     share, camera = frame.task.shared[TRANSFORMS], frame.camera
     file = share["file"]
@@ -47,7 +47,7 @@ def transforms(frame: FrameData) -> Iterator[Offence]:
     got = np.asarray(share["transform_matrix"], dtype=np.float64)
     if got.shape != (4, 4) or not np.allclose(got, expected, rtol=_TOLERANCE, atol=_TOLERANCE):
         problem = "transform_matrix is not camera.json's pose"
-        yield Offence(file, problem, numbers(expected), numbers(got), frame.name)
+        yield Finding(file, problem, numbers(expected), numbers(got), frame.name)
     width, height = camera.size_px
     # A panorama's are so that (x - cx) / fl_x runs from -1 to 1 and (y - cy) / fl_y from -1/2 to 1/2.
     focal = (width / 2, height) if camera.model == PANORAMA else camera.focal_px
@@ -56,4 +56,4 @@ def transforms(frame: FrameData) -> Iterator[Offence]:
         *(("cx", camera.centre_px[0]), ("cy", camera.centre_px[1])),
     ):
         if not abs(float(share[key]) - float(value)) <= _TOLERANCE * max(1.0, abs(float(value))):
-            yield Offence(file, f"{key} is not camera.json's", number(value), number(share[key]), frame.name)
+            yield Finding(file, f"{key} is not camera.json's", number(value), number(share[key]), frame.name)

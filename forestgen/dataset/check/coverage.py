@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from forestgen.dataset.check.finding import Finding
 from forestgen.dataset.check.frame_data import EXR, FrameData
-from forestgen.dataset.check.offence import Offence
 from forestgen.dataset.check.pixels import wrong_pixels
 
 _SUM_TOLERANCE = 1e-6
@@ -17,7 +17,7 @@ def has_coverage(frame: FrameData) -> bool:
     return frame.has_part("coverage", "rank0.id", "rank0.coverage")
 
 
-def coverage(frame: FrameData) -> Iterator[Offence]:
+def coverage(frame: FrameData) -> Iterator[Finding]:
     """Each share lies in (0, 1], they fall, sum to 1 (up to 1 where ranks ran out), and rank 0 is the instance."""
     ids, share = frame.ranks
     total = share.sum(axis=-1, dtype=np.float64)
@@ -43,7 +43,7 @@ def coverage(frame: FrameData) -> Iterator[Offence]:
     yield from _ties_and_repeats(frame)
 
 
-def _ties_and_repeats(frame: FrameData) -> Iterator[Offence]:
+def _ties_and_repeats(frame: FrameData) -> Iterator[Finding]:
     """Equal coverages stand by rising id; no id stands twice."""
     ids, share = frame.ranks
     filled = share[..., 1:] > 0

@@ -9,7 +9,6 @@ Psyop, "Cryptomatte specification", version 1.2.0. Appleby, MurmurHash3, x86, 32
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from typing import Any
 
@@ -18,9 +17,10 @@ from numpy.typing import NDArray
 
 from forestgen.dataset.check.coverage import has_coverage
 from forestgen.dataset.check.files import read_exr
+from forestgen.dataset.check.finding import Finding, numbers
 from forestgen.dataset.check.frame_data import FrameData
-from forestgen.dataset.check.offence import Offence, numbers
 from forestgen.dataset.check.pixels import wrong_pixels
+from forestgen.dataset.safe_path import load_json
 
 FILE = "cryptomatte.exr"
 _LAYER = "CryptoPlant"
@@ -32,7 +32,7 @@ def has_cryptomatte(frame: FrameData) -> bool:
     return frame.has(FILE)
 
 
-def cryptomatte(frame: FrameData) -> Iterator[Offence]:
+def cryptomatte(frame: FrameData) -> Iterator[Finding]:
     """Every name has the standard's id; plants and shares are those of frame.exr's ranks, or suit its mask."""
     parts, header = read_exr(frame.task.root, frame.file(FILE))
     channels = next(iter(parts.values()))
@@ -41,13 +41,13 @@ def cryptomatte(frame: FrameData) -> Iterator[Offence]:
         for name, code in names.items():
             if int(code, 16) != standard_id(name):
                 expected = f"{standard_id(name):08x}"
-                yield frame.offence(FILE, f"{layer}: the id of {name} is not its hash", expected=expected, got=code)
+                yield frame.finding(FILE, f"{layer}: the id of {name} is not its hash", expected=expected, got=code)
     plant_of = {int(code, 16): int(name.rpartition("_")[2]) for name, code in manifests[_LAYER].items()}
     for plant in sorted(set(plant_of.values()) - set(frame.row_of)):
-        yield frame.offence(FILE, "a named plant is not in plants.parquet", expected="a row of it", plant_id=plant)
+        yield frame.finding(FILE, "a named plant is not in plants.parquet", expected="a row of it", plant_id=plant)
     ids, share = _ranks(channels)
     if share.shape[:2] != frame.instance.shape:
-        yield frame.offence(FILE, "the picture has another size than frame.exr", got=str(share.shape[1::-1]))
+        yield frame.finding(FILE, "the picture has another size than frame.exr", got=str(share.shape[1::-1]))
         return
     if not has_coverage(frame):
         yield from _by_mask(frame, _plants(ids, plant_of), share)
@@ -72,7 +72,7 @@ def cryptomatte(frame: FrameData) -> Iterator[Offence]:
             yield from wrong_pixels(frame, FILE, image, problem, numbers(wanted[row]), numbers(plants[row]))
 
 
-def _by_mask(frame: FrameData, plants: NDArray[np.int64], share: NDArray[np.float32]) -> Iterator[Offence]:
+def _by_mask(frame: FrameData, plants: NDArray[np.int64], share: NDArray[np.float32]) -> Iterator[Finding]:
     """(H, W, K) plants and shares: known, falling, within 1, and the mask's plant has the largest share, 0 the rest."""
     held = np.where(plants != 0, share, np.float32(0.0))
     total, most = held.sum(axis=-1), held.max(axis=-1)
@@ -131,7 +131,7 @@ def _manifests(header: dict[str, Any]) -> dict[str, dict[str, str]]:
     found = {}
     for key, value in header.items():
         if key.startswith("cryptomatte/") and key.endswith("/name"):
-            found[str(value)] = dict(json.loads(header[key.removesuffix("name") + "manifest"]))
+            found[str(value)] = dict(load_json(header[key.removesuffix("name") + "manifest"]))
     return found
 
 

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from forestgen.dataset.check.files import read_json
+from forestgen.dataset.check.finding import Finding
 from forestgen.dataset.check.frame_data import FrameData
-from forestgen.dataset.check.offence import Offence
 from forestgen.dataset.check.pixels import wrong_pixels
 
 PICTURE, SCALE = "depth.png", "depth.json"
@@ -20,11 +20,11 @@ def has_depth_png(frame: FrameData) -> bool:
     return frame.has(PICTURE) and frame.has_part("depth", "Z")
 
 
-def depth_png(frame: FrameData) -> Iterator[Offence]:
+def depth_png(frame: FrameData) -> Iterator[Finding]:
     """Steps times unit_m is the depth within half a step."""
     unit_m = float(read_json(frame.task.root, frame.file(SCALE))["unit_m"])
     if not unit_m > 0:
-        yield frame.offence(SCALE, "unit_m is no length", expected="metres, more than 0", got=str(unit_m))
+        yield frame.finding(SCALE, "unit_m is no length", expected="metres, more than 0", got=str(unit_m))
         return
     got = frame.picture(PICTURE).astype(np.float64)
     steps = frame.exr["depth"]["Z"].astype(np.float64) / unit_m

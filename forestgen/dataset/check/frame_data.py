@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -14,8 +13,9 @@ from numpy.typing import NDArray
 
 from forestgen.dataset.check.camera_file import CameraFile, camera_of
 from forestgen.dataset.check.files import read_exr, read_json, read_picture, read_table
-from forestgen.dataset.check.offence import Offence, UnreadableError
+from forestgen.dataset.check.finding import Finding, UnreadableError
 from forestgen.dataset.check.recipe import categories, read_recipe
+from forestgen.dataset.safe_path import SafePath, load_json
 
 EXR, INSTANCE, SEMANTIC, PLANTS, CAMERA = "frame.exr", "instance.png", "semantic.png", "plants.parquet", "camera.json"
 RECIPE = "recipe.yaml"
@@ -56,15 +56,24 @@ class FrameData:
         return f"{self.task.name}/{name}"
 
     def has(self, name: str) -> bool:
-        return (self.folder / name).is_file()
+        return SafePath(self.task.root, self.file(name)).is_file()
 
-    def offence(self, name: str, problem: str, **about: Any) -> Offence:
-        """An offence of a file of this frame."""
-        return Offence(self.file(name), problem, image=self.name, **about)
+    def finding(self, name: str, problem: str, **about: Any) -> Finding:
+        """A finding of a file of this frame."""
+        return Finding(self.file(name), problem, image=self.name, **about)
 
     @cached_property
+    def _exr_read(self) -> tuple[dict[str, dict[str, NDArray[Any]]], dict[str, Any]] | UnreadableError:
+        try:
+            return read_exr(self.task.root, self.file(EXR))
+        except UnreadableError as error:
+            return error  # kept, since most checks ask for this file
+
+    @property
     def _exr(self) -> tuple[dict[str, dict[str, NDArray[Any]]], dict[str, Any]]:
-        return read_exr(self.task.root, self.file(EXR))
+        if isinstance(self._exr_read, UnreadableError):
+            raise self._exr_read
+        return self._exr_read
 
     @property
     def exr_header(self) -> dict[str, Any]:
@@ -75,8 +84,8 @@ class FrameData:
     def exr_camera(self) -> dict[str, Any] | None:
         """The camera of frame.exr's header, if there is one."""
         try:
-            camera = json.loads(self.exr_header.get("forestgen/camera", "null"))
-        except (TypeError, ValueError):
+            camera = load_json(str(self.exr_header.get("forestgen/camera", "null")))
+        except ValueError:
             return None
         return camera if isinstance(camera, dict) else None
 
@@ -98,14 +107,14 @@ class FrameData:
         parts, _ = self._exr
         for channel in IDENTITY_CHANNELS:
             if channel not in parts.get("identity", {}):
-                raise UnreadableError(self.offence(EXR, f"the part identity has no channel {channel}"))
+                raise UnreadableError(self.finding(EXR, f"the part identity has no channel {channel}"))
         shape = parts["identity"]["plant_id"].shape
         for part, channels in parts.items():
             for channel, values in channels.items():
                 if values.shape != shape:
                     problem = f"the channel {part}.{channel} has another size than identity.plant_id"
                     raise UnreadableError(
-                        self.offence(EXR, problem, expected=_size(shape), got=_size(values.shape)),
+                        self.finding(EXR, problem, expected=_size(shape), got=_size(values.shape)),
                     )
         return parts
 
@@ -156,7 +165,7 @@ class FrameData:
         table = read_table(self.task.root, self.file(PLANTS))
         for column in PLANT_COLUMNS:
             if column not in table:
-                raise UnreadableError(self.offence(PLANTS, f"the column {column} is missing"))
+                raise UnreadableError(self.finding(PLANTS, f"the column {column} is missing"))
         return table
 
     @cached_property
@@ -176,7 +185,7 @@ class FrameData:
         pixels = read_picture(self.task.root, self.file(name))
         if pixels.shape[:2] != self.instance.shape:
             raise UnreadableError(
-                self.offence(
+                self.finding(
                     name, "the picture has another size", expected=_size(self.instance.shape), got=_size(pixels.shape)
                 )
             )

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from forestgen.core.parts import Part
 from forestgen.dataset.check.camera_file import FISHEYE, PINHOLE
+from forestgen.dataset.check.finding import Finding, number
 from forestgen.dataset.check.frame_data import CAMERA, EXR, FrameData
-from forestgen.dataset.check.offence import Offence, number
 from forestgen.dataset.check.pixels import wrong_pixels
 
 _RELATIVE = 1e-3  # of the distance: how far a reprojected point may lie from the stored one
@@ -19,7 +19,7 @@ _FLOAT32 = 2e-6  # relative rounding of stored world coordinates, with a margin
 _UNIT = 1e-3
 
 
-def depth(frame: FrameData) -> Iterator[Offence]:
+def depth(frame: FrameData) -> Iterator[Finding]:
     """Depths are positive, infinite in the sky; the distance along the ray is no shorter, or the same by its model."""
     z = frame.exr["depth"]["Z"].astype(np.float64)
     yield from wrong_pixels(frame, EXR, ~(z > 0), "the depth is not positive", "metres, inf for the sky", z)
@@ -32,7 +32,7 @@ def depth(frame: FrameData) -> Iterator[Offence]:
             yield from wrong_pixels(frame, EXR, z != distance, problem, distance, z)
 
 
-def circle(frame: FrameData) -> Iterator[Offence]:
+def circle(frame: FrameData) -> Iterator[Finding]:
     """Outside of a fisheye's circle nothing is seen: no surface, and no plant in pixels that lie outside as a whole."""
     if frame.camera.model != FISHEYE:
         return
@@ -50,7 +50,7 @@ def circle(frame: FrameData) -> Iterator[Offence]:
         yield from wrong_pixels(frame, EXR, wrong, "light outside of the fisheye's circle", "0", light)
 
 
-def sky(frame: FrameData) -> Iterator[Offence]:
+def sky(frame: FrameData) -> Iterator[Finding]:
     """Infinite depth, no position, no normal and no part go together."""
     is_sky = np.isinf(frame.exr["depth"]["Z"])
     if frame.has_part("identity", "centre.part"):
@@ -70,7 +70,7 @@ def sky(frame: FrameData) -> Iterator[Offence]:
             yield from wrong_pixels(frame, EXR, wrong, f"only the sky has no {part_name}", "0 for the sky", normal)
 
 
-def position(frame: FrameData) -> Iterator[Offence]:
+def position(frame: FrameData) -> Iterator[Finding]:
     """Depth along the pixel's ray, by K and pose, ends at the stored position; so does the distance."""
     camera, solid = frame.camera, _solid(frame)
     z = np.where(solid, frame.exr["depth"]["Z"], np.nan).astype(np.float64)
@@ -94,7 +94,7 @@ def position(frame: FrameData) -> Iterator[Offence]:
         yield from wrong_pixels(frame, EXR, wrong, "position.camera is not depth along the ray", expected, own)
 
 
-def normals(frame: FrameData) -> Iterator[Offence]:
+def normals(frame: FrameData) -> Iterator[Finding]:
     """Normals are unit vectors, towards the camera, and the same in the camera's axes."""
     solid = _solid(frame)
     geometric = frame.vectors("normal")
@@ -116,7 +116,7 @@ def normals(frame: FrameData) -> Iterator[Offence]:
         yield from wrong_pixels(frame, EXR, wrong, "the normal faces away from the camera", "towards it", geometric)
 
 
-def centre(frame: FrameData) -> Iterator[Offence]:
+def centre(frame: FrameData) -> Iterator[Finding]:
     """The centre ray's plant is in plants.parquet, with its own exemplar and a plant's part."""
     channels = frame.exr["identity"]
     plant, part = channels["centre.plant_id"], channels["centre.part"]
@@ -136,17 +136,17 @@ def centre(frame: FrameData) -> Iterator[Offence]:
         yield from wrong_pixels(frame, EXR, wrong, "centre.exemplar is not plants.parquet's + 1", listed, exemplar)
 
 
-def camera(frame: FrameData) -> Iterator[Offence]:
+def camera(frame: FrameData) -> Iterator[Finding]:
     """camera.json is a camera of the image's size: a rotation, its own position, the header's matrices and model."""
     model = frame.camera
     if model.size_px != frame.size_px:
-        yield frame.offence(CAMERA, "size_px is not the image's", expected=str(frame.size_px), got=str(model.size_px))
+        yield frame.finding(CAMERA, "size_px is not the image's", expected=str(frame.size_px), got=str(model.size_px))
     rotation = model.rotation
     if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-6 or np.linalg.det(rotation) < 0:
-        yield frame.offence(CAMERA, "camera_from_world is no rotation", expected="orthonormal, right-handed")
+        yield frame.finding(CAMERA, "camera_from_world is no rotation", expected="orthonormal, right-handed")
     at = -rotation.T @ model.camera_from_world[:3, 3]
     if np.abs(at - model.position_m).max() > 1e-6 * max(1.0, float(np.abs(at).max())):
-        yield frame.offence(
+        yield frame.finding(
             CAMERA,
             "position_m is not that of camera_from_world",
             expected=" ".join(map(number, at)),
@@ -157,10 +157,10 @@ def camera(frame: FrameData) -> Iterator[Offence]:
     for key in ("model", "K", "hfov_deg", "width_m", "lens", "camera_from_world", "position_m", "size_px"):
         if header is not None and key in header and not _equal(model.values.get(key), header[key]):
             got = str(model.values.get(key))
-            yield frame.offence(CAMERA, f"{key} differs from frame.exr's header", expected=str(header[key]), got=got)
+            yield frame.finding(CAMERA, f"{key} differs from frame.exr's header", expected=str(header[key]), got=got)
 
 
-def _angle(frame: FrameData) -> Iterator[Offence]:
+def _angle(frame: FrameData) -> Iterator[Finding]:
     """hfov_deg is that of K."""
     model = frame.camera
     if "hfov_deg" not in model.values or model.model not in (PINHOLE, FISHEYE):
@@ -169,7 +169,7 @@ def _angle(frame: FrameData) -> Iterator[Offence]:
     expected = model.size_px[0] / 2 / (np.tan(half) if model.model == PINHOLE else half)
     if not abs(expected - model.focal_px[0]) <= 1e-6 * expected:
         problem = "the focal length of K is not that of hfov_deg"
-        yield frame.offence(CAMERA, problem, expected=number(expected), got=number(model.focal_px[0]))
+        yield frame.finding(CAMERA, problem, expected=number(expected), got=number(model.focal_px[0]))
 
 
 def _equal(one: Any, other: Any) -> bool:

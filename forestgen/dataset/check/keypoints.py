@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.dataset.check.camera_file import FISHEYE, PANORAMA
+from forestgen.dataset.check.finding import Finding, number, numbers
 from forestgen.dataset.check.frame_data import CAMERA, PLANTS, FrameData
-from forestgen.dataset.check.offence import Offence, number, numbers
 
 _TOLERANCE_PX, _RELATIVE = 0.01, 1e-3  # places are stored as they are placed, to within float32 at the least
 _GRAZING = 1e-3  # depth by distance, below which a point may or may not count as behind the camera
@@ -20,7 +20,7 @@ def has_keypoints(frame: FrameData) -> bool:
     return all(frame.known(f"{name}_{end}") for name in NAMES for end in ("x_px", "y_px", "state"))
 
 
-def keypoints(frame: FrameData) -> Iterator[Offence]:
+def keypoints(frame: FrameData) -> Iterator[Finding]:
     """State is 0 outside the image; inside, 2 where the mask's pixel is the plant's, and 1 elsewhere."""
     plants = frame.plants
     for name in NAMES:
@@ -28,7 +28,7 @@ def keypoints(frame: FrameData) -> Iterator[Offence]:
         expected = states(x, y, plants["plant_id"], frame.instance)
         got = plants[f"{name}_state"]
         for row in np.flatnonzero(~(got == expected)):
-            yield frame.offence(
+            yield frame.finding(
                 PLANTS,
                 f"{name}_state does not follow from the mask",
                 expected=f"{expected[row]}: {('outside the image', 'hidden', 'visible')[expected[row]]}",
@@ -42,7 +42,7 @@ def has_places(frame: FrameData) -> bool:
     return frame.has(CAMERA) and all(map(frame.known, ("x_m", "y_m", "z_m", "stem_base_x_px", "stem_base_y_px")))
 
 
-def places(frame: FrameData) -> Iterator[Offence]:
+def places(frame: FrameData) -> Iterator[Finding]:
     """The stem base is where the camera projects the plant's place; none where it cannot see it."""
     plants, camera = frame.plants, frame.camera
     place = np.stack([plants[f"{axis}_m"].astype(np.float64) for axis in "xyz"], axis=1)
@@ -60,7 +60,7 @@ def places(frame: FrameData) -> Iterator[Offence]:
     wrong = sure & (there != (depth > 0))
     wrong |= there & sure & ~(off <= _TOLERANCE_PX + _RELATIVE * np.abs(expected)).all(axis=1)
     for row in np.flatnonzero(wrong):
-        yield frame.offence(
+        yield frame.finding(
             PLANTS,
             "stem_base_x_px, stem_base_y_px are not the plant's place as the camera sees it",
             expected=numbers(expected[row]) if depth[row] > 0 else "null: not in view",

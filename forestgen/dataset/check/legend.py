@@ -8,10 +8,11 @@ from typing import Any
 
 from forestgen.core.parts import Part
 from forestgen.dataset.check.files import read_json, read_palette
+from forestgen.dataset.check.finding import Finding, UnreadableError
 from forestgen.dataset.check.frame_data import EXR, SEMANTIC, FrameData
 from forestgen.dataset.check.merged import Merged
-from forestgen.dataset.check.offence import Offence, UnreadableError
 from forestgen.dataset.check.recipe import class_names
+from forestgen.dataset.safe_path import load_json
 
 FILE = "classes.json"
 _CLASSES, _PARTS = "forestgen/classes", "forestgen/parts"
@@ -21,7 +22,7 @@ def has_legend(merged: Merged) -> bool:
     return merged.has(FILE)
 
 
-def legend(merged: Merged) -> Iterator[Offence]:
+def legend(merged: Merged) -> Iterator[Finding]:
     """Names follow from the recipe; colours are the first image's."""
     content = read_json(merged.root, FILE)
     names = class_names(merged.recipe)
@@ -37,14 +38,14 @@ def legend(merged: Merged) -> Iterator[Offence]:
         ("categories", _numbered(merged.category_names, 1)),
     ):
         if content[key] != expected:
-            yield Offence(FILE, f"{key}: not the recipe's, or not semantic.png's", _text(expected), _text(content[key]))
+            yield Finding(FILE, f"{key}: not the recipe's, or not semantic.png's", _text(expected), _text(content[key]))
 
 
 def has_names(frame: FrameData) -> bool:
     return _CLASSES in frame.exr_header
 
 
-def names(frame: FrameData) -> Iterator[Offence]:
+def names(frame: FrameData) -> Iterator[Finding]:
     """The names inside the files are the recipe's classes, and the parts."""
     classes = _numbered(class_names(frame.recipe))
     told = [(EXR, _CLASSES, frame.exr_header[_CLASSES], classes)]
@@ -52,8 +53,8 @@ def names(frame: FrameData) -> Iterator[Offence]:
     if frame.has(SEMANTIC):
         told.append((SEMANTIC, "the text classes", _picture_text(frame), classes))
     for file, key, text, expected in told:
-        if text is None or json.loads(text) != expected:
-            yield frame.offence(file, f"{key}: not the names of the numbers", expected=_text(expected), got=str(text))
+        if text is None or load_json(text) != expected:
+            yield frame.finding(file, f"{key}: not the names of the numbers", expected=_text(expected), got=str(text))
 
 
 def _picture_text(frame: FrameData) -> str | None:

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from forestgen.core.spectrum import LUMINANCE
+from forestgen.dataset.check.finding import Finding
 from forestgen.dataset.check.frame_data import EXR, FrameData
-from forestgen.dataset.check.offence import Offence
 from forestgen.dataset.check.pixels import wrong_pixels
 
 _RADIANCE = ("radiance", "radiance.denoised", "radiance.variance")
@@ -16,7 +16,7 @@ _ROUNDED = 1e-3  # of the channels: luminance has four digits
 _MARKS = ("sun", "boundary")  # 0 or 1
 
 
-def radiance(frame: FrameData) -> Iterator[Offence]:
+def radiance(frame: FrameData) -> Iterator[Finding]:
     """Radiance and its variance are finite and not negative.
 
     Two exceptions: of one replicate alone no variance is known, nor a relative error told; and a colour made of
@@ -40,7 +40,7 @@ def radiance(frame: FrameData) -> Iterator[Offence]:
             yield from wrong_pixels(frame, EXR, wrong, "radiance has no luminance", "0 or more cd/m2", luminance)
 
 
-def surfaces(frame: FrameData) -> Iterator[Offence]:
+def surfaces(frame: FrameData) -> Iterator[Finding]:
     """Marks are 0 or 1, the sun shines on surfaces alone, albedo and cloud opacity lie within 0 to 1."""
     sky = np.isinf(frame.exr["depth"]["Z"])
     for part in _MARKS:

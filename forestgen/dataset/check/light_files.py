@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -10,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.dataset.check.files import read_json, read_palette, read_picture
+from forestgen.dataset.check.finding import Finding, UnreadableError, number
 from forestgen.dataset.check.frame_data import EXR, FrameData
-from forestgen.dataset.check.offence import Offence, UnreadableError, number
 from forestgen.dataset.check.pixels import wrong_pixels
+from forestgen.dataset.safe_path import load_json
 
 RAW, _PREVIEW = "raw.json", "preview.png"
 _RADIANCE = ("radiance", "radiance.variance", "radiance.denoised")
@@ -22,25 +22,25 @@ _SD_OF_A_PIXEL, _SD_OF_A_MEAN = 12.0, 7.0  # what chance does not bring about
 _LEVELS = ("black_level", "white_level", "bits", "electrons_per_dn", "read_noise_electrons", "vignetting")
 
 
-def header(frame: FrameData) -> Iterator[Offence]:
+def header(frame: FrameData) -> Iterator[Finding]:
     """Radiance has a unit, colour a white, bands their figures; the biased part is named."""
     about, parts = frame.exr_header, frame.exr
     channels = list(parts.get("radiance", {}))
     bands = _bands(about.get("forestgen/bands"))
     if bands is None:
         if sorted(channels) != ["B", "G", "R"]:
-            yield frame.offence(EXR, "channels without bands are no colour", expected="R G B", got=" ".join(channels))
+            yield frame.finding(EXR, "channels without bands are no colour", expected="R G B", got=" ".join(channels))
         white = about.get("whiteLuminance")
         if white is None or white != 1.0:
             problem = "whiteLuminance is not that of cd/m2"
-            yield frame.offence(EXR, problem, expected="1", got="none" if white is None else number(white))
+            yield frame.finding(EXR, problem, expected="1", got="none" if white is None else number(white))
     elif sorted(str(band.get("channel")) for band in bands) != sorted(channels):
         got = " ".join(str(band.get("channel")) for band in bands)
-        yield frame.offence(EXR, "forestgen/bands is not of radiance's channels", expected=" ".join(channels), got=got)
+        yield frame.finding(EXR, "forestgen/bands is not of radiance's channels", expected=" ".join(channels), got=got)
     chromaticities = np.ravel(about.get("chromaticities", ()))
     if chromaticities.shape != (8,) or not np.allclose(chromaticities, _REC709, atol=1e-6):
         got = " ".join(map(number, chromaticities)) or "none"
-        yield frame.offence(EXR, "chromaticities are not Rec. 709's", expected=" ".join(map(str, _REC709)), got=got)
+        yield frame.finding(EXR, "chromaticities are not Rec. 709's", expected=" ".join(map(str, _REC709)), got=got)
     unit = _LUMINANCE if bands is None else _RADIANCE_PER_NM
     for part in _RADIANCE:
         if part not in parts:
@@ -48,38 +48,38 @@ def header(frame: FrameData) -> Iterator[Offence]:
         told = str(about.get(f"forestgen/units.{part}", "none"))
         wanted = f"({unit})^2" if part == "radiance.variance" else unit
         if not told.startswith(wanted):
-            yield frame.offence(EXR, f"forestgen/units.{part} is not its unit", expected=wanted, got=told)
+            yield frame.finding(EXR, f"forestgen/units.{part} is not its unit", expected=wanted, got=told)
         if list(parts[part]) != channels:
             got = " ".join(parts[part])
-            yield frame.offence(EXR, f"{part} has other channels than radiance", expected=" ".join(channels), got=got)
+            yield frame.finding(EXR, f"{part} has other channels than radiance", expected=" ".join(channels), got=got)
     if frame.has(_PREVIEW):
         told = read_palette(frame.task.root, frame.file(_PREVIEW))[1].get("view", "none")
         if told != about.get("forestgen/view"):
             wanted = str(about.get("forestgen/view"))
-            yield frame.offence(_PREVIEW, "the view is not frame.exr's", expected=wanted, got=told)
+            yield frame.finding(_PREVIEW, "the view is not frame.exr's", expected=wanted, got=told)
     biased = "radiance.denoised" if "radiance.denoised" in parts else None
     if about.get("forestgen/biased") != biased:
         got = str(about.get("forestgen/biased"))
-        yield frame.offence(EXR, "forestgen/biased does not name the denoised part", expected=str(biased), got=got)
+        yield frame.finding(EXR, "forestgen/biased does not name the denoised part", expected=str(biased), got=got)
 
 
-def raw(frame: FrameData) -> Iterator[Offence]:
+def raw(frame: FrameData) -> Iterator[Finding]:
     """Digital numbers lie within their range, and within their noise of the radiance."""
     facts = read_json(frame.task.root, frame.file(RAW))
     black, white, bits, gain, _, _ = (facts[name] for name in _LEVELS)
     if not (0 <= black < white < 2**bits <= 2**16 and gain > 0):
         got = f"black {black}, white {white}, {bits} bits, {gain} electrons"
-        yield frame.offence(RAW, "levels contradict each other", expected="0 <= black < white < 2^bits", got=got)
+        yield frame.finding(RAW, "levels contradict each other", expected="0 <= black < white < 2^bits", got=got)
         return
     if facts["of"] not in frame.exr:
-        yield frame.offence(RAW, "the raw image is of a part that frame.exr lacks", got=str(facts["of"]))
+        yield frame.finding(RAW, "the raw image is of a part that frame.exr lacks", got=str(facts["of"]))
         return
     light = frame.exr[facts["of"]]
     for key, name in facts["files"].items():
         numbers = read_picture(frame.task.root, frame.file(name))
         if numbers.ndim != 2 or numbers.shape != frame.instance.shape:
             got = " x ".join(map(str, numbers.shape[::-1]))
-            yield frame.offence(name, "the raw image has another size", expected=str(frame.size_px), got=got)
+            yield frame.finding(name, "the raw image has another size", expected=str(frame.size_px), got=got)
             continue
         wrong = numbers.astype(np.int64) > white
         yield from wrong_pixels(frame, name, wrong, "brighter than white_level", str(white), numbers)
@@ -96,8 +96,8 @@ def has_radiance(frame: FrameData) -> bool:
 
 def _noise(
     frame: FrameData, name: str, numbers: NDArray[np.float64], expected: NDArray[np.float64], facts: Mapping[str, Any]
-) -> Iterator[Offence]:
-    """Offences of pixels that are off by more than noise, and of their mean."""
+) -> Iterator[Finding]:
+    """Findings of pixels that are off by more than noise, and of their mean."""
     gain, white = facts["electrons_per_dn"], facts["white_level"]
     electrons = (expected - facts["black_level"]) * gain
     variance = (electrons + facts["read_noise_electrons"] ** 2) / gain**2 + 1 / 12
@@ -109,7 +109,7 @@ def _noise(
     off = float((numbers - expected)[inside].sum())
     if abs(off) > _SD_OF_A_MEAN * float(np.sqrt(variance[inside].sum())) + 1e-3 * inside.sum():
         got = f"{number(off / inside.sum())} digital numbers off"
-        yield frame.offence(name, "the raw image's mean is not the radiance's", got=got)
+        yield frame.finding(name, "the raw image's mean is not the radiance's", got=got)
 
 
 def _expected(
@@ -141,8 +141,8 @@ def _bands(text: object) -> list[Mapping[str, Any]] | None:
     if text is None:
         return None
     try:
-        rows = json.loads(str(text))
+        rows = load_json(str(text))
     except ValueError as error:
         problem = "forestgen/bands is no JSON"
-        raise UnreadableError(Offence(EXR, problem, got=str(error))) from error
+        raise UnreadableError(Finding(EXR, problem, got=str(error))) from error
     return [row for row in rows if isinstance(row, dict)]

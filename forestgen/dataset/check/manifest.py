@@ -7,22 +7,23 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from forestgen.dataset.check.finding import Finding, UnreadableError
 from forestgen.dataset.check.frame_data import CAMERA, EXR, INSTANCE, PLANTS, RECIPE, SEMANTIC, FrameData
 from forestgen.dataset.check.merged import MANIFEST, Merged
-from forestgen.dataset.check.offence import Offence, UnreadableError
+from forestgen.dataset.safe_path import SafePath
 
 _ALWAYS = (EXR, SEMANTIC, PLANTS, CAMERA, RECIPE, "preview.png", "overlay.png")
 _PICTURES = (INSTANCE, SEMANTIC, "preview.png", "overlay.png")
 
 
-def files(frame: FrameData) -> Iterator[Offence]:
+def files(frame: FrameData) -> Iterator[Finding]:
     """All files of the frame are there and can be read."""
     for name in frame.task.listed:
-        if not (frame.task.root / name).is_file():
-            yield Offence(name, "the file is missing", expected="a file, as manifest.json lists it", image=frame.name)
+        if not SafePath(frame.task.root, name).is_file():
+            yield Finding(name, "the file is missing", expected="a file, as manifest.json lists it", image=frame.name)
     for name in _ALWAYS:
         if frame.file(name) not in frame.task.listed and not frame.has(name):
-            yield frame.offence(name, "the file is missing", expected="a file in each frame's folder")
+            yield frame.finding(name, "the file is missing", expected="a file in each frame's folder")
     # Each of these reads a file and refuses one that is cut short, of another kind or of another size.
     yield from _refused(lambda: frame.exr)
     yield from _refused(lambda: frame.plants)
@@ -38,28 +39,28 @@ def _wide_ids(frame: FrameData) -> None:
     """instance.png may be missing only where an id does not fit its 24 bits."""
     listed = frame.file(INSTANCE) in frame.task.listed
     if not frame.has(INSTANCE) and not listed and int(frame.instance.max(initial=0)) < 1 << 24:
-        raise UnreadableError(frame.offence(INSTANCE, "there is no instance.png", expected="one: all ids fit it"))
+        raise UnreadableError(frame.finding(INSTANCE, "there is no instance.png", expected="one: all ids fit it"))
 
 
-def _refused(read: Any) -> Iterator[Offence]:
+def _refused(read: Any) -> Iterator[Finding]:
     try:
         read()
     except UnreadableError as error:
-        if error.offence.problem != "the file is missing":  # which is said already
-            yield error.offence
+        if error.finding.problem != "the file is missing":  # which is said already
+            yield error.finding
 
 
-def listing(merged: Merged) -> Iterator[Offence]:
+def listing(merged: Merged) -> Iterator[Finding]:
     """The manifest can be read, lists all frames, and the files beside the frames' folders are there."""
     listed = merged.manifest["files"]
     folders = {name.partition("/")[0] for name in listed if "/" in name}
     for name in merged.frames:
         if name not in folders:
             problem = "a frame's folder is not in the manifest"
-            yield Offence(MANIFEST, problem, expected="a folder of the same run", got=name, image=name)
+            yield Finding(MANIFEST, problem, expected="a folder of the same run", got=name, image=name)
     for name in shared_files(merged):
-        if not (merged.root / name).is_file():
-            yield Offence(name, "the file is missing", expected="a file, as manifest.json lists it")
+        if not SafePath(merged.root, name).is_file():
+            yield Finding(name, "the file is missing", expected="a file, as manifest.json lists it")
 
 
 def shared_files(merged: Merged) -> list[str]:
@@ -68,29 +69,31 @@ def shared_files(merged: Merged) -> list[str]:
     return [name for name in sorted(merged.listed) if name.partition("/")[0] not in frames]
 
 
-def frame_hashes(frame: FrameData) -> Iterator[Offence]:
+def frame_hashes(frame: FrameData) -> Iterator[Finding]:
     """SHA-256 of the frame's files."""
     for name in sorted(frame.task.listed):
         yield from _hash(frame.task.root, name, frame.task.listed[name], frame.name)
 
 
-def shared_hashes(merged: Merged) -> Iterator[Offence]:
+def shared_hashes(merged: Merged) -> Iterator[Finding]:
     """SHA-256 of the files beside the frames' folders."""
     for name in shared_files(merged):
         yield from _hash(merged.root, name, merged.listed[name], "")
 
 
-def _hash(root: Path, name: str, entry: Any, image: str) -> Iterator[Offence]:
-    path = root / name
+def _hash(root: Path, name: str, entry: Any, image: str) -> Iterator[Finding]:
+    path = SafePath(root, name)
     try:
-        size = path.stat().st_size
-        with path.open("rb") as stream:
+        size = path.size_bytes()
+        if size != entry.get("bytes"):
+            expected, got = f"{entry.get('bytes')} bytes", f"{size}"
+            yield Finding(name, "the file's size is not manifest.json's", expected, got, image)
+            return
+        with path.open() as stream:
             digest = hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as error:
-        yield Offence(name, "the file cannot be read", got=error.strerror or str(error), image=image)
+        yield Finding(name, "the file cannot be read", got=error.strerror or str(error), image=image)
         return
-    if size != entry.get("bytes"):
-        yield Offence(name, "the file's size is not manifest.json's", f"{entry.get('bytes')} bytes", f"{size}", image)
-    elif digest != entry.get("sha256"):
+    if digest != entry.get("sha256"):
         got = f"sha256 {digest}"
-        yield Offence(name, "the file is not the one that manifest.json lists", f"{entry.get('sha256')}", got, image)
+        yield Finding(name, "the file is not the one that manifest.json lists", f"{entry.get('sha256')}", got, image)

@@ -12,28 +12,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.parts import Part
+from forestgen.dataset.check.files import read_bit_depth
+from forestgen.dataset.check.finding import Finding
 from forestgen.dataset.check.frame_data import EXR, INSTANCE, PLANTS, SEMANTIC, FrameData
-from forestgen.dataset.check.offence import Offence
 from forestgen.dataset.check.pixels import wrong_pixels
 
 _PLANT_PARTS = (Part.TRUNK, Part.BRANCH, Part.LEAF, Part.FLOWER, Part.FRUIT, Part.DEAD_WOOD, Part.STRUCTURE)
 _NAMES = {part.name.lower(): int(part) for part in Part}
 _OTHERS = "others"
+_SEMANTIC_BITS = 8
 _LARGEST_PNG_ID = (1 << 24) - 1
 
 
-def instance_png(frame: FrameData) -> Iterator[Offence]:
+def instance_png(frame: FrameData) -> Iterator[Finding]:
     """instance.png tells frame.exr's identity.plant_id: id = R + 256 G + 65536 B."""
     rgb = frame.picture(INSTANCE).astype(np.uint32)
     if rgb.ndim != 3:
-        yield frame.offence(INSTANCE, "the picture has no three colours", expected="8-bit RGB", got="one channel")
+        yield frame.finding(INSTANCE, "the picture has no three colours", expected="8-bit RGB", got="one channel")
         return
     coded = rgb[..., 0] + 256 * rgb[..., 1] + 65536 * rgb[..., 2]
     wrong = coded != frame.instance
     yield from wrong_pixels(frame, INSTANCE, wrong, "the id differs from frame.exr's", frame.instance, coded)
 
 
-def parts(frame: FrameData) -> Iterator[Offence]:
+def parts(frame: FrameData) -> Iterator[Finding]:
     """A plant's pixel has a plant's part; no plant's has another part or is the sky."""
     part, is_plant = frame.part, frame.instance != 0
     yield from wrong_pixels(frame, EXR, part >= len(Part), "no such part", f"0 to {len(Part) - 1}", part)
@@ -45,13 +47,16 @@ def parts(frame: FrameData) -> Iterator[Offence]:
     )
 
 
-def semantic(frame: FrameData) -> Iterator[Offence]:
-    """semantic.png is frame.exr's identity.semantic, and both follow from species and part."""
+def semantic(frame: FrameData) -> Iterator[Finding]:
+    """semantic.png, of 8 bits a pixel, is frame.exr's identity.semantic, and both follow from species and part."""
     if frame.has(SEMANTIC):
         shown = frame.picture(SEMANTIC)
         if shown.ndim != 2:
-            yield frame.offence(SEMANTIC, "the picture is no palette's", expected="8-bit indices", got="colours")
+            yield frame.finding(SEMANTIC, "the picture is no palette's", expected="8-bit indices", got="colours")
             return
+        bits = read_bit_depth(frame.task.root, frame.file(SEMANTIC))
+        if bits != _SEMANTIC_BITS:
+            yield frame.finding(SEMANTIC, "bits of a pixel", expected=str(_SEMANTIC_BITS), got=str(bits))
         wrong = shown != frame.semantic
         yield from wrong_pixels(
             frame, SEMANTIC, wrong, "the class differs from frame.exr's semantic", frame.semantic, shown
@@ -82,25 +87,24 @@ def classes_of(frame: FrameData) -> NDArray[np.int64]:
     return found
 
 
-def ids(frame: FrameData) -> Iterator[Offence]:
+def ids(frame: FrameData) -> Iterator[Finding]:
     """plants.parquet holds each plant once, ids rising, and all that the image shows."""
     known = frame.plants["plant_id"]
     if known.dtype != np.uint32:
-        yield frame.offence(PLANTS, "plant_id has another type", expected="uint32, no null", got=str(known.dtype))
+        yield frame.finding(PLANTS, "plant_id has another type", expected="uint32, no null", got=str(known.dtype))
         return
     steps = np.flatnonzero(np.diff(known.astype(np.int64)) <= 0)
-    if len(steps):
-        plant = int(known[steps[0] + 1])
-        yield frame.offence(PLANTS, "ids do not rise from row to row, or one comes twice", plant_id=plant)
-        return
+    for row in steps.tolist():
+        problem = "ids do not rise from row to row, or one comes twice"
+        yield frame.finding(PLANTS, problem, plant_id=int(known[row + 1]))
     if len(known) and known[0] == 0:
-        yield frame.offence(PLANTS, "0 is no plant", expected="ids from 1", got="0")
+        yield frame.finding(PLANTS, "0 is no plant", expected="ids from 1", got="0")
     strange = ~np.isin(frame.instance, known) & (frame.instance != 0)
     yield from wrong_pixels(frame, PLANTS, strange, "a plant of the image is not in the table", "a row of it", "none")
     for name in sorted(set(frame.plants["species"].tolist()) - set(frame.recipe["species"]), key=str):
         row = frame.plants["species"].tolist().index(name)
         expected = ", ".join(frame.recipe["species"])
-        yield frame.offence(
+        yield frame.finding(
             PLANTS, "the species is not the recipe's", expected=expected, got=str(name), plant_id=int(known[row])
         )
 

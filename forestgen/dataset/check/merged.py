@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import os
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from forestgen.core.errors import RecipeError
 from forestgen.dataset.check.files import read_json
-from forestgen.dataset.check.offence import Offence, UnreadableError
+from forestgen.dataset.check.finding import Finding, UnreadableError
 from forestgen.dataset.check.recipe import categories, read_recipe
+from forestgen.dataset.safe_path import SafePath
 
 MANIFEST, COCO, PANOPTIC, TRANSFORMS, BOP = "manifest.json", "coco.json", "panoptic.json", "transforms.json", "bop"
 _BOP_FILES = (("camera", "scene_camera.json"), ("gt", "scene_gt.json"), ("info", "scene_gt_info.json"))
@@ -29,7 +32,7 @@ class Merged:
     @cached_property
     def frames(self) -> tuple[str, ...]:
         """Folders of frames, those that are there and those that the manifest lists, sorted."""
-        there = {path.name for path in self.root.iterdir() if path.is_dir() and _FRAME.fullmatch(path.name)}
+        there = {path.name for path in self.root.iterdir() if _FRAME.fullmatch(path.name) and path.is_dir()}
         listed = {name.partition("/")[0] for name in self.listed if "/" in name}
         return tuple(sorted(there | {name for name in listed if _FRAME.fullmatch(name)}))
 
@@ -46,21 +49,26 @@ class Merged:
     def manifest(self) -> dict[str, Any]:
         manifest = read_json(self.root, MANIFEST)
         if not isinstance(manifest, dict) or not str(manifest.get("schema", "")).startswith(_SCHEMA):
-            raise UnreadableError(Offence(MANIFEST, "this is no manifest of forestgen", expected=f"schema {_SCHEMA}1"))
+            raise UnreadableError(Finding(MANIFEST, "this is no manifest of forestgen", expected=f"schema {_SCHEMA}1"))
         files = manifest.get("files")
         if not isinstance(files, dict) or not all(isinstance(entry, dict) for entry in files.values()):
             expected = "files: path -> bytes, sha256"
-            raise UnreadableError(Offence(MANIFEST, "the manifest lists no files", expected=expected))
+            raise UnreadableError(Finding(MANIFEST, "the manifest lists no files", expected=expected))
         return manifest
 
     def has(self, name: str) -> bool:
         """Whether a file is there, or should be."""
-        return name in self.listed or (self.root / name).exists()
+        return name in self.listed or os.path.lexists(self.root / name)
 
     @cached_property
     def recipe(self) -> dict[str, Any]:
         """What the first frame's drawn recipe says of labels; all frames agree on classes and species."""
-        return read_recipe(self.root, f"{self.frames[0]}/recipe.yaml")
+        for name in self.frames[:-1]:
+            try:
+                return read_recipe(self.root, f"{name}/recipe.yaml")
+            except UnreadableError:  # which the frame's own check names
+                continue
+        return read_recipe(self.root, f"{self.frames[-1]}/recipe.yaml")
 
     @property
     def category_names(self) -> list[str]:
@@ -81,7 +89,7 @@ class Merged:
         }
         by_id = {entry["image"]["id"]: entry["annotations"] for entry in frames.values()}
         for one in self.coco["annotations"]:
-            if one["image_id"] in by_id:
+            if one.get("image_id") in by_id:
                 by_id[one["image_id"]].append(one)
         return frames
 
@@ -99,7 +107,7 @@ class Merged:
     @cached_property
     def transforms_files(self) -> tuple[str, ...]:
         """transforms.json, or transforms-000000.json and so on."""
-        there = {path.name for path in self.root.glob("transforms*.json")}
+        there = {path.name for path in self.root.iterdir() if fnmatchcase(path.name, "transforms*.json")}
         listed = {name for name in self.listed if re.fullmatch(r"transforms(-\d+)?\.json", name)}
         return tuple(sorted(there | listed))
 
@@ -118,7 +126,12 @@ class Merged:
     @cached_property
     def bop_scenes(self) -> tuple[str, ...]:
         """Folders of scenes, relative to the root."""
-        scenes = {path.parent.relative_to(self.root).as_posix() for path in self.root.glob(f"{BOP}/*/*/scene_*.json")}
+        scenes = {
+            scene.name
+            for split in _folders_in(SafePath(self.root, BOP))
+            for scene in _folders_in(split)
+            if any(fnmatchcase(name, "scene_*.json") for name in scene.names())
+        }
         listed = {name.rpartition("/")[0] for name in self.listed if re.fullmatch(rf"{BOP}/.*/scene_\w+\.json", name)}
         return tuple(sorted(scenes | listed))
 
@@ -158,12 +171,17 @@ class Merged:
         """A JSON mapping with lists of mappings under `keys`."""
         content = read_json(self.root, file)
         if not isinstance(content, dict):
-            raise UnreadableError(Offence(file, "this is no data set's description", expected="a JSON mapping"))
+            raise UnreadableError(Finding(file, "this is no data set's description", expected="a JSON mapping"))
         for key in keys:
             values = content.get(key)
             if not isinstance(values, list) or not all(isinstance(value, dict) for value in values):
-                raise UnreadableError(Offence(file, f"{key} is missing or no list", expected="a list of mappings"))
+                raise UnreadableError(Finding(file, f"{key} is missing or no list", expected="a list of mappings"))
         return content
+
+
+def _folders_in(folder: SafePath) -> Iterator[SafePath]:
+    names = folder.names() if folder.is_folder() else []
+    return (one for one in map(folder.__truediv__, names) if one.is_folder())
 
 
 def folder_of(path: Any) -> str:

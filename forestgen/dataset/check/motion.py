@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.dataset.check.camera_file import FISHEYE, ORTHOGRAPHIC, PANORAMA
+from forestgen.dataset.check.finding import Finding, UnreadableError
 from forestgen.dataset.check.frame_data import CAMERA, EXR, FrameData
-from forestgen.dataset.check.offence import Offence, UnreadableError
 from forestgen.dataset.check.pixels import wrong_pixels
 from forestgen.dataset.check.sequences import UNKNOWN
 
@@ -35,7 +35,7 @@ def has_motion(frame: FrameData) -> bool:
     return frame.has_part("motion", _U, _V) and frame.has_part("depth", "Z") and frame.has(CAMERA)
 
 
-def motion(frame: FrameData) -> Iterator[Offence]:
+def motion(frame: FrameData) -> Iterator[Finding]:
     """Vectors land where their surface is in the next frame; there are none in a sequence's last frame."""
     vector = np.stack([frame.exr["motion"][_U], frame.exr["motion"][_V]], axis=-1).astype(np.float64)
     unknown = np.asarray(np.isnan(vector).any(axis=-1))
@@ -117,7 +117,7 @@ def _landings(
     vector: NDArray[np.float64],
     moves: NDArray[np.bool_],
     depth: NDArray[np.float64],
-) -> Iterator[Offence]:
+) -> Iterator[Finding]:
     """Plants in wind: few pixels may land off their plant where nothing nearer hides it."""
     height, width = following.instance.shape
     line, column = np.nonzero(moves)

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.parts import Part
+from forestgen.dataset.check.finding import Finding, number, numbers
 from forestgen.dataset.check.frame_data import PLANTS, FrameData
-from forestgen.dataset.check.offence import Offence, number, numbers
 
 _BOX = ("box_x", "box_y", "box_w", "box_h")
 _PLACES = ("x_m", "y_m", "z_m")
@@ -17,7 +17,7 @@ _SIZES = ("height_m", "radius_m", "age_yr", "distance_m", "leaf_area_m2", "crown
 _AREA_TOLERANCE = 1e-3  # relative; shares are stored as float32
 
 
-def visible(frame: FrameData) -> Iterator[Offence]:
+def visible(frame: FrameData) -> Iterator[Finding]:
     """visible_pixels, box and truncated are those of the mask."""
     extents, plants = frame.extents, frame.plants
     width, height = frame.size_px
@@ -41,7 +41,7 @@ def visible(frame: FrameData) -> Iterator[Offence]:
             yield _differs(frame, plant, "truncated", touches, plants["truncated"][row])
 
 
-def areas(frame: FrameData) -> Iterator[Offence]:
+def areas(frame: FrameData) -> Iterator[Finding]:
     """visible_area_px is the sum of coverages; where 8 ranks did not hold all ids it may be more."""
     ids, share = frame.ranks
     known = frame.plants["plant_id"]
@@ -57,7 +57,7 @@ def areas(frame: FrameData) -> Iterator[Offence]:
         yield _differs(frame, int(known[row]), "visible_area_px", number(least[row]), area[row])
 
 
-def stems(frame: FrameData) -> Iterator[Offence]:
+def stems(frame: FrameData) -> Iterator[Finding]:
     """stem_pixels counts the plant's pixels whose part is the trunk."""
     known = frame.plants["plant_id"]
     trunk = frame.instance[(frame.part == int(Part.TRUNK)) & (frame.instance != 0)]
@@ -72,7 +72,7 @@ def has_stems(frame: FrameData) -> bool:
     return frame.known("stem_pixels")
 
 
-def finite(frame: FrameData) -> Iterator[Offence]:
+def finite(frame: FrameData) -> Iterator[Finding]:
     """Measures that every plant has are finite numbers, sizes not negative."""
     for column in (*_PLACES, *_SIZES):
         if not frame.known(column):
@@ -83,12 +83,12 @@ def finite(frame: FrameData) -> Iterator[Offence]:
             wrong |= ~(values >= 0)
         for row in np.flatnonzero(wrong):
             plant = int(frame.plants["plant_id"][row])
-            yield frame.offence(
+            yield frame.finding(
                 PLANTS, f"{column} is no measure", expected="a number", got=number(values[row]), plant_id=plant
             )
 
 
-def _differs(frame: FrameData, plant: int, column: str, expected: object, got: object) -> Offence:
-    return frame.offence(
+def _differs(frame: FrameData, plant: int, column: str, expected: object, got: object) -> Finding:
+    return frame.finding(
         PLANTS, f"{column} differs from the mask's", expected=str(expected), got=number(got), plant_id=plant
     )

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.dataset.check.files import read_bytes, unreadable
+from forestgen.dataset.check.finding import Finding, UnreadableError, numbers
 from forestgen.dataset.check.frame_data import FrameData
-from forestgen.dataset.check.offence import Offence, UnreadableError, numbers
 
 PLY, LAZ = "points.ply", "points.laz"
 _TYPES = {"double": "<f8", "float": "<f4", "uchar": "u1", "ushort": "<u2", "uint": "<u4"}
@@ -28,21 +28,22 @@ def has_laz(frame: FrameData) -> bool:
     return frame.has(LAZ) and frame.has(PLY)
 
 
-def ply(frame: FrameData) -> Iterator[Offence]:
+def ply(frame: FrameData) -> Iterator[Finding]:
     """Each point is its pixel's: position, plant and part of the centre's ray."""
     found = read_ply(frame)
     known = frame.plants["plant_id"]
     plant = found["plant_id"]
     strange = np.flatnonzero((plant != 0) & ~np.isin(plant, known))
+    for at in _firsts(plant, strange):
+        yield _finding(frame, PLY, found, at, "the plant is not in plants.parquet", "a row of it", "none")
     if len(strange):
-        yield _offence(frame, PLY, found, int(strange[0]), "the plant is not in plants.parquet", "a row of it", "none")
         return
     row, column = found["row"].astype(np.int64), found["column"].astype(np.int64)
     width, height = frame.size_px
     if len(found) and (row.max() >= height or column.max() >= width):
         at = int(np.argmax((row >= height) | (column >= width)))
         got = f"row {row[at]}, column {column[at]}"
-        yield frame.offence(PLY, f"point {at} is outside the image", expected=f"{width} x {height}", got=got)
+        yield frame.finding(PLY, f"point {at} is outside the image", expected=f"{width} x {height}", got=got)
         return
     yield from _count(frame, row, column)
     for name, channel in (("plant_id", "centre.plant_id"), ("part", "centre.part")):
@@ -64,20 +65,23 @@ def ply(frame: FrameData) -> Iterator[Offence]:
     yield from _first(frame, found, wrong, "the species is not the plant's", own, got)
 
 
-def laz(frame: FrameData) -> Iterator[Offence]:
+def laz(frame: FrameData) -> Iterator[Finding]:
     """points.laz holds the points of points.ply, in their order."""
     import laspy
 
     content = read_bytes(frame.task.root, frame.file(LAZ))
     try:
-        cloud = laspy.read(io.BytesIO(content))
+        with laspy.open(io.BytesIO(content)) as reader:
+            if reader.header.point_count > frame.instance.size:  # before memory is taken for them
+                raise ValueError(f"{reader.header.point_count:,} points of {frame.instance.size:,} pixels")
+            cloud = reader.read()
         plant, place = np.asarray(cloud["plant_id"]), np.asarray(cloud.xyz)
     except Exception as error:  # its two backends raise their own kinds, and struct's and NumPy's
         raise unreadable(frame.file(LAZ), error) from error
     found = read_ply(frame)
     if len(plant) != len(found):
         problem = "there are not as many points as in points.ply"
-        yield frame.offence(LAZ, problem, expected=str(len(found)), got=str(len(plant)))
+        yield frame.finding(LAZ, problem, expected=str(len(found)), got=str(len(plant)))
         return
     truth = found["plant_id"]
     yield from _first(frame, found, truth != plant, "plant_id is not points.ply's", truth, plant, LAZ)
@@ -103,11 +107,11 @@ def read_ply(frame: FrameData) -> NDArray[Any]:
         return np.frombuffer(body, dtype=kind, count=count)
     except (ValueError, KeyError, IndexError, StopIteration) as error:
         raise UnreadableError(
-            frame.offence(PLY, "the file cannot be read", expected="binary PLY", got=str(error))
+            frame.finding(PLY, "the file cannot be read", expected="binary PLY", got=str(error))
         ) from error
 
 
-def _count(frame: FrameData, row: NDArray[np.int64], column: NDArray[np.int64]) -> Iterator[Offence]:
+def _count(frame: FrameData, row: NDArray[np.int64], column: NDArray[np.int64]) -> Iterator[Finding]:
     """Every n-th pixel of every n-th row is a point, once, if it is not the sky."""
     if not frame.has_part("depth", "Z"):
         return
@@ -119,23 +123,27 @@ def _count(frame: FrameData, row: NDArray[np.int64], column: NDArray[np.int64]) 
     np.add.at(got, (row, column), 1)
     if (got != expected).any():
         y, x = np.argwhere(got != expected)[0].tolist()
-        yield frame.offence(
+        yield frame.finding(
             PLY, "the pixel has not its point", expected=str(expected[y, x]), got=str(got[y, x]), pixel=(x, y)
         )
 
 
 def _first(
     frame: FrameData, found: NDArray[Any], wrong: Any, problem: str, truth: Any, got: Any, file: str = PLY
-) -> Iterator[Offence]:
-    at = np.flatnonzero(wrong)
-    if len(at):
-        yield _offence(frame, file, found, int(at[0]), problem, numbers(truth[at[0]]), numbers(got[at[0]]))
+) -> Iterator[Finding]:
+    for at in _firsts(found["plant_id"], np.flatnonzero(wrong)):
+        yield _finding(frame, file, found, at, problem, numbers(truth[at]), numbers(got[at]))
 
 
-def _offence(
+def _firsts(plant: NDArray[Any], at: NDArray[np.intp]) -> list[int]:
+    """Of points `at`, the first of each plant."""
+    return sorted(at[np.unique(plant[at], return_index=True)[1]].tolist())
+
+
+def _finding(
     frame: FrameData, file: str, found: NDArray[Any], at: int, problem: str, expected: str, got: str
-) -> Offence:
-    return frame.offence(
+) -> Finding:
+    return frame.finding(
         file,
         f"point {at}: {problem}",
         expected=expected,

@@ -10,12 +10,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from forestgen.dataset.check.files import read_text, unreadable
-from forestgen.dataset.check.offence import Offence, UnreadableError
+from forestgen.core.errors import DatasetError
+from forestgen.dataset.check.files import read_text
+from forestgen.dataset.check.finding import Finding, UnreadableError
+from forestgen.recipe.yaml_source import parse_yaml
 
 _SECTION = re.compile(r"(?m)^(?=[A-Za-z_]\w*:)")
 _WANTED = ("labels", "dataset", "wind", "render")
@@ -24,18 +25,16 @@ _OTHERS = "others"  # in a class: all species that no class names
 
 def read_recipe(root: Path, name: str) -> dict[str, Any]:
     """Sections labels, dataset, wind and render of a drawn recipe, and its species as a list of names in order."""
-    from ruamel.yaml.error import YAMLError
-
     try:
-        recipe = _load(_excerpt(read_text(root, name)))
-    except (YAMLError, ValueError, RecursionError) as error:
-        raise unreadable(name, error) from error
+        recipe = parse_yaml(_excerpt(read_text(root, name)), name, error=DatasetError)[0]
+    except DatasetError as error:
+        raise UnreadableError(Finding(name, error.problem, error.expected or "", error.got or "")) from error
     if not isinstance(recipe, dict) or not isinstance(recipe.get("species"), dict):
-        raise UnreadableError(Offence(name, "this is no drawn recipe", expected="a mapping with species"))
+        raise UnreadableError(Finding(name, "this is no drawn recipe", expected="a mapping with species"))
     sections = {key: recipe.get(key) or {} for key in _WANTED}
     for key, section in sections.items():
         if not isinstance(section, dict):
-            raise UnreadableError(Offence(name, f"{key} is no section", expected="a mapping", got=str(section)[:80]))
+            raise UnreadableError(Finding(name, f"{key} is no section", expected="a mapping", got=str(section)[:80]))
     return {**sections, "species": [str(species) for species in recipe["species"]]}
 
 
@@ -72,10 +71,3 @@ def _excerpt(text: str) -> str:
         names = re.findall(r"(?m)^  (\S[^:\n]*):", species)
         species = "species:\n" + "".join(f"  {name}:\n" for name in names)
     return "".join([species, *kept])
-
-
-@lru_cache(maxsize=16)
-def _load(text: str) -> Any:
-    from ruamel.yaml import YAML
-
-    return YAML(typ="safe", pure=True).load(text)

@@ -1,4 +1,4 @@
-"""All checks, in the order in which they run and offenders are named."""
+"""All checks, in the order in which they run and findings are named."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ from forestgen.dataset.check import (
     points,
     yolo,
 )
+from forestgen.dataset.check.finding import DatasetCheck, FrameCheck, always
 from forestgen.dataset.check.frame_data import CAMERA, EXR, INSTANCE, PLANTS, SEMANTIC
 from forestgen.dataset.check.merged import BOP, COCO, MANIFEST, PANOPTIC, TRANSFORMS
-from forestgen.dataset.check.offence import DatasetCheck, FrameCheck, always
 
 FIRST = FrameCheck("files", "all files are there and readable", "", always, manifest.files)
 HASHES = FrameCheck("hashes", "files are those that manifest.json lists", "", always, manifest.frame_hashes)

@@ -1,6 +1,6 @@
 """Run all checks over a data set, on several processes; the outcome does not depend on their number.
 
-Offenders are ordered: frames by name, each with its checks in the registry's order, then the files over all images.
+Findings are ordered: frames by name, each with its checks in the registry's order, then the files over all images.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ from collections.abc import Generator, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
-from itertools import islice
 from multiprocessing import get_context
 from pathlib import Path
 from time import perf_counter
@@ -22,26 +21,33 @@ from typing import Any
 from forestgen.core.errors import ResourceError
 from forestgen.core.processes import without_main
 from forestgen.core.progress import Progress
+from forestgen.dataset.check.finding import (
+    MISUNDERSTOOD,
+    DatasetCheck,
+    Finding,
+    FrameCheck,
+    UnreadableError,
+    misunderstood,
+)
 from forestgen.dataset.check.frame_data import FrameData, FrameTask
 from forestgen.dataset.check.merged import Merged, open_dataset
-from forestgen.dataset.check.offence import DatasetCheck, FrameCheck, Offence, UnreadableError
 from forestgen.dataset.check.registry import DATASET_CHECKS, FIRST, FRAME_CHECKS, HASHES, SHARED_HASHES
 from forestgen.dataset.check.sequences import UNKNOWN, following_frames
 
 _FRAMES_A_TASK = 4  # in a row, so that a sequence's next frame is read once
 _FEWEST_FOR_PROCESSES = 6  # frames: below, starting a process takes longer than its share of the work
-_MOST_A_CHECK = 5  # offenders that one check names in one image
-_MISUNDERSTOOD = (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError)
+MOST_NAMED = 1000  # findings of one check that are named; the others are counted
 
 
 @dataclass(frozen=True)
-class Tally:
+class CheckResult:
     """How a check went."""
 
     name: str
     holds: str
     images: int  # that it looked at; of a check over all images, 1 or 0
     good: int
+    found: int = 0  # findings, also those that are not named
 
 
 @dataclass(frozen=True)
@@ -49,9 +55,9 @@ class Report:
     """What the checks found."""
 
     frames: int  # in the data set
-    checked: int  # frames that were looked at before the first offender stopped the work
-    tallies: tuple[Tally, ...]
-    offences: tuple[Offence, ...]  # in order; the first alone unless all were asked for
+    checked: int  # frames that were looked at before the first finding stopped the work
+    check_results: tuple[CheckResult, ...]
+    findings: tuple[Finding, ...]  # in order; the first alone unless more were asked for
     seconds: float
 
 
@@ -60,7 +66,8 @@ class FrameResult:
     """One frame's outcome, from a worker."""
 
     ran: tuple[str, ...]  # checks that applied
-    offences: tuple[Offence, ...]
+    findings: tuple[Finding, ...]
+    found: Counter[str]  # check -> how many findings, also those beyond MOST_NAMED
 
 
 def check_dataset(
@@ -68,7 +75,7 @@ def check_dataset(
     *,
     jobs: int | None = None,
     hashes: bool = True,
-    most: int = 1,
+    most: int | None = 1,
     progress: Progress | None = None,
 ) -> Report:
     """Check a data set's folder.
@@ -77,7 +84,7 @@ def check_dataset(
     ----------
     jobs : worker processes; by default the cores. No result depends on it.
     hashes : compare each file with manifest.json's SHA-256.
-    most : offenders to name before stopping.
+    most : findings to name before stopping; None: go through everything, and name up to `MOST_NAMED` of each check.
 
     Raises
     ------
@@ -90,61 +97,100 @@ def check_dataset(
     checks = (FIRST, *FRAME_CHECKS, *((HASHES,) if hashes else ()))
     ran: Counter[str] = Counter()
     failed: Counter[str] = Counter()
-    offences: list[Offence] = []
+    found: Counter[str] = Counter()
+    findings: list[Finding] = []
     checked = 0
-    results = _frame_results(tasks, _job_count(jobs, len(tasks)), hashes, most)
+    limit = math.inf if most is None else most
+    results = _frame_results(tasks, _job_count(jobs, len(tasks)), hashes, limit)
     with _stage(progress, len(tasks)) as advance:
         for result in results:
             checked += 1
             ran.update(result.ran)
-            failed.update({offence.check for offence in result.offences})
-            offences += result.offences
+            failed.update(result.found.keys())
+            findings += _first_of_each(result.findings, found)
+            found.update(result.found)
             advance(1)
-            if len(offences) >= most:
+            if len(findings) >= limit:
                 results.close()
                 break
-    tallies = [Tally(one.name, one.holds, ran[one.name], ran[one.name] - failed[one.name]) for one in checks]
+    check_results = [
+        CheckResult(one.name, one.holds, ran[one.name], ran[one.name] - failed[one.name], found[one.name])
+        for one in checks
+    ]
     for check in (*DATASET_CHECKS, *((SHARED_HASHES,) if hashes else ())):
-        if len(offences) >= most or not check.applies(merged):
+        if len(findings) >= limit or not check.applies(merged):
             continue
-        found = _found_by(check, merged, "")
-        offences += found
-        tallies.append(Tally(check.name, check.holds, 1, 0 if found else 1))
-    return Report(len(tasks), checked, tuple(tallies), tuple(offences[:most]), perf_counter() - start)
+        own, count = _found_by(check, merged, "")
+        findings += own
+        check_results.append(CheckResult(check.name, check.holds, 1, 0 if count else 1, count))
+    return Report(len(tasks), checked, tuple(check_results), tuple(findings[:most]), perf_counter() - start)
 
 
-def check_frame(data: FrameData, hashes: bool, most: int) -> FrameResult:
-    """Run the checks of one frame; after `most` offenders, or if files are not readable, no further ones."""
-    ran, offences = [FIRST.name], _found_by(FIRST, data, data.name)
-    checks = () if offences else FRAME_CHECKS
-    for check in (*checks, *((HASHES,) if hashes and data.task.listed else ())):
-        if len(offences) >= most:
+def check_frame(data: FrameData, hashes: bool, most: float) -> FrameResult:
+    """Run the checks of one frame; after `most` findings no further ones.
+
+    A file that cannot be read is named once, and the checks that do without it go on.
+    """
+    ran: list[str] = []
+    findings: list[Finding] = []
+    found: Counter[str] = Counter()
+    for check in (FIRST, *FRAME_CHECKS, *((HASHES,) if hashes and data.task.listed else ())):
+        if len(findings) >= most:
             break
-        try:
-            if not check.applies(data):
-                continue
-        except _MISUNDERSTOOD:
-            pass  # the check itself meets it again, and says so
+        if not _applies(check, data):
+            continue
         ran.append(check.name)
-        offences += _found_by(check, data, data.name)
-    return FrameResult(tuple(ran), tuple(offences))
+        own, count = _found_by(check, data, data.name)
+        known = {_place(one) for one in findings}  # of a file that cannot be read, which several checks ask for
+        fresh = [one for one in own if _place(one) not in known]
+        findings += fresh
+        if count > len(own) - len(fresh):
+            found[check.name] = count - (len(own) - len(fresh))
+    return FrameResult(tuple(ran), tuple(findings), found)
 
 
-def _found_by(check: FrameCheck | DatasetCheck, data: Any, image: str) -> list[Offence]:
-    """The check's first offenders; content that it cannot understand is one."""
-    found: list[Offence] = []
+def _place(finding: Finding) -> tuple[object, ...]:
+    return finding.file, finding.problem, finding.plant_id, finding.pixel
+
+
+def _applies(check: FrameCheck, data: FrameData) -> bool:
+    """Whether a check has its files; it says itself what it cannot understand of them."""
+    try:
+        return check.applies(data)
+    except UnreadableError:
+        return False  # which the first check has named
+    except MISUNDERSTOOD:
+        return True
+
+
+def _first_of_each(findings: Sequence[Finding], before: Counter[str]) -> Iterator[Finding]:
+    """Those of a frame that are named, by how many of each check there were in other frames."""
+    number = Counter(before)
+    for finding in findings:
+        number[finding.check] += 1
+        if number[finding.check] <= MOST_NAMED:
+            yield finding
+
+
+def _found_by(check: FrameCheck | DatasetCheck, data: Any, image: str) -> tuple[list[Finding], int]:
+    """The check's first findings and the number of all; content that it cannot understand is one."""
+    found: list[Finding] = []
+    count = 0
     file = check.file or image
     if isinstance(check, FrameCheck) and check.file and not check.shared:
         file = f"{image}/{check.file}"
     try:
-        for offence in islice(check.find(data), _MOST_A_CHECK):
-            found.append(offence)  # noqa: PERF402 - those before an error count
+        for finding in check.find(data):
+            count += 1
+            if count <= MOST_NAMED:
+                found.append(finding)
     except UnreadableError as error:
-        found.append(error.offence)
-    except _MISUNDERSTOOD as error:
-        reason = f"{type(error).__name__}: {error}"
-        found.append(Offence(file, "the content is not of this format", got=reason[:200]))
-    return [replace(offence, check=check.name, image=offence.image or image) for offence in found]
+        found.append(error.finding)
+        count += 1
+    except MISUNDERSTOOD as error:
+        found.append(misunderstood(file, error))
+        count += 1
+    return [replace(finding, check=check.name, image=finding.image or image) for finding in found], count
 
 
 def _tasks(merged: Merged) -> list[FrameTask]:
@@ -159,7 +205,7 @@ def _tasks(merged: Merged) -> list[FrameTask]:
     ]
 
 
-def _frame_results(tasks: Sequence[FrameTask], jobs: int, hashes: bool, most: int) -> Generator[FrameResult]:
+def _frame_results(tasks: Sequence[FrameTask], jobs: int, hashes: bool, most: float) -> Generator[FrameResult]:
     """Results in the order of frames. Closing the iterator stops the work."""
     size = max(1, min(_FRAMES_A_TASK, math.ceil(len(tasks) / (2 * jobs))))
     chunks = [tasks[first : first + size] for first in range(0, len(tasks), size)]
@@ -185,11 +231,11 @@ def _frame_results(tasks: Sequence[FrameTask], jobs: int, hashes: bool, most: in
         pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _chunk(tasks: Sequence[FrameTask], hashes: bool, most: int) -> list[FrameResult]:
+def _chunk(tasks: Sequence[FrameTask], hashes: bool, most: float) -> list[FrameResult]:
     return list(_frames(tasks, hashes, most))
 
 
-def _frames(tasks: Sequence[FrameTask], hashes: bool, most: int) -> Iterator[FrameResult]:
+def _frames(tasks: Sequence[FrameTask], hashes: bool, most: float) -> Iterator[FrameResult]:
     """Check frames in a row; a sequence's next frame is read once."""
     by_name = {task.name: task for task in tasks}
     held: dict[str, FrameData] = {}
@@ -204,7 +250,7 @@ def _frames(tasks: Sequence[FrameTask], hashes: bool, most: int) -> Iterator[Fra
         result = check_frame(data, hashes, most)
         data.following = None
         yield result
-        if len(result.offences) >= most:
+        if len(result.findings) >= most:
             return
 
 

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from forestgen.dataset.check.files import read_json
+from forestgen.dataset.check.finding import UnreadableError
 from forestgen.dataset.check.frame_data import CAMERA
-from forestgen.dataset.check.offence import UnreadableError
 
 UNKNOWN = "?"
 

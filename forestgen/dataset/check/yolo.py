@@ -1,20 +1,27 @@
-"""YOLO's boxes and outlines: the masks' boxes, and rings that fill to the masks."""
+"""YOLO's boxes and outlines: the masks' boxes, and rings that fill to the masks.
+
+A ring's corners are pixels. It fills the pixels whose centre lies inside by the even-odd rule, and those on the lines
+between its corners, as OpenCV's fillPoly does.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.dataset.check.files import read_text
+from forestgen.dataset.check.files import read_text, read_yaml
+from forestgen.dataset.check.finding import Finding, numbers
 from forestgen.dataset.check.frame_data import FrameData
 from forestgen.dataset.check.merged import Merged
-from forestgen.dataset.check.offence import Offence, numbers
 from forestgen.dataset.check.recipe import categories
+from forestgen.dataset.safe_path import SafePath
 
 _TASKS = ("boxes", "segmentation")
 _TOLERANCE = 1e-6
+_FLOOR_TOLERANCE = 1e-3  # of a pixel
 
 
 def has_yolo(merged: Merged) -> bool:
@@ -22,32 +29,32 @@ def has_yolo(merged: Merged) -> bool:
 
 
 def has_boxes(frame: FrameData) -> bool:
-    return (frame.task.root / _file(frame, "boxes")).is_file()
+    return SafePath(frame.task.root, _file(frame, "boxes")).is_file()
 
 
 def has_outlines(frame: FrameData) -> bool:
-    return (frame.task.root / _file(frame, "segmentation")).is_file()
+    return SafePath(frame.task.root, _file(frame, "segmentation")).is_file()
 
 
-def structure(merged: Merged) -> Iterator[Offence]:
+def structure(merged: Merged) -> Iterator[Finding]:
     """Each frame has an image and a file of labels in both layouts; data.yaml names the categories."""
     for task in _TASKS:
         for name in merged.frames:
             for kind, end in (("images", "png"), ("labels", "txt")):
                 file = f"yolo/{task}/{kind}/{name}.{end}"
-                if not (merged.root / file).is_file():
-                    yield Offence(file, "the file is missing", expected="one for each frame", image=name)
-        names = _class_names(read_text(merged.root, f"yolo/{task}/data.yaml"))
+                if not SafePath(merged.root, file).is_file():
+                    yield Finding(file, "the file is missing", expected="one for each frame", image=name)
+        names = _class_names(read_yaml(merged.root, f"yolo/{task}/data.yaml"))
         if names != merged.category_names:
             file, expected = f"yolo/{task}/data.yaml", ", ".join(merged.category_names)
-            yield Offence(file, "names are not the recipe's categories", expected, ", ".join(names))
+            yield Finding(file, "names are not the recipe's categories", expected, ", ".join(names))
 
 
-def boxes(frame: FrameData) -> Iterator[Offence]:
+def boxes(frame: FrameData) -> Iterator[Finding]:
     """A line a plant of the mask, by rising id: class, centre and size of its box as shares of the image."""
     file, width, height = _file(frame, "boxes"), *frame.size_px
     for row, values in _lines(frame, "boxes"):
-        if isinstance(values, Offence):
+        if isinstance(values, Finding):
             yield values
             continue
         if row >= len(frame.extents.plant_id):
@@ -56,15 +63,15 @@ def boxes(frame: FrameData) -> Iterator[Offence]:
         x, y, w, h = frame.extents.box_px[row].tolist()
         expected = np.array([(x + w / 2) / width, (y + h / 2) / height, w / width, h / height])
         if len(values) != 5 or not (np.abs(values[1:] - expected) <= _TOLERANCE).all():
-            yield _offence(frame, file, row, "the box is not the mask's", numbers(expected), numbers(values[1:]))
+            yield _finding(frame, file, row, "the box is not the mask's", numbers(expected), numbers(values[1:]))
     yield from _count(frame, "boxes")
 
 
-def outlines(frame: FrameData) -> Iterator[Offence]:
-    """Each ring lies in its box and fills, at the pixels' centres, to its plant's mask."""
+def outlines(frame: FrameData) -> Iterator[Finding]:
+    """Each ring lies in its box and fills to whole pieces of its plant's mask, and to bridges between them."""
     file, size = _file(frame, "segmentation"), np.array(frame.size_px, dtype=np.float64)
     for row, values in _lines(frame, "segmentation"):
-        if isinstance(values, Offence):
+        if isinstance(values, Finding):
             yield values
             continue
         if row >= len(frame.extents.plant_id):
@@ -72,25 +79,67 @@ def outlines(frame: FrameData) -> Iterator[Offence]:
         yield from _class(frame, file, row, values[0])
         if len(values) < 7 or len(values) % 2 == 0:
             got = f"{len(values)} numbers"
-            yield _offence(frame, file, row, "the line is no ring", "class and 3 or more points", got)
+            yield _finding(frame, file, row, "the line is no ring", "class and 3 or more points", got)
             continue
-        ring = np.floor(values[1:].reshape(-1, 2) * size + 1e-3)
-        box = frame.extents.box_px[row]
-        low, high = ring.min(axis=0), ring.max(axis=0)
-        if (low < box[:2]).any() or (high > box[:2] + box[2:]).any():
-            got = numbers([*low, *(high - low)])
-            yield _offence(frame, file, row, "the outline leaves the mask's box", numbers(box), got)
-            continue
-        x, y, w, h = box.tolist()
-        truth = frame.instance[y : y + h, x : x + w] == frame.extents.plant_id[row]
-        wrong = fill(ring - box[:2], (w, h)) != truth
+        ring = np.floor(values[1:].reshape(-1, 2) * size + _FLOOR_TOLERANCE).astype(np.int64)
+        yield from _ring(frame, file, row, ring)
+    yield from _count(frame, "segmentation")
+
+
+def _ring(frame: FrameData, file: str, row: int, ring: NDArray[np.int64]) -> Iterator[Finding]:
+    """A ring (N, 2) of pixels lies in its box, fills the mask and bridges, and misses no part of a piece."""
+    box = frame.extents.box_px[row]
+    low, high = ring.min(axis=0), ring.max(axis=0)
+    if (low < box[:2]).any() or (high >= box[:2] + box[2:]).any():
+        got = numbers([*low, *(high - low + 1)])
+        yield _finding(frame, file, row, "the outline leaves the mask's box", numbers(box), got)
+        return
+    x, y, w, h = box.tolist()
+    truth = frame.instance[y : y + h, x : x + w] == frame.extents.plant_id[row]
+    added, missing = _differences(ring - box[:2], truth)
+    for wrong, expected, got in ((missing, "inside", "outside"), (added, "outside", "inside")):
         if wrong.any():
             line, column = np.argwhere(wrong)[0].tolist()
-            plant = int(frame.extents.plant_id[row])
-            expected, got = ("inside", "outside") if truth[line, column] else ("outside", "inside")
-            pixel = (x + column, y + line)
-            yield Offence(file, "the outline does not fill to the mask", expected, got, frame.name, plant, pixel)
-    yield from _count(frame, "segmentation")
+            plant, pixel = int(frame.extents.plant_id[row]), (x + column, y + line)
+            yield Finding(file, "the outline does not fill to the mask", expected, got, frame.name, plant, pixel)
+            return
+
+
+def _differences(ring: NDArray[np.int64], truth: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """(H, W) pixels that a ring adds to a mask farther than a pixel from its bridges, and those that it must not miss.
+
+    The ring's edges along rows, columns and diagonals with all their pixels in the mask are borders, the others
+    bridges. It must not miss a pixel of a piece with a border, nor of the largest piece.
+    """
+    from scipy.ndimage import binary_dilation, label
+
+    pixels, edge = line_pixels(ring)
+    step = np.abs(np.roll(ring, -1, axis=0) - ring)
+    own = truth[pixels[:, 1], pixels[:, 0]]
+    inside_mask = np.bincount(edge, weights=~own, minlength=len(ring)) == 0
+    border = inside_mask & ((step == 0).any(axis=1) | (step[:, 0] == step[:, 1]))
+    on_line, near_bridge = np.zeros_like(truth), np.zeros_like(truth)
+    on_line[pixels[:, 1], pixels[:, 0]] = True
+    bridge = pixels[~border[edge]]
+    near_bridge[bridge[:, 1], bridge[:, 0]] = True
+    filled = on_line | fill(ring.astype(np.float64) + 0.5, (truth.shape[1], truth.shape[0]))
+    pieces, number = label(truth, np.ones((3, 3), dtype=np.int8))
+    whole = np.zeros(number + 1, dtype=bool)
+    bordered = pixels[border[edge] & (step.max(axis=1) > 0)[edge]]
+    whole[pieces[bordered[:, 1], bordered[:, 0]]] = True
+    whole[1 + np.bincount(pieces[truth], minlength=number + 1)[1:].argmax()] = True
+    near_bridge = binary_dilation(near_bridge, np.ones((3, 3), dtype=bool))
+    return filled & ~truth & ~near_bridge, whole[pieces] & truth & ~filled
+
+
+def line_pixels(ring: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.intp]]:
+    """(K, 2) pixels of the lines between a ring's corners, one a step along the longer axis, and each one's edge."""
+    step = np.roll(ring, -1, axis=0) - ring
+    count = np.abs(step).max(axis=1)
+    edge = np.repeat(np.arange(len(ring)), count + 1)
+    done = np.arange(len(edge)) - np.repeat(np.cumsum(count + 1) - count - 1, count + 1)
+    share = done / np.maximum(count, 1)[edge]
+    return np.floor(ring[edge] + step[edge] * share[:, None] + 0.5).astype(np.int64), edge
 
 
 def fill(ring: NDArray[np.float64], size_px: tuple[int, int]) -> NDArray[np.bool_]:
@@ -116,36 +165,34 @@ def fill(ring: NDArray[np.float64], size_px: tuple[int, int]) -> NDArray[np.bool
     return np.asarray(np.cumsum(turns[:, :width], axis=1) % 2 == 1)
 
 
-def _lines(frame: FrameData, task: str) -> Iterator[tuple[int, NDArray[np.float64] | Offence]]:
+def _lines(frame: FrameData, task: str) -> Iterator[tuple[int, NDArray[np.float64] | Finding]]:
     for row, line in enumerate(read_text(frame.task.root, _file(frame, task)).splitlines()):
         try:
             values = np.array(line.split(), dtype=np.float64)
             if not len(values) or not np.isfinite(values).all():
                 raise ValueError
         except ValueError:
-            yield row, _offence(frame, _file(frame, task), row, f"line {row + 1} is not numbers alone", "", line[:60])
+            yield row, _finding(frame, _file(frame, task), row, f"line {row + 1} is not numbers alone", "", line[:60])
             continue
         yield row, values
 
 
-def _count(frame: FrameData, task: str) -> Iterator[Offence]:
+def _count(frame: FrameData, task: str) -> Iterator[Finding]:
     lines = len(read_text(frame.task.root, _file(frame, task)).splitlines())
     if lines != len(frame.extents.plant_id):
         problem = "there is not a line for each plant of the mask"
-        yield Offence(_file(frame, task), problem, str(len(frame.extents.plant_id)), str(lines), frame.name)
+        yield Finding(_file(frame, task), problem, str(len(frame.extents.plant_id)), str(lines), frame.name)
 
 
-def _class(frame: FrameData, file: str, row: int, number: float) -> Iterator[Offence]:
+def _class(frame: FrameData, file: str, row: int, number: float) -> Iterator[Finding]:
     names, _ = categories(frame.recipe)
     own = frame.categories.get(int(frame.extents.plant_id[row]))
     if own not in names or number != names.index(own):
-        yield _offence(frame, file, row, "the class is not that of the plant's species", str(own), str(number))
+        yield _finding(frame, file, row, "the class is not that of the plant's species", str(own), str(number))
 
 
-def _class_names(text: str) -> list[str]:
-    from ruamel.yaml import YAML
-
-    names = YAML(typ="safe").load(text)["names"]
+def _class_names(content: Any) -> list[str]:
+    names = content["names"]
     return [str(names[key]) for key in sorted(names)]
 
 
@@ -153,6 +200,6 @@ def _file(frame: FrameData, task: str) -> str:
     return f"yolo/{task}/labels/{frame.name}.txt"
 
 
-def _offence(frame: FrameData, file: str, row: int, problem: str, expected: str, got: str) -> Offence:
+def _finding(frame: FrameData, file: str, row: int, problem: str, expected: str, got: str) -> Finding:
     plant = int(frame.extents.plant_id[row]) if row < len(frame.extents.plant_id) else None
-    return Offence(file, problem, expected, got, frame.name, plant)
+    return Finding(file, problem, expected, got, frame.name, plant)

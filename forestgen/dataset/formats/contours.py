@@ -1,11 +1,11 @@
-"""Outlines of masks as polygons on the edges of pixels, exact, one polygon a plant.
+"""Outlines of masks as polygons through the centres of their border pixels, one polygon a plant.
 
-A plant's pixels are unit squares; their union's border is a set of loops on the pixel grid: outer ones, around parts
-of the plant that touch along edges (pixels that touch at a corner only are apart), and inner ones, around holes, the
-other way round. One polygon holds them all: each loop after the first is joined to the nearest corner (in the
-Chebyshev distance) of an earlier one by a bridge of no width, walked there and back. So a point lies inside the
-polygon, by the even-odd rule as well as by the non-zero one, exactly if its pixel is the plant's: holes and scattered
-leaves included.
+Pixels that touch, at a side or a corner, are a piece. A piece's border is a set of rings from pixel to neighbouring
+pixel: an outer one, and one around each hole, all walked with the plant at the right hand. One polygon holds them all:
+`bridges.py` joins pieces, and a vertical line through the piece's own pixels joins a hole's ring with the ring above.
+A bridge is walked there and back. So all pixels whose centre lies on the polygon or, by the even-odd rule, inside it
+are the plant's, but for those of bridges between pieces; and all of the plant's pixels are among them, but for pieces
+that cost more than they bring.
 """
 
 from __future__ import annotations
@@ -16,16 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.compiled import compiled
+from forestgen.dataset.formats.bridges import join_pieces
 
-Corners = NDArray[np.int32]  # (N, 2) x, y: corners of pixels, from (0, 0) to (width, height)
+Corners = NDArray[np.int32]  # (N, 2) x, y: columns and rows of pixels
 
 # Sides of a pixel in the order of a walk around it with the pixel at the right hand: top, right, bottom, left.
-_STEP_X = np.array([1, 0, -1, 0])
-_STEP_Y = np.array([0, 1, 0, -1])
 _OUT_X = np.array([0, 1, 0, -1])  # what lies beyond a side
 _OUT_Y = np.array([-1, 0, 1, 0])
-_START_X = np.array([0, 1, 1, 0])  # where the walk along a side starts, from the pixel's upper left corner
-_START_Y = np.array([0, 0, 1, 1])
+_TOP = 0
 
 
 def polygons(instance: NDArray[np.uint32]) -> dict[int, Corners]:
@@ -37,160 +35,164 @@ def polygons(instance: NDArray[np.uint32]) -> dict[int, Corners]:
 
     Returns
     -------
-    plant_id -> (N, 2) int32 corners x, y, ids rising; the last corner joins the first.
+    plant_id -> (N, 2) int32 pixels x, y, ids rising; the last joins the first. One or two pixels have one or two.
     """
-    corners, begin, owner = _loops(np.ascontiguousarray(instance))
-    if len(owner) == 0:
-        return {}
-    order = np.argsort(owner, kind="stable")  # by plant; within one, as rows meet them: outer loops before their holes
-    joined, end = _join(corners, begin, order, owner, instance.shape[0], instance.shape[1])
-    plants, first = np.unique(owner[order], return_index=True)
-    last = np.append(first[1:], len(order)) - 1
-    return {
-        int(plant): joined[0 if low == 0 else end[low - 1] : end[high]]
-        for plant, low, high in zip(plants, first, last, strict=True)
-    }
+    from scipy.ndimage import find_objects
+
+    ids, index = np.unique(instance, return_inverse=True)
+    boxes = find_objects(index.reshape(instance.shape) + 1)
+    found = {}
+    for plant, box in zip(ids.tolist(), boxes, strict=True):
+        if plant:
+            corner = (box[1].start, box[0].start)
+            found[plant] = _polygon(instance[box] == plant) + np.array(corner, dtype=np.int32)
+    return found
+
+
+def _polygon(mask: NDArray[np.bool_]) -> Corners:
+    kept, bridges = join_pieces(mask)
+    return _without_collinear(_joined(kept, *_rings(kept), bridges))
+
+
+def _without_collinear(ring: NDArray[np.int64]) -> Corners:
+    """The ring without repeated pixels, and without those within a run along a row, a column or a diagonal."""
+    ring = ring[(ring != np.roll(ring, 1, axis=0)).any(axis=1)] if (ring != ring[0]).any() else ring[:1]
+    step = np.roll(ring, -1, axis=0) - ring
+    is_run = (step == 0).any(axis=1) | (np.abs(step[:, 0]) == np.abs(step[:, 1]))
+    way = np.sign(step)
+    goes_on = is_run & np.roll(is_run, 1) & (way == np.roll(way, 1, axis=0)).all(axis=1)
+    return (ring[~goes_on] if len(ring) > 1 else ring).astype(np.int32)
 
 
 @compiled
-def _loops(instance: Any) -> Any:
-    """Corners of all loops (K, 2), where each loop begins (L + 1,), and its plant (L,)."""
-    height, width = instance.shape
+def _rings(mask: Any) -> Any:
+    """Pixels x, y of all rings (K, 2) and where each begins (L + 1,); (H, W) a place in it of each border pixel.
+
+    The last array (H, W) is the place of the walk along the pixel's top. A ring that begins there is an outer one, all
+    others are around holes, and begin at the bottom of a pixel.
+    """
+    height, width = mask.shape
     sides = 0
     for y in range(height):
         for x in range(width):
-            if instance[y, x] != 0:
-                for side in range(4):
-                    sides += _is_border(instance, y, x, side)
-    corners = np.empty((sides, 2), np.int32)
-    begin = np.empty(sides // 4 + 1, np.int64)
-    owner = np.empty(sides // 4, np.uint32)
+            for side in range(4):
+                sides += mask[y, x] and not _is_plant(mask, y + _OUT_Y[side], x + _OUT_X[side])
+    pixels = np.empty((sides, 2), np.int64)
+    begin = np.zeros(sides // 4 + 1, np.int64)
+    at, top = np.full((height, width), -1, np.int64), np.full((height, width), -1, np.int64)
     done = np.zeros((height, width), np.uint8)
-    count, loops = 0, 0
+    rings = 0
     for y in range(height):
         for x in range(width):
-            if instance[y, x] == 0:
-                continue
             for side in range(4):
-                if done[y, x] >> side & 1 or not _is_border(instance, y, x, side):
-                    continue
-                begin[loops] = count
-                owner[loops] = instance[y, x]
-                count = _walk(instance, y, x, side, done, corners, count)
-                loops += 1
-    begin[loops] = count
-    return corners[:count], begin[: loops + 1], owner[:loops]
+                border = mask[y, x] and not _is_plant(mask, y + _OUT_Y[side], x + _OUT_X[side])
+                if border and not done[y, x] >> side & 1:
+                    begin[rings + 1] = _walk(mask, y, x, side, done, pixels, begin[rings], at, top)
+                    rings += 1
+    return pixels[: begin[rings]], begin[: rings + 1], at, top
 
 
 @compiled
-def _is_border(instance: Any, y: int, x: int, side: int) -> bool:
-    """Nothing, or another plant, lies beyond a side of a plant's pixel."""
-    height, width = instance.shape
-    other_y, other_x = y + _OUT_Y[side], x + _OUT_X[side]
-    if other_y < 0 or other_x < 0 or other_y >= height or other_x >= width:
-        return True
-    return bool(instance[other_y, other_x] != instance[y, x])
+def _is_plant(mask: Any, y: int, x: int) -> bool:
+    return bool(0 <= y < mask.shape[0] and 0 <= x < mask.shape[1] and mask[y, x])
 
 
 @compiled
-def _walk(instance: Any, y: int, x: int, side: int, done: Any, corners: Any, count: int) -> int:
-    """Follow the loop of a side, marking its sides and writing a corner at each turn."""
-    while not done[y, x] >> side & 1:
-        done[y, x] |= np.uint8(1 << side)
-        turn = (side + 1) % 4
-        corner_x, corner_y = x + _START_X[turn], y + _START_Y[turn]
-        if _is_border(instance, y, x, turn):  # the pixel's own next side
-            corners[count, 0], corners[count, 1] = corner_x, corner_y
-            count += 1
-            side = turn
-            continue
-        y, x = y + _STEP_Y[side], x + _STEP_X[side]
-        if not _is_border(instance, y, x, side):  # the way is barred by the pixel diagonally ahead: turn outwards
-            corners[count, 0], corners[count, 1] = corner_x, corner_y
-            count += 1
-            y, x = y + _OUT_Y[side], x + _OUT_X[side]
-            side = (side + 3) % 4
-    return count
-
-
-@compiled
-def _join(corners: Any, begin: Any, order: Any, owner: Any, height: int, width: int) -> Any:
-    """Corners of joined loops, plant by plant, and the number of them written after each loop's plant so far (L,).
-
-    A plant's loops make a tree: a loop's parent corner is the nearest of all earlier loops' corners to its own first.
-    """
-    total, loops = corners.shape[0], order.shape[0]
-    joined = np.empty((total + 2 * loops, 2), np.int32)
-    end = np.zeros(loops, np.int64)
-    at = np.full((height + 1, width + 1), -1, np.int64)  # last corner written down at each place of the grid
-    loop_of = np.empty(total, np.int64)
-    child = np.full(total, -1, np.int64)  # first loop that hangs on a corner
-    sibling = np.full(loops, -1, np.int64)  # next loop that hangs on the same corner
-    path = np.empty(loops, np.int64)  # loops that are being walked, outermost first
-    place = np.empty(loops, np.int64)  # corner reached in each
-    count, low = 0, 0
-    while low < loops:
-        high = low
-        while high < loops and owner[order[high]] == owner[order[low]]:
-            loop = order[high]
-            if high > low:
-                parent = _nearest(at, corners, begin[loop], loop_of, owner, owner[loop])
-                sibling[loop] = child[parent]
-                child[parent] = loop
-            for corner in range(begin[loop], begin[loop + 1]):
-                at[corners[corner, 1], corners[corner, 0]] = corner
-                loop_of[corner] = loop
-            high += 1
-        count = _write_tree(corners, begin, order[low], child, sibling, path, place, joined, count)
-        end[low:high] = count
-        low = high
-    return joined[:count], end
-
-
-@compiled
-def _nearest(at: Any, corners: Any, corner: int, loop_of: Any, owner: Any, plant: Any) -> int:
-    """The nearest written corner of a plant, by growing squares around a corner."""
-    rows, columns = at.shape
-    x, y = corners[corner, 0], corners[corner, 1]
-    for radius in range(max(rows, columns)):
-        top, bottom = max(0, y - radius), min(rows - 1, y + radius)
-        for row in range(top, bottom + 1):
-            whole = row == y - radius or row == y + radius
-            step = 1 if whole or radius == 0 else 2 * radius
-            for column in range(x - radius, x + radius + 1, step):
-                if 0 <= column < columns:
-                    found = at[row, column]
-                    if found >= 0 and owner[loop_of[found]] == plant:
-                        return int(found)
-    return -1  # cannot be: an earlier loop of the plant has corners
-
-
-@compiled
-def _write_tree(
-    corners: Any, begin: Any, root: int, child: Any, sibling: Any, path: Any, place: Any, joined: Any, count: int
-) -> int:
-    """Walk a tree of loops from its root: each loop once around, a bridge to each loop that hangs on a corner."""
-    depth = 0
-    path[0], place[0] = root, begin[root]
-    joined[count] = corners[place[0]]
+def _walk(mask: Any, y: int, x: int, side: int, done: Any, pixels: Any, count: int, at: Any, top: Any) -> int:
+    """Follow the ring of a side, marking sides and writing each pixel that is entered."""
+    pixels[count, 0], pixels[count, 1] = x, y
     count += 1
     while True:
-        corner = place[depth]
-        hanging = child[corner]
-        if hanging >= 0:
-            child[corner] = sibling[hanging]
-            depth += 1
-            path[depth], place[depth] = hanging, begin[hanging]
-            joined[count] = corners[place[depth]]
-            count += 1
-        elif corner + 1 < begin[path[depth] + 1]:
-            place[depth] = corner + 1
-            joined[count] = corners[corner + 1]
-            count += 1
-        elif depth == 0:
+        done[y, x] |= np.uint8(1 << side)
+        at[y, x] = count - 1
+        if side == _TOP:
+            top[y, x] = count - 1
+        turn = (side + 1) % 4
+        next_y, next_x = y + _OUT_Y[turn], x + _OUT_X[turn]
+        beyond_y, beyond_x = next_y + _OUT_Y[side], next_x + _OUT_X[side]
+        if _is_plant(mask, beyond_y, beyond_x):
+            next_y, next_x, side = beyond_y, beyond_x, (side + 3) % 4
+        elif not _is_plant(mask, next_y, next_x):
+            next_y, next_x, side = y, x, turn
+        if done[next_y, next_x] >> side & 1:
             return count
-        else:  # close this loop, and cross the bridge back
-            joined[count] = corners[begin[path[depth]]]
-            depth -= 1
-            joined[count + 1] = corners[place[depth]]
+        if next_y != y or next_x != x:
+            pixels[count, 0], pixels[count, 1] = next_x, next_y
+            count += 1
+        y, x = next_y, next_x
+
+
+@compiled
+def _joined(mask: Any, pixels: Any, begin: Any, at: Any, top: Any, bridges: Any) -> Any:
+    """(N, 2) the rings of a mask as one, from its first one on."""
+    rings, most = len(begin) - 1, 2 * (len(bridges.start) + len(begin))
+    links = np.empty((most, 2), np.int64)  # the place where each begins, and the next link there
+    there, back = np.full((most, 2), -1, np.int64), np.full((most, 3, 2), -1, np.int64)
+    ring_of = np.empty(len(pixels), np.int64)
+    count = 0
+    for k in range(len(bridges.start)):
+        links[count, 0] = at[bridges.start[k, 1], bridges.start[k, 0]]
+        links[count + 1, 0] = at[bridges.end[k, 1], bridges.end[k, 0]]
+        there[count], there[count + 1] = bridges.there[k], bridges.there[k]
+        back[count], back[count + 1] = bridges.back[k], bridges.back[k, ::-1]
+        count += 2
+    for ring in range(rings):
+        ring_of[begin[ring] : begin[ring + 1]] = ring
+        x, y = pixels[begin[ring]]
+        if top[y, x] != begin[ring]:  # a hole's: up to the ring above
+            while _is_plant(mask, y - 1, x):
+                y -= 1
+            links[count, 0], links[count + 1, 0] = begin[ring], top[y, x]
             count += 2
+    first = np.full(len(pixels), -1, np.int64)
+    for link in range(count):
+        links[link, 1] = first[links[link, 0]]
+        first[links[link, 0]] = link
+    return _write(pixels, begin, ring_of, first, links, there, back)
+
+
+@compiled
+def _write(pixels: Any, begin: Any, ring_of: Any, first: Any, links: Any, there: Any, back: Any) -> Any:
+    """Walk a tree of rings: each ring once around, and from each place the links there, there and back.
+
+    Links k and k ^ 1 are the two directions of one.
+    """
+    rings = len(begin) - 1
+    out = np.empty((len(pixels) + 6 * rings, 2), np.int64)
+    entry, place = np.zeros(rings, np.int64), np.zeros(rings, np.int64)
+    link, taken = np.full(rings, -1, np.int64), np.full(rings, -1, np.int64)  # next to take; the one that led here
+    link[0], out[0] = first[0], pixels[0]
+    count, depth = 1, 0
+    while True:
+        here = link[depth]
+        if here >= 0:
+            link[depth] = links[here, 1]
+            if here ^ 1 == taken[depth]:
+                continue
+            count = _put(out, count, there[here])
+            depth += 1
+            taken[depth] = here
+            place[depth] = entry[depth] = links[here ^ 1, 0]
+        else:
+            ring = ring_of[place[depth]]
+            following = place[depth] + 1 if place[depth] + 1 < begin[ring + 1] else begin[ring]
+            if following == entry[depth]:  # close this ring, and cross the bridge back
+                if depth == 0:
+                    return out[:count]
+                count = _put(out, count, pixels[entry[depth]])
+                for pixel in back[taken[depth]]:
+                    count = _put(out, count, pixel)
+                depth -= 1
+                count = _put(out, count, pixels[place[depth]])
+                continue
+            place[depth] = following
+        link[depth] = first[place[depth]]
+        count = _put(out, count, pixels[place[depth]])
+
+
+@compiled
+def _put(out: Any, count: int, pixel: Any) -> int:
+    if pixel[0] < 0:
+        return count
+    out[count] = pixel
+    return count + 1

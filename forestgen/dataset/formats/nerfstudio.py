@@ -38,7 +38,7 @@ import numpy as np
 
 from forestgen.core.errors import OutputError
 from forestgen.dataset.files import write_json
-from forestgen.dataset.formats.shards import in_order, read_shard
+from forestgen.dataset.formats.shards import damaged, in_order, read_shard
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.labels.labelled import LabelledFrame
 
@@ -92,11 +92,19 @@ def _camera(root: Path, folder: str) -> dict[str, Any]:
 def _transforms(root: Path, model: str, folders: Sequence[str], settings: DatasetSettings) -> dict[str, Any]:
     content: dict[str, Any] = {
         "camera_model": MODELS[model],
-        "frames": [_frame(root, folder, settings) for folder in folders],
+        "frames": [_checked_frame(root, folder, settings) for folder in folders],
     }
     if "depth_png" in settings.formats:
         content["depth_unit_scale_factor"] = settings.depth_unit_m
     return content
+
+
+def _checked_frame(root: Path, folder: str, settings: DatasetSettings) -> dict[str, Any]:
+    """`_frame`; numbers that make no camera raise `OutputError`."""
+    try:
+        return _frame(root, folder, settings)
+    except (KeyError, IndexError, TypeError, ValueError, OverflowError) as error:
+        raise damaged(root / folder / CAMERA_NAME, f"{type(error).__name__}: {error}"[:200]) from error
 
 
 def _frame(root: Path, folder: str, settings: DatasetSettings) -> dict[str, Any]:

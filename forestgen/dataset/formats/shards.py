@@ -17,6 +17,7 @@ from typing import IO, Any, get_args, get_origin
 
 from forestgen.core.errors import OutputError
 from forestgen.dataset.files import output_error, write_bytes
+from forestgen.dataset.safe_path import SafePath, load_json
 from forestgen.dataset.settings import DatasetSettings
 
 _REMEDY = "a worker may have stopped early: make this frame again"
@@ -51,8 +52,8 @@ def read_shard(path: Path, types: Mapping[str, type]) -> dict[str, Any]:
         When the file is missing, cut short, or not a shard of this format.
     """
     try:
-        content = json.loads(read_bytes(path))
-    except (ValueError, RecursionError) as error:
+        content = load_json(read_bytes(path))
+    except ValueError as error:
         raise damaged(path, str(error)) from error
     for key, kind in types.items():
         if not isinstance(content, dict) or not _is_a(content.get(key), kind):
@@ -69,7 +70,7 @@ def read_shard(path: Path, types: Mapping[str, type]) -> dict[str, Any]:
 def read_bytes(path: Path) -> bytes:
     """A frame's share of a format as it is; one that is missing or cannot be read raises `OutputError`."""
     try:
-        return path.read_bytes()
+        return SafePath(path.parent, path.name).read()
     except FileNotFoundError as error:
         raise OutputError("a frame lacks its share of the labels", where=str(path), hint=_REMEDY) from error
     except OSError as error:

@@ -12,16 +12,16 @@ split's own images: train with those.
 What the format cannot hold: plant_id (a line's number is the annotation's place among its image's in coco.json), and
 any label besides class and outline.
 
-**One polygon a plant.** A line has one ring, but a crown is many pieces with gaps. All loops of the mask's border,
-holes too, are joined by bridges of no width (`contours.py`), as converters from COCO join pieces. Corners lie on the
-edges of pixels: filling the ring by the even-odd or the non-zero rule at the pixels' centres gives the instance mask,
-exactly. Readers that draw the ring's own line as well (OpenCV's fillPoly, which Ultralytics and supervision use) add
-the pixels right and below of edges, and those under bridges: on crowns of single pixels that is a lot
-(`benchmarks/readers.py` prints how much). Ultralytics also resamples a ring of more than 1,000 corners to 1,000. For
-masks as they are, read coco.json.
+**One polygon a plant.** A line has one ring, but a crown is many pieces with gaps. The ring goes through border pixels,
+as those of OpenCV's findContours do, around pieces and holes, and crosses gaps by bridges (`contours.py`). Its mask is
+that of OpenCV's fillPoly, which Ultralytics and supervision use: pixels whose centre lies inside by the even-odd rule,
+and pixels on the ring's lines. That is the instance mask, but for pixels under bridges, and for pieces that are left
+out because their bridges would add more pixels than they have (`bridges.py`). A plant in one piece, holes included, is
+exact. A ring's own box is a pixel smaller than the mask's, and lacks what is left out: take the boxes of
+``yolo/boxes``. For masks as they are, read coco.json.
 
-Shares have seven digits and are rounded up, by less than 2e-7: times the width they are the corner or just above it, in
-single precision too, so readers that cut off decimals get the right corner.
+Shares are those of the pixel's column and row plus 0.4: times the width or height, cut off or rounded, they give that
+pixel, in single precision too. A ring of one or two pixels repeats its last one, for a line has three corners at least.
 
 Files in the frame's folder: ``yolo_segmentation.txt`` and ``yolo_boxes.txt``; merging places them, and the preview.
 """
@@ -44,6 +44,8 @@ FOLDER_NAME = "yolo"
 TASKS = ("segmentation", "boxes")
 WHOLE_NAMES = {task: f"yolo_{task}.yaml" for task in TASKS}  # of a data set of several splits
 _DIGITS = 7
+_WITHIN_PIXEL = 0.4  # below 0.5, so that rounding gives the pixel; near it, for its centre is meant
+_FEWEST_CORNERS = 3
 
 
 def write_frame(folder: Path, labelled: LabelledFrame, settings: DatasetSettings) -> None:
@@ -98,8 +100,9 @@ def outline_lines(labelled: LabelledFrame) -> list[str]:
     visible = labelled.views.visible
     lines = []
     for row in np.flatnonzero(visible.has_box):
-        ring = rings[int(visible.plant_id[row])]
-        corners = " ".join(f"{across[x]} {down[y]}" for x, y in ring.tolist())
+        ring = rings[int(visible.plant_id[row])].tolist()
+        ring += ring[-1:] * (_FEWEST_CORNERS - len(ring))
+        corners = " ".join(f"{across[x]} {down[y]}" for x, y in ring)
         lines.append(f"{labelled.category[row]} {corners}")
     return lines
 
@@ -118,10 +121,8 @@ def box_lines(labelled: LabelledFrame) -> list[str]:
 
 
 def _shares(length_px: int) -> list[str]:
-    """Text of k / length for k = 0 ... length, rounded up and a step more, but 0 and 1 as they are."""
-    step = 10**_DIGITS
-    whole = [0, *(-(-k * step // length_px) + 1 for k in range(1, length_px)), step]
-    return [f"{value / step:.{_DIGITS}f}" for value in whole]
+    """Text of the share of each pixel along a side."""
+    return [f"{(pixel + _WITHIN_PIXEL) / length_px:.{_DIGITS}f}" for pixel in range(length_px)]
 
 
 def _check_whole(shard: Path) -> None:

@@ -6,16 +6,16 @@ A channel is a file of the frame's folder, byte for byte as it lies there, or an
 from __future__ import annotations
 
 import io
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
 from forestgen.core.errors import DatasetError, RecipeError
 from forestgen.dataset.exr import read_exr
+from forestgen.dataset.exr_chunks import check_chunks
+from forestgen.dataset.safe_path import SafePath, load_json, unreadable
 
 Kind = Literal["picture", "objects", "bytes"]
 EXR_FILE, CAMERA_FILE = "frame.exr", "camera.json"
@@ -63,35 +63,42 @@ CHANNELS = {channel.name: channel for channel in _ALL}
 _DEFAULT = ("preview", "semantic", "instance", "depth", "annotations")  # those of them that the data set has
 
 
-def choose_channels(folder: Path, wanted: Sequence[str] | None) -> tuple[Channel, ...]:
+def choose_channels(folders: Sequence[SafePath], wanted: Sequence[str] | None) -> tuple[Channel, ...]:
     """The channels to pack, in their own order.
 
     Parameters
     ----------
-    folder : of one frame, which tells what the data set has.
-    wanted : names; None: those of the usual ones that the data set has.
+    folders : of all frames; the first tells which channels there are to name.
+    wanted : names; None: those of the usual ones that any frame has.
 
     Raises
     ------
     RecipeError : no channel has such a name, or the data set lacks it.
     """
     if wanted is None:
-        return tuple(CHANNELS[name] for name in _DEFAULT if _has(folder, CHANNELS[name], {}))
+        usual = [CHANNELS[name] for name in _DEFAULT]
+        return tuple(one for one in usual if any((folder / one.file).is_file() for folder in folders))
     if not wanted:
         raise RecipeError("no channel is named", where="--channels", expected=", ".join(CHANNELS))
+    folder = folders[0]
     # A part of frame.exr is looked for only where an array is asked for: to read the file takes a while.
     needs_exr = any(name not in CHANNELS or CHANNELS[name].part for name in wanted)
     exr = read_exr_file(folder / EXR_FILE) if needs_exr and (folder / EXR_FILE).is_file() else {}
     for name in wanted:
-        if name not in CHANNELS or not _has(folder, CHANNELS[name], exr):
+        if name not in CHANNELS or not (_has(folder, CHANNELS[name], exr) or _any_has(folders[1:], CHANNELS[name])):
             exr = exr or read_exr_file(folder / EXR_FILE)
             raise _no_such_channel(name, [one for one in CHANNELS if _has(folder, CHANNELS[one], exr)])
     return tuple(channel for name, channel in CHANNELS.items() if name in wanted)
 
 
-def _has(folder: Path, channel: Channel, exr: Mapping[str, Mapping[str, Any]]) -> bool:
+def _has(folder: SafePath, channel: Channel, exr: Mapping[str, Mapping[str, Any]]) -> bool:
     there = (folder / channel.file).is_file()
     return there and (not channel.part or all(one in exr.get(channel.part, {}) for one in channel.layers))
+
+
+def _any_has(folders: Sequence[SafePath], channel: Channel) -> bool:
+    """Whether another frame has the file, so that the first one lacks it. Arrays are judged by the first alone."""
+    return not channel.part and any((folder / channel.file).is_file() for folder in folders)
 
 
 def _no_such_channel(name: str, known: Sequence[str]) -> RecipeError:
@@ -100,7 +107,7 @@ def _no_such_channel(name: str, known: Sequence[str]) -> RecipeError:
     return RecipeError(problem, where="--channels", expected="of " + ", ".join(known), got=name, hint=hint)
 
 
-def measure_frame(folder: Path, channels: Sequence[Channel]) -> int:
+def measure_frame(folder: SafePath, channels: Sequence[Channel]) -> int:
     """Bytes that a frame's channels take; a file that is missing raises `DatasetError`."""
     total = 0
     for channel in channels:
@@ -108,20 +115,22 @@ def measure_frame(folder: Path, channels: Sequence[Channel]) -> int:
     return total
 
 
-def _array_bytes(folder: Path, channel: Channel) -> int:
+def _array_bytes(folder: SafePath, channel: Channel) -> int:
     _size(folder / channel.file)
-    width, height = read_json(folder / CAMERA_FILE)["size_px"]
-    return 128 + 4 * int(width) * int(height) * len(channel.layers)  # a header, and floats
+    size_px = read_json(folder / CAMERA_FILE).get("size_px")
+    if not isinstance(size_px, list) or len(size_px) != 2 or not all(type(side) is int for side in size_px):
+        raise DatasetError("the camera has no size", where=str(folder / CAMERA_FILE), expected="size_px: [W, H]")
+    return 128 + 4 * int(size_px[0]) * int(size_px[1]) * len(channel.layers)  # a header, and floats
 
 
-def _size(path: Path) -> int:
+def _size(path: SafePath) -> int:
     try:
-        return path.stat().st_size
+        return path.size_bytes()
     except OSError as error:
-        raise _unreadable(path, error) from error
+        raise unreadable(path, error, REMEDY) from error
 
 
-def read_channels(folder: Path, channels: Sequence[Channel]) -> dict[str, bytes]:
+def read_channels(folder: SafePath, channels: Sequence[Channel]) -> dict[str, bytes]:
     """Channel -> bytes, of a frame.
 
     Raises
@@ -135,7 +144,7 @@ def read_channels(folder: Path, channels: Sequence[Channel]) -> dict[str, bytes]
     }
 
 
-def _npy(folder: Path, channel: Channel, exr: Mapping[str, Mapping[str, Any]]) -> bytes:
+def _npy(folder: SafePath, channel: Channel, exr: Mapping[str, Mapping[str, Any]]) -> bytes:
     """(H, W) or (H, W, C) float32 of frame.exr."""
     part = exr.get(channel.part, {})
     if not all(layer in part for layer in channel.layers):
@@ -159,43 +168,42 @@ _ENDS = {
 }
 
 
-def _whole(path: Path) -> bytes:
+def _whole(path: SafePath) -> bytes:
     content = read_file(path)
-    head, tail = _ENDS[path.suffix]
+    head, tail = _ENDS[f".{path.name.rpartition('.')[2]}"]
     if not (content.startswith(head) and content.endswith(tail)):
         raise DatasetError("a file is cut short or damaged", where=str(path), hint=REMEDY)
     return content
 
 
-def read_exr_file(path: Path) -> dict[str, dict[str, Any]]:
+def read_exr_file(path: SafePath) -> dict[str, dict[str, Any]]:
     """`read_exr`, with its failures as `DatasetError`."""
     _size(path)
     try:
-        return read_exr(path)
+        with path.open() as stream:
+            count = check_chunks(stream)
+        parts = read_exr(path.located())
+        if len(parts) != count:
+            raise ValueError(f"{len(parts)} of {count} parts can be read")
+        return parts
     except Exception as error:  # the library raises whatever its C++ threw
         raise DatasetError("a file is cut short or damaged", where=str(path), hint=REMEDY) from error
 
 
-def read_file(path: Path) -> bytes:
+def read_file(path: SafePath) -> bytes:
     """A file's bytes; failures are `DatasetError`."""
     try:
-        return path.read_bytes()
+        return path.read()
     except OSError as error:
-        raise _unreadable(path, error) from error
+        raise unreadable(path, error, REMEDY) from error
 
 
-def read_json(path: Path) -> dict[str, Any]:
+def read_json(path: SafePath) -> dict[str, Any]:
     """An object of JSON; what is none raises `DatasetError`."""
     try:
-        content = json.loads(read_file(path))
-    except (ValueError, RecursionError) as error:
+        content = load_json(read_file(path))
+    except ValueError as error:
         raise DatasetError("a file is cut short or damaged", where=str(path), hint=REMEDY) from error
     if not isinstance(content, dict):
         raise DatasetError("a file is not what its name says", where=str(path), expected="a JSON object")
     return content
-
-
-def _unreadable(path: Path, error: OSError) -> DatasetError:
-    if isinstance(error, FileNotFoundError | NotADirectoryError):
-        return DatasetError("a file of the data set is missing", where=str(path), hint=REMEDY)
-    return DatasetError(f"cannot read: {error.strerror or error}", where=str(path))

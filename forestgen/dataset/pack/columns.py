@@ -5,7 +5,6 @@ The library keeps its types as JSON in a Parquet file's metadata, so that a colu
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -14,6 +13,7 @@ from forestgen.dataset.formats.shards import json_text
 from forestgen.dataset.pack.channels import Channel
 from forestgen.dataset.pack.samples import Sample
 from forestgen.dataset.pack.source import Source
+from forestgen.dataset.safe_path import load_json
 
 # Of the index, what each frame's columns say in another way.
 _LEFT_OUT = ("frame", "folder", "split")
@@ -116,7 +116,7 @@ def _objects_feature(categories: Sequence[str]) -> dict[str, Any]:
 
 def _objects(content: bytes) -> dict[str, list[Any]]:
     """The plants in view, field by field."""
-    plants = json.loads(content)["annotations"]
+    plants = load_json(content)["annotations"]
     return {
         "bbox": [one["bbox"] for one in plants],
         "category": [one["category_id"] - 1 for one in plants],

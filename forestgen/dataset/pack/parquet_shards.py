@@ -10,6 +10,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from forestgen.core.errors import DatasetError
 from forestgen.dataset.formats.shards import json_text
 from forestgen.dataset.pack.columns import Column, arrow_type
 from forestgen.dataset.pack.samples import Sample, Shard
@@ -83,7 +84,7 @@ class _File:
         # Of pictures no reader wants the smallest and the largest, which else go into the footer.
         measured = [one.name for one in schema if not (pa.types.is_nested(one.type) or pa.types.is_binary(one.type))]
         self._writer = pq.ParquetWriter(self._stream, schema, use_dictionary=False, write_statistics=measured)
-        self._group: list[Sample] = []
+        self._group: list[list[Any]] = []  # rows
         self._group_bytes = self._groups = self.frames = 0
         self._footer_bytes = 3 * len(schema.serialize()) + 4096
         self._leaves = _leaves(schema)
@@ -94,7 +95,7 @@ class _File:
         return int(self._stream.tell()) + self._group_bytes + sample_bytes + self._footer_bytes + headers
 
     def add(self, sample: Sample, sample_bytes: int) -> None:
-        self._group.append(sample)
+        self._group.append([_cell(column, sample) for column in self._columns])
         self._group_bytes += sample_bytes
         self.frames += 1
         if self._group_bytes >= _GROUP_BYTES or len(self._group) >= _GROUP_ROWS:
@@ -103,10 +104,8 @@ class _File:
     def _flush(self) -> None:
         import pyarrow as pa
 
-        arrays = [
-            pa.array([column.cell(sample) for sample in self._group], arrow_type(column.feature))
-            for column in self._columns
-        ]
+        cells = zip(*self._group, strict=True)
+        arrays = [_array(column, values) for column, values in zip(self._columns, cells, strict=True)]
         self._writer.write_table(pa.Table.from_arrays(arrays, schema=self._schema))
         self._group, self._group_bytes = [], 0
         self._groups += 1
@@ -118,9 +117,31 @@ class _File:
         try:
             if kind is None and self._group:
                 self._flush()
-            self._writer.close()
         finally:
-            self._stream.close()
+            try:
+                self._writer.close()
+            finally:
+                self._stream.close()
+
+
+def _cell(column: Column, sample: Sample) -> Any:
+    """A frame's value of a column; what the data set's files do not tell in their format raises `DatasetError`."""
+    try:
+        return column.cell(sample)
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
+        got = f"{type(error).__name__}: {error}"[:200]
+        raise DatasetError(f"no {column.name} can be made of a frame", where=sample.name, got=got) from error
+
+
+def _array(column: Column, values: Sequence[Any]) -> Any:
+    """Values of a group's rows in the column's type."""
+    import pyarrow as pa
+
+    try:
+        return pa.array(values, arrow_type(column.feature))
+    except (TypeError, ValueError, OverflowError, pa.ArrowException) as error:
+        got = " ".join(str(error).split())[:200]
+        raise DatasetError("frames have values of a wrong type", where=f"column {column.name}", got=got) from error
 
 
 def _leaves(schema: Any) -> int:

@@ -7,9 +7,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from forestgen.core.errors import ForestgenError
 from forestgen.dataset.pack.columns import Column, yaml_type
 from forestgen.dataset.pack.parquet_shards import FOLDER
 from forestgen.dataset.pack.samples import Shard
+from forestgen.dataset.safe_path import SafePath
+from forestgen.recipe.yaml_source import parse_yaml
 
 
 def front_matter(columns: Sequence[Column], splits: Mapping[str, Sequence[Shard]], of_card: Mapping[str, Any]) -> str:
@@ -90,7 +93,7 @@ def body(title: str, code: Sequence[str], splits: Mapping[str, Sequence[Shard]],
 def card_of(root: Path) -> tuple[dict[str, Any], str]:
     """The data set's own README.md: its front matter, and its text as a chapter; empty where there is none."""
     try:
-        text = (root / "README.md").read_text(encoding="utf-8")
+        text = SafePath(root, "README.md").read().decode("utf-8")
     except (OSError, UnicodeDecodeError):
         return {}, ""
     head = ""
@@ -101,12 +104,9 @@ def card_of(root: Path) -> tuple[dict[str, Any], str]:
 
 def _plain(head: str) -> dict[str, Any]:
     """Front matter; nothing where people have made something else of it."""
-    from ruamel.yaml import YAML
-    from ruamel.yaml.error import YAMLError
-
     try:
-        content = YAML(typ="safe", pure=True).load(head)
-    except YAMLError:
+        content, _ = parse_yaml(head, "README.md", lines=False)
+    except ForestgenError:
         return {}
     return content if isinstance(content, dict) else {}
 

@@ -19,6 +19,7 @@ from forestgen.dataset.pack.columns import columns_of
 from forestgen.dataset.pack.readme import body, card_of, front_matter
 from forestgen.dataset.pack.samples import Sample, Shard, in_order, measure, read_samples
 from forestgen.dataset.pack.source import Source, open_source
+from forestgen.dataset.safe_path import SafePath
 
 Format = Literal["webdataset", "huggingface"]
 FORMATS: tuple[Format, ...] = ("webdataset", "huggingface")
@@ -94,8 +95,8 @@ def pack(root: Path, target: Path, packing: Packing, *, overwrite: bool = False,
     """
     source = open_source(root, packing.splits)
     _check_apart(root, target)
-    first = source.splits[0]
-    channels = choose_channels(first.folder / first.frames[0], packing.channels)
+    folders = [split.folder / frame for split in source.splits for frame in split.frames]
+    channels = choose_channels(folders, packing.channels)
     names = _split_names(source, packing.format)
     with progress.stage("looking", source.frames) as advance:
         needed = measure(source, channels, advance) + source.frames * _bytes_a_frame(packing.format, channels)
@@ -113,7 +114,7 @@ def pack(root: Path, target: Path, packing: Packing, *, overwrite: bool = False,
 def is_pack(folder: Path) -> bool:
     """Whether a folder is a pack of ours: only such a folder may be replaced."""
     try:
-        return str(read_json(folder / PACK_FILE).get("schema", "")).startswith("forestgen-pack/")
+        return str(read_json(SafePath(folder, PACK_FILE)).get("schema", "")).startswith("forestgen-pack/")
     except DatasetError:
         return False
 

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
+from forestgen.core.errors import DatasetError
 from forestgen.core.randomness import child_rng
 from forestgen.dataset.formats.depth_png import SCALE_NAME
+from forestgen.dataset.formats.shards import json_text
 from forestgen.dataset.pack.channels import CAMERA_FILE, Channel, measure_frame, read_channels, read_json
 from forestgen.dataset.pack.source import Source, Split
+from forestgen.dataset.safe_path import SafePath
 
 
 @dataclass(frozen=True)
@@ -63,9 +65,19 @@ def read_samples(
         folder = split.folder / frame
         contents = read_channels(folder, channels)
         unit_m = _depth_unit_m(folder) if has_depth else None
-        yield Sample(frame, contents, source.row(split, frame), read_json(folder / CAMERA_FILE), unit_m)
+        row, camera = source.row(split, frame), read_json(folder / CAMERA_FILE)
+        try:
+            json_text([row, camera])
+        except (TypeError, ValueError) as error:  # a date, or a number that is none: a stranger's column
+            got = f"{type(error).__name__}: {error}"[:200]
+            raise DatasetError("the frame's row of the index is no JSON", where=str(folder), got=got) from error
+        yield Sample(frame, contents, row, camera, unit_m)
         advance(1)
 
 
-def _depth_unit_m(folder: Path) -> float:
-    return float(read_json(folder / SCALE_NAME)["unit_m"])
+def _depth_unit_m(folder: SafePath) -> float:
+    unit_m = read_json(folder / SCALE_NAME).get("unit_m")
+    if isinstance(unit_m, bool) or not isinstance(unit_m, int | float):
+        where = str(folder / SCALE_NAME)
+        raise DatasetError("a file is not what its name says", where=where, expected="unit_m: metres")
+    return float(unit_m)

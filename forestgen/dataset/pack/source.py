@@ -5,15 +5,17 @@ A batch's frames are those of its index.parquet; a rendered folder has one split
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from forestgen.core.errors import DatasetError, RecipeError
-from forestgen.dataset.index import INDEX_NAME
+from forestgen.dataset.index import INDEX_NAME, open_index
 from forestgen.dataset.legend import FILE_NAME as CLASSES_FILE
 from forestgen.dataset.pack.channels import CAMERA_FILE, read_json
+from forestgen.dataset.safe_path import SafePath, is_frame, is_split, unreadable
 
 LAST_FILE = "dataset.json"  # that a batch writes
 ONE_SPLIT = "train"  # of a rendered folder, if no name is given
@@ -24,7 +26,7 @@ class Split:
     """A part of the data set."""
 
     name: str
-    folder: Path
+    folder: SafePath
     frames: tuple[str, ...]  # names of the frames' folders, sorted
 
 
@@ -47,7 +49,10 @@ class Source:
         if self.index is None:
             image, _, camera = frame.partition("-")
             return {"frame": frame, "split": split.name, "image": int(image), "camera": camera}
-        rows = self.index.slice(self.row_numbers[frame], 1).to_pylist(maps_as_pydicts="strict")
+        try:
+            rows = self.index.slice(self.row_numbers[frame], 1).to_pylist(maps_as_pydicts="strict")
+        except (ValueError, KeyError) as error:  # a key twice, or a text that is no UTF-8
+            raise unreadable(self.root / INDEX_NAME, error) from error
         return dict(rows[0])
 
 
@@ -64,9 +69,9 @@ def open_source(root: Path, splits: Sequence[str] = ()) -> Source:
     DatasetError : the folder is no data set, is not finished, or is damaged.
     RecipeError : the data set has no such split.
     """
-    if (root / INDEX_NAME).is_file() and (root / LAST_FILE).is_file():
+    if os.path.lexists(root / INDEX_NAME) and os.path.lexists(root / LAST_FILE):
         return _batch(root, splits)
-    if (root / CLASSES_FILE).is_file():
+    if os.path.lexists(root / CLASSES_FILE):
         return _rendered(root, splits)
     raise _no_data_set(root)
 
@@ -84,11 +89,11 @@ def _no_data_set(root: Path) -> DatasetError:
 
 
 def _batch(root: Path, wanted: Sequence[str]) -> Source:
-    index = _read_index(root / INDEX_NAME)
-    told = read_json(root / LAST_FILE).get("splits")
+    index, names = _read_index(root / INDEX_NAME)
+    told = read_json(SafePath(root, LAST_FILE)).get("splits")
     order = list(told) if isinstance(told, dict) else []  # the recipe's
     frames: dict[str, list[str]] = {}
-    for split, frame in zip(index["split"].to_pylist(), index["frame"].to_pylist(), strict=True):
+    for split, frame in names:
         frames.setdefault(split, []).append(frame)
     for name in wanted:
         if name not in frames:
@@ -96,28 +101,34 @@ def _batch(root: Path, wanted: Sequence[str]) -> Source:
                 "the data set has no such split", where="--split", expected="of " + ", ".join(sorted(frames)), got=name
             )
     chosen = sorted(set(wanted) or frames, key=lambda name: (order.index(name) if name in order else len(order), name))
-    splits = tuple(Split(name, root / name, tuple(sorted(frames[name]))) for name in chosen)
+    splits = tuple(Split(name, SafePath(root, name), tuple(sorted(frames[name]))) for name in chosen)
     if not splits:
         raise DatasetError("the data set has no frame", where=str(root))
-    numbers = {frame: number for number, frame in enumerate(index["frame"].to_pylist())}
+    numbers = {frame: number for number, (_, frame) in enumerate(names)}
     return Source(root, splits, _common_classes(splits), index, numbers)
 
 
-def _read_index(path: Path) -> Any:
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    try:
-        index = pq.ParquetFile(path).read()
-    except (OSError, pa.ArrowException) as error:
-        raise DatasetError("the index cannot be read", where=str(path), got=str(error).partition("\n")[0]) from error
-    if not {"split", "frame"} <= set(index.column_names):
-        raise DatasetError("the index lacks a column", where=str(path), expected="split and frame")
-    return index
+def _read_index(path: Path) -> tuple[Any, list[tuple[str, str]]]:
+    """The table, and the split and frame of each row: they become names of files."""
+    with open_index(path, ("split", "frame")) as file:
+        index = file.read()
+        names = list(zip(index["split"].to_pylist(), index["frame"].to_pylist(), strict=True))
+    for split, frame in names:
+        if not is_split(split) or not is_frame(frame):
+            expected, got = "names such as train and 000000-camera0", ascii((split, frame))[:160]
+            raise DatasetError("a row of the index names no frame", where=str(path), expected=expected, got=got)
+    if len({frame for _, frame in names}) < len(names):
+        raise DatasetError("a frame has two rows of the index", where=str(path))
+    return index, names
 
 
 def _common_classes(splits: Sequence[Split]) -> dict[str, Any]:
     classes = read_json(splits[0].folder / CLASSES_FILE)
+    for key in ("semantic", "categories"):
+        named = classes.get(key)
+        if not isinstance(named, dict) or not all(isinstance(name, str) for name in named.values()):
+            where, expected = str(splits[0].folder / CLASSES_FILE), f"{key}: a name for each number"
+            raise DatasetError("a file is not what its name says", where=where, expected=expected)
     for split in splits[1:]:
         if read_json(split.folder / CLASSES_FILE) != classes:
             raise DatasetError(
@@ -133,7 +144,9 @@ def _rendered(root: Path, wanted: Sequence[str]) -> Source:
     if len(wanted) > 1:
         raise RecipeError("this data set has one split", where="--split", expected="one name", got=", ".join(wanted))
     name = wanted[0] if wanted else ONE_SPLIT
-    frames = sorted(path.parent.name for path in root.glob(f"*/{CAMERA_FILE}"))
+    folder = SafePath(root)
+    frames = [one for one in folder.names() if is_frame(one) and os.path.lexists(root / one / CAMERA_FILE)]
     if not frames:
         raise DatasetError("the data set has no frame", where=str(root))
-    return Source(root, (Split(name, root, tuple(frames)),), read_json(root / CLASSES_FILE))
+    split = Split(name, folder, tuple(frames))
+    return Source(root, (split,), _common_classes([split]))

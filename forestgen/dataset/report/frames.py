@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from forestgen.core.errors import DatasetError
+from forestgen.dataset.index import open_index
 
 _NEEDED = ("frame", "split", "image")
 _NUMERIC = (pa.types.is_integer, pa.types.is_floating, pa.types.is_boolean)
@@ -40,7 +40,7 @@ class Frames:
         """(N,) of a column; NaN where a frame has none."""
         if not self.is_number(name):
             return np.full(len(self), np.nan)
-        column = self._table.column(name).cast(pa.float64()).combine_chunks()
+        column = self._table.column(name).cast(pa.float64(), safe=False).combine_chunks()
         return np.asarray(column.to_numpy(zero_copy_only=False), dtype=np.float64)
 
     def texts(self, name: str) -> list[str]:
@@ -77,15 +77,16 @@ def read_frames(path: Path) -> Frames:
     DatasetError : it cannot be read, or is no index of ours.
     """
     try:
-        table = pq.read_table(path)
-    except (OSError, pa.ArrowException) as error:
-        got = " ".join(str(error).split())[:200]
+        with open_index(path, _NEEDED) as file:
+            frames = Frames(file.read())
+            for name in frames.names:
+                frames.values(name)  # all texts are UTF-8
+    except DatasetError as error:
         hint = "run forestgen batch again with --resume: it writes the index anew"
-        raise DatasetError("the index cannot be read", where=str(path), got=got, hint=hint) from error
-    missing = [name for name in _NEEDED if name not in table.column_names]
-    if missing:
-        raise DatasetError("this is no index of forestgen", where=str(path), expected=f"columns {', '.join(_NEEDED)}")
-    return Frames(table)
+        raise DatasetError(
+            error.problem, where=error.where, expected=error.expected, got=error.got, hint=hint
+        ) from error
+    return frames
 
 
 def frames_of(rows: Sequence[dict[str, Any]]) -> Frames:

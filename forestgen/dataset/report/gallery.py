@@ -15,6 +15,7 @@ import numpy as np
 
 from forestgen.dataset.report.charts import percent
 from forestgen.dataset.report.frames import Frames
+from forestgen.dataset.safe_path import SafePath
 from forestgen.dataset.thumbnails import thumbnail_name
 
 if TYPE_CHECKING:
@@ -88,14 +89,13 @@ def gallery(folder: Path, frames: Frames, splits: Sequence[str]) -> tuple[Exhibi
     quota = BUDGET_BYTES // max(1, 3 * len(rows))
     names, folders, splits_of = (frames.texts(column) for column in ("frame", "folder", "split"))
     captions, shares = _Captions(frames), frames.counts("class_pixels")
-    root = folder.resolve()
     return tuple(
         Exhibit(
             names[row],
             splits_of[row],
             captions.of(row),
             _content(shares[row]),
-            _pictures(root, folders[row] or f"{frames.split[row]}/{names[row]}", names[row], quota),
+            _pictures(folder, folders[row] or f"{frames.split[row]}/{names[row]}", names[row], quota),
         )
         for row in rows
     )
@@ -147,10 +147,11 @@ def _encoded(root: Path, path: str, encode: Callable[[Image, int], bytes], quota
     from PIL import Image
 
     try:
-        inside = (root / path).resolve()
-        if not inside.is_relative_to(root) or not inside.is_file():
-            return None
-        with warnings.catch_warnings(action="error"), Image.open(inside, formats=("PNG", "JPEG")) as image:
+        with (
+            warnings.catch_warnings(action="error"),
+            SafePath(root, path).open() as stream,
+            Image.open(stream, formats=("PNG", "JPEG")) as image,
+        ):
             return encode(image.convert("RGB"), quota)
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError, Warning):
         return None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -13,7 +12,10 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-LOG, JOBS = Path("run", "log.jsonl"), Path("run", "jobs.parquet")
+from forestgen.dataset.safe_path import SafePath, check_cells, load_json
+
+LOG, JOBS = "run/log.jsonl", "run/jobs.parquet"
+_LONGEST_LINE = 1_000_000  # bytes
 MOST_MESSAGES = 40  # different ones that are kept
 _MOST_CHARACTERS = 600  # of a message
 _MOST_IMAGES = 12  # named beside a message
@@ -62,12 +64,13 @@ class RunLog:
 
 def read_run(folder: Path) -> RunLog | None:
     """All that is known of the runs on a data set; None where it has no run/ folder. What is damaged is counted."""
-    if not (folder / LOG).is_file() and not (folder / JOBS).is_file():
+    lines, table = SafePath(folder, LOG), SafePath(folder, JOBS)
+    if not lines.is_file() and not table.is_file():
         return None
     log = RunLog()
     jobs: dict[int, Mapping[str, Any]] = {}
-    _Lines(log, jobs).read(folder / LOG)
-    for row in _job_rows(folder / JOBS, log):
+    _Lines(log, jobs).read(lines)
+    for row in _job_rows(table, log):
         if (image := _whole(row.get("image"))) is not None:
             jobs[image] = row
     for image in sorted(jobs):
@@ -87,10 +90,10 @@ class _Lines:
         self._take = {"start": self._started, "job_done": self._job_done, "job_failed": self._job_failed,
                       "worker_lost": self._worker_lost}  # fmt: skip
 
-    def read(self, path: Path) -> None:
+    def read(self, path: SafePath) -> None:
         try:
-            with path.open("rb") as lines:
-                for line in lines:
+            with path.open() as lines:
+                for line in iter(lambda: lines.readline(_LONGEST_LINE), b""):
                     if line.strip():
                         self._line(line)
         except OSError:
@@ -148,20 +151,21 @@ def named_images(failure: Failure) -> tuple[list[int], int]:
 
 def _event(line: bytes) -> dict[str, Any] | None:
     try:
-        event = json.loads(line)
-    except (ValueError, RecursionError):
+        event = load_json(line)
+    except ValueError:
         return None
     return event if isinstance(event, dict) and isinstance(event.get("event"), str) else None
 
 
-def _job_rows(path: Path, log: RunLog) -> Iterator[Mapping[str, Any]]:
+def _job_rows(path: SafePath, log: RunLog) -> Iterator[Mapping[str, Any]]:
     if not path.is_file():
         return
     try:
-        with pq.ParquetFile(path) as file:
+        with path.open() as stream, pq.ParquetFile(stream) as file:
+            check_cells(file.metadata.num_rows, file.metadata.num_columns)
             for batch in file.iter_batches(5000):
                 yield from batch.to_pylist()
-    except (OSError, pa.ArrowException):
+    except (OSError, ValueError, pa.ArrowException):
         log.damaged_lines += 1
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json
+import os
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,8 @@ from forestgen.dataset.png import class_palette
 from forestgen.dataset.report.frames import Frames, frames_of, read_frames
 from forestgen.dataset.report.plain_folder import plain_frames
 from forestgen.dataset.report.run_log import RunLog, read_run
-from forestgen.dataset.report.told import Told, told_by_card, told_by_manifest
+from forestgen.dataset.report.told import Told, mapping, number, told_by_card, told_by_manifest
+from forestgen.dataset.safe_path import SafePath
 
 CARD_NAME, RUN_NAME = "dataset.json", "run"
 
@@ -56,8 +57,8 @@ def open_source(folder: Path) -> Source:
     if not folder.is_dir():
         raise DatasetError("there is no such folder", where=str(folder), hint="name a data set's folder")
     notes: list[str] = []
-    card = _read_json(folder / CARD_NAME, notes)
-    if (folder / INDEX_NAME).is_file():
+    card = _read_json(SafePath(folder, CARD_NAME), notes)
+    if os.path.lexists(folder / INDEX_NAME):
         frames = read_frames(folder / INDEX_NAME)
     elif not card and is_run_folder(folder) and not (folder / RUN_NAME).is_dir():
         return _plain_source(folder, notes)
@@ -78,10 +79,10 @@ def _plain_source(folder: Path, notes: list[str]) -> Source:
     """A folder of `forestgen render`: one split, and the manifest in the card's place."""
     legend = read_legend(folder, ("",), notes)
     frames = plain_frames(folder, dict(enumerate(legend.classes)))
-    manifest = _read_json(folder / MANIFEST_NAME, notes)
-    run = RunLog(stage_s={str(k): float(v) for k, v in (manifest.get("timings_s") or {}).items()})
-    run.running_s = float((manifest.get("run") or {}).get("total_s") or 0.0)
-    run.peak_memory_bytes = [float(manifest.get("peak_memory_bytes") or 0.0)]
+    manifest = _read_json(SafePath(folder, MANIFEST_NAME), notes)
+    run = RunLog(stage_s={str(name): number(value) for name, value in mapping(manifest.get("timings_s")).items()})
+    run.running_s = number(mapping(manifest.get("run")).get("total_s"))
+    run.peak_memory_bytes = [number(manifest.get("peak_memory_bytes"))]
     run.finished_s = [run.running_s] * frames.images
     return Source(
         folder, frames, legend, ("all",) if len(frames) else (), told_by_manifest(manifest), run, tuple(notes)
@@ -91,7 +92,7 @@ def _plain_source(folder: Path, notes: list[str]) -> Source:
 def read_legend(folder: Path, splits: tuple[str, ...], notes: list[str]) -> Legend:
     """classes.json of the first split that has one: all splits have the same."""
     for split in splits:
-        path = folder / ("" if split == "all" else split) / LEGEND_NAME
+        path = SafePath(folder, "" if split == "all" else split) / LEGEND_NAME
         if path.is_file():
             return _legend(_read_json(path, notes))
     return Legend()
@@ -100,32 +101,36 @@ def read_legend(folder: Path, splits: tuple[str, ...], notes: list[str]) -> Lege
 def _legend(content: dict[str, Any]) -> Legend:
     names = _in_order(content.get("semantic"))
     colours = {}
-    for number, rgb in (content.get("semantic_colours") or {}).items():
-        if str(number).isdecimal() and int(number) < len(names) and _is_colour(rgb):
-            colours[names[int(number)]] = "#{:02x}{:02x}{:02x}".format(*rgb)
+    for key, rgb in mapping(content.get("semantic_colours")).items():
+        if _is_number(key) and int(key) < len(names) and _is_colour(rgb):
+            colours[names[int(key)]] = "#{:02x}{:02x}{:02x}".format(*rgb)
     for name, rgb in zip(names, class_palette(len(names)).tolist(), strict=True):
         colours.setdefault(name, "#{:02x}{:02x}{:02x}".format(*rgb))
     return Legend(names, colours, _in_order(content.get("categories")))
 
 
 def _in_order(numbered: Any) -> tuple[str, ...]:
-    if not isinstance(numbered, dict) or not all(str(key).isdecimal() for key in numbered):
+    if not isinstance(numbered, dict) or not all(map(_is_number, numbered)):
         return ()
     return tuple(str(numbered[key]) for key in sorted(numbered, key=int))
+
+
+def _is_number(key: str) -> bool:
+    return key.isdecimal() and len(key) < 10
 
 
 def _is_colour(value: Any) -> bool:
     return isinstance(value, list) and len(value) == 3 and all(isinstance(v, int) and 0 <= v < 256 for v in value)
 
 
-def _read_json(path: Path, notes: list[str]) -> dict[str, Any]:
-    if not path.is_file():
-        return {}
+def _read_json(path: SafePath, notes: list[str]) -> dict[str, Any]:
     try:
-        content = json.loads(path.read_bytes())
-    except (OSError, ValueError, RecursionError):
+        content = path.read_json()
+    except (FileNotFoundError, NotADirectoryError):
+        return {}
+    except (OSError, ValueError):
         content = None
     if not isinstance(content, dict):
-        notes.append(f"{path.name} cannot be read.")
+        notes.append(f"{path.name.rpartition('/')[2]} cannot be read.")
         return {}
     return content

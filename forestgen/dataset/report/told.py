@@ -44,16 +44,16 @@ class Told:
 
 def told_by_card(card: Mapping[str, Any]) -> Told:
     """From dataset.json."""
-    licence = _mapping(card.get("licence"))
-    files = _mapping(card.get("files")).values()
+    licence = mapping(card.get("licence"))
+    files = mapping(card.get("files")).values()
     return Told(
         description=str(card.get("description") or ""),
         contributor=str(card.get("contributor") or ""),
         licence=" ".join(str(licence[key]) for key in ("name", "url") if licence.get(key)),
-        splits=tuple(str(name) for name in _mapping(card.get("splits"))),
-        recipes=tuple(_recipe(_mapping(one)) for one in _items(card.get("recipes"))),
-        made_with=tuple(_machine(_mapping(one)) for one in _items(card.get("made_with"))),
-        bytes=sum(_whole(_mapping(one).get("bytes")) for one in files),
+        splits=tuple(str(name) for name in mapping(card.get("splits"))),
+        recipes=tuple(_recipe(mapping(one)) for one in _items(card.get("recipes"))),
+        made_with=tuple(_machine(mapping(one)) for one in _items(card.get("made_with"))),
+        bytes=sum(_whole(mapping(one).get("bytes")) for one in files),
     )
 
 
@@ -61,12 +61,12 @@ def told_by_manifest(manifest: Mapping[str, Any]) -> Told:
     """From manifest.json."""
     seeds = _items(manifest.get("image_seeds"))
     recipe = RecipeTold("", _text(manifest.get("recipe_hash")), _text(manifest.get("root_seed")), len(seeds), (), {})
-    files = _mapping(manifest.get("files")).values()
+    files = mapping(manifest.get("files")).values()
     machine = {**manifest, "packages": manifest.get("versions")}
     return Told(
         recipes=(recipe,),
         made_with=(_machine(machine),),
-        bytes=sum(_whole(_mapping(one).get("bytes")) for one in files),
+        bytes=sum(_whole(mapping(one).get("bytes")) for one in files),
     )
 
 
@@ -78,20 +78,25 @@ def _recipe(told: Mapping[str, Any]) -> RecipeTold:
         root_seed=_text(told.get("root_seed")),
         images=_whole(told.get("images")),
         missing=tuple((_whole(first), _whole(last)) for first, last in gaps),
-        draws=_mapping(told.get("draws")),
+        draws=mapping(told.get("draws")),
     )
 
 
 def _machine(told: Mapping[str, Any]) -> str:
-    platform = _mapping(told.get("platform"))
-    known = [f"{name} {version}" for name, version in sorted(_mapping(told.get("packages")).items()) if version]
+    platform = mapping(told.get("platform"))
+    known = [f"{name} {version}" for name, version in sorted(mapping(told.get("packages")).items()) if version]
     python = [f"Python {told['python']}"] if told.get("python") else []
     where = " ".join(str(platform[key]) for key in ("system", "machine") if platform.get(key))
     return ", ".join([*filter(None, [where]), *python, *known])
 
 
-def _mapping(value: Any) -> Mapping[str, Any]:
+def mapping(value: Any) -> Mapping[str, Any]:
     return value if isinstance(value, dict) else {}
+
+
+def number(value: Any) -> float:
+    """A number; 0 where it is none."""
+    return float(value) if isinstance(value, int | float) else 0.0
 
 
 def _items(value: Any) -> list[Any]:

@@ -152,6 +152,7 @@ class AuxinRootGenerator:
     """Grows one axis, which auxin bends."""
 
     Parameters = Parameters  # the class that a recipe's `plant` block is checked against
+    has_crown = False
 
     def grow(self, parameters: _Parameters, height_m: float, width_m: float, rng: np.random.Generator) -> Skeleton:
         """One axis, of the trunk's order; a root's of order 1, on a thread that cannot be seen."""

@@ -159,6 +159,7 @@ class BranchModulesGenerator:
     """Clothes the wood of plants of branch modules; grows none alone."""
 
     Parameters = Parameters
+    has_crown = True
 
     def grow(self, parameters: _Parameters, height_m: float, width_m: float, rng: np.random.Generator) -> Skeleton:
         """Refuse: there are no modules without a community."""

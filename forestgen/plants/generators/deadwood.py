@@ -137,6 +137,7 @@ class DeadwoodGenerator:
     """Makes snags, stumps and logs."""
 
     Parameters = Parameters  # the class that a recipe's `plant` block is checked against
+    has_crown = False
 
     def grow(self, parameters: _Parameters, height_m: float, width_m: float, rng: np.random.Generator) -> Skeleton:
         """One piece of dead wood."""

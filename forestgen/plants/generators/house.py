@@ -204,6 +204,7 @@ class HouseGenerator:
     """The generator; see the module's page."""
 
     Parameters = HouseParameters
+    has_crown = False
 
     def grow(self, parameters: HouseParameters, height_m: float, width_m: float, rng: np.random.Generator) -> Skeleton:
         """Nothing grows: a line from the ground to the ridge stands for the house where a skeleton is asked for."""

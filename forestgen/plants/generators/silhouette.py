@@ -194,6 +194,7 @@ class SilhouetteGenerator:
     """Grows plants by L-system 6.1."""
 
     Parameters = Parameters  # the class that a recipe's `plant` block is checked against
+    has_crown = True
 
     def grow(self, parameters: _Parameters, height_m: float, width_m: float, rng: np.random.Generator) -> Skeleton:
         """Stems and branches that fill the silhouette."""

@@ -342,6 +342,7 @@ class StrandGenerator:
     """Grows plants by Algorithm 1."""
 
     Parameters = Parameters  # the class that a recipe's `plant` block is checked against
+    has_crown = True
 
     def grow(self, parameters: _Parameters, height_m: float, width_m: float, rng: np.random.Generator) -> Skeleton:
         """The tree in its wind, with its leaves; `width_m` is for the fit that follows."""

@@ -223,6 +223,7 @@ class TurtleGenerator:
     """Draws the plants of L-systems."""
 
     Parameters = Parameters  # the class that a recipe's `plant` block is checked against
+    has_crown = True
 
     def grow(self, parameters: _Parameters, height_m: float, width_m: float, rng: np.random.Generator) -> Skeleton:
         """The drawing of the program's word, with its surfaces and polygons as organs."""

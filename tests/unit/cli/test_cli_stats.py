@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 
 from forestgen.cli import app
 from forestgen.cli.variadic import repeat_option
+from forestgen.community import point_statistics
 
 command = importlib.import_module("forestgen.cli.stats")  # the package has a function of this name
 
@@ -134,7 +135,7 @@ def test_bad_arguments(arguments, code, words):
 
 
 def test_too_many_pairs_are_refused_before_they_are_made(monkeypatch):
-    monkeypatch.setattr(command, "_MOST_PAIRS", 10)
+    monkeypatch.setattr(point_statistics, "_MOST_PAIRS", 10)
     result = run(DATA / "cells.csv", "--radii", "0.5")
     assert result.exit_code == 3
     assert "lower the greatest radius" in result.output

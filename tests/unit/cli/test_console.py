@@ -4,11 +4,22 @@ from __future__ import annotations
 
 import signal
 import time
+from dataclasses import asdict
 
 import pytest
 
-from forestgen.cli.console import count, errors_for_people, seconds
+from forestgen.cli.console import Printer, count, errors_for_people, seconds
+from forestgen.cli.render import _print_size_errors
 from forestgen.core.errors import AssetError, ForestgenError, OutputError, RecipeError, RenderError, ResourceError
+from forestgen.scene.exemplars import SizeError
+
+
+def test_a_width_that_no_plant_has_is_a_dash(capsys: pytest.CaptureFixture[str]) -> None:
+    errors = [asdict(SizeError("birch", 2, 1, 0.05, 0.1)), asdict(SizeError("snag", 3, 1, 0.2, None))]
+    _print_size_errors(errors, Printer())
+    birch, snag = (line.split() for line in capsys.readouterr().out.splitlines()[1:])
+    assert birch[-4:] == ["5.0", "%", "10.0", "%"]
+    assert snag[-3:] == ["20.0", "%", "-"]
 
 
 def _ends(error: BaseException, capsys: pytest.CaptureFixture[str]) -> tuple[object, str]:

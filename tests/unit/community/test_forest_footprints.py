@@ -264,3 +264,8 @@ def test_a_hundred_thousand_plants_take_less_than_a_second(tree):
     print(f"{len(after.plants)} plants: {seconds:.3f} s a step")  # noqa: T201
     assert len(after.plants) > 100_000
     assert seconds < 1
+
+
+def test_the_estimate_of_plants_that_never_regain_health_is_finite(tree):
+    never = PARAMETERS.model_copy(update={"health_gain_per_yr": 0.0})
+    assert MODEL.estimate_bytes(never, Site((50.0, 50.0)), [tree()]) < 1e12

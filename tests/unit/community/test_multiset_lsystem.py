@@ -422,3 +422,12 @@ def test_the_limit_of_plants_is_exact(tree, site):
     assert len(MODEL.population(MODEL.init(cohort(10_000, most_plants=2400), site, [tree()], 1))) == 2400
     with pytest.raises(ResourceError, match="most_plants = 2,399"):
         MODEL.init(cohort(10_000, most_plants=2399), site, [tree()], 1)
+
+
+@pytest.mark.parametrize("doubled", ["A --> AA", "A --> A%A"])
+def test_words_beside_the_plants_that_double_are_refused_soon(tree, site, doubled):
+    text = f"axiom: {{ A, T(1, 1, 0.5, 0)?E(1) }}\n{doubled}\nT(x, y, r, sp) --> T(x, y, r, sp)\n"
+    with pytest.raises(ResourceError, match="own words") as caught:
+        run(program(text), site, [tree()], 1, 300)
+    assert caught.value.where == "own.lsys"
+    assert "step 16" in (caught.value.got or "")

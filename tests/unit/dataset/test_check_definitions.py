@@ -10,16 +10,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from rasterisers import opencv_fill
 
 from forestgen.dataset.check.camera_file import CameraFile, camera_of
 from forestgen.dataset.check.cryptomatte import murmur3, standard_id
+from forestgen.dataset.check.finding import UnreadableError
 from forestgen.dataset.check.frame_data import extents_of
 from forestgen.dataset.check.keypoints import states
-from forestgen.dataset.check.offence import UnreadableError
 from forestgen.dataset.check.recipe import read_recipe
 from forestgen.dataset.check.rle import decode, run_lengths
 from forestgen.dataset.check.sequences import UNKNOWN, following_frames
-from forestgen.dataset.check.yolo import fill
+from forestgen.dataset.check.yolo import _differences, fill, line_pixels
 
 SHAPES = st.tuples(st.integers(1, 12), st.integers(1, 12))
 MASKS = SHAPES.flatmap(lambda shape: arrays(np.uint8, shape, elements=st.integers(0, 1)))
@@ -107,6 +108,43 @@ def test_a_bridge_and_a_hole():
     assert np.array_equal(fill(ring, (6, 6)), expected)
 
 
+RINGS = arrays(np.int64, st.tuples(st.integers(1, 9), st.just(2)), elements=st.integers(0, 8))
+
+
+@given(RINGS)
+def test_lines_and_inside_are_what_opencv_fills_but_for_ties(ring):
+    pixels, edge = line_pixels(ring)
+    assert sorted(set(edge.tolist())) == list(range(len(ring)))
+    found = fill(ring + 0.5, (9, 9))
+    found[pixels[:, 1], pixels[:, 0]] = True
+    differs = found != opencv_fill(ring, (9, 9))
+    step = np.abs(np.roll(ring, -1, axis=0) - ring)
+    if ((step == 0).any(axis=1) | (step[:, 0] == step[:, 1])).all():
+        assert not differs.any()
+    for y, x in np.argwhere(differs):  # half a pixel beside a line, which is rounded to either side
+        assert np.abs(pixels - [x, y]).max(axis=1).min() <= 1
+
+
+def test_differences_of_an_outline():
+    mask = np.zeros((9, 12), bool)
+    mask[1:8, 1:7] = True
+    mask[3:5, 3:5] = False
+    mask[4, 9] = True
+    block, piece = [(1, 1), (6, 1), (6, 7), (1, 7)], (9, 4)
+    hole = [(3, 2), (2, 3), (2, 4), (3, 5), (4, 5), (5, 4), (5, 3), (4, 2), (3, 2)]
+
+    def wrong(*ring):
+        return tuple(int(found.sum()) for found in _differences(np.array(ring), mask))
+
+    hanging = [(1, 1), (3, 1), *hole, (3, 1), *block[1:]]
+    assert wrong(*hanging) == (0, 0)
+    assert wrong(*block) == (4, 0)
+    assert wrong(*hanging[:-2], (6, 4), piece, (6, 4), *hanging[-2:]) == (0, 0)
+    assert wrong(*hanging[:-2], (6, 1), (11, 0), (11, 8), *hanging[-2:])[0] > 0  # a triangle is no bridge
+    assert wrong(*[(x, y - (y == 7)) for x, y in hanging])[1] == 6  # the last row of a piece with a border
+    assert wrong(piece)[1] == 38  # the largest piece is missing
+
+
 @pytest.mark.parametrize(
     ("data", "value"),
     [
@@ -179,7 +217,7 @@ def test_what_is_no_recipe_is_refused(text, tmp_path):
     (tmp_path / "recipe.yaml").write_text(text)
     with pytest.raises(UnreadableError) as error:
         read_recipe(tmp_path, "recipe.yaml")
-    assert error.value.offence.file == "recipe.yaml"
+    assert error.value.finding.file == "recipe.yaml"
 
 
 def camera_file(root: Path, frame: str, text: str) -> str:

@@ -5,13 +5,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from forestgen.dataset.check.finding import Finding
 from forestgen.dataset.check.light import radiance
-from forestgen.dataset.check.offence import Offence
 
 KNOWN = {"forestgen/relative_error": "0.1"}
 
 
-def offences(colour, variance=1.0, mode="rgb", header=KNOWN):
+def findings(colour, variance=1.0, mode="rgb", header=KNOWN):
     def planes(values):
         return {name: np.full((2, 3), value, np.float32) for name, value in zip("RGB", values, strict=True)}
 
@@ -20,9 +20,9 @@ def offences(colour, variance=1.0, mode="rgb", header=KNOWN):
         exr_header=header,
         recipe={"render": {"mode": mode}},
         instance=np.zeros((2, 3), np.uint32),
-        offence=lambda file, problem, **about: Offence(file, problem, image="camera0", **about),
+        finding=lambda file, problem, **about: Finding(file, problem, image="camera0", **about),
     )
-    return [offence.problem.partition(" (")[0] for offence in radiance(frame)]
+    return [finding.problem.partition(" (")[0] for finding in radiance(frame)]
 
 
 @pytest.mark.parametrize(
@@ -36,16 +36,16 @@ def offences(colour, variance=1.0, mode="rgb", header=KNOWN):
     ],
 )
 def test_only_a_colour_made_of_wavelengths_may_have_a_negative_part(colour, mode, wrong):
-    assert offences(colour, mode=mode) == wrong
+    assert findings(colour, mode=mode) == wrong
 
 
 def test_bands_are_not_negative_in_any_mode():
     header = {**KNOWN, "forestgen/bands": "[]"}
-    assert offences((1, 2, -3), mode="spectral", header=header) == ["radiance.B is no light"]
+    assert findings((1, 2, -3), mode="spectral", header=header) == ["radiance.B is no light"]
 
 
 def test_a_variance_is_unknown_only_where_no_error_is_told():
     wrong = [f"radiance.variance.{name} is no light" for name in "RGB"]
-    assert offences((1, 2, 3), variance=np.nan, header={"forestgen/samples": "4"}) == []
-    assert offences((1, 2, 3), variance=np.nan) == wrong
-    assert offences((1, 2, 3), variance=-1.0, header={}) == wrong
+    assert findings((1, 2, 3), variance=np.nan, header={"forestgen/samples": "4"}) == []
+    assert findings((1, 2, 3), variance=np.nan) == wrong
+    assert findings((1, 2, 3), variance=-1.0, header={}) == wrong

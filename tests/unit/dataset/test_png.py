@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import struct
 
 import numpy as np
 import pytest
@@ -36,6 +37,20 @@ def test_semantic_is_a_palette_image(tmp_path):
         assert {key: json.loads(value) for key, value in image.text.items()} == {
             "classes": {str(i): str(i) for i in range(256)}
         }
+
+
+@pytest.mark.parametrize("classes", [2, 3, 4, 5, 16, 17, 256])
+def test_semantic_has_8_bits_a_pixel(tmp_path, classes):
+    semantic = np.random.default_rng(classes).integers(0, classes, (13, 7)).astype(np.uint8)
+    png.write_semantic(tmp_path / "s.png", semantic, [f"class {i}" for i in range(classes)])
+    content = (tmp_path / "s.png").read_bytes()
+    assert content[12:16] == b"IHDR"
+    assert struct.unpack(">IIBB", content[16:26]) == (7, 13, 8, 3)  # width, height, bits, palette
+    with Image.open(tmp_path / "s.png") as image:
+        np.testing.assert_array_equal(np.asarray(image), semantic)
+        palette = np.array(image.getpalette()).reshape(-1, 3)
+    np.testing.assert_array_equal(palette[:classes], png.class_palette(classes))
+    assert not palette[classes:].any()
 
 
 def test_class_colours_do_not_depend_on_their_number():

@@ -289,7 +289,7 @@ def test_another_view_than_the_headers(tmp_path):
     with Image.open(frame.folder / "preview.png") as image:
         image.load()
         Image.fromarray(np.asarray(image)).save(frame.folder / "preview.png")
-    assert [offence.problem for offence in light_files.header(frame)] == ["the view is not frame.exr's"]
+    assert [finding.problem for finding in light_files.header(frame)] == ["the view is not frame.exr's"]
 
 
 def damaged(frame, what):
@@ -327,5 +327,5 @@ def damaged(frame, what):
 def test_the_check_finds_what_is_wrong(tmp_path, what, words):
     frame = photographed(tmp_path, replace(EXPOSED, mosaic=True))
     damaged(frame, what)
-    found = [offence.problem for offence in light_files.raw(frame)]
+    found = [finding.problem for finding in light_files.raw(frame)]
     assert any(words in problem for problem in found), found

@@ -5,9 +5,11 @@ import re
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 from typing import get_args
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from dataset_shots import SETTINGS, make_shot
@@ -128,6 +130,28 @@ def test_the_docstring_names_every_column(tmp_path, shot):
         stem = re.sub(r"^(tip|crown_centre)_.*", r"\1_...", name)
         stem = re.sub(r"^(amodal_box|full_box)_(?!x$|left$)", "..._", stem)
         assert re.search(rf"[| ]{re.escape(stem)}[ ,]", described), name
+
+
+def test_columns_are_those_of_pyarrow():
+    rng, null = np.random.default_rng(0), np.arange(21) % 3 == 0
+    for kind in ("bool", "uint8", "uint32", "int32", "int64", "float64"):
+        values = rng.integers(0, 2 if kind == "bool" else 99, 42).astype(kind)[::2]
+        for mask in (None, null, ~null | null):
+            assert tables._column(kind, values, mask).equals(pa.array(values.copy(), type=kind, mask=mask))
+    index = np.array([2, 0, 1, 1], dtype=np.uint16)
+    assert tables._names(("Eiche", "", "Föhre"), index).to_pylist() == ["Föhre", "Eiche", "", ""]
+
+
+def test_the_plants_are_written_without_pandas(tmp_path):
+    """pyarrow imports it to make an array, where it is installed."""
+    code = (
+        "import sys; sys.path.insert(0, sys.argv[1])\n"
+        "from pathlib import Path\nfrom dataset_shots import make_shot\n"
+        "from forestgen.dataset.tables import write_plants\n"
+        "write_plants(Path(sys.argv[2]), make_shot(range(1, 5)).labelled)\n"
+        "assert 'pandas' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code, str(Path(__file__).parent), str(tmp_path / "p")], check=True)
 
 
 def test_an_empty_population_has_a_table(tmp_path):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -89,3 +91,21 @@ def test_a_simulation_is_the_first_images_community(tmp_path: Path, written: Wri
     assert in_memory.counts == alone.counts
     assert in_memory.last.plant_id.tobytes() == alone.last.plant_id.tobytes()
     assert [path.name for path in tmp_path.iterdir()] == ["alone"]
+
+
+def test_the_pipeline_imports_nothing_that_is_not_always_needed():
+    heavy = {
+        "scipy.linalg",
+        "scipy.special",
+        "pandas",
+        "matplotlib",
+        "pvlib",
+        "colour",
+        "pyarrow",
+        "trimesh",
+        "mitsuba",
+        "h5py",
+    }
+    code = "import sys, forestgen.pipeline; print(*sys.modules)"
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    assert not heavy & set(loaded)

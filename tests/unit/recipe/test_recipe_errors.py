@@ -79,7 +79,7 @@ def test_places_that_are_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         load_recipe(tmp_path)
     (tmp_path / "shipped.yaml").write_text(HEAD)
     monkeypatch.setattr("forestgen.recipe.assets.recipes_dir", lambda: tmp_path)
-    monkeypatch.setattr("forestgen.recipe.load.recipes_dir", lambda: tmp_path)
+    monkeypatch.setattr("forestgen.recipe.reading.recipes_dir", lambda: tmp_path)
     with pytest.raises(AssetError, match=re.escape(f"{tmp_path / 'shipped.yaml'}")):
         load_recipe("shipped")
 
@@ -114,7 +114,7 @@ def test_duplicate_keys_name_both_lines(tmp_path: Path) -> None:
         ("species=3", ["a mapping"]),
         ("species.a b=poplar", ["name"]),
         ("species.oak=3", ["species.oak", "a mapping"]),
-        ("species.oak={height_m: 3}", ["'ecology' is missing", "from: NAME"]),
+        ("species.elm={height_m: 3}", ["'ecology' is missing", "from: NAME"]),
         ("species.oak={from: 3}", ["name or path of a species file"]),
         ("species.oak={from: ./none.yaml}", ["species.oak.from", "none.yaml"]),
         ("species.oak={from: poplr}", ["did you mean 'poplar'", "spruce"]),
@@ -184,18 +184,19 @@ def test_several_mistakes_in_one_message_with_their_lines(write: Write, tmp_path
     with pytest.raises(RecipeError) as caught:
         load_recipe(path)
     message = str(caught.value)
-    assert message.startswith("the recipe has 4 mistakes:")
-    assert f"{path}:5: site.size_m.1: bad value\n    expected  a number greater than 0\n    got       -5" in message
-    assert f"{path}:3: seeds: unknown key 'seeds'" in message
+    assert message.startswith(f"{path}:3: seeds: unknown key 'seeds'")
+    assert f"\n\n{path}:5: site.size_m.1: bad value\n  expected  a number greater than 0\n  got       -5\n\n" in message
+    assert message.endswith("\n\n4 errors")
     assert "oak.yaml:4: species.oak.ecology.max_radius_m" in message
     assert "oak.yaml:4: species.elm.ecology.max_radius_m" in message
 
 
 def test_many_mistakes_are_cut(write: Write) -> None:
     with pytest.raises(RecipeError) as caught:
-        load_recipe(write(), [f"wrong{i}=1" for i in range(25)])
-    assert "25 mistakes" in str(caught.value)
-    assert "and 15 more" in str(caught.value)
+        load_recipe(write(), [f"wrong{i}=1" for i in range(75)])
+    assert str(caught.value).count("unknown key") == 50
+    assert str(caught.value).endswith("... and 25 more\n\n75 errors")
+    assert len(caught.value.errors) == 75
 
 
 def test_a_bad_species_file_is_an_assets_error(write: Write) -> None:

@@ -93,6 +93,7 @@ def test_accepts_the_example_and_a_minimal_recipe() -> None:
     assert accepts(schema, example(), schema)
     minimal = {"forestgen": 1, "species": {"poplar": None}, "community": {"model": "x"}, "render": None}
     assert accepts(schema, minimal, schema)
+    assert accepts(schema, {**minimal, "species": {"pine": {"height_m": 20}, "pines": {"from": "pine"}}}, schema)
     assert schema["$schema"].endswith("2020-12/schema")
     assert schema["title"] == "forestgen recipe"
 
@@ -108,6 +109,7 @@ def test_accepts_the_example_and_a_minimal_recipe() -> None:
         (("site", "terrain"), {"kin": "flat"}),
         (("species", "elm", "ecology"), {"growth": 3}),
         (("species", "a b"), None),
+        (("species", "pinus"), {"height_m": 20}),
         (("sky", "turbidity"), {"unifrom": [1, 2]}),
         (("sky", "turbidity"), {"uniform": [1, 2], "choice": [1]}),
         (("sky", "turbidity"), 11),

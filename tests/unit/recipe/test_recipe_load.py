@@ -239,3 +239,30 @@ def test_text_that_was_parsed_before_is_given_anew_each_time() -> None:
     assert again == {"a": [1, {"b": 2}]}
     assert str(places.place(("a", 1, "b"))) == "one:1"
     assert str(parse_yaml("a: 1", "other")[1].place(("a",))) == "other:1"
+
+
+def _species(write: Write, entry: str, *overrides: str) -> dict[str, object]:
+    text = f"forestgen: 1\nspecies: {{{entry}}}\ncommunity: {{model: lattice}}\n"
+    found: dict[str, object] = load_recipe(write(text), overrides).draw(0).data["species"]
+    return found
+
+
+def test_keys_of_a_shipped_species_alone_take_the_rest_from_it(write: Write) -> None:
+    short = _species(write, "pine: {height_m: 20, ecology: {shade_tolerance: 0.3}}")
+    assert short == _species(write, "pine: {from: pine, height_m: 20, ecology: {shade_tolerance: 0.3}}")
+    assert _species(write, "pine: ", "species.pine.height_m=20") == _species(write, "pine: {height_m: 20}")
+    assert _species(write, "pine: {from: spruce}") != _species(write, "pine: {}") == _species(write, "pine: ")
+    drawn = load_recipe(write(MINIMAL.replace("{oak: ./oak.yaml}", "{pine: {height_m: {uniform: [20, 22]}}}"))).draw(0)
+    assert 20 <= drawn.species["pine"].mature_height_m <= 22
+
+
+def test_keys_of_a_species_that_nobody_knows_are_not_enough(write: Write) -> None:
+    with pytest.raises(RecipeError, match="'plant' is missing") as caught:
+        _species(write, "pinus: {height_m: 20}")
+    assert "from: NAME" in str(caught.value)
+
+
+def test_a_whole_species_under_a_shipped_name_stays_its_own(write: Write) -> None:
+    whole = (write().parent / "oak.yaml").read_text().replace("\n", "\n    ")
+    path = write(MINIMAL.replace("{oak: ./oak.yaml}", f"\n  oak:\n    {whole}"))
+    assert load_recipe(path).draw(0).data["species"]["oak"]["plant"] == {"generator": "pole", "leaves": 12}

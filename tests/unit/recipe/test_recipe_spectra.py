@@ -60,6 +60,10 @@ def test_a_colour_replaces_a_species_files_spectrum_and_a_spectrum_its_season(tm
     assert leaf.gloss == 0.03  # what has nothing to do with colour stays
     dry = materials(path, "species.palm.materials.dry_leaf.spectrum=bark/oak")["dry_leaf"]
     assert (dry.spectrum.name, dry.season) == ("bark/oak", None)
+    replaced = materials(path, "species.palm.materials.dry_leaf={spectrum: null, reflectance: [0.3, 0.2, 0.1]}")
+    assert (replaced["dry_leaf"].spectrum, replaced["dry_leaf"].season) == (None, None)
+    died = materials(path, "species.palm.materials.dry_leaf.season=summer")["dry_leaf"]
+    assert (died.spectrum.name, died.season) == ("leaves/palm", "summer")
 
 
 def test_seasons_may_be_drawn(tmp_path):

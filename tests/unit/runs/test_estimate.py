@@ -13,7 +13,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from forestgen.core.errors import ResourceError
+from forestgen.core.errors import OutputError, ResourceError
 from forestgen.core.progress import Silent
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.recipe.load import LoadedRecipe, load_recipe
@@ -239,8 +239,9 @@ def test_a_disk_that_is_too_small_is_refused(
 ) -> None:
     monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=90_000_000))
     place = LocalPlace(tmp_path / "not" / "yet", "not/yet")
-    with pytest.raises(ResourceError, match=r"not/yet[\s\S]*at most 40 MB[\s\S]*about 100 MB[\s\S]*--count 40"):
+    with pytest.raises(OutputError, match=r"not/yet[\s\S]*at most 40 MB[\s\S]*about 100 MB[\s\S]*--count 40") as caught:
         check_fits(expected(probe()), place)
+    assert caught.value.exit_code == 4  # the output cannot be written; 3 is for memory
     check_fits(expected(probe(disk=10**5)), place)
 
 

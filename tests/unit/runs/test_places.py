@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -78,10 +79,10 @@ def test_what_cannot_be_read_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyP
     place = LocalPlace(tmp_path)
     place.write("a/b", b"1")
 
-    def forbidden(path: Path) -> None:
+    def forbidden(*_: object) -> None:
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr(Path, "read_bytes", forbidden)
+    monkeypatch.setattr(os, "open", forbidden)
     monkeypatch.setattr(Path, "iterdir", forbidden)
     for ask, path in ((place.read, "a/b"), (place.names, "a")):
         with pytest.raises(OutputError, match=f"{path}: cannot read: Permission denied"):

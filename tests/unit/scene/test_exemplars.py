@@ -101,6 +101,16 @@ def test_the_reported_error_is_the_definition_and_shrinks_with_more_exemplars():
     assert errors[0] > 2 * errors[1] > 4 * errors[2] > 8 * errors[3]
 
 
+def test_plants_without_a_crown_have_no_error_of_its_width():
+    plants = population([0.5, 1.0, 1.5], np.array([0, 1, 1]), ("birch", "snag"))
+    plan = plan_exemplars(plants, 1, seed=0)
+    width = np.where(plants.species == 0, plants.radius_m, np.nan)
+    birch, snag = size_errors(plants, plan, plan.radius_m * 5, plan.radius_m, width)
+    assert birch.crown_width_rms == 0.0
+    assert snag.crown_width_rms is None
+    assert snag.radius_rms > 0
+
+
 def test_as_many_exemplars_as_plants_leave_no_error():
     plants = population([0.5, 1.0, 1.5], names=("a",))
     plan = plan_exemplars(plants, 3, seed=0)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from forestgen.scene.terrain import HORIZON_M, flat, rolling, terrain_mesh
+from forestgen.scene import terrain
+from forestgen.scene.terrain import HORIZON_M, build_terrain, flat, rolling, terrain_mesh
 
 SIZE_M = (60.0, 40.0)
 
@@ -72,3 +73,25 @@ def test_the_stated_amplitude_is_the_sites_standard_deviation():
         x, y = np.meshgrid(np.linspace(0, 400, 80), np.linspace(0, 400, 80))
         deviations.append(field(x, y).std())
     assert np.mean(deviations) == pytest.approx(1.5, rel=0.08)
+
+
+def test_the_texture_of_an_image_made_again_is_kept(monkeypatch):
+    made: list[str] = []
+    with_mean = terrain.with_mean
+    monkeypatch.setattr(terrain, "with_mean", lambda *values: made.append("") or with_mean(*values))
+    terrain._kept.clear()
+
+    def build(ground: str, seed: int) -> tuple[np.ndarray, float]:
+        rng = np.random.default_rng(seed)
+        return build_terrain(flat((8.0, 8.0)), rng, ground).texture, rng.random()
+
+    first, after = build("sand", 1)
+    again, after_again = build("sand", 1)
+    assert len(made) == 1
+    assert again is first
+    assert after_again == after, "the generator goes on as if the texture had been made"
+    others = [build("sand", 2)[0], build("rock", 1)[0]]
+    assert len(made) == 3
+    assert not any(np.array_equal(first, other) for other in others)
+    assert len(terrain._kept) == 1
+    assert build("sand", 1)[0].tobytes() == first.tobytes()

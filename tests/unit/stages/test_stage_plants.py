@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -108,6 +109,16 @@ def test_identities_are_the_species_rank_and_variant_at_any_level() -> None:
     assert len(by_identity) == 4
     assert all(len(radii) == 1 for radii in by_identity.values())
     assert len({one.key() for one in requests}) == len(requests) > 4
+
+
+def test_dead_wood_has_no_error_of_its_crown_width() -> None:
+    plan = planned("species={fireweed: , snag: }", "plants.exemplars_per_species=1")
+    population = herbs([1.0, 2.0, 3.0])
+    both = replace(population, species_names=("fireweed", "snag"), species=np.array([0, 1, 1], np.uint16))
+    herb, snag = scene.build_scene(plan, both, Silent(), Timings()).size_errors
+    assert (herb.species, snag.species, snag.plants) == ("fireweed", "snag", 2)
+    assert herb.crown_width_rms is not None
+    assert snag.crown_width_rms is None
 
 
 def test_the_cache_changes_nothing_and_a_later_image_leaves_it_alone(

@@ -44,6 +44,25 @@ def test_seasons_change_leaves_and_not_needles():
     assert own.reflectance == summer["birch", "leaf"].reflectance
 
 
+EVERGREEN = (
+    "pine", "spruce", "hemlock", "sequoia", "cypress", "juniper", "palm", "fan_palm", "tree_fern", "eucalyptus",
+    "meranti", "cecropia", "rosemary",
+)  # fmt: skip
+NOT_EVERGREEN = ("birch", "larch", "grass", "kapok", "bracken")
+
+
+@pytest.mark.parametrize("name", [*EVERGREEN, *NOT_EVERGREEN])
+def test_evergreen_leaves_are_green_in_every_season(name):
+    data = {"forestgen": 1, "species": {name: name}, "community": {"model": "placed"}}
+    kinds = load_recipe_data(data, "test").draw(0).species
+    key = next(one for one in ("needle", "leaf", "frond", "blade") if one in kinds[name].materials)
+    red, green, _ = materials_of(kinds, "dry")[name, key].reflectance
+    assert (green > 1.2 * red) == (name in EVERGREEN)
+    if name in EVERGREEN:
+        for season in ("spring", "autumn", "dry"):
+            assert materials_of(kinds, season)[name, key] == materials_of(kinds, "summer")[name, key]
+
+
 def test_green_leaves_look_as_leaves_do():
     """Near the colours that the species had by hand before they had spectra."""
     leaf = materials_of(species())["birch", "leaf"]

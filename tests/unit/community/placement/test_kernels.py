@@ -136,3 +136,10 @@ def test_named_species_are_told_with_their_keys():
         ("kernels", "b"): "b",
         ("kernels", "b", "c"): "c",
     }
+
+
+def test_a_last_point_reaches_no_farther_than_reach_may():
+    ((_, context),) = mistakes({"curve": [[0, 0], [1e6, 1]], "distance": "metres"})
+    assert context["problem"] == "this kernel reaches too far"
+    ((where, _),) = mistakes({"curve": [[0, 0], [1, 1]], "reach": 1e6})
+    assert where[-1] == "reach"

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from forestgen.dataset.check.frame_data import FrameData
@@ -15,7 +14,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Offence:
+class Finding:
     """One place where a data set contradicts itself."""
 
     file: str  # relative to the data set's folder
@@ -43,9 +42,18 @@ class Offence:
 class UnreadableError(Exception):
     """A file that cannot be read or understood."""
 
-    def __init__(self, offence: Offence) -> None:
-        self.offence = offence
-        super().__init__(offence.where)
+    def __init__(self, finding: Finding) -> None:
+        self.finding = finding
+        super().__init__(finding.where)
+
+
+MISUNDERSTOOD = (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError, RecursionError)
+
+
+def misunderstood(file: str, error: Exception, image: str = "", plant_id: int | None = None) -> Finding:
+    """The finding of content that a check cannot understand; `error` is one of `MISUNDERSTOOD`."""
+    reason = f"{type(error).__name__}: {error}"
+    return Finding(file, "the content is not of this format", got=reason[:200], image=image, plant_id=plant_id)
 
 
 @dataclass(frozen=True)
@@ -56,7 +64,7 @@ class FrameCheck:
     holds: str  # what is true if it passes, for people
     file: str  # that it is about, inside the frame's folder or, if `shared`, in the data set's
     applies: Callable[[FrameData], bool]  # whether the files that it reads are there
-    find: Callable[[FrameData], Iterator[Offence]]
+    find: Callable[[FrameData], Iterator[Finding]]
     shared: bool = False
 
 
@@ -68,20 +76,12 @@ class DatasetCheck:
     holds: str
     file: str
     applies: Callable[[Merged], bool]
-    find: Callable[[Merged], Iterator[Offence]]
+    find: Callable[[Merged], Iterator[Finding]]
 
 
 def always(_: object) -> bool:
     """Of checks whose files are in every data set."""
     return True
-
-
-def first_pixel(wrong: NDArray[np.bool_]) -> tuple[int, int] | None:
-    """x, y of the first true pixel of (H, W), row by row; None where there is none."""
-    if not wrong.any():
-        return None
-    y, x = divmod(int(np.argmax(wrong)), wrong.shape[1])
-    return x, y
 
 
 def number(value: Any) -> str:

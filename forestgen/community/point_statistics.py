@@ -1,0 +1,140 @@
+"""How the points of a file lie: all indices and functions of a pattern, with their errors."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.community import point_patterns as patterns
+from forestgen.community.point_patterns import Estimate, Window
+from forestgen.community.point_table import PointTable, read_points
+from forestgen.community.ripley import count_pairs, greatest_radius, ripley_k
+from forestgen.core.errors import RecipeError, ResourceError
+from forestgen.core.randomness import child_rng
+
+_DEFAULT_RADII = 10
+_NEIGHBOURS, _DEFAULT_PAIRS = 100, 50_000_000  # within the greatest default radius, at most
+_MOST_RADII = 1000
+_MOST_PAIRS = 2_000_000_000  # some minutes
+
+
+@dataclass(frozen=True)
+class PointStatistics:
+    """How the points of a pattern lie."""
+
+    n: int
+    window: Window
+    density: float  # 1/m²
+    hopkins: Estimate
+    hopkins_skellam: Estimate
+    clark_evans: Estimate
+    clark_evans_donnelly: Estimate
+    radii_m: NDArray[np.float64]
+    k_isotropic_m2: NDArray[np.float64]
+    k_translation_m2: NDArray[np.float64]
+    notes: tuple[str, ...] = ()  # on the file, for people
+
+    def as_dict(self) -> dict[str, object]:
+        """Plain values, for JSON; None for what cannot be known."""
+        return {
+            "n": self.n,
+            "density": self.density,
+            "hopkins": _number(self.hopkins.value),
+            "hopkins_error": _number(self.hopkins.error),
+            "hopkins_skellam": _number(self.hopkins_skellam.value),
+            "hopkins_skellam_error": _number(self.hopkins_skellam.error),
+            "clark_evans": self.clark_evans.value,
+            "clark_evans_donnelly": self.clark_evans_donnelly.value,
+            "radii": self.radii_m.tolist(),
+            "ripley_k_isotropic": self.k_isotropic_m2.tolist(),
+            "ripley_k_translation": self.k_translation_m2.tolist(),
+            "window": [self.window.x0, self.window.x1, self.window.y0, self.window.y1],
+            "notes": list(self.notes),
+        }
+
+
+def measure_file(
+    path: Path, window: tuple[float, float, float, float] | None, radii_m: Sequence[float | str]
+) -> PointStatistics:
+    """Statistics of a file's points.
+
+    Raises
+    ------
+    RecipeError : the file holds no points, or a radius is too large for the window.
+    ResourceError : too many pairs of points lie within the greatest radius.
+    """
+    table = read_points(path, window)
+    radii = _radii(radii_m, table)
+    _check_pairs(table.points_m, float(radii.max()))
+    return measure(table.points_m, table.window, radii, table.notes)
+
+
+def measure(
+    points_m: NDArray[np.float64], window: Window, radii_m: NDArray[np.float64], notes: Sequence[str] = ()
+) -> PointStatistics:
+    """All statistics of a pattern; the same points give the same numbers."""
+    distances = patterns.measure_distances(points_m, window, child_rng(0, "stats"))
+    nearest_m = distances.from_points_m
+    return PointStatistics(
+        n=len(points_m),
+        window=window,
+        density=patterns.density(points_m, window),
+        hopkins=patterns.hopkins(distances),
+        hopkins_skellam=patterns.hopkins_skellam(distances),
+        clark_evans=patterns.clark_evans(nearest_m, window),
+        clark_evans_donnelly=patterns.clark_evans_donnelly(nearest_m, window),
+        radii_m=radii_m,
+        k_isotropic_m2=ripley_k(points_m, window, radii_m, "isotropic"),
+        k_translation_m2=ripley_k(points_m, window, radii_m, "translation"),
+        notes=tuple(notes),
+    )
+
+
+def _radii(given: Sequence[float | str], table: PointTable) -> NDArray[np.float64]:
+    """The radii asked for, in their order; by default ten up to a quarter of the window or to 100 neighbours."""
+    window, n = table.window, len(table.points_m)
+    if not given:
+        neighbours = min(_NEIGHBOURS, _DEFAULT_PAIRS / n)
+        most = min(min(window.size_m) / 4, math.sqrt(neighbours * window.area_m2 / (math.pi * n)))
+        return np.linspace(0, most, _DEFAULT_RADII + 1)[1:]
+    most = greatest_radius(window)
+    radii = [_radius(one, most) for text in given for one in str(text).split(",") if one.strip()]
+    if not 0 < len(radii) <= _MOST_RADII:
+        raise RecipeError("so many radii", where="--radii", expected=f"1 to {_MOST_RADII}", got=str(len(radii)))
+    return np.array(radii)
+
+
+def _check_pairs(points_m: NDArray[np.float64], most_m: float) -> None:
+    pairs = count_pairs(points_m, most_m)
+    if pairs > _MOST_PAIRS:
+        raise ResourceError(
+            "too many pairs of points lie within the greatest radius",
+            where="--radii",
+            expected=f"at most {_MOST_PAIRS:,}",
+            got=f"{pairs:,} within {most_m:g} m",
+            hint="lower the greatest radius",
+        )
+
+
+def _radius(text: str, most: float) -> float:
+    try:
+        radius = float(text)
+    except ValueError:
+        radius = math.nan
+    if 0 <= radius <= most:
+        return radius
+    raise RecipeError(
+        "this radius is too large for the window" if radius > most else "this is no radius",
+        where="--radii",
+        expected=f"metres, 0 to {most:g}: beyond, nothing can correct for the window's edges",
+        got=text.strip(),
+    )
+
+
+def _number(value: float) -> float | None:
+    return value if math.isfinite(value) else None

@@ -1,0 +1,57 @@
+"""Files that other tools leave in a data set's folder: they are no part of it, and no damage.
+
+| pattern | tool |
+|---|---|
+| `*.cache` | Ultralytics: what it has read of the labels |
+| `.cache`, `.huggingface` | Hugging Face |
+| `.fiftyone*`, `fiftyone.yml` | FiftyOne |
+| `.DS_Store`, `._*` | macOS |
+| `Thumbs.db`, `desktop.ini` | Windows |
+| `.directory`, `.Trash-*` | Linux desktops |
+| `.ipynb_checkpoints`, `__pycache__` | Jupyter, Python |
+| `.git*`, `.dvc*`, `*.dvc` | Git, DVC |
+| `.nfs*` | network file systems: files removed while in use |
+| `*~`, `.*.swp`, `.*.swo`, `.#*`, `#*#`, `.idea`, `.vscode` | editors |
+
+A pattern matches the name of a file, or of a folder with all that is in it. A file that `SHA256SUMS` lists belongs to
+the data set, whatever its name.
+"""
+
+from __future__ import annotations
+
+from fnmatch import fnmatchcase
+from functools import lru_cache
+
+_TOOLS: dict[str, tuple[str, ...]] = {
+    "Ultralytics": ("*.cache",),
+    "Hugging Face": (".cache", ".huggingface"),
+    "FiftyOne": (".fiftyone*", "fiftyone.yml"),
+    "macOS": (".DS_Store", "._*"),
+    "Windows": ("Thumbs.db", "desktop.ini"),
+    "a Linux desktop": (".directory", ".Trash-*"),
+    "Jupyter": (".ipynb_checkpoints",),
+    "Python": ("__pycache__",),
+    "Git": (".git*",),
+    "DVC": (".dvc*", "*.dvc"),
+    "a network file system": (".nfs*",),
+    "an editor": ("*~", ".*.swp", ".*.swo", ".#*", "#*#", ".idea", ".vscode"),
+}
+# Names before patterns: ".cache" is a folder of Hugging Face's.
+_PATTERNS = sorted(
+    ((one, tool) for tool, several in _TOOLS.items() for one in several), key=lambda pair: "*" in pair[0]
+)
+
+
+def tool_of(path: str) -> str | None:
+    """The tool that makes files of this name; None if forestgen knows none.
+
+    Parameters
+    ----------
+    path : below the data set's folder, with forward slashes.
+    """
+    return next((tool for name in path.split("/") if (tool := _tool_of_name(name)) is not None), None)
+
+
+@lru_cache(maxsize=4096)
+def _tool_of_name(name: str) -> str | None:
+    return next((tool for pattern, tool in _PATTERNS if fnmatchcase(name, pattern)), None)

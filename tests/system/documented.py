@@ -1,0 +1,122 @@
+"""The commands of README, docs and recipes: found, read as the command line reads them, and called in Python."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import typer
+
+import forestgen as fg
+from forestgen.api.plants import grow_files
+from forestgen.cli import app
+
+ROOT = Path(__file__).parents[2]
+PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
+_COMMAND = re.compile(r"^(?:\$ )?(?:uv run )?(forestgen [a-z].*)$")
+_GROUP: Any = typer.main.get_command(app)
+
+
+def documented() -> list[str]:
+    """Every command of a shell block of a page, or of a recipe's comment, once, in order."""
+    found: dict[str, None] = {}
+    for page in PAGES:
+        for block in re.findall(r"```sh\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL):
+            found |= dict.fromkeys(_commands(block))
+    for recipe in sorted((ROOT / "recipes").rglob("*.yaml")):
+        comments = (line.lstrip("# ") for line in recipe.read_text(encoding="utf-8").splitlines() if line[:1] == "#")
+        found |= dict.fromkeys(_commands("\n".join(comments)))
+    return list(found)
+
+
+def _commands(text: str) -> Iterator[str]:
+    for line in text.replace("\\\n", " ").splitlines():
+        command = _COMMAND.match(line.strip())
+        if command:
+            yield re.split(r"\s{2,}[a-z]|\s+#|\s*[|>&;]", re.sub(r" {2,}--", " --", command[1]))[0].strip()
+
+
+def python_blocks() -> Iterator[tuple[str, str]]:
+    """Page and code of every Python block."""
+    for page in PAGES:
+        for number, block in enumerate(re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)):
+            yield f"{page.name}:{number}", block
+
+
+def parsed(command: str) -> tuple[str, dict[str, Any]]:
+    """Name and arguments of a command, as typer reads them. Raises what typer raises for one that it refuses."""
+    name, *arguments = shlex.split(command)[1:]
+    context = _GROUP.commands[name].make_context(name, arguments)
+    return name, dict(context.params)
+
+
+def in_python(command: str) -> Any:
+    """Do with the API what a command does."""
+    name, given = parsed(command)
+    return _CALLS[name](given)
+
+
+def _loaded(given: dict[str, Any]) -> fg.Recipe:
+    first = given.pop("first", None)
+    numbers = [f"first_image={first}"] if first is not None else []
+    return fg.load(given.pop("recipe"), set=[*(given.pop("overrides") or ()), *numbers])
+
+
+def _run(given: dict[str, Any], make: Callable[..., Any]) -> Any:
+    for name in ("quiet", "verbose", "dry_run"):
+        given.pop(name)
+    recipe = _loaded(given)
+    resources = given.pop("resources", None)
+    more = {"resources": dict(one.split("=") for one in resources)} if resources else {}
+    return make(recipe, given.pop("out"), count=given.pop("images"), progress=False, **given, **more)
+
+
+def _simulate(given: dict[str, Any]) -> Any:
+    recipe = _loaded(given)
+    lists = {name: given.pop(name) or () for name in ("map_steps", "graphs")}
+    del given["quiet"], given["verbose"]
+    return recipe.simulate(given.pop("out"), progress=False, **given, **lists)
+
+
+def _weather(given: dict[str, Any]) -> Any:
+    del given["quiet"]
+    recipe, files = _loaded(given), given.pop("out") or ()
+    return recipe.weather(given.pop("images"), out=files, progress=False, **given)
+
+
+def _pack(given: dict[str, Any]) -> Any:
+    del given["quiet"]
+    channels = given.pop("channels")
+    return fg.Dataset(given.pop("folder")).pack(
+        given.pop("out"),
+        given.pop("form"),
+        channels=channels.split(",") if channels else None,
+        splits=given.pop("splits") or (),
+        progress=False,
+        **given,
+    )
+
+
+def _plant(given: dict[str, Any]) -> Any:
+    for name in ("quiet", "as_json", "list_species"):
+        given.pop(name)
+    species, out, count = (given.pop(name) for name in ("species", "out", "plants"))
+    return grow_files(species, out, count=count, progress=False, **given)
+
+
+_CALLS: dict[str, Callable[[dict[str, Any]], Any]] = {
+    "render": lambda given: _run(given, fg.Recipe.render),
+    "batch": lambda given: _run(given, fg.Recipe.batch),
+    "simulate": _simulate,
+    "weather": _weather,
+    "pack": _pack,
+    "plant": _plant,
+    "merge": lambda given: fg.merge(given["sources"], given["out"], link=given["link"], progress=False),
+    "report": lambda given: fg.Dataset(given["folder"]).report(given["out"]),
+    "verify": lambda given: fg.verify(
+        given["folder"], rerender=given["rerender"], seed=given["seed"], hashes=given["hashes"], progress=False
+    ),
+}
