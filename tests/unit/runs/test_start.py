@@ -82,7 +82,7 @@ def test_images_that_cannot_be_made_are_not_worth_another_run(kinds: tuple[Failu
 def test_images_that_are_missing_for_another_reason_are_tried_again() -> None:
     with pytest.raises(DatasetError, match="1 of 5 images") as caught:
         start._check_complete(summary((), (4,)))
-    assert "--resume tries them again" in str(caught.value)
+    assert "--resume makes them again" in str(caught.value)
     assert "image 4 is damaged" in str(caught.value)
     start._check_complete(summary((), ()))
 
