@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -37,12 +37,14 @@ class PointStatistics:
     radii_m: NDArray[np.float64]
     k_isotropic_m2: NDArray[np.float64]
     k_translation_m2: NDArray[np.float64]
+    duplicates: int = 0  # points at the place of an earlier one
     notes: tuple[str, ...] = ()  # on the file, for people
 
     def as_dict(self) -> dict[str, object]:
         """Plain values, for JSON; None for what cannot be known."""
         return {
             "n": self.n,
+            "duplicates": self.duplicates,
             "density": self.density,
             "hopkins": _number(self.hopkins.value),
             "hopkins_error": _number(self.hopkins.error),
@@ -68,15 +70,13 @@ def measure_file(
     RecipeError : the file holds no points, or a radius is too large for the window.
     ResourceError : too many pairs of points lie within the greatest radius.
     """
-    table = read_points(path, window)
+    table = read_points(path, window, allow_duplicates=True)
     radii = _radii(radii_m, table)
     _check_pairs(table.points_m, float(radii.max()))
-    return measure(table.points_m, table.window, radii, table.notes)
+    return replace(measure(table.points_m, table.window, radii), duplicates=table.duplicates, notes=tuple(table.notes))
 
 
-def measure(
-    points_m: NDArray[np.float64], window: Window, radii_m: NDArray[np.float64], notes: Sequence[str] = ()
-) -> PointStatistics:
+def measure(points_m: NDArray[np.float64], window: Window, radii_m: NDArray[np.float64]) -> PointStatistics:
     """All statistics of a pattern; the same points give the same numbers."""
     distances = patterns.measure_distances(points_m, window, child_rng(0, "stats"))
     nearest_m = distances.from_points_m
@@ -91,7 +91,6 @@ def measure(
         radii_m=radii_m,
         k_isotropic_m2=ripley_k(points_m, window, radii_m, "isotropic"),
         k_translation_m2=ripley_k(points_m, window, radii_m, "translation"),
-        notes=tuple(notes),
     )
 
 

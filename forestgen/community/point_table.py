@@ -33,15 +33,20 @@ _WINDOW = re.compile(rf"\bwindow\b\s*[:=]?\s*((?:{_NUMBER}[\s,;]+)*{_NUMBER})(?=
 class PointTable:
     """A file's points, and the window in which they were observed."""
 
-    points_m: NDArray[np.float64]  # (N, 2), N >= 2, no two alike, all in the window
+    points_m: NDArray[np.float64]  # (N, 2), N >= 2, all in the window
     window: Window
     notes: tuple[str, ...]  # what the reader had to assume
     species: tuple[str, ...] | None = None  # (N,) names; None: the file has no such column
     radius_m: NDArray[np.float64] | None = None  # (N,) metres, above 0; None: the file has no such column
+    duplicates: int = 0  # points at the place of an earlier one
 
 
 def read_points(
-    path: Path, window: tuple[float, float, float, float] | None = None, *, marks: bool = False
+    path: Path,
+    window: tuple[float, float, float, float] | None = None,
+    *,
+    marks: bool = False,
+    allow_duplicates: bool = False,
 ) -> PointTable:
     """Read a point pattern.
 
@@ -49,10 +54,11 @@ def read_points(
     ----------
     window : x0, x1, y0, y1; by default that of a comment in the file, else the points' bounding box.
     marks : whether the columns species and radius_m are welcome.
+    allow_duplicates : whether points may share a place; a note says how many do.
 
     Raises
     ------
-    AssetError : no such file, not a table of points, points outside the window, fewer than two, two alike.
+    AssetError : no such file, not a table of points, points outside the window, fewer than two, two at one place.
     RecipeError : `window` is none.
     ResourceError : too many points.
     """
@@ -76,9 +82,14 @@ def read_points(
             "state the true one by --window x0 x1 y0 y1 or in a comment of the file",
         )
     _check_inside(path, points, rows, chosen)
-    _check_apart(path, points, rows)
+    first, second = _pairs_of_one_place(points, rows)
+    if len(first) and not allow_duplicates:
+        raise _twice(path, points, rows, first, second)
+    if len(first):
+        notes = (*notes, _note_on_duplicates(len(first), len(points)))
     radius = np.array([float(one) for one in cells["radius_m"]]) if "radius_m" in cells else None
-    return PointTable(points, chosen, notes, tuple(cells["species"]) if "species" in cells else None, radius)
+    species = tuple(cells["species"]) if "species" in cells else None
+    return PointTable(points, chosen, notes, species, radius, len(first))
 
 
 def _given_window(window: tuple[float, float, float, float]) -> Window:
@@ -248,14 +259,33 @@ def _check_inside(path: Path, points: NDArray[np.float64], rows: NDArray[np.int6
     )
 
 
-def _check_apart(path: Path, points: NDArray[np.float64], rows: NDArray[np.int64]) -> None:
+def _pairs_of_one_place(
+    points: NDArray[np.float64], rows: NDArray[np.int64]
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Indices of points at the place of an earlier one, second, and of the one before each in the file, first."""
     order = np.lexsort((rows, points[:, 1], points[:, 0]))
     same = np.flatnonzero(np.all(points[order[1:]] == points[order[:-1]], axis=1))
-    if not len(same):
-        return
-    one, two = order[same[0]], order[same[0] + 1]
-    more = f", and {len(same) - 1:,} more" if len(same) > 1 else ""
-    raise AssetError(
+    return order[same], order[same + 1]
+
+
+def _note_on_duplicates(duplicates: int, n: int) -> str:
+    lie = "lies" if duplicates == 1 else "lie"
+    return (
+        f"{duplicates:,} of {n:,} points {lie} at the place of an earlier one: each counts as a point, 0 m from the "
+        "other; where they are copies or rounded positions, all values lean towards clustered"
+    )
+
+
+def _twice(
+    path: Path,
+    points: NDArray[np.float64],
+    rows: NDArray[np.int64],
+    first: NDArray[np.intp],
+    second: NDArray[np.intp],
+) -> AssetError:
+    one, two = first[0], second[0]
+    more = f", and {len(first) - 1:,} more" if len(first) > 1 else ""
+    return AssetError(
         "a point occurs twice",
         where=f"{path}:{rows[two]}",
         expected="points that differ: no two plants stand at one place",

@@ -78,7 +78,7 @@ def _template() -> Any:
     environment = Environment(
         trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True, undefined=StrictUndefined, autoescape=False
     )
-    environment.filters |= {"yaml": _yaml, "cell": _cell, "number": _number, "share": _share}
+    environment.filters |= {"yaml": _yaml, "cell": markdown, "number": _number, "share": _share}
     return environment.from_string(_TEMPLATE.read_text(encoding="utf-8"))
 
 
@@ -117,7 +117,7 @@ def _yaml(value: str) -> str:
     return json.dumps(value, ensure_ascii=False)
 
 
-def _cell(value: object) -> str:
+def markdown(value: object) -> str:
     """A text in a table's cell, on one line, with nothing that Markdown or HTML would take for its own."""
     text = " ".join(str(value).split())
     return re.sub(r"([\\`*_\[\]<>|#])", r"\\\1", text)

@@ -8,6 +8,8 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, Strict
 from pydantic_core import PydanticCustomError
 
 NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"
+_CONTROL = r"\x00-\x1F\x7F-\x9F\u2028\u2029"
+LABEL_PATTERN = rf"^[^\s{_CONTROL}]([^{_CONTROL}]*[^\s{_CONTROL}])?$"
 
 
 class Section(BaseModel):
@@ -59,7 +61,8 @@ Number = Annotated[float, Strict(), Field(allow_inf_nan=False)]
 Whole = Annotated[int, BeforeValidator(_no_text_for_whole_number)]
 Flag = Annotated[bool, Strict()]
 Text = Annotated[str, Strict()]
-Name = Annotated[str, Strict(), Field(pattern=NAME_PATTERN)]
+Name = Annotated[str, Strict(), Field(pattern=NAME_PATTERN)]  # also of files and columns
+Label = Annotated[str, Strict(), Field(max_length=200, pattern=LABEL_PATTERN)]  # for people and data sets alone
 Positive = Annotated[Number, Field(gt=0)]
 NonNegative = Annotated[Number, Field(ge=0)]
 Fraction = Annotated[Number, Field(ge=0, le=1)]

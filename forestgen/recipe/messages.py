@@ -12,7 +12,7 @@ from pydantic import BaseModel, ValidationError
 
 from forestgen.core.errors import RecipeError, RecipeErrors
 from forestgen.recipe.distributions import KINDS, is_distribution
-from forestgen.recipe.fields import NAME_PATTERN
+from forestgen.recipe.fields import LABEL_PATTERN, NAME_PATTERN
 from forestgen.recipe.sources import Keys, SourceMap
 from forestgen.recipe.suggestions import did_you_mean
 
@@ -238,6 +238,8 @@ def _expected(kind: str, context: Mapping[str, Any], message: str) -> str:
     if kind == "string_pattern_mismatch":
         if context["pattern"] == NAME_PATTERN:
             return "a name of 1 to 64 letters, digits, - or _, not beginning with - or _"
+        if context["pattern"] == LABEL_PATTERN:
+            return "a name without control characters, and without blanks at its ends"
         return f"text that matches {context['pattern']}"
     if kind in _WITH_CONTEXT:
         return _WITH_CONTEXT[kind](context)

@@ -26,6 +26,7 @@ from forestgen.recipe.dataset import Dataset
 from forestgen.recipe.fields import (
     Flag,
     Fraction,
+    Label,
     Name,
     NonNegative,
     Number,
@@ -148,11 +149,11 @@ class Labels(Section):
         ),
     ] = CHANNELS
     classes: Annotated[
-        dict[Name, tuple[Name, ...]] | None,
+        dict[Label, tuple[Name, ...]] | None,
         Field(
             max_length=MOST_CLASSES,
             description="Semantic classes: name -> the species and parts in it, a part before a species; `others` "
-            "are the species that no class names. Default: each species is a class.",
+            "are the species that no class names. A name may have blanks. Default: each species is a class.",
         ),
     ] = None
 

@@ -141,7 +141,7 @@ TEXTS: dict[str, str] = {
     "a species up": changed("{fireweed: }", "{../up: {from: fireweed}}"),
     "a species of HTML": changed("{fireweed: }", '{"<img src=x onerror=alert(1)>": {from: fireweed}}'),
     "a split up": _seed("dataset: {splits: {../up: 1}}"),
-    "a class up": changed("labels: {samples: 1}", "labels: {samples: 1, classes: {../up: [fireweed]}}"),
+    "a class of two lines": changed("labels: {samples: 1}", 'labels: {samples: 1, classes: {"a\\nb": [fireweed]}}'),
     "a model by its path": changed("multiset_lsystem", "os:system"),
     "a generator by its path": _plant("{generator: 'os:system'}"),
     "images without end": _seed("images: 1000000000000000"),

@@ -71,7 +71,7 @@ def test_every_picture_has_8_bits_or_16_of_depth(data_set):
 
 
 CLASSES = {
-    "two species": ("{wood: [trunk], green: [birch, fireweed]}", ["green"]),
+    "two species": ('{tree trunk: [trunk], "green, \\"é\\": all 🌲": [birch, fireweed]}', ['green, "é": all 🌲']),
     "others": ("{herb: [fireweed], rest: [others]}", ["herb", "rest"]),
     "parts alone": (
         "{wood: [trunk, branch, dead_wood], soft: [leaf, flower, fruit], herb: [fireweed]}",

@@ -88,8 +88,8 @@ def whole_files(splits: Collection[str], settings: DatasetSettings) -> dict[str,
 
 def _names(settings: DatasetSettings) -> str:
     """The classes of a trainer's yaml."""
-    names = "".join(f"  {i}: {json.dumps(name)}\n" for i, name in enumerate(settings.category_names))
-    return f"names:\n{names}"
+    quoted = (json.dumps(name, ensure_ascii=False) for name in settings.category_names)
+    return "names:\n" + "".join(f"  {number}: {name}\n" for number, name in enumerate(quoted))
 
 
 def outline_lines(labelled: LabelledFrame) -> list[str]:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from forestgen.core.errors import ForestgenError
+from forestgen.dataset.card import markdown
 from forestgen.dataset.pack.columns import Column, yaml_type
 from forestgen.dataset.pack.parquet_shards import FOLDER
 from forestgen.dataset.pack.samples import Shard
@@ -68,8 +69,10 @@ def body(title: str, code: Sequence[str], splits: Mapping[str, Sequence[Shard]],
         f"{sum(one.size_bytes for one in shards):,} |"
         for name, shards in splits.items()
     ]
-    semantic = ", ".join(f"{number} {name}" for number, name in classes["semantic"].items())
-    categories = ", ".join(f"{number} {name}" for number, name in classes["categories"].items())
+    semantic, categories = (
+        ", ".join(f"{number} {markdown(name)}" for number, name in classes[key].items())
+        for key in ("semantic", "categories")
+    )
     lines = [
         f"# {title}",
         "",

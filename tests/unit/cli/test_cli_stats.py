@@ -15,6 +15,9 @@ from typer.testing import CliRunner
 from forestgen.cli import app
 from forestgen.cli.variadic import repeat_option
 from forestgen.community import point_statistics
+from forestgen.community.point_patterns import Window, measure_distances
+from forestgen.community.point_table import read_points
+from forestgen.core.randomness import child_rng
 
 command = importlib.import_module("forestgen.cli.stats")  # the package has a function of this name
 
@@ -100,6 +103,60 @@ def test_a_window_that_was_assumed_is_told(tmp_path):
     assert "bounding box" in run(path).stdout
     assert "bounding box" in numbers(path)["notes"][0]
     assert "bounding box" not in run(path, "--window", 0, 1, 0, 1).stdout
+
+
+def share_inside(centre, radius, window):
+    """Share of a circle in the window, by walking around it."""
+    angle = (np.arange(20_000) + 0.5) * (2 * np.pi / 20_000)
+    return 1 - window.outside(centre + radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)).mean()
+
+
+def test_points_at_one_place_against_brute_force(tmp_path):
+    """Redwoods on a lattice of 0.05 m: copies, some in threes."""
+    points = np.round(read_points(DATA / "redwood.csv").points_m / 0.05) * 0.05
+    n, window = len(points), Window(0.0, 1.0, -1.0, 0.0)
+    path = tmp_path / "rounded.csv"
+    path.write_text("x,y\n" + "".join(f"{x!r},{y!r}\n" for x, y in points.tolist()))
+    edges, radii = ("--window", 0, 1, -1, 0), [0.0, 0.02, 0.12, 0.3]
+    found = numbers(path, *edges, "--radii", *radii)
+
+    distance = np.hypot(*(points[:, None] - points[None]).transpose(2, 0, 1))
+    np.fill_diagonal(distance, np.inf)
+    copies = n - len(np.unique(points, axis=0))
+    assert found["duplicates"] == copies > 5
+    assert found["n"] == n
+    assert f"{copies} of {n} points lie at the place of an earlier one" in found["notes"][0]
+    shown = run(path, *edges).stdout.replace("\n", " ")
+    assert f"note: {found['notes'][0]}" in shown
+    nearest = distance.min(axis=1)
+    assert (nearest == 0).sum() > copies
+    assert found["clark_evans"] == pytest.approx(nearest.mean() * 2 * np.sqrt(n))
+    donnelly = 0.5 / np.sqrt(n) + (0.0514 + 0.0412 / np.sqrt(n)) * 4 / n
+    assert found["clark_evans_donnelly"] == pytest.approx(nearest.mean() / donnelly)
+
+    # Copies do not change the distance from a place of the window to the nearest point.
+    spread = measure_distances(np.unique(points, axis=0), window, child_rng(0, "stats")).from_window_m
+    assert found["hopkins"] == pytest.approx(spread.mean() / nearest.mean())
+    assert found["hopkins_skellam"] == pytest.approx((nearest**2).mean() / (spread**2).mean(), rel=0.05)
+
+    pairs = [(i, j) for i in range(n) for j in range(n) if distance[i, j] <= max(radii)]
+    d = np.array([distance[pair] for pair in pairs])
+    step = np.abs([points[i] - points[j] for i, j in pairs])
+    translation = 1 / np.prod(1 - step, axis=1)
+    isotropic = np.array([1 / max(share_inside(points[i], distance[i, j], window), 0.01) for i, j in pairs])
+    for weights, key in ((translation, "ripley_k_translation"), (isotropic, "ripley_k_isotropic")):
+        expected = [weights[d <= r].sum() / (n * (n - 1)) for r in radii]
+        assert expected[0] > 0
+        assert found[key] == pytest.approx(expected, rel=1e-3)
+
+
+def test_all_points_at_one_place_have_numbers(tmp_path):
+    path = tmp_path / "one.csv"
+    path.write_text("0.5,0.5\n" * 12)
+    found = numbers(path, "--window", 0, 1, 0, 1, "--radii", 0.1)
+    assert (found["duplicates"], found["clark_evans"], found["hopkins"]) == (11, 0.0, None)
+    assert found["ripley_k_translation"] == pytest.approx([1.0])
+    assert run(path, "--window", 0, 1, 0, 1).exit_code == 0
 
 
 def test_two_points_have_numbers_where_they_can(tmp_path):

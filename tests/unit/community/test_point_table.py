@@ -36,6 +36,17 @@ def test_a_file_with_its_window_in_a_comment():
     assert found.notes == ()
 
 
+def test_points_at_one_place_are_counted_where_they_are_allowed(tmp_path):
+    path = tmp_path / "trees.csv"
+    path.write_text("# window 0 9 0 9\nx,y\n1,2\n3,4\n1.0,2\n5,6\n1,2\n3,4\n")
+    table = read_points(path, allow_duplicates=True)
+    assert table.duplicates == 3
+    assert table.points_m.tolist() == [[1, 2], [3, 4], [1, 2], [5, 6], [1, 2], [3, 4]]
+    assert [note.split(":")[0] for note in table.notes] == ["3 of 6 points lie at the place of an earlier one"]
+    path.write_text("# window 0 9 0 9\nx,y\n1,2\n3,4\n")
+    assert (read_points(path).duplicates, read_points(path).notes) == (0, ())
+
+
 @pytest.mark.parametrize(
     "content",
     [

@@ -11,6 +11,7 @@ from dataset_shots import CLASSES, SETTINGS, SPECIES
 from format_shots import drawn, written
 from PIL import Image
 from ruamel.yaml import YAML
+from yaml import safe_load
 
 from forestgen.core.errors import OutputError
 from forestgen.dataset.exr import read_exr_attributes
@@ -20,7 +21,9 @@ from forestgen.labels.classes import ClassMap
 from forestgen.recipe.classes import PLANT_PARTS
 
 MASK = np.array([[1, 1, 0, 2], [3, 3, 0, 2]])  # plants 1 and 3 are oaks, 2 is a poplar
+ODD = 'herb "x", {é}: #1 \\ 🌲'
 CASES = {
+    "names with blanks": ({"conifer tree": ("spruce",), ODD: ("oak", "poplar")}, ("conifer tree", ODD), (2, 2)),
     "two species": ({"wood": ("trunk",), "tree": ("oak", "poplar"), "fir": ("spruce",)}, ("tree", "fir"), (1, 1)),
     "others": ({"conifer": ("spruce",), "rest": ("others",)}, ("conifer", "rest"), (2, 2)),
     "parts alone": ({"parts": PLANT_PARTS, "broad": ("oak",)}, ("broad", "poplar", "spruce"), (1, 2)),
@@ -55,7 +58,8 @@ def test_categories_follow_the_classes(case, tmp_path):
     for task in ("boxes", "segmentation"):
         lines = (home / task / "labels" / "a.txt").read_text().splitlines()
         assert [int(line.split()[0]) + 1 for line in lines] == [oak, poplar, oak]
-        assert YAML(typ="safe").load(home / task / "data.yaml")["names"] == dict(enumerate(names))
+        for read in (YAML(typ="safe").load, safe_load):  # trainers take the second
+            assert read((home / task / "data.yaml").read_text("utf-8"))["names"] == dict(enumerate(names))
 
 
 def test_frames_of_other_classes_are_not_merged(tmp_path):
