@@ -51,9 +51,9 @@ def check_ours(place: Place) -> None:
     ------
     OutputError
     """
-    if isinstance(place, LocalPlace) and place.root.exists() and not place.root.is_dir():
-        raise OutputError("the output is a file", where=place.name, expected="a folder", hint="choose another name")
     names = place.names("")
+    if isinstance(place, LocalPlace) and place.root.is_file():
+        raise OutputError("the output is a file", where=place.name, expected="a folder", hint="choose another name")
     if names and names != [HIDDEN] and not _is_batch(place):
         raise OutputError(
             "the folder is not empty and holds no forestgen data set",

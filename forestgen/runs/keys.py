@@ -17,7 +17,7 @@ _SOURCES = (
 # Of these, what only reads frames, or writes the files over all of them.
 _WITHOUT = (
     "dataset/balance.py", "dataset/card.py", "dataset/check", "dataset/checksums.py", "dataset/exr_chunks.py",
-    "dataset/index.py", "dataset/pack", "dataset/report",
+    "dataset/frame.py", "dataset/index.py", "dataset/pack", "dataset/report",
 )  # fmt: skip
 _COMPUTE_WITH = (
     "numpy", "scipy", "numba", "pvlib", "mitsuba", "drjit", "mitsuba-oidn", "colour-science", "trimesh",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 from forestgen.core.errors import DatasetError, ForestgenError, OutputError, RecipeError
@@ -21,7 +22,7 @@ from forestgen.runs.keys import versions_hash
 from forestgen.runs.log import Log, done_fields, failed_fields
 from forestgen.runs.meter import Listener, Meter, SilentListener
 from forestgen.runs.places import LocalPlace, place_of
-from forestgen.runs.records import records_of
+from forestgen.runs.records import done_keys, records_of
 from forestgen.runs.summary import RunSummary, write_jobs_table, write_summary
 from forestgen.stages.data_set import check_one_data_set, check_stands, data_set_of
 from forestgen.stages.plan import check_plan
@@ -45,6 +46,7 @@ class _Run:
     listener: Listener
     retries: int
     strict: bool
+    submitted: set[str] = field(default_factory=set)  # keys of the jobs whose outcome is not known yet
     failed: list[Failed] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)  # on the images made
     last: JobRecord | None = None  # of the image that was finished last
@@ -116,6 +118,7 @@ def run_batch(
                 settle_batch(work.place, used, mark)
                 return _finish(run, images)
             except BaseException as error:
+                _count_unreported(run)
                 _log_stop(run, error)
                 raise
             finally:
@@ -188,12 +191,14 @@ def _hand_out(run: _Run, engine: Engine, in_flight: int) -> int:
         if isinstance(task, Failed):
             _give_up(run, task)
         else:
+            run.submitted.add(task[0].key)
             engine.submit(*task)
             handed += 1
     return handed
 
 
 def _account(run: _Run, outcome: Outcome) -> None:
+    run.submitted.discard(outcome.job.key)
     if isinstance(outcome, Done):
         run.meter.count(outcome.run.timings_s)
         run.last = outcome.record
@@ -294,6 +299,13 @@ def _summary(run: _Run, whole: Finished, report: str | None, notes: tuple[str, .
         image_notes=tuple(run.notes),
         last=run.last,
     )
+
+
+def _count_unreported(run: _Run) -> None:
+    """Count the images whose records are there, though the run was stopped before it heard of them."""
+    if run.submitted:
+        with suppress(ForestgenError):  # what has stopped the run matters more
+            run.meter.made += len(run.submitted & done_keys(run.work.place))
 
 
 def _log_stop(run: _Run, error: BaseException) -> None:

@@ -212,7 +212,7 @@ def test_a_disk_without_room_for_the_images_is_refused_before_any_work(tmp_path:
     recipe = tiny(tmp_path)
     for more in ((), ("--overwrite",)):
         answer = run("render", recipe, "-o", tmp_path / "out", "--count", "100000000", *more)
-        answer.refused(3, "larger than what is free on the disk", "GB", "100,000,000 images", "--count ")
+        answer.refused(4, "larger than what is free on the disk", "GB", "100,000,000 images", "--count ")
     assert set(tree(tmp_path)) == {"tiny.yaml"}
 
 
