@@ -186,27 +186,14 @@ class Dataset(Sequence[Frame]):
     def as_torch(
         self, channels: Sequence[str] = _TORCH_CHANNELS, transform: Callable[[dict[str, Any]], Any] | None = None
     ) -> Any:
-        """A `torch.utils.data.Dataset`: a dict of tensors a frame, pictures and vectors as (C, H, W).
+        """A map-style data set for `torch.utils.data.DataLoader`: a dict of tensors a frame, pictures as (C, H, W).
 
         Parameters
         ----------
         channels : attributes of `Frame` that are arrays. Ids are int64, as PyTorch has no unsigned integers to index.
         transform : applied to each dict.
         """
-        import torch
-
-        frames = self
-
-        class Frames(torch.utils.data.Dataset):  # type: ignore[misc]
-            def __len__(self) -> int:
-                return len(frames)
-
-            def __getitem__(self, index: int) -> Any:
-                frame = frames[index]
-                item = {name: torch.from_numpy(_for_torch(getattr(frame, name))) for name in channels}
-                return item if transform is None else transform(item)
-
-        return Frames()
+        return TorchFrames(self, tuple(channels), transform)
 
     def as_huggingface(self) -> Any:
         """A `datasets.DatasetDict` of the splits: preview, semantic and instance pictures, and the index's columns."""
@@ -241,6 +228,25 @@ class Dataset(Sequence[Frame]):
 
     def __repr__(self) -> str:
         return f"<Dataset {self.folder}: {len(self)} frames, {', '.join(self.splits)}>"
+
+
+@dataclass(frozen=True)
+class TorchFrames:
+    """Frames as dicts of PyTorch's tensors; see `Dataset.as_torch`. Loaders' worker processes can import it."""
+
+    frames: Dataset
+    channels: tuple[str, ...]
+    transform: Callable[[dict[str, Any]], Any] | None = None
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def __getitem__(self, index: int) -> Any:
+        import torch
+
+        frame = self.frames[index]
+        item = {name: torch.from_numpy(_for_torch(getattr(frame, name))) for name in self.channels}
+        return item if self.transform is None else self.transform(item)
 
 
 def verify(

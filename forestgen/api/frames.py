@@ -35,6 +35,12 @@ class MadeFrame:
     def parts(self) -> Parts:
         return frame_parts(self._frame.labelled)
 
+    def instance(self) -> NDArray[np.uint32]:
+        return self._frame.labelled.pixels.instance
+
+    def semantic(self) -> NDArray[np.uint8]:
+        return self._frame.labelled.pixels.semantic
+
     def plants(self) -> Any:
         return plants_table(self._frame.labelled)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +21,6 @@ if TYPE_CHECKING:
     from forestgen.runs.start import DryRun
     from forestgen.stages.calibrate import Calibration
 
-_DEVICES = ("llvm", "cuda")
 Overrides = Mapping[str, Any] | Sequence[str]
 PathLike = str | os.PathLike[str]
 
@@ -41,7 +39,8 @@ def load(
         folder.
     set : values that replace those of the recipe: ``{"sky.turbidity": 5, "cameras.0.size_px": [640, 480]}``, or texts
         ``["sky.turbidity=5"]`` whose values are YAML.
-    allow_folders : folders besides the recipe's own that it may read files from.
+    allow_folders : folders besides the recipe's own that this recipe, and all later ones of this process, may read
+        files from.
 
     Raises
     ------
@@ -186,8 +185,7 @@ class Recipe:
         """
         from forestgen.api.rendering import frames_of
 
-        with _tracing_on(device):
-            yield from frames_of(self._loaded, count, first, threads, progress)
+        return frames_of(self._loaded, count, first, threads, device, progress)
 
     def render(
         self,
@@ -219,10 +217,12 @@ class Recipe:
         ForestgenError : the first image that fails raises its own error; finished images stay, and `resume` goes on.
         """
         from forestgen.api.rendering import render_run
+        from forestgen.runs.start import RunOptions
 
-        options = {"count": count, "resume": resume, "discard": discard, "overwrite": overwrite, "threads": threads}
-        with _tracing_on(device):
-            return render_run(self._loaded, out, options, progress)
+        options = RunOptions(
+            count=count, resume=resume, discard=discard, overwrite=overwrite, threads=threads, device=device
+        )
+        return render_run(self._loaded, out, options, progress)
 
     def batch(
         self,
@@ -262,23 +262,24 @@ class Recipe:
         RecipeError, ResourceError, OutputError
         """
         from forestgen.api.rendering import batch_run
+        from forestgen.runs.start import RunOptions
 
-        options = {
-            "count": count,
-            "workers": workers,
-            "threads": threads,
-            "resume": resume,
-            "discard": discard,
-            "overwrite": overwrite,
-            "worker_memory": worker_memory,
-            "timeout": timeout,
-            "retries": retries,
-            "engine": engine,
-            "scheduler": scheduler,
-            "resources": dict(resources or {}),
-        }
-        with _tracing_on(device):
-            return batch_run(self._loaded, os.fspath(out), options, progress)
+        options = RunOptions(
+            count=count,
+            workers=workers,
+            threads=threads,
+            resume=resume,
+            discard=discard,
+            overwrite=overwrite,
+            worker_memory=worker_memory,
+            timeout=timeout,
+            retries=retries,
+            engine=engine,
+            scheduler=scheduler,
+            resources=dict(resources or {}),
+            device=device,
+        )
+        return batch_run(self._loaded, out, options, progress)
 
     def estimate(
         self,
@@ -287,21 +288,33 @@ class Recipe:
         *,
         workers: int | None = None,
         threads: int | None = None,
+        overwrite: bool = False,
+        worker_memory: int | str | None = None,
         engine: str = "local",
         device: str | None = None,
         progress: bool | Progress | None = None,
     ) -> DryRun:
         """What a batch would take in time, memory and disk: some of its images are made and thrown away.
 
+        The parameters are those of `batch`; without `overwrite`, finished images that are there do not count.
+
         Raises
         ------
         RecipeError, ResourceError, OutputError : the batch could not be made.
         """
         from forestgen.api.rendering import estimate_run
+        from forestgen.runs.start import RunOptions
 
-        options = {"count": count, "workers": workers, "threads": threads, "engine": engine}
-        with _tracing_on(device):
-            return estimate_run(self._loaded, os.fspath(out), options, progress)
+        options = RunOptions(
+            count=count,
+            workers=workers,
+            threads=threads,
+            overwrite=overwrite,
+            worker_memory=worker_memory,
+            engine=engine,
+            device=device,
+        )
+        return estimate_run(self._loaded, out, options, progress)
 
     def light(
         self,
@@ -411,24 +424,3 @@ class Recipe:
 
     def __repr__(self) -> str:
         return f"<Recipe {self._loaded.path}: {self.images} image{'' if self.images == 1 else 's'}>"
-
-
-@contextmanager
-def _tracing_on(device: str | None) -> Iterator[None]:
-    """Let rays be traced on a device inside the block, in worker processes too."""
-    from forestgen.render.variant import TRACING_ENVIRONMENT
-
-    if device is None:
-        yield
-        return
-    if device not in _DEVICES:
-        raise RecipeError("no such device", where="--device", expected=" or ".join(_DEVICES), got=repr(device))
-    before = os.environ.get(TRACING_ENVIRONMENT)
-    os.environ[TRACING_ENVIRONMENT] = device
-    try:
-        yield
-    finally:
-        if before is None:
-            del os.environ[TRACING_ENVIRONMENT]
-        else:
-            os.environ[TRACING_ENVIRONMENT] = before

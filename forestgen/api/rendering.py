@@ -3,77 +3,101 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 from forestgen.api.datasets import Run
-from forestgen.api.display import display_of
+from forestgen.api.display import Display, display_of
 from forestgen.api.frames import MadeFrame
 from forestgen.core.errors import RecipeError
 from forestgen.core.progress import Progress
+from forestgen.core.threads import cores, limit_cores
 from forestgen.core.timing import Timings
 from forestgen.dataset.frame import Frame
 from forestgen.pipeline import assemble_image, image_frames
 from forestgen.recipe.load import LoadedRecipe
-from forestgen.render.variant import mitsuba
+from forestgen.render.variant import mitsuba, tracing_on
 from forestgen.runs import start
 from forestgen.runs.start import DryRun, RunOptions
 from forestgen.stages.data_set import data_set_of
 from forestgen.stages.plan import check_memory, check_plan, make_plan
 
+PathLike = str | os.PathLike[str]
+
 
 def frames_of(
-    loaded: LoadedRecipe, count: int | None, first: int, threads: int | None, progress: bool | Progress | None
+    loaded: LoadedRecipe,
+    count: int | None,
+    first: int,
+    threads: int | None,
+    device: str | None,
+    progress: bool | Progress | None,
 ) -> Iterator[Frame]:
-    """See `Recipe.frames`."""
+    """See `Recipe.frames`. Arguments are checked at once, and nothing is set while the caller looks at a frame."""
     total = loaded.images if count is None else count
-    if total < 0:
-        raise RecipeError("no such number of images", where="count", expected="0 or more", got=str(total))
+    if type(total) is not int or total < 0:
+        raise RecipeError("no such number of images", where="count", expected="0 or more", got=repr(total))
+    if type(first) is not int or first < 0:
+        raise RecipeError("no such image", where="first", expected="0 or more", got=repr(first))
+    RunOptions(threads=threads, device=device).check()
     check_plan(loaded)
-    mitsuba(threads)
-    display = display_of(progress)
-    for index in range(first, first + total):
-        with display.running():
+    return _frames(loaded, range(first, first + total), threads, device, display_of(progress))
+
+
+def _frames(
+    loaded: LoadedRecipe, images: range, threads: int | None, device: str | None, display: Display
+) -> Iterator[Frame]:
+    for index in images:
+        with _tracing(threads, device), display.running():
             plan = make_plan(loaded.draw(index))
             check_memory(plan)
             image = assemble_image(plan, loaded.seed, display, Timings())
         made = image_frames(image, display, Timings())
         while True:
-            with display.running():  # not while the caller looks at a frame
+            with _tracing(threads, device), display.running():
                 frame = next(made, None)
             if frame is None:
                 break
             yield Frame(MadeFrame(frame, image.drawn, data_set_of(image.drawn)))
 
 
+@contextmanager
+def _tracing(threads: int | None, device: str | None) -> Iterator[None]:
+    """In the block, rays are traced by so many threads, and on a device."""
+    with tracing_on(device):
+        limit_cores(threads)
+        mitsuba(threads)
+        try:
+            yield
+        finally:
+            if threads is not None:
+                limit_cores(None)
+                mitsuba(cores())
+
+
 def render_run(
-    loaded: LoadedRecipe,
-    out: str | os.PathLike[str] | None,
-    options: Mapping[str, Any],
-    progress: bool | Progress | None,
+    loaded: LoadedRecipe, out: PathLike | None, options: RunOptions, progress: bool | Progress | None
 ) -> Run:
     """See `Recipe.render`."""
     target = os.fspath(out) if out is not None else str(free_folder(Path("outputs") / loaded.path.stem))
     display = display_of(progress)
     with display.running():
-        return Run(start.render(loaded, target, RunOptions(**options), display))
+        return Run(start.render(loaded, target, options, display))
 
 
-def batch_run(loaded: LoadedRecipe, out: str, options: Mapping[str, Any], progress: bool | Progress | None) -> Run:
+def batch_run(loaded: LoadedRecipe, out: PathLike, options: RunOptions, progress: bool | Progress | None) -> Run:
     """See `Recipe.batch`."""
     display = display_of(progress)
     with display.running():
-        return Run(start.batch(loaded, out, RunOptions(**options), display))
+        return Run(start.batch(loaded, os.fspath(out), options, display))
 
 
-def estimate_run(
-    loaded: LoadedRecipe, out: str, options: Mapping[str, Any], progress: bool | Progress | None
-) -> DryRun:
+def estimate_run(loaded: LoadedRecipe, out: PathLike, options: RunOptions, progress: bool | Progress | None) -> DryRun:
     """See `Recipe.estimate`."""
     display = display_of(progress)
     with display.running():
-        return start.dry_run(loaded, out, RunOptions(**options), display)
+        return start.dry_run(loaded, os.fspath(out), options, display)
 
 
 def free_folder(wanted: Path) -> Path:

@@ -19,10 +19,9 @@ def _assets(*kinds: str) -> list[str]:
 
 
 def _model_names() -> list[str]:
-    from forestgen.community.registry import COMMUNITY_MODELS
-    from forestgen.plants.registry import GENERATORS
+    from forestgen import models
 
-    return [*COMMUNITY_MODELS.ids(), *GENERATORS.ids(), *_assets("species", "recipes", "lsystems")]
+    return list(dict.fromkeys(one.name for one in models()))
 
 
 #: Command and parameter -> the names that may stand there; a path may stand there too.

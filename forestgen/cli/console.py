@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, NoReturn, cast
 
 import typer
 
-from forestgen.core.errors import ForestgenError, ResourceError
+from forestgen.core.errors import ForestgenError, ResourceError, plain
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -55,7 +55,7 @@ class Printer:
 
     def __call__(self, text: str = "") -> None:
         if not self._quiet:
-            output().print(text, markup=False)  # names may hold brackets
+            output().print(plain(text), markup=False)  # names of strangers' files may hold brackets, or control codes
 
     def table(self, rows: Sequence[Sequence[str]]) -> None:
         """Rows as wide as they must be, the first column to the left and the others to the right."""

@@ -30,6 +30,7 @@ from forestgen.cli.console import Printer, count, seconds, stops_keep
 if TYPE_CHECKING:
     from forestgen.api.datasets import Run
     from forestgen.api.display import Display
+    from forestgen.runs.start import DryRun
     from forestgen.runs.summary import RunSummary
 
 _MOST_NOTES = 5
@@ -39,12 +40,12 @@ _MOST_STAGES = 5
 def render(
     recipe: RecipePath,
     out: Annotated[
-        Optional[Path],  # noqa: UP045 - typer reads annotations at run time
+        Optional[str],  # noqa: UP045 - typer reads annotations at run time
         typer.Option(
             "--out",
             "-o",
             metavar="DIR",
-            help="The data set's folder; by default outputs/NAME, outputs/NAME-2, ...",
+            help="The data set's folder, or its address in an object store; by default outputs/NAME, ...-2, ...",
             show_default=False,
         ),
     ] = None,
@@ -72,12 +73,12 @@ def render(
     loaded = load(recipe, set=with_first(overrides, first))
     target = out or free_folder(Path("outputs") / recipe.stem)
     if dry_run:
-        _dry_run(
-            loaded.estimate(target, images, workers=1, threads=threads, device=device, progress=progress_of(quiet))
-        )
+        shown = progress_of(quiet)
+        options: dict[str, Any] = {"workers": 1, "threads": threads, "overwrite": overwrite, "device": device}
+        _dry_run(loaded.estimate(target, images, progress=shown, **options), Printer(quiet))
         return
     display = _display(quiet)
-    with stops_keep(lambda: kept(display, if_none="nothing was written")):
+    with stops_keep(lambda: kept(display, overwrite=overwrite)):
         run = loaded.render(
             target,
             count=images,
@@ -166,19 +167,24 @@ def batch(
     from forestgen import load
 
     loaded, amounts = load(recipe, set=with_first(overrides, first)), _amounts(resources or ())
-    options: dict[str, Any] = {"workers": workers, "threads": threads, "engine": engine, "device": device}
+    options: dict[str, Any] = {
+        "workers": workers,
+        "threads": threads,
+        "overwrite": overwrite,
+        "worker_memory": worker_memory,
+        "engine": engine,
+        "device": device,
+    }
     if dry_run:
-        _dry_run(loaded.estimate(out, images, progress=progress_of(quiet), **options))
+        _dry_run(loaded.estimate(out, images, progress=progress_of(quiet), **options), Printer(quiet))
         return
     display = _display(quiet)
-    with stops_keep(lambda: kept(display)):
+    with stops_keep(lambda: kept(display, overwrite=overwrite)):
         run = loaded.batch(
             out,
             images,
             resume=resume,
             discard=discard,
-            overwrite=overwrite,
-            worker_memory=worker_memory,
             timeout=timeout,
             retries=retries,
             scheduler=scheduler,
@@ -195,16 +201,15 @@ def _display(quiet: bool) -> Display:
     return display_of(progress_of(quiet))
 
 
-def kept(display: Display, if_none: str | None = None) -> str:
-    """What an interrupted run leaves behind, for people; `if_none`: where it has finished no image."""
+def kept(display: Display, *, overwrite: bool = False) -> str:
+    """What an interrupted run leaves behind, for people."""
     meter = display.meter
     if meter is None:
         return "nothing was written"
-    if if_none is not None and not meter.done:
-        return if_none
-    total = count(meter.total, "image")
-    done = f"{meter.done:,} of {total} are done and stay" if meter.done else f"none of {total} was done"
-    return f"{done}; the same command with --resume goes on"
+    if not meter.done:
+        return "no image was finished" + ("; a previous data set is there again" if overwrite else "")
+    done = f"{meter.done:,} of {count(meter.total, 'image')} are done and stay"
+    return f"{done}; the same command with --resume{' in place of --overwrite' if overwrite else ''} goes on"
 
 
 def _amounts(texts: Sequence[str]) -> dict[str, float]:
@@ -221,10 +226,9 @@ def _amounts(texts: Sequence[str]) -> dict[str, float]:
     return found
 
 
-def _dry_run(expected: Any) -> None:
+def _dry_run(expected: DryRun, say: Printer) -> None:
     from forestgen.runs.estimate_text import lines
 
-    say = Printer()
     for text in lines(expected.estimate):
         say(text)
     if expected.discarded:

@@ -209,8 +209,13 @@ def hidden_name(target: Path, kind: str) -> str:
     return f"{_stem(target)}{kind}-{_host()}-{os.getpid()}-{secrets.token_hex(4)}"
 
 
-def clear_leftovers(target: Path) -> None:
-    """Remove staging folders of dead processes, and finish what a process killed while replacing had begun."""
+def clear_leftovers(target: Path, has_replacement: Callable[[], bool] | None = None) -> None:
+    """Remove staging folders of dead processes, and finish what a process killed while replacing had begun.
+
+    Parameters
+    ----------
+    has_replacement : whether something has taken the place of what was moved aside; by default, whether it is there.
+    """
     import psutil
 
     if not _exists(target.parent):
@@ -224,7 +229,8 @@ def clear_leftovers(target: Path) -> None:
             continue
         if not pid.isdecimal() or psutil.pid_exists(int(pid)):
             continue
-        if kind == "replaced" and not target.exists():
+        if kind == "replaced" and not (target.exists() if has_replacement is None else has_replacement()):
+            shutil.rmtree(target, ignore_errors=True)
             path.rename(target)
         else:
             shutil.rmtree(path, ignore_errors=True)

@@ -35,6 +35,7 @@ from numpy.typing import NDArray
 
 from forestgen.core.errors import RecipeError
 from forestgen.dataset.files import make_folder, write_bytes
+from forestgen.dataset.png import instance_of, semantic_of
 from forestgen.dataset.safe_path import SafePath, check_cells, unreadable
 from forestgen.recipe.paths import MAPS
 
@@ -59,6 +60,12 @@ class FrameSource(Protocol):
 
     def parts(self) -> Parts:
         """Part -> channel -> (H, W) array, as in frame.exr."""
+
+    def instance(self) -> NDArray[np.uint32]:
+        """(H, W) plant_id."""
+
+    def semantic(self) -> NDArray[np.uint8]:
+        """(H, W) class."""
 
     def plants(self) -> Any:
         """A `pyarrow.Table`."""
@@ -137,13 +144,13 @@ class Frame:
     def denoised(self) -> NDArray[np.float32] | None:
         return self._stack("radiance.denoised", self.channels) if "radiance.denoised" in self.parts else None
 
-    @property
+    @cached_property
     def instance(self) -> NDArray[np.uint32]:
-        return self.channel("identity", "plant_id")
+        return self._source.instance()
 
     @cached_property
     def semantic(self) -> NDArray[np.uint8]:
-        return self.channel("identity", "semantic").astype(np.uint8)
+        return self._source.semantic()
 
     @cached_property
     def part(self) -> NDArray[np.uint8]:
@@ -280,6 +287,14 @@ class StoredFrame:
                 check_chunks(stream, unpack=False)
             return read_exr(path.located())
 
+    def instance(self) -> NDArray[np.uint32]:
+        with self._reading("instance.png") as path:
+            return instance_of(path.read())
+
+    def semantic(self) -> NDArray[np.uint8]:
+        with self._reading("semantic.png") as path:
+            return semantic_of(path.read())
+
     def plants(self) -> Any:
         import pyarrow.parquet as pq
 
@@ -306,11 +321,12 @@ class StoredFrame:
             return path.read().decode()
 
     def save(self, folder: Path, beside: Path) -> None:
-        maps = SafePath(self.folder.root, f"{self.info['split']}/{MAPS}")
-        for source, target in ((self.folder, folder), (maps, beside / MAPS)):
-            for name in source.names():
-                with self._reading(name, source) as path:
-                    write_bytes(_made(target) / name, path.read())
+        maps, recipe = SafePath(self.folder.root, f"{self.info['split']}/{MAPS}"), self.recipe_yaml
+        files = [(self.folder, name, folder) for name in self.folder.names()]
+        files += [(maps, name, beside / MAPS) for name in maps.names() if name in recipe]
+        for source, name, target in files:
+            with self._reading(name, source) as path:
+                write_bytes(_made(target) / name, path.read())
 
     @contextmanager
     def _reading(self, name: str, folder: SafePath | None = None) -> Iterator[SafePath]:

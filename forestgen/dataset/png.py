@@ -62,9 +62,22 @@ def write_instance(path: Path, instance: NDArray[np.uint32]) -> None:
 
 def read_instance(path: Path) -> NDArray[np.uint32]:
     """(H, W) uint32 plant ids of an instance PNG."""
+    return instance_of(path.read_bytes())
+
+
+def semantic_of(content: bytes) -> NDArray[np.uint8]:
+    """(H, W) uint8 classes of a semantic PNG's bytes."""
     from PIL import Image
 
-    with Image.open(path) as image:
+    with Image.open(io.BytesIO(content), formats=("PNG",)) as image:
+        return np.array(image, dtype=np.uint8)
+
+
+def instance_of(content: bytes) -> NDArray[np.uint32]:
+    """(H, W) uint32 plant ids of an instance PNG's bytes."""
+    from PIL import Image
+
+    with Image.open(io.BytesIO(content), formats=("PNG",)) as image:
         rgb = np.asarray(image.convert("RGB")).astype(np.uint32)
     return np.asarray(rgb[..., 0] | (rgb[..., 1] << 8) | (rgb[..., 2] << 16), dtype=np.uint32)
 

@@ -100,6 +100,23 @@ def tracing_variant() -> str:
     return variants[named]
 
 
+@contextmanager
+def tracing_on(device: str | None) -> Iterator[None]:
+    """In the block, and in worker processes that it starts, trace rays on ``llvm`` or ``cuda``; None: no change."""
+    if device is None:
+        yield
+        return
+    before = os.environ.get(TRACING_ENVIRONMENT)
+    os.environ[TRACING_ENVIRONMENT] = device
+    try:
+        yield
+    finally:
+        if before is None:
+            os.environ.pop(TRACING_ENVIRONMENT, None)
+        else:
+            os.environ[TRACING_ENVIRONMENT] = before
+
+
 def require(variant: str) -> None:
     """Raise `ResourceError` if a tracing variant cannot run here."""
     if variant == LLVM:

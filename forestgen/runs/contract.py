@@ -101,7 +101,7 @@ class Failed:
     message: str  # for people: where, expected, got, hint; of a bug its type and text
     seconds: float = 0.0
     worker: str = ""
-    error: Exception | None = field(default=None, compare=False, repr=False)  # of an image that could not be drawn
+    error: Exception | None = field(default=None, repr=False, compare=False)  # where this process had it
 
 
 Outcome = Done | Failed

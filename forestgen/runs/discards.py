@@ -1,4 +1,4 @@
-"""Finished images that a run would throw away: nobody's night of rendering goes without a word."""
+"""Finished images that a run would remove: they are removed only after confirmation."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ from forestgen.core.errors import OutputError
 from forestgen.dataset.files import output_error
 from forestgen.dataset.folder import clear_leftovers, hidden_name
 from forestgen.dataset.foreign import tool_of
-from forestgen.runs.contract import Place
+from forestgen.runs.contract import HIDDEN, RUN, Place
 from forestgen.runs.folder import check_ours
 from forestgen.runs.places import LocalPlace
 from forestgen.runs.records import done_keys
@@ -37,7 +37,7 @@ def replacing(place: Place) -> Iterator[None]:
         root = place.root.resolve()
     except (OSError, RuntimeError) as error:  # a loop of links
         raise OutputError("the folder's path cannot be followed", where=place.name, got=str(error)) from error
-    clear_leftovers(root)
+    clear_leftovers(root, lambda: bool(done_keys(place)) or not set(place.names("")) <= {HIDDEN, RUN})
     check_ours(place)
     if not place.names(""):
         yield

@@ -30,6 +30,7 @@ from forestgen.runs.summary import RunSummary
 from forestgen.runs.work import make_job
 
 ENGINES = ("local", "dask")
+DEVICES = ("llvm", "cuda")
 _LEAST_BYTES = 10**8  # less is a mistake, such as a number without its unit: Python and Mitsuba alone take more
 _MOST_FAILURES = 5  # that an error names
 
@@ -64,6 +65,8 @@ class RunOptions:
                 raise RecipeError(
                     "no such number", where=f"--{name}", expected=f"{least:,} to {most:,}", got=repr(value)
                 )
+        if self.device is not None and self.device not in DEVICES:
+            raise RecipeError("no such device", where="--device", expected=" or ".join(DEVICES), got=repr(self.device))
         if self.engine not in ENGINES:
             raise RecipeError("no such engine", where="--engine", expected=" or ".join(ENGINES), got=repr(self.engine))
         for wrong, where, why in (

@@ -9,7 +9,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from forestgen.core.errors import ForestgenError
+from forestgen.core.errors import DatasetError, ForestgenError
 from forestgen.core.progress import Progress
 from forestgen.core.timing import Timings
 from forestgen.dataset.check.finding import Finding
@@ -37,11 +37,19 @@ def check_renders(
     if moved:
         note(f"rendered again with other versions ({moved}): bytes may differ for that reason alone")
     with progress.stage("renders", count) as advance:
-        for image, rows in sorted(_drawn(root, count, seed).items()):
-            if any(row["stopped_by"] == "time_budget_s" for row in rows):
+        try:
+            images = sorted(_drawn(root, count, seed).items())
+        except (DatasetError, KeyError, TypeError, ValueError) as error:
+            yield Finding(INDEX_NAME, "the index cannot be read", got=" ".join(str(error).split())[:200])
+            return
+        for image, rows in images:
+            if any(row.get("stopped_by") == "time_budget_s" for row in rows):
                 note(f"image {image} is not compared: the clock (render.time_budget_s) has ended its rendering")
-            else:
+                continue
+            try:
                 yield from _check_image(root, image, rows, progress, moved)
+            except OSError as error:
+                yield Finding(str(rows[0]["folder"]), f"image {image} cannot be read", got=error.strerror or str(error))
             advance(1)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from typing import Any
 
@@ -32,7 +31,7 @@ class VerificationReport:
         return sum(check.found for check in self.checks) - len(self.findings)
 
     def as_dict(self) -> dict[str, Any]:
-        """The report in plain types, as `as_json` writes it."""
+        """The report in plain types, for JSON."""
         return {
             "ok": self.ok,
             "images": self.images,
@@ -47,10 +46,6 @@ class VerificationReport:
             "notes": list(self.notes),
             "seconds": round(self.seconds, 3),
         }
-
-    def as_json(self) -> str:
-        """The report as JSON."""
-        return json.dumps(self.as_dict(), indent=1, ensure_ascii=False)
 
 
 def _finding(one: Finding) -> dict[str, Any]:

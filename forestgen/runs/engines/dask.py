@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import Any
 
 from forestgen.core.errors import ResourceError
+from forestgen.core.registry import registrations
 from forestgen.runs.contract import Failed, Job, Notice, Outcome, Work
 from forestgen.runs.engines.dask_crew import LOOK_EVERY_S, Crew
 from forestgen.runs.engines.dask_worker import Make, do_job, versions
@@ -65,7 +66,7 @@ class DaskEngine:
         client: Any = None,
         make: Make | None = None,
     ) -> None:
-        self._packed = pickle.dumps((make, work))
+        self._packed = pickle.dumps((registrations(), pickle.dumps((make, work))))
         self._address, self._client, self._owned = address, client, client is None
         self._resources, self._job_memory_bytes, self._notice = dict(resources or {}), job_memory_bytes, notice
         self._token = f"forestgen-{secrets.token_hex(6)}"

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from forestgen.core.errors import OutputError
+from forestgen.core.registry import register_again
 from forestgen.runs.contract import Job, Lock, Outcome, Place, Work
 
 Make = Callable[[Work, Job, int], Outcome]
@@ -125,7 +126,8 @@ async def settle(token: str, here: Mapping[str, str], packed: bytes, dask_worker
     ----------
     token : the run's.
     here : `versions` where the run was started.
-    packed : pickled pair of the function that does a job (None: `batch.work.make_job`) and its work.
+    packed : pickled pair of the parts that other packages have registered, and of the pickled pair of the function
+        that does a job (None: `runs.work.make_job`) and its work.
     dask_worker : the worker, which Dask fills in.
     """
     reason = await asyncio.to_thread(_settle, token, here, packed, int(dask_worker.state.nthreads))
@@ -135,10 +137,12 @@ async def settle(token: str, here: Mapping[str, str], packed: bytes, dask_worker
 
 
 def _settle(token: str, here: Mapping[str, str], packed: bytes, threads: int) -> str:
+    registered, packed_work = pickle.loads(packed)
+    register_again(registered)  # before versions are compared: parts of other packages count among them
     different = differences(here, versions())
     if different:
         return f"its versions differ: {different}"
-    make, work = pickle.loads(packed)
+    make, work = pickle.loads(packed_work)
     if make is None:
         from forestgen.runs.work import make_job as make
     if work.threads is None:

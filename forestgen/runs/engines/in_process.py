@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import time
 from collections import deque
 
 from forestgen.core.progress import Progress
-from forestgen.core.threads import limit_cores
-from forestgen.runs.contract import Job, Outcome, Work
-from forestgen.runs.work import make_here
+from forestgen.core.threads import cores, limit_cores
+from forestgen.render.variant import mitsuba
+from forestgen.runs.contract import Failed, Job, Outcome, Work
+from forestgen.runs.work import explained, failure_kind, make_here, worker_name
 
 
 class InProcessEngine:
-    """See `contract.Engine`. The first image that fails raises its own error: finished images stay.
+    """See `contract.Engine`. An image that fails brings its error, which the run raises; finished images stay.
 
     Parameters
     ----------
@@ -27,7 +29,9 @@ class InProcessEngine:
 
     def __exit__(self, *_: object) -> None:
         self._queue.clear()
-        limit_cores(None)
+        if self._work.threads is not None:
+            limit_cores(None)
+            mitsuba(cores())
 
     @property
     def workers(self) -> int:
@@ -41,4 +45,9 @@ class InProcessEngine:
         if not self._queue:
             return []
         job, attempt = self._queue.popleft()
-        return [make_here(self._work, job, attempt, self._progress)]
+        began_s = time.perf_counter()
+        try:
+            return [make_here(self._work, job, attempt, self._progress)]
+        except Exception as error:  # noqa: BLE001 - the run logs it, and raises it
+            seconds = time.perf_counter() - began_s
+            return [Failed(job, attempt, failure_kind(error), explained(error), seconds, worker_name(), error)]

@@ -10,13 +10,13 @@ from typing import Any
 import pytest
 
 from forestgen.core.errors import DatasetError, RecipeError
+from forestgen.core.figures import parse_bytes
 from forestgen.runs import start
 from forestgen.runs.contract import Failed, FailureKind, Job
 from forestgen.runs.discards import Standing
 from forestgen.runs.meter import Meter
 from forestgen.runs.places import LocalPlace
 from forestgen.runs.replace import leaving_no_empty
-from forestgen.core.figures import parse_bytes
 from forestgen.runs.start import RunOptions, seconds_of
 from forestgen.runs.summary import RunSummary
 
