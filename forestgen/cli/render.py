@@ -78,7 +78,7 @@ def render(
         _dry_run(loaded.estimate(target, images, progress=shown, **options), Printer(quiet))
         return
     display = _display(quiet)
-    with stops_keep(lambda: kept(display, overwrite=overwrite)):
+    with stops_keep(lambda: kept(display, overwrite=overwrite, if_none="nothing was written")):
         run = loaded.render(
             target,
             count=images,
@@ -201,13 +201,13 @@ def _display(quiet: bool) -> Display:
     return display_of(progress_of(quiet))
 
 
-def kept(display: Display, *, overwrite: bool = False) -> str:
-    """What an interrupted run leaves behind, for people."""
+def kept(display: Display, *, overwrite: bool = False, if_none: str = "no image was finished") -> str:
+    """What an interrupted run leaves behind, for people; `if_none`: where it has finished no image."""
     meter = display.meter
     if meter is None:
         return "nothing was written"
     if not meter.done:
-        return "no image was finished" + ("; a previous data set is there again" if overwrite else "")
+        return if_none
     done = f"{meter.done:,} of {count(meter.total, 'image')} are done and stay"
     return f"{done}; the same command with --resume{' in place of --overwrite' if overwrite else ''} goes on"
 
