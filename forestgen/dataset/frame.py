@@ -307,10 +307,19 @@ class StoredFrame:
 
     def save(self, folder: Path, beside: Path) -> None:
         maps = SafePath(self.folder.root, f"{self.info['split']}/{MAPS}")
-        for source, target in ((self.folder, folder), (maps, beside / MAPS)):
-            for name in source.names():
-                with self._reading(name, source) as path:
-                    write_bytes(_made(target) / name, path.read())
+        self._copy(self.folder, folder)
+        if maps.names():
+            self._copy(maps, beside / MAPS)
+
+    def _copy(self, source: SafePath, target: Path) -> None:
+        """All files of a folder; the folders in it are those of some formats."""
+        make_folder(target)
+        for name in source.names():
+            if (source / name).is_folder():
+                self._copy(source / name, target / name)
+                continue
+            with self._reading(name, source) as path:
+                write_bytes(target / name, path.read())
 
     @contextmanager
     def _reading(self, name: str, folder: SafePath | None = None) -> Iterator[SafePath]:
@@ -322,8 +331,3 @@ class StoredFrame:
             yield path
         except (OSError, ValueError, SyntaxError, RuntimeError, pa.ArrowException) as error:
             raise unreadable(path, error, "forestgen verify checks all files") from error
-
-
-def _made(folder: Path) -> Path:
-    make_folder(folder)
-    return folder
