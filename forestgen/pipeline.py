@@ -315,5 +315,5 @@ def _manifest(folder: Path, loaded: LoadedRecipe, image_seed: int, summary: Simu
         root_seed=loaded.seed,
         image_seeds=[image_seed],
         timings_s=summary.timings_s,
-        extra={"images": [], "notes": list(summary.notes), "total_s": summary.total_s},
+        extra={"notes": list(summary.notes), "total_s": summary.total_s},
     )

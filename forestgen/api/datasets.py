@@ -26,6 +26,10 @@ if TYPE_CHECKING:
 
 PathLike = str | os.PathLike[str]
 _TORCH_CHANNELS = ("preview", "semantic", "instance")
+_ARRAYS = (
+    *_TORCH_CHANNELS, "radiance", "variance", "denoised", "part", "depth", "distance", "position", "normal", "albedo",
+    "motion", "sun", "cloud", "boundary", "overlay",
+)  # fmt: skip
 
 
 class Run:
@@ -192,8 +196,16 @@ class Dataset(Sequence[Frame]):
         ----------
         channels : attributes of `Frame` that are arrays. Ids are int64, as PyTorch has no unsigned integers to index.
         transform : applied to each dict.
+
+        Raises
+        ------
+        RecipeError : no such array; later, if the data set does not have it.
         """
-        return TorchFrames(self, tuple(channels), transform)
+        for name in channels:
+            if name not in _ARRAYS:
+                expected = "of " + ", ".join(_ARRAYS)
+                raise RecipeError("frames have no such array", where="channels", expected=expected, got=repr(name))
+        return _torch_frames(self, tuple(channels), transform)
 
     def as_huggingface(self) -> Any:
         """A `datasets.DatasetDict` of the splits: preview, semantic and instance pictures, and the index's columns."""
@@ -206,11 +218,19 @@ class Dataset(Sequence[Frame]):
         rows = self._rows.filter(np.asarray(self._rows["split"]) == split).to_pylist(maps_as_pydicts="strict")
         plain = {name: [row[name] for row in rows] for name in self._rows.column_names if _is_plain(self._rows, name)}
         pictures = ("preview", "semantic", "instance")
-        paths = {name: [str(self.folder / row["folder"] / f"{name}.png") for row in rows] for name in pictures}
+        paths = {name: [self._located(f"{row['folder']}/{name}.png") for row in rows] for name in pictures}
         made = datasets.Dataset.from_dict({**paths, **plain})
         for name in pictures:
             made = made.cast_column(name, datasets.Image())
         return made
+
+    def _located(self, name: str) -> str:
+        """The path of a file, for libraries that open it themselves."""
+        path = SafePath(self.folder, name)
+        try:
+            return str(path.located())
+        except OSError as error:
+            raise unreadable(path, error, "forestgen verify checks all files") from error
 
     @cached_property
     def _legend(self) -> Mapping[str, Any]:
@@ -228,25 +248,6 @@ class Dataset(Sequence[Frame]):
 
     def __repr__(self) -> str:
         return f"<Dataset {self.folder}: {len(self)} frames, {', '.join(self.splits)}>"
-
-
-@dataclass(frozen=True)
-class TorchFrames:
-    """Frames as dicts of PyTorch's tensors; see `Dataset.as_torch`. Loaders' worker processes can import it."""
-
-    frames: Dataset
-    channels: tuple[str, ...]
-    transform: Callable[[dict[str, Any]], Any] | None = None
-
-    def __len__(self) -> int:
-        return len(self.frames)
-
-    def __getitem__(self, index: int) -> Any:
-        import torch
-
-        frame = self.frames[index]
-        item = {name: torch.from_numpy(_for_torch(getattr(frame, name))) for name in self.channels}
-        return item if self.transform is None else self.transform(item)
 
 
 def verify(
@@ -324,11 +325,32 @@ def _rows_of(folder: Path) -> Any:
     return whole_index(folder / INDEX_NAME)
 
 
-def _for_torch(values: Any) -> Any:
+def _torch_frames(frames: Dataset, channels: tuple[str, ...], transform: Callable[[dict[str, Any]], Any] | None) -> Any:
+    """See `Dataset.as_torch`. The class is made here, as PyTorch may be missing or slow to load."""
+    import torch.utils.data
+
+    class Frames(torch.utils.data.Dataset):  # type: ignore[misc]
+        def __len__(self) -> int:
+            return len(frames)
+
+        def __getitem__(self, index: int) -> Any:
+            frame = frames[index]
+            item = {name: torch.from_numpy(_for_torch(name, getattr(frame, name))) for name in channels}
+            return item if transform is None else transform(item)
+
+        def __reduce__(self) -> Any:  # for loaders whose processes do not fork
+            return _torch_frames, (frames, channels, transform)
+
+    return Frames()
+
+
+def _for_torch(name: str, values: Any) -> Any:
+    """A copy that may be written to, as tensors may."""
     if values is None:
-        raise RecipeError("the data set has no such channel", hint="labels.channels of the recipe chooses them")
+        hint = "labels.channels of the recipe chooses them"
+        raise RecipeError("the data set has no such channel", where="channels", got=name, hint=hint)
     array = np.moveaxis(values, -1, 0) if values.ndim == 3 else values
-    return np.ascontiguousarray(array.astype(np.int64) if array.dtype == np.uint32 else array)
+    return np.array(array, dtype=np.int64 if array.dtype == np.uint32 else array.dtype, order="C")
 
 
 def _is_plain(table: Any, name: str) -> bool:

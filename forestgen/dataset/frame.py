@@ -322,11 +322,22 @@ class StoredFrame:
 
     def save(self, folder: Path, beside: Path) -> None:
         maps, recipe = SafePath(self.folder.root, f"{self.info['split']}/{MAPS}"), self.recipe_yaml
-        files = [(self.folder, name, folder) for name in self.folder.names()]
-        files += [(maps, name, beside / MAPS) for name in maps.names() if name in recipe]
-        for source, name, target in files:
+        self._copy(self.folder, folder)
+        for name in maps.names():
+            if name in recipe:
+                make_folder(beside / MAPS)
+                with self._reading(name, maps) as path:
+                    write_bytes(beside / MAPS / name, path.read())
+
+    def _copy(self, source: SafePath, target: Path) -> None:
+        """All files of a folder; the folders in it are those of some formats."""
+        make_folder(target)
+        for name in source.names():
+            if (source / name).is_folder():
+                self._copy(source / name, target / name)
+                continue
             with self._reading(name, source) as path:
-                write_bytes(_made(target) / name, path.read())
+                write_bytes(target / name, path.read())
 
     @contextmanager
     def _reading(self, name: str, folder: SafePath | None = None) -> Iterator[SafePath]:
@@ -338,8 +349,3 @@ class StoredFrame:
             yield path
         except (OSError, ValueError, SyntaxError, RuntimeError, pa.ArrowException) as error:
             raise unreadable(path, error, "forestgen verify checks all files") from error
-
-
-def _made(folder: Path) -> Path:
-    make_folder(folder)
-    return folder

@@ -208,7 +208,7 @@ def open_index(path: Path, needed: Sequence[str]) -> Iterator[Any]:
             yield file
     except FileNotFoundError as error:
         raise DatasetError(
-            "there is no index", where=str(path), hint="render and batch write it when they end"
+            "there is no index", where=str(path), hint="the command that made the data set, with --resume, writes it"
         ) from error
     except (OSError, ValueError, pa.ArrowException) as error:  # ValueError: texts that are no UTF-8
         raise DatasetError(

@@ -1,4 +1,4 @@
-"""manifest.json: what made a run's files. The only file with timings, so the only one that differs between runs."""
+"""manifest.json of what `simulate` and `calibrate` write, and of a split: what made its files, and their sums."""
 
 from __future__ import annotations
 

@@ -8,7 +8,7 @@ The data set's folder::
 
     DIR/
       README.md  recipe.yaml  dataset.json  index.parquet  SHA256SUMS      of the whole, written last
-      train/  val/  test/          a split each, as `forestgen render` writes a folder: frames, coco.json, ...
+      train/  val/  test/          a split each: frames, coco.json, ...
       thumbnails/                  FRAME.jpg
       maps/                        those that recipe.yaml names
       yolo_boxes.yaml  yolo_segmentation.yaml       of the format yolo, where there are train and val

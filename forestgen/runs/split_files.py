@@ -150,7 +150,7 @@ def _keep_foreign(before: Path, staged: Path) -> None:
 def _write_manifest(
     path: Path, split: str, ledger: Ledger, parts: Sequence[RecipePart], version: dict[str, Any]
 ) -> None:
-    """manifest.json as `forestgen render` writes it, without timings; piece by piece, since it names every file."""
+    """A split's manifest.json; piece by piece, since it names every file."""
     with whole_file(path) as stream:
         stream.write("{\n")
         _write_list(stream, "image_seeds", map(json_text, ledger.seeds(split)))

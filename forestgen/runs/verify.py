@@ -158,7 +158,7 @@ def open_data_set(root: Path) -> dict[str, Any]:
         got = "a split without its data set, or the output of forestgen simulate or calibrate"
         hint = f"name the folder that has {DATASET_NAME}"
     elif (root / JOBS).is_dir():
-        got, hint = "a batch that is not finished", "the command that began it, with --resume"
+        got, hint = "a data set that is not finished", "the command that began it, with --resume"
     else:
         inside = sorted(path.parent.name for path in root.glob(f"*/{DATASET_NAME}"))
         got = f"a folder of data sets, such as {inside[0]}" if inside else "no forestgen output"

@@ -192,9 +192,9 @@ def folder_of(path: Any) -> str:
 def open_dataset(root: Path) -> Merged:
     """The folder of a data set; any other folder raises `RecipeError` with what it seems to be."""
     if not root.exists():
-        raise RecipeError("there is no such folder", where=str(root), expected="a folder that forestgen render made")
+        raise RecipeError("there is no such folder", where=str(root), expected="the folder of a split")
     if not root.is_dir():
-        raise RecipeError("this is a file", where=str(root), expected="a folder that forestgen render made")
+        raise RecipeError("this is a file", where=str(root), expected="the folder of a split")
     merged = Merged(root)
     try:
         frames = merged.frames
@@ -206,7 +206,7 @@ def open_dataset(root: Path) -> Merged:
     raise RecipeError(
         "the folder holds no images of forestgen",
         where=str(root),
-        expected="folders such as 000000-camera0, which forestgen render makes",
+        expected="folders such as 000000-camera0, as in the folder of a split",
         got=_what_is_there(merged, inside),
         hint=f"{root / inside[0]}" if inside else None,
     )

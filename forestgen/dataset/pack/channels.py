@@ -19,7 +19,7 @@ from forestgen.dataset.safe_path import SafePath, load_json, unreadable
 
 Kind = Literal["picture", "objects", "bytes"]
 EXR_FILE, CAMERA_FILE = "frame.exr", "camera.json"
-REMEDY = "forestgen verify finds what is damaged, forestgen batch --resume makes it again"
+REMEDY = "forestgen verify finds what is damaged, the command that made the data set makes it again with --resume"
 
 
 @dataclass(frozen=True)

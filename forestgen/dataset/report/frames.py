@@ -82,7 +82,7 @@ def read_frames(path: Path) -> Frames:
             for name in frames.names:
                 frames.values(name)  # all texts are UTF-8
     except DatasetError as error:
-        hint = "run forestgen batch again with --resume: it writes the index anew"
+        hint = "the command that made the data set, with --resume, writes it again"
         raise DatasetError(
             error.problem, where=error.where, expected=error.expected, got=error.got, hint=hint
         ) from error
