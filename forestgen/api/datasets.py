@@ -309,7 +309,12 @@ def merge(
 def _rows_of(folder: Path) -> Any:
     from forestgen.runs.verify import open_data_set
 
-    open_data_set(folder)  # says what the folder is, if it is no finished data set
+    try:
+        open_data_set(folder)
+    except RecipeError as error:  # it says what the folder is instead
+        raise DatasetError(
+            error.problem, where=error.where, expected=error.expected, got=error.got, hint=error.hint
+        ) from error
     return whole_index(folder / INDEX_NAME)
 
 

@@ -14,7 +14,7 @@ their order:
 | frames | the index tells of each frame what its files show |
 | seeds | no image's seed is in two splits |
 | communities | no plant community, by species and places of its plants, is in two splits |
-| labels SPLIT | `forestgen labels check` accepts the split |
+| labels SPLIT | the split's labels are true to each other and to its files |
 | renders | images that are rendered again have the same bytes |
 
 Files that other tools leave in the folder (forestgen/dataset/foreign.py) are a note.

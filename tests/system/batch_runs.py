@@ -13,7 +13,7 @@ from forestgen.runs.engines.local import LocalEngine
 from forestgen.runs.places import LocalPlace
 from forestgen.runs.records import records_of
 from forestgen.runs.run import run_batch
-from forestgen.runs.summary import BatchSummary
+from forestgen.runs.summary import RunSummary
 
 Make = Callable[[Work, Job, int], Outcome]
 
@@ -94,7 +94,7 @@ def serial(
     discard: bool = False,
     retries: int = 2,
     **engine: object,
-) -> BatchSummary:
+) -> RunSummary:
     """A batch in this process."""
     return run_batch(
         load_recipe(path, overrides),
@@ -118,7 +118,7 @@ def local(
     retries: int = 2,
     memory_bytes: int | None = None,
     timeout_s: float | None = None,
-) -> BatchSummary:
+) -> RunSummary:
     """A batch with worker processes."""
     return run_batch(
         load_recipe(path),

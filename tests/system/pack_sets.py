@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
+import os
+import shutil
 import sys
 from collections import Counter
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +16,7 @@ from PIL import Image
 
 from forestgen.dataset.index import write_index
 from forestgen.dataset.writer import write_dataset, write_frame
+from forestgen.runs.description import SCHEMA, this_version
 
 sys.path.append(str(Path(__file__).parents[1] / "unit" / "dataset"))
 from dataset_shots import HEIGHT, SETTINGS, WIDTH, make_shot
@@ -32,9 +36,43 @@ def batch(root: Path) -> Path:
         write_dataset(root / split, folders, _SETTINGS)
         rows += [_row(split, folder, image) for folder, image in zip(folders, images, strict=True)]
     write_index(root / "index.parquet", sorted(rows, key=lambda row: row["image"]))
-    (root / "dataset.json").write_text("{}\n", encoding="utf-8")
+    _describe(root, SPLITS)
     (root / "README.md").write_text(CARD, encoding="utf-8")
     return root
+
+
+def many(root: Path, frame: Path, copies: int) -> Path:
+    """Many names for one frame, as a split of a data set."""
+    split, rows = root / "train", []
+    for number in range(copies):
+        folder = split / f"{number:06d}-camera0"
+        folder.mkdir(parents=True)
+        for file in frame.iterdir():
+            os.link(file, folder / file.name)
+        rows.append({"frame": folder.name, "split": "train", "image": number, "camera": "camera0"})
+    shutil.copy(frame.parent / "classes.json", split)
+    write_index(root / "index.parquet", rows)
+    _describe(root, {"train": tuple(range(copies))})
+    return root
+
+
+def _describe(root: Path, splits: Mapping[str, tuple[int, ...]]) -> None:
+    """dataset.json, with what packs need of it."""
+    counts = {split: {"images": len(images), "frames": len(images)} for split, images in splits.items()}
+    images = sum(len(images) for images in splits.values())
+    recipe = {"file": "recipe.yaml", "hash": "", "root_seed": 7, "asked": [], "splits": dict.fromkeys(splits, 1.0)}
+    content = {
+        "schema": SCHEMA,
+        "recipes": [{**recipe, "draws": {}}],
+        "images": images,
+        "frames": images,
+        "splits": counts,
+        "image_seeds_sha256": "",
+        "settings": asdict(_SETTINGS),
+        "made_with": [this_version()],
+        "files": {},
+    }
+    (root / "dataset.json").write_text(json.dumps(content), encoding="utf-8")
 
 
 def _frame(split: Path, image: int) -> Path:

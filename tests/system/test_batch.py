@@ -42,7 +42,8 @@ def test_two_workers_and_one_process_in_reverse_make_the_same_bytes(tmp_path: Pa
     answer = run("batch", path, "--count", "2", "--out", tmp_path / "two", "--workers", "2", "--threads", "1")
     assert answer.code == 0, answer.err
     assert "2 of 2 images" in answer.out
-    assert f"to look at: {tmp_path / 'two'}/report.html" in answer.out
+    assert f"look at {tmp_path / 'two'}/" in answer.out
+    assert f"or at {tmp_path / 'two'}/report.html" in answer.out
     serial(path, tmp_path / "one", 2, make_job, hold=2, order=lambda jobs: len(jobs) - 1)
     assert_same(tmp_path / "one", tmp_path / "two")
     assert assert_records_hold(tmp_path / "two") == {0, 1}
@@ -69,14 +70,12 @@ def test_the_threads_of_a_worker_change_no_byte_under_clouds(tmp_path: Path) -> 
 
 
 def test_a_batch_is_the_images_that_render_makes(tmp_path: Path) -> None:
-    """An image of a batch has the bytes of the folder that `forestgen render` writes of it."""
-    path = recipe(tmp_path, WITH_LABELS.replace("splits: {train: 1, val: 1}", "splits: {train: 1}"))
-    serial(path, tmp_path / "batch", 1, make_job)
-    assert run("render", path, "--count", "1", "-o", tmp_path / "rendered").code == 0
-    rendered = {name: content for name, content in shown(tmp_path / "rendered").items() if name[0] == "0"}
-    batch = {name.removeprefix("train/"): content for name, content in shown(tmp_path / "batch").items()}
-    assert rendered
-    assert [name for name in rendered if rendered[name] != batch[name]] == []
+    """A batch has the bytes of the data set that `forestgen render` makes, its records too."""
+    path = recipe(tmp_path, WITH_LABELS)
+    serial(path, tmp_path / "batch", 2, make_job)
+    assert run("render", path, "--count", "2", "-o", tmp_path / "rendered").code == 0
+    assert any(name.endswith("frame.exr") for name in shown(tmp_path / "rendered"))
+    assert_same(tmp_path / "batch", tmp_path / "rendered")
 
 
 def test_orders_and_interruptions_change_no_byte(tmp_path: Path, faults: Path) -> None:
@@ -375,8 +374,22 @@ def test_an_image_that_cannot_be_drawn_fails_alone(tmp_path: Path, faults: Path)
 )
 def test_recipes_that_make_no_data_set_are_refused(tmp_path: Path, faults: Path, override: str, words: str) -> None:
     with pytest.raises(RecipeError, match=words):
-        serial(recipe(tmp_path), tmp_path / "data", 3, make, override)
+        serial(recipe(tmp_path), tmp_path / "data", 10, make, override)
     assert not (tmp_path / "data").exists()
+
+
+@pytest.mark.parametrize(
+    "override",
+    ["same_stand=true", "community={model: placed, plants: [{species: fireweed, position_m: [3, 3]}]}"],
+)
+def test_one_stand_in_the_images_of_one_split_is_a_data_set(tmp_path: Path, faults: Path, override: str) -> None:
+    """Three images are all in train. Of more, some would be in other splits: they are refused."""
+    path, target = recipe(tmp_path), tmp_path / "data"
+    assert serial(path, target, 3, make, override).frames == 6
+    assert [one.name for one in target.iterdir() if one.name in ("train", "val", "test")] == ["train"]
+    with pytest.raises(RecipeError, match=r"several splits|all images show the plants of one list"):
+        serial(path, target, 10, make, override, resume=True)
+    assert assert_records_hold(target) == {0, 1, 2}
 
 
 def test_the_map_of_a_resumed_recipe_may_have_changed_meanwhile(tmp_path: Path, faults: Path) -> None:

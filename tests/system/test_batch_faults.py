@@ -23,7 +23,7 @@ from command_line import start, wait_for_handler
 from pretend_jobs import FAULTS, begun, make
 
 from forestgen.core.errors import OutputError
-from forestgen.pipeline import RunSummary
+from forestgen.pipeline import ImageScene, WrittenImage
 from forestgen.runs.places import LocalPlace
 from forestgen.runs.records import done_keys
 from forestgen.runs.work import make_job
@@ -206,19 +206,18 @@ def test_a_full_disk_stops_the_run_and_loses_nothing(tmp_path: Path, faults: Pat
     assert assert_records_hold(target) == {0, 1}
 
 
-def two_frames(
-    plan: Any, seed: int, settings: Any, folder: Path, summary: RunSummary, progress: Any, timings: Any, **_: Any
-) -> list[Path]:
-    """In place of `pipeline.render_image`: frames that take no time."""
+def two_frames(image: ImageScene, settings: Any, folder: Path, progress: Any, timings: Any) -> WrittenImage:
+    """In place of `pipeline.write_image`: frames that take no time."""
     from PIL import Image
 
-    frames = [folder / f"{plan.drawn.image_index:06d}-{camera}" for camera in ("left", "right")]
+    number = image.drawn.image_index
+    frames = [folder / f"{number:06d}-{camera}" for camera in ("left", "right")]
     for frame in frames:
         frame.mkdir()
         Image.new("RGB", (8, 6), (10, 90, 30)).save(frame / "preview.png")
-        summary.rows.append({"frame": frame.name, "split": "train", "image": plan.drawn.image_index, "camera": "left"})
-    summary.images.append({"image": plan.drawn.image_index, "seed": plan.drawn.image_seed, "counts": {}})
-    return frames
+    rows = tuple({"frame": frame.name, "split": "train", "image": number, "camera": "left"} for frame in frames)
+    report = {"image": number, "seed": image.drawn.image_seed, "counts": {}}
+    return WrittenImage(tuple(frames), rows, (), report)
 
 
 def test_a_disk_that_fills_while_frames_are_placed(
@@ -227,7 +226,10 @@ def test_a_disk_that_fills_while_frames_are_placed(
     """At each call that gives a file its name: no record without its files, no frame without its record."""
     import errno
 
-    monkeypatch.setattr("forestgen.runs.work.render_image", two_frames)
+    monkeypatch.setattr(
+        "forestgen.runs.work.assemble_image", lambda plan, seed, *_, **__: ImageScene(plan, seed, None, ())
+    )
+    monkeypatch.setattr("forestgen.runs.work.write_image", two_frames)
     path, target = recipe(tmp_path), tmp_path / "data"
     left = 0  # calls that still work
     replace, rename = Path.replace, Path.rename

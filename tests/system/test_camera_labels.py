@@ -1,4 +1,4 @@
-"""Data sets of cameras of every kind: `forestgen labels check` passes them, and finds what is wrong with them."""
+"""Data sets of cameras of every kind: the checks of labels pass them, and find what is wrong with them."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def data_set(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "kinds.yaml").write_text(recipe_of(RECIPE), encoding="utf-8")
     answer = run("render", folder / "kinds.yaml", "-o", folder / "good")
     assert answer.code == 0, answer.err
-    return folder / "good"
+    return folder / "good" / "train"
 
 
 FRAMES = [f"000000-{name}-{frame:04d}" for name in ("up", "ahead", "around", "nadir", "lens") for frame in (0, 1)]

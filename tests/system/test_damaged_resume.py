@@ -18,7 +18,6 @@ from batch_runs import SerialEngine, assert_records_hold, faults_folder, recipe,
 from command_line import run
 from pretend_jobs import FAULTS, begun, make
 
-from forestgen.cli import batch_command
 from forestgen.core.errors import DatasetError, OutputError
 from forestgen.dataset.png import write_grey
 from forestgen.recipe.load import load_recipe
@@ -27,6 +26,7 @@ from forestgen.runs.damage import damaged_images
 from forestgen.runs.places import LocalPlace
 from forestgen.runs.records import record_bytes, record_path
 from forestgen.runs.run import run_batch
+from forestgen.runs.start import _check_complete
 from forestgen.runs.work import make_job
 
 Harm = Callable[[Path], object]
@@ -98,7 +98,7 @@ def test_every_image_may_be_damaged(tmp_path: Path, faults: Path) -> None:
     assert len(assert_records_hold(target)) == 24
 
 
-def test_an_image_lost_while_the_run_works_is_an_error(tmp_path: Path, faults: Path, capsys) -> None:
+def test_an_image_lost_while_the_run_works_is_an_error(tmp_path: Path, faults: Path) -> None:
     """No job has failed, and yet the data set is not whole: exit code 6."""
     path, target = recipe(tmp_path), tmp_path / "data"
     serial(path, target, 3, make)
@@ -110,12 +110,9 @@ def test_an_image_lost_while_the_run_works_is_an_error(tmp_path: Path, faults: P
 
     summary = serial(path, target, 4, make_and_harm, resume=True)
     assert (summary.failed, summary.missing) == ((), (1,))
-    batch_command._tell(summary)
-    assert "3 of 4 images are done" in capsys.readouterr().out
-    refused = batch_command._incomplete(summary)
-    assert isinstance(refused, DatasetError)
-    assert "1 of 4 images are missing" in str(refused)
-    assert "000001-left/mask.bin" in str(refused)
+    with pytest.raises(DatasetError, match="1 of 4 images are missing") as refused:
+        _check_complete(summary)
+    assert "000001-left/mask.bin" in str(refused.value)
     assert serial(path, target, 4, make, resume=True).missing == ()
 
 
@@ -211,5 +208,5 @@ def test_the_command_makes_damaged_images_again(whole: Path, tmp_path: Path) -> 
     )
     assert answer.code == 0, answer.err
     assert "image 3 is made again: val/000003-high/semantic.png has other content" in answer.err
-    assert "4 of 4 images are done, 3 of them before" in answer.out
+    assert "4 of 4 images done, 3 of them before" in answer.out
     assert shown_pieces(root) == shown_pieces(whole)

@@ -1,4 +1,4 @@
-"""An image with standing dead trees: its labels pass `forestgen labels check`, and say what is dead and what lives."""
+"""An image with standing dead trees: its labels pass `forestgen verify`, and say what is dead and what lives."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def data_set(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "dying.yaml").write_text(RECIPE, encoding="utf-8")
     answer = run("render", folder / "dying.yaml", "-o", folder / "good")
     assert answer.code == 0, answer.err
-    return folder / "good"
+    return folder / "good" / "train"
 
 
 def test_the_dead_are_dead_wood_and_nobody_else_is(data_set: Path) -> None:
@@ -74,5 +74,5 @@ def test_the_table_says_who_is_dead_bare_and_under_stress(data_set: Path) -> Non
 
 
 def test_it_passes_the_check(data_set: Path) -> None:
-    answer = run("labels", "check", data_set)
+    answer = run("verify", data_set.parent)
     assert answer.code == 0, answer.out + answer.err

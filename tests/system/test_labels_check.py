@@ -1,4 +1,4 @@
-"""`forestgen labels check` passes a data set that was rendered, and finds each of many single breaks in it."""
+"""The checks of labels pass a data set that was rendered, and find each of many single breaks in it."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from command_line import run, tree
 from label_breaks import BIRCH, FRAME, NEXT, cell, content, exr, spots, text
 from label_mutations import MUTATIONS
 
+from forestgen.core.errors import RecipeError
 from forestgen.dataset.check import check_dataset
 
 RECIPE = """\
@@ -44,12 +45,12 @@ dataset:
 
 @pytest.fixture(scope="session")
 def data_set(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two frames of a path, in all formats."""
+    """The split of two frames of a path, in all formats."""
     folder = tmp_path_factory.mktemp("labels")
     (folder / "walk.yaml").write_text(RECIPE, encoding="utf-8")
     answer = run("render", folder / "walk.yaml", "-o", folder / "good")
     assert answer.code == 0, answer.err
-    return folder / "good"
+    return folder / "good" / "train"
 
 
 def test_a_rendered_data_set_passes(data_set):
@@ -93,7 +94,7 @@ def of_classes(folder: Path, name: str) -> Path:
     recipe.write_text(changed.replace(", bop, depth_png, cryptomatte, points, nerfstudio]", ", cryptomatte]"))
     answer = run("render", recipe, "-o", folder / "out")
     assert answer.code == 0, answer.err
-    return folder / "out"
+    return folder / "out" / "train"
 
 
 @pytest.mark.parametrize("name", ["two species", *(pytest.param(one, marks=pytest.mark.slow) for one in SLOW)])
@@ -140,30 +141,30 @@ def test_a_single_break_is_named(name, data_set, tmp_path):
 
 
 def test_the_command_tells_what_it_found(data_set, tmp_path):
-    before = tree(data_set)
-    good = run("labels", "check", data_set)
+    whole = data_set.parent
+    before = tree(whole)
+    good = run("verify", whole)
     assert (good.code, good.err) == (0, "")
-    assert "2 images in" in good.out
+    assert "1 image, 2 frames" in good.out
     assert "FAILED" not in good.out
-    assert tree(data_set) == before
+    assert tree(whole) == before
 
     broken = tmp_path / "broken"
-    shutil.copytree(data_set, broken)
-    cell("visible_pixels", 3)(broken)
-    cell("stem_pixels", 999)(broken)
-    first = run("labels", "check", broken)
-    assert first.code == 6
-    assert first.err.startswith(f"error: {broken / FRAME / 'plants.parquet'}, plant_id {BIRCH}: ")
-    assert "(check 'plants')" in first.err
-    assert "expected" in first.err
-    assert "got       3" in first.err
-    assert "Traceback" not in first.err
-
-    every = run("labels", "check", broken, "--all")
-    assert every.code == 6
-    for word in ("plants: ", "stems: ", "hashes: "):
-        assert word in every.out
-    assert "3 findings" in every.err
+    shutil.copytree(whole, broken)
+    cell("visible_pixels", 3)(broken / "train")
+    cell("stem_pixels", 999)(broken / "train")
+    answer = run("verify", broken)
+    assert answer.code == 6
+    plants = f"{FRAME}/plants.parquet"
+    assert f"sums: train/{plants}: " in answer.out
+    for check, problem in (("plants", "visible_pixels"), ("stems", "stem_pixels")):
+        (line,) = (line for line in answer.out.splitlines() if f"(check {check!r})" in line)
+        assert line.startswith(f"labels train: train/{plants}, ")
+        assert f"plant_id {BIRCH}: {problem}" in line
+        assert "(expected" in line
+    assert "got 3)" in answer.out
+    assert answer.err.startswith(f"error: {broken / 'train' / plants}: ")
+    assert "Traceback" not in answer.err
 
 
 @pytest.mark.slow
@@ -184,23 +185,34 @@ def test_what_is_no_data_set_is_refused(tmp_path, data_set):
     (tmp_path / "simulated").mkdir()
     manifest = json.loads((data_set / "manifest.json").read_text())
     (tmp_path / "simulated" / "manifest.json").write_text(json.dumps({**manifest, "files": {}}))
-    run("labels", "check", tmp_path / "none").refused(2, "there is no such folder")
-    run("labels", "check", data_set / "coco.json").refused(2, "this is a file")
-    run("labels", "check", tmp_path / "empty").refused(2, "no images of forestgen", "nothing")
-    run("labels", "check", tmp_path / "strange").refused(2, "1 other file")
-    run("labels", "check", tmp_path / "simulated").refused(2, "no images of forestgen")
-    run("labels", "check", data_set / FRAME).refused(2, "give the folder above it")
-    run("labels", "check", data_set.parent).refused(2, "folder of outputs", "good")
+    for folder, *parts in (
+        (tmp_path / "none", "there is no such folder"),
+        (data_set / "coco.json", "this is a file"),
+        (tmp_path / "empty", "no images of forestgen", "nothing"),
+        (tmp_path / "strange", "1 other file"),
+        (tmp_path / "simulated", "no images of forestgen"),
+        (data_set / FRAME, "give the folder above it"),
+        (data_set.parent, "folder of outputs", "train"),
+    ):
+        with pytest.raises(RecipeError) as refused:
+            check_dataset(folder, jobs=1)
+        for part in (str(folder), *parts):
+            assert part in str(refused.value)
 
 
 def test_a_half_written_data_set_is_told(data_set, tmp_path):
     broken = tmp_path / "broken"
-    shutil.copytree(data_set, broken)
-    for path in (broken / NEXT).iterdir():
+    shutil.copytree(data_set.parent, broken)
+    for path in (broken / "train" / NEXT).iterdir():
         if path.is_file():
             path.unlink()
-    (broken / "manifest.json").unlink()
-    answer = run("labels", "check", broken)
+    (broken / "train" / "manifest.json").unlink()
+    (first, *_) = check_dataset(broken / "train", jobs=1).findings
+    assert first.image == NEXT
+    assert first.problem == "the file is missing"
+    answer = run("verify", broken)
     assert answer.code == 6
     assert "the file is missing" in answer.err
+    assert f"train/{NEXT}/frame.exr" in answer.out
+    assert "train/manifest.json" in answer.out
     assert "Traceback" not in answer.err

@@ -6,9 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from forestgen import pipeline
-from forestgen.core.progress import Silent
-from forestgen.core.timing import Timings
+import forestgen as fg
 from forestgen.recipe.load import load_recipe
 from forestgen.runs.contract import RUN_DEPENDENT, Engine, Notice, Work
 from forestgen.runs.engines.local import LocalEngine
@@ -56,9 +54,8 @@ def test_neither_workers_nor_the_cache_nor_other_images_change_a_byte(
     monkeypatch.setenv("FORESTGEN_CACHE", "")
     assert _batch(recipe, tmp_path / "none", 1) == cold
     frame = next(name for name in cold if name.endswith("-eye/recipe.yaml") and "/000005-" in name).rpartition("/")[0]
-    stored = load_recipe(tmp_path / "cold" / frame / "recipe.yaml")
-    pipeline.render(stored, tmp_path / "alone", progress=Silent(), timings=Timings())
-    alone = tmp_path / "alone" / Path(frame).name
+    fg.load(tmp_path / "cold" / frame / "recipe.yaml").render(tmp_path / "alone", progress=False)
+    alone = tmp_path / "alone" / frame
     assert {path.name: path.read_bytes() for path in alone.iterdir()} == {
         Path(name).name: content for name, content in cold.items() if name.startswith(f"{frame}/")
     }

@@ -1,4 +1,4 @@
-"""Labels of branch modules: a data set with them passes `forestgen labels check`, and each single break is found."""
+"""Labels of branch modules: a data set with them passes the checks of labels, and each single break is found."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def data_set(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "pines.yaml").write_text(RECIPE, encoding="utf-8")
     answer = run("render", folder / "pines.yaml", "-o", folder / "good")
     assert answer.code == 0, answer.err
-    return folder / "good"
+    return folder / "good" / "train"
 
 
 @pytest.fixture(scope="module")

@@ -18,7 +18,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from command_line import run, tree
-from pack_sets import CLASSES, PIXELS, SPLITS, annotations, batch, frames
+from pack_sets import CLASSES, PIXELS, SPLITS, annotations, batch, frames, many
 from PIL import Image
 
 from forestgen.core.errors import DatasetError, OutputError
@@ -44,16 +44,6 @@ def copy(data_set, tmp_path):
 
 def packed(root, target, form="webdataset", **options):
     return pack(root, target, Packing(form, **options), progress=Silent())
-
-
-def rendered_folder(root: Path, frame: Path, copies: int) -> Path:
-    """Many names for one frame, in a folder as `forestgen render` makes it."""
-    for number in range(copies):
-        (root / f"{number:06d}-camera0").mkdir(parents=True)
-        for file in frame.iterdir():
-            os.link(file, root / f"{number:06d}-camera0" / file.name)
-    shutil.copy(frame.parent / "classes.json", root)
-    return root
 
 
 def picture(content: bytes) -> np.ndarray:
@@ -214,8 +204,8 @@ def test_the_example_reads_a_pack_with_no_code_of_ours(data_set, opened):
 
 def test_row_groups_are_bounded(data_set, tmp_path):
     frame = next(iter(frames(data_set, "train").values()))
-    many = rendered_folder(tmp_path / "many", frame, 230)
-    made = packed(many, tmp_path / "pack", "huggingface", channels=("semantic",))
+    root = many(tmp_path / "many", frame, 230)
+    made = packed(root, tmp_path / "pack", "huggingface", channels=("semantic",))
     (shard,) = made.splits["train"]
     file = pq.ParquetFile(tmp_path / "pack" / shard.name)
     assert [file.metadata.row_group(i).num_rows for i in range(file.num_row_groups)] == [100, 100, 30]
@@ -258,26 +248,27 @@ def order_of(folder: Path, form: str) -> list[str]:
         return [name.partition(".")[0] for name in tar.getnames() if name.endswith("preview.png")]
 
 
-@pytest.mark.parametrize(("form", "few", "many"), [("webdataset", 10, 60), ("huggingface", 110, 230)])
-def test_memory_does_not_grow_with_the_data_set(data_set, tmp_path, form, few, many):
+@pytest.mark.parametrize(("form", "few", "most"), [("webdataset", 10, 60), ("huggingface", 110, 230)])
+def test_memory_does_not_grow_with_the_data_set(data_set, tmp_path, form, few, most):
     frame = next(iter(frames(data_set, "train").values()))
     peaks = []
-    for copies in (few, many):
-        folder = rendered_folder(tmp_path / f"{copies}", frame, copies)
+    for copies in (few, most):
+        folder = many(tmp_path / f"{copies}", frame, copies)
         tracemalloc.start()
         packed(folder, tmp_path / f"pack-{copies}", form, channels=("exr",), shard_bytes=4_000_000)
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
     assert peaks[1] < 1.2 * peaks[0]
-    assert many * (frame / "frame.exr").stat().st_size > 1.5 * peaks[1]
+    assert most * (frame / "frame.exr").stat().st_size > 1.5 * peaks[1]
 
 
-def test_a_rendered_folder_is_one_split(data_set, tmp_path):
-    answer = run("pack", data_set / "val", "--format", "webdataset", "--out", tmp_path / "pack", "--split", "test")
-    assert answer.code == 0, answer.err
-    with tarfile.open(tmp_path / "pack" / "test-000000.tar") as tar:
-        about = json.load(tar.extractfile("000004-camera0.json"))
-    assert about["index"] == {"frame": "000004-camera0", "split": "test", "image": 4, "camera": "camera0"}
+def test_a_split_is_no_data_set_of_its_own(data_set, tmp_path):
+    answer = run("pack", data_set / "val", "--format", "webdataset", "--out", tmp_path / "pack")
+    answer.refused(6, "this is no data set", "a part of a data set", f"name {data_set}")
+    with pytest.raises(DatasetError, match="this is no data set") as refused:
+        packed(data_set / "val", tmp_path / "pack")
+    assert refused.value.hint == f"name {data_set}, with --split val"
+    assert not (tmp_path / "pack").exists()
 
 
 def test_one_split_is_packed_alone(data_set, tmp_path):
@@ -341,14 +332,24 @@ def test_refusals_say_what_would_do(copy, tmp_path):
     for frame in (*frames(copy, "train").values(), *frames(copy, "val").values()):
         (frame / "depth.png").unlink()
     ask("--channels", "depth").refused(2, "the data set has no such channel", "depth_m", "depth_png")
-    (copy / ".forestgen").mkdir()
+    (copy / ".forestgen" / "jobs").mkdir(parents=True)
     (copy / "index.parquet").write_bytes(b"PAR1 and no more")
     ask().refused(6, "the index cannot be read", "index.parquet")
-    (copy / "dataset.json").unlink()
-    ask().refused(6, "not finished", "no dataset.json", "--resume")
+    _refused_by_pack(copy, "the index cannot be read")
+    (copy / "dataset.json").rename(copy / "aside.json")
+    ask().refused(6, "not finished", "dataset.json", "--resume")
+    _refused_by_pack(copy, "not finished: it has no dataset.json yet")
     (copy / "index.parquet").unlink()
-    ask().refused(6, "not finished", "no index.parquet", "--resume")
+    (copy / "aside.json").rename(copy / "dataset.json")
+    ask().refused(6, "the index cannot be read", "index.parquet")
+    _refused_by_pack(copy, "not finished: it has no index.parquet yet")
     assert not (tmp_path / "pack").exists()
+
+
+def _refused_by_pack(root: Path, problem: str) -> None:
+    """By `pack` itself, which other programs may call."""
+    with pytest.raises(DatasetError, match=problem):
+        packed(root, root.parent / "pack")
 
 
 def test_only_a_pack_is_replaced(data_set, tmp_path):

@@ -52,12 +52,10 @@ def secret(tmp_path: Path) -> Iterator[Path]:
 def commands(name: str, root: Path, out: Path) -> list[list[str | Path]]:
     """The commands that read a kind of data set."""
     return {
-        "verify": [["verify", root, "-j", "1"]],
+        "verify": [["verify", root, "--workers", "1"]],
         "merge": [["merge", root, "--out", out / "merged"]],
         "linked merge": [["merge", root, "--link", "--out", out / "linked"]],
         "report": [["report", root, "--out", out / "report.html"]],
-        "plain report": [["report", root / "train", "--out", out / "plain.html"]],
-        "labels": [["labels", "check", root / "train", "-j", "1", "--all"]],
         "pack": [
             ["pack", root, "--format", "webdataset", "--out", out / "shards", "--channels", "preview,annotations"],
             ["pack", root, "--format", "huggingface", "--out", out / "pack"],
@@ -102,20 +100,20 @@ READ = {
     ".forestgen/jobs": "verify, merge",
     "thumbnails/000000-near.jpg": "verify, merge",
     "train": "verify, merge, report",
-    "train/manifest.json": "verify, labels",
-    "train/coco.json": "verify, labels",
-    "train/panoptic.json": "labels",
-    "train/classes.json": "report, labels",
-    "train/yolo/boxes/data.yaml": "labels",
-    "train/bop": "labels",
-    FRAME: "verify, merge, report, labels, plain report",
-    f"{FRAME}/frame.exr": "verify, merge, linked merge, labels",
-    f"{FRAME}/preview.png": "report, labels",
-    f"{FRAME}/semantic.png": "verify, labels, plain report",
-    f"{FRAME}/plants.parquet": "verify, labels, plain report",
-    f"{FRAME}/camera.json": "verify, labels, plain report",
-    f"{FRAME}/recipe.yaml": "labels, plain report",
-    f"{FRAME}/annotations.json": "verify, merge, labels",
+    "train/manifest.json": "verify",
+    "train/coco.json": "verify",
+    "train/panoptic.json": "verify",
+    "train/classes.json": "report, verify",
+    "train/yolo/boxes/data.yaml": "verify",
+    "train/bop": "verify",
+    FRAME: "verify, merge, report",
+    f"{FRAME}/frame.exr": "verify, merge, linked merge",
+    f"{FRAME}/preview.png": "report, verify",
+    f"{FRAME}/semantic.png": "verify",
+    f"{FRAME}/plants.parquet": "verify",
+    f"{FRAME}/camera.json": "verify",
+    f"{FRAME}/recipe.yaml": "verify",
+    f"{FRAME}/annotations.json": "verify, merge",
 }
 OF_A_PACK = {
     "index.parquet": "pack", "dataset.json": "pack", "README.md": "pack", "train": "pack", "train/classes.json": "pack",
@@ -146,9 +144,9 @@ def test_no_file_of_a_data_set_leads_out_of_it(way: str, name: str, whole: Path,
 def test_of_one_file_in_every_way(way: str, whole: Path, tmp_path: Path, secret: Path) -> None:
     root = copied(whole, tmp_path / "set")
     WAYS[way](root / FRAME / "camera.json", secret)
-    answers = ask("verify, labels, plain report", root, secret)
-    assert [answer.code for answer in answers] == [6, 6, 6]
-    assert all("camera.json" in answer.err for answer in answers[:2])
+    (answer,) = ask("verify", root, secret)
+    assert answer.code == 6
+    assert "camera.json" in answer.err
 
 
 @pytest.mark.parametrize("way", SLOW_WAYS)
@@ -197,7 +195,7 @@ def test_no_name_in_a_text_leads_out(name: str, whole: Path, tmp_path: Path, sec
         data = json.loads((root / "train" / file).read_text())
         change(data)
         (root / "train" / file).write_text(json.dumps(data))
-    assert [answer.code for answer in ask("verify, labels", root, secret)] == [6, 6]
+    assert [answer.code for answer in ask("verify", root, secret)] == [6]
     other = copied(whole, tmp_path / "other")
     record = found(other, "record")
     data = json.loads(record.read_text())
@@ -266,14 +264,14 @@ def test_a_render_is_not_held_up_by_what_it_would_replace(tmp_path: Path) -> Non
 KINDS = {
     "dataset.json": "verify, merge, report",
     "record": "verify, merge",
-    "train/manifest.json": "labels, plain report",
-    "train/coco.json": "labels",
-    "train/panoptic.json": "labels",
-    "train/classes.json": "labels, report, plain report",
-    "train/bop/train_pbr/000000/scene_gt.json": "labels",
-    f"{FRAME}/camera.json": "labels, plain report",
-    f"{FRAME}/annotations.json": "labels",
-    f"{FRAME}/depth.json": "labels",
+    "train/manifest.json": "verify",
+    "train/coco.json": "verify",
+    "train/panoptic.json": "verify",
+    "train/classes.json": "verify, report",
+    "train/bop/train_pbr/000000/scene_gt.json": "verify",
+    f"{FRAME}/camera.json": "verify",
+    f"{FRAME}/annotations.json": "verify",
+    f"{FRAME}/depth.json": "verify",
     "run/log.jsonl": "report",
 }
 OF_A_PACKS_JSON = {
@@ -325,7 +323,6 @@ def test_of_each_kind_one_file(kind: str, whole: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize("quick", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_of_a_pack_too(quick: bool, name: str, packable: Path, tmp_path: Path) -> None:
     content, rng = (packable / name).read_bytes(), random.Random(name)
-    content = b'{"splits": {"train": 1, "val": 2}}' if name == "dataset.json" else content
     drawn = rng.sample(list(WHOLES.values()), 4 if quick else len(WHOLES))
     variants = [make(content) for make in drawn] + [changed(content, rng) for _ in range(4 if quick else 60)]
     root = shutil.copytree(packable, tmp_path / "set")

@@ -132,11 +132,6 @@ def _camera_text(sample: Sample) -> str:
 def _of_index(source: Source) -> list[Column]:
     import pyarrow as pa
 
-    if source.index is None:
-        return [
-            Column("image_number", value("int64"), _cell_of("image")),
-            Column("camera", value("string"), _cell_of("camera")),
-        ]
     columns = []
     for field in source.index.schema:
         if field.name in _LEFT_OUT:

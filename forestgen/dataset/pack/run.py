@@ -36,7 +36,7 @@ class Packing:
     format: Format
     shard_bytes: int = 500_000_000
     channels: tuple[str, ...] | None = None  # None: the usual ones that the data set has
-    splits: tuple[str, ...] = ()  # of a batch: those to pack, none: all; of a rendered folder: its name
+    splits: tuple[str, ...] = ()  # those to pack; none: all
     seed: int | None = 0  # of the order of the frames; None: by name
 
 

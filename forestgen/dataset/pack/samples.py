@@ -65,7 +65,7 @@ def read_samples(
         folder = split.folder / frame
         contents = read_channels(folder, channels)
         unit_m = _depth_unit_m(folder) if has_depth else None
-        row, camera = source.row(split, frame), read_json(folder / CAMERA_FILE)
+        row, camera = source.row(frame), read_json(folder / CAMERA_FILE)
         try:
             json_text([row, camera])
         except (TypeError, ValueError) as error:  # a date, or a number that is none: a stranger's column

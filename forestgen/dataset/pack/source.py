@@ -1,24 +1,20 @@
-"""The data set to pack: a batch's folder, or one that `forestgen render` made.
-
-A batch's frames are those of its index.parquet; a rendered folder has one split, and its frames are the folders in it.
-"""
+"""The data set to pack: its splits, the frames that its index.parquet lists, and their classes."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from forestgen.core.errors import DatasetError, RecipeError
 from forestgen.dataset.index import INDEX_NAME, open_index
 from forestgen.dataset.legend import FILE_NAME as CLASSES_FILE
-from forestgen.dataset.pack.channels import CAMERA_FILE, read_json
+from forestgen.dataset.pack.channels import read_json
 from forestgen.dataset.safe_path import SafePath, is_frame, is_split, unreadable
 
-LAST_FILE = "dataset.json"  # that a batch writes
-ONE_SPLIT = "train"  # of a rendered folder, if no name is given
+LAST_FILE = "dataset.json"  # that a run writes
 
 
 @dataclass(frozen=True)
@@ -37,18 +33,15 @@ class Source:
     root: Path
     splits: tuple[Split, ...]
     classes: Mapping[str, Any]  # classes.json, the same in all splits
-    index: Any = None  # pyarrow.Table of index.parquet, a few hundred bytes a frame; None: a rendered folder
-    row_numbers: Mapping[str, int] = field(default_factory=dict)  # frame -> row of the index
+    index: Any  # pyarrow.Table of index.parquet, a few hundred bytes a frame
+    row_numbers: Mapping[str, int]  # frame -> row of the index
 
     @property
     def frames(self) -> int:
         return sum(len(split.frames) for split in self.splits)
 
-    def row(self, split: Split, frame: str) -> dict[str, Any]:
-        """What is known of a frame: its row of the index, or what its name tells."""
-        if self.index is None:
-            image, _, camera = frame.partition("-")
-            return {"frame": frame, "split": split.name, "image": int(image), "camera": camera}
+    def row(self, frame: str) -> dict[str, Any]:
+        """A frame's row of the index."""
         try:
             rows = self.index.slice(self.row_numbers[frame], 1).to_pylist(maps_as_pydicts="strict")
         except (ValueError, KeyError) as error:  # a key twice, or a text that is no UTF-8
@@ -62,18 +55,16 @@ def open_source(root: Path, splits: Sequence[str] = ()) -> Source:
     Parameters
     ----------
     root : its folder.
-    splits : of a batch, those to pack, by default all; of a rendered folder, the one name that it shall have.
+    splits : those to pack, by default all.
 
     Raises
     ------
     DatasetError : the folder is no data set, is not finished, or is damaged.
     RecipeError : the data set has no such split.
     """
-    if os.path.lexists(root / INDEX_NAME) and os.path.lexists(root / LAST_FILE):
-        return _batch(root, splits)
-    if os.path.lexists(root / CLASSES_FILE):
-        return _rendered(root, splits)
-    raise _no_data_set(root)
+    if not os.path.lexists(root / INDEX_NAME) or not os.path.lexists(root / LAST_FILE):
+        raise _no_data_set(root)
+    return _opened(root, splits)
 
 
 def _no_data_set(root: Path) -> DatasetError:
@@ -82,13 +73,14 @@ def _no_data_set(root: Path) -> DatasetError:
         return DatasetError("there is no such folder", where=str(root), hint=hint)
     if (root / INDEX_NAME).exists() or (root / ".forestgen").is_dir():
         missing = LAST_FILE if (root / INDEX_NAME).is_file() else INDEX_NAME
-        hint = "forestgen batch RECIPE --count N --out DIR --resume goes on with it"
-        return DatasetError(f"the batch is not finished: it has no {missing} yet", where=str(root), hint=hint)
-    expected = "a folder that forestgen batch or forestgen render made"
-    return DatasetError("this is no data set", where=str(root), expected=expected)
+        hint = "the command that made it, with --resume, goes on with it"
+        return DatasetError(f"the data set is not finished: it has no {missing} yet", where=str(root), hint=hint)
+    hint = f"name {root.parent}, with --split {root.name}" if (root.parent / LAST_FILE).is_file() else None
+    expected = "a folder that forestgen render, batch or merge made"
+    return DatasetError("this is no data set", where=str(root), expected=expected, hint=hint)
 
 
-def _batch(root: Path, wanted: Sequence[str]) -> Source:
+def _opened(root: Path, wanted: Sequence[str]) -> Source:
     index, names = _read_index(root / INDEX_NAME)
     told = read_json(SafePath(root, LAST_FILE)).get("splits")
     order = list(told) if isinstance(told, dict) else []  # the recipe's
@@ -138,15 +130,3 @@ def _common_classes(splits: Sequence[Split]) -> dict[str, Any]:
                 hint="pack them one by one, with --split",
             )
     return classes
-
-
-def _rendered(root: Path, wanted: Sequence[str]) -> Source:
-    if len(wanted) > 1:
-        raise RecipeError("this data set has one split", where="--split", expected="one name", got=", ".join(wanted))
-    name = wanted[0] if wanted else ONE_SPLIT
-    folder = SafePath(root)
-    frames = [one for one in folder.names() if is_frame(one) and os.path.lexists(root / one / CAMERA_FILE)]
-    if not frames:
-        raise DatasetError("the data set has no frame", where=str(root))
-    split = Split(name, folder, tuple(frames))
-    return Source(root, (split,), _common_classes([split]))

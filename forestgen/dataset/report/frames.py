@@ -60,8 +60,8 @@ class Frames:
 
     @cached_property
     def split(self) -> list[str]:
-        """(N,) of each frame; "all" where the data set is not split."""
-        return [one or "all" for one in self.texts("split")]
+        """(N,) of each frame."""
+        return self.texts("split")
 
     @property
     def images(self) -> int:

@@ -44,7 +44,7 @@ class Exhibit:
     """A frame in the gallery."""
 
     frame: str
-    split: str  # "" where the data set has none
+    split: str
     caption: str  # sun, sky, camera
     content: str  # largest classes, with their shares
     pictures: tuple[Picture, ...]

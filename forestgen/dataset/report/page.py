@@ -64,7 +64,7 @@ def write_report(folder: Path, target: Path) -> None:
 
     Parameters
     ----------
-    folder : that `forestgen batch`, `forestgen merge` or `forestgen render` wrote.
+    folder : that `forestgen render`, `forestgen batch` or `forestgen merge` wrote.
     target : the page's file.
 
     Raises
@@ -123,7 +123,7 @@ def _lead(source: Source) -> str:
     if not len(source.frames):
         return "No frames yet."
     words = [f"{split} {count:,}" for split, count in counts.items()]
-    return f"Frames by split: {listed(words, 20)}." if tuple(counts) != ("all",) else "One folder, not split."
+    return f"Frames by split: {listed(words, 20)}."
 
 
 def _headline(source: Source) -> tuple[Fact, ...]:

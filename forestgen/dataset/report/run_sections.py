@@ -17,7 +17,7 @@ def failure_section(source: Source) -> Section:
     """What went wrong, by message, and what became of it."""
     run = source.run
     if run is None or not run.lines:
-        return Section("failures", "Failures", absent="There is no log of a run: merged and plain folders have none.")
+        return Section("failures", "Failures", absent="There is no log of a run: merged data sets have none.")
     given_up = run.given_up
     facts = (
         Fact(f"{run.failed_attempts:,}", "failed attempts"),
@@ -58,7 +58,7 @@ def timing_section(source: Source) -> Section:
     """Where the time went."""
     run = source.run
     if run is None:
-        return Section("timings", "Time and memory", absent="There is no log of a run: merged folders have none.")
+        return Section("timings", "Time and memory", absent="There is no log of a run: merged data sets have none.")
     memory_mib = [one / 2**20 for one in run.peak_memory_bytes]
     parts = (
         _stages(run),

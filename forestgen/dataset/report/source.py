@@ -10,12 +10,10 @@ from typing import Any
 from forestgen.core.errors import DatasetError
 from forestgen.dataset.index import INDEX_NAME
 from forestgen.dataset.legend import FILE_NAME as LEGEND_NAME
-from forestgen.dataset.manifest import MANIFEST_NAME, is_run_folder
 from forestgen.dataset.png import class_palette
 from forestgen.dataset.report.frames import Frames, frames_of, read_frames
-from forestgen.dataset.report.plain_folder import plain_frames
 from forestgen.dataset.report.run_log import RunLog, read_run
-from forestgen.dataset.report.told import Told, mapping, number, told_by_card, told_by_manifest
+from forestgen.dataset.report.told import Told, mapping, told_by_card
 from forestgen.dataset.safe_path import SafePath
 
 CARD_NAME, RUN_NAME = "dataset.json", "run"
@@ -48,11 +46,11 @@ class Source:
 
 
 def open_source(folder: Path) -> Source:
-    """Read a data set that `forestgen batch` or `forestgen merge` made, or a folder of `forestgen render`.
+    """Read a data set, finished or not.
 
     Raises
     ------
-    DatasetError : the folder is neither, or its index is damaged.
+    DatasetError : the folder holds none, or its index is damaged.
     """
     if not folder.is_dir():
         raise DatasetError("there is no such folder", where=str(folder), hint="name a data set's folder")
@@ -60,39 +58,21 @@ def open_source(folder: Path) -> Source:
     card = _read_json(SafePath(folder, CARD_NAME), notes)
     if os.path.lexists(folder / INDEX_NAME):
         frames = read_frames(folder / INDEX_NAME)
-    elif not card and is_run_folder(folder) and not (folder / RUN_NAME).is_dir():
-        return _plain_source(folder, notes)
     elif card or (folder / RUN_NAME).is_dir():
         frames = frames_of([])
-        notes.append(
-            "index.parquet is missing: the batch has not ended. `forestgen batch ... --resume` goes on with it."
-        )
+        notes.append("index.parquet is missing: the run has not ended. The same command with --resume goes on with it.")
     else:
-        hint = "name a folder that forestgen batch, merge or render wrote"
+        hint = "name a folder that forestgen render, batch or merge wrote"
         raise DatasetError("this is no data set of forestgen", where=str(folder), hint=hint)
     told = told_by_card(card)
     splits = tuple(dict.fromkeys([*told.splits, *sorted(set(frames.split))]))
     return Source(folder, frames, read_legend(folder, splits, notes), splits, told, read_run(folder), tuple(notes))
 
 
-def _plain_source(folder: Path, notes: list[str]) -> Source:
-    """A folder of `forestgen render`: one split, and the manifest in the card's place."""
-    legend = read_legend(folder, ("",), notes)
-    frames = plain_frames(folder, dict(enumerate(legend.classes)))
-    manifest = _read_json(SafePath(folder, MANIFEST_NAME), notes)
-    run = RunLog(stage_s={str(name): number(value) for name, value in mapping(manifest.get("timings_s")).items()})
-    run.running_s = number(mapping(manifest.get("run")).get("total_s"))
-    run.peak_memory_bytes = [number(manifest.get("peak_memory_bytes"))]
-    run.finished_s = [run.running_s] * frames.images
-    return Source(
-        folder, frames, legend, ("all",) if len(frames) else (), told_by_manifest(manifest), run, tuple(notes)
-    )
-
-
 def read_legend(folder: Path, splits: tuple[str, ...], notes: list[str]) -> Legend:
     """classes.json of the first split that has one: all splits have the same."""
     for split in splits:
-        path = SafePath(folder, "" if split == "all" else split) / LEGEND_NAME
+        path = SafePath(folder, split) / LEGEND_NAME
         if path.is_file():
             return _legend(_read_json(path, notes))
     return Legend()

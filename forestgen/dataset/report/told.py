@@ -1,4 +1,4 @@
-"""What dataset.json says of a data set, or manifest.json of a folder of `forestgen render`; strange values left out."""
+"""What dataset.json says of a data set; strange values left out."""
 
 from __future__ import annotations
 
@@ -57,19 +57,6 @@ def told_by_card(card: Mapping[str, Any]) -> Told:
     )
 
 
-def told_by_manifest(manifest: Mapping[str, Any]) -> Told:
-    """From manifest.json."""
-    seeds = _items(manifest.get("image_seeds"))
-    recipe = RecipeTold("", _text(manifest.get("recipe_hash")), _text(manifest.get("root_seed")), len(seeds), (), {})
-    files = mapping(manifest.get("files")).values()
-    machine = {**manifest, "packages": manifest.get("versions")}
-    return Told(
-        recipes=(recipe,),
-        made_with=(_machine(machine),),
-        bytes=sum(_whole(mapping(one).get("bytes")) for one in files),
-    )
-
-
 def _recipe(told: Mapping[str, Any]) -> RecipeTold:
     gaps = [one for one in _items(told.get("missing")) if isinstance(one, list) and len(one) == 2]
     return RecipeTold(
@@ -92,11 +79,6 @@ def _machine(told: Mapping[str, Any]) -> str:
 
 def mapping(value: Any) -> Mapping[str, Any]:
     return value if isinstance(value, dict) else {}
-
-
-def number(value: Any) -> float:
-    """A number; 0 where it is none."""
-    return float(value) if isinstance(value, int | float) else 0.0
 
 
 def _items(value: Any) -> list[Any]:

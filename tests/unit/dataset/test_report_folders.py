@@ -136,7 +136,7 @@ def test_many_messages_are_bounded(tmp_path):
 def test_a_run_that_has_not_ended_has_a_report(tmp_path):
     write_data_set(tmp_path, 4)
     (tmp_path / INDEX_NAME).unlink()
-    assert "the batch has not ended" in report(tmp_path)
+    assert "the run has not ended" in report(tmp_path)
 
 
 def test_a_lost_preview_is_shown_by_its_thumbnail(tmp_path):
