@@ -38,8 +38,8 @@ COMMANDS = (
     "light",
     "weather",
     "calibrate",
-    "completion",
     "doctor",
+    "completion",
 )
 HEAVY = (
     "numpy",
