@@ -123,7 +123,7 @@ class Dataset(Sequence[Frame]):
         if not 0 <= number < len(self):
             raise IndexError(f"the data set has {len(self)} frames, there is none of number {index}")
         row = self._rows.slice(number, 1).to_pylist(maps_as_pydicts="strict")[0]
-        return Frame(StoredFrame(SafePath(self.folder, row["folder"]), row, self.classes))
+        return Frame(StoredFrame(SafePath(self.folder, f"{row['split']}/{row['frame']}"), row, self.classes))
 
     def frame(self, name: str) -> Frame:
         """The frame of a name such as 000000-camera0."""
@@ -218,7 +218,9 @@ class Dataset(Sequence[Frame]):
         rows = self._rows.filter(np.asarray(self._rows["split"]) == split).to_pylist(maps_as_pydicts="strict")
         plain = {name: [row[name] for row in rows] for name in self._rows.column_names if _is_plain(self._rows, name)}
         pictures = ("preview", "semantic", "instance")
-        paths = {name: [self._located(f"{row['folder']}/{name}.png") for row in rows] for name in pictures}
+        paths = {
+            name: [self._located(f"{row['split']}/{row['frame']}/{name}.png") for row in rows] for name in pictures
+        }
         made = datasets.Dataset.from_dict({**paths, **plain})
         for name in pictures:
             made = made.cast_column(name, datasets.Image())

@@ -201,14 +201,15 @@ def _display(quiet: bool) -> Display:
     return display_of(progress_of(quiet))
 
 
-def kept(display: Display, *, overwrite: bool = False, if_none: str = "no image was finished") -> str:
+def kept(display: Display, *, overwrite: bool = False, if_none: str = "") -> str:
     """What an interrupted run leaves behind, for people; `if_none`: where it has finished no image."""
     meter = display.meter
     if meter is None:
         return "nothing was written"
-    if not meter.done:
+    if not meter.done and if_none:
         return if_none
-    done = f"{meter.done:,} of {count(meter.total, 'image')} are done and stay"
+    total = count(meter.total, "image")
+    done = f"{meter.done:,} of {total} are done and stay" if meter.done else f"none of {total} was finished"
     return f"{done}; the same command with --resume{' in place of --overwrite' if overwrite else ''} goes on"
 
 

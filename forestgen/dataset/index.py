@@ -223,14 +223,14 @@ def whole_index(path: Path) -> Any:
     ------
     DatasetError : see `open_index`; or a row names no frame, or a frame has two rows.
     """
-    with open_index(path, ("split", "frame", "folder")) as file:
+    with open_index(path, ("split", "frame")) as file:
         index = file.read()
-        names = list(zip(*(index[name].to_pylist() for name in ("split", "frame", "folder")), strict=True))
-    for split, frame, folder in names:
-        if not is_split(split) or not is_frame(frame) or folder != f"{split}/{frame}":
-            expected, got = "names such as train and 000000-camera0", ascii((split, frame, folder))[:160]
+        names = list(zip(index["split"].to_pylist(), index["frame"].to_pylist(), strict=True))
+    for split, frame in names:
+        if not is_split(split) or not is_frame(frame):
+            expected, got = "names such as train and 000000-camera0", ascii((split, frame))[:160]
             raise DatasetError("a row of the index names no frame", where=str(path), expected=expected, got=got)
-    if len({frame for _, frame, _ in names}) < len(names):
+    if len({frame for _, frame in names}) < len(names):
         raise DatasetError("a frame has two rows of the index", where=str(path))
     return index
 

@@ -40,10 +40,14 @@ class Answer:
     err: str
 
     def refused(self, code: int, *parts: str) -> None:
-        """Assert one clear message with all of `parts`, of that exit code, and nothing else."""
+        """Assert a clear message with all of `parts`, of that exit code, and nothing else.
+
+        Several errors of one recipe come together, and their number at the end.
+        """
         assert self.code == code, self.err
         assert self.err.startswith("error: ")
-        assert self.err.count("error: ") == 1
+        errors = self.err.count("error: ")
+        assert errors == 1 or self.err.rstrip().endswith(f"\n{errors} errors"), self.err
         assert "Traceback" not in self.err + self.out
         assert "a bug in forestgen" not in self.err
         assert not self.out

@@ -21,7 +21,7 @@ def test_an_interrupted_run_says_what_stays() -> None:
     display = SilentDisplay()
     assert kept(display) == "nothing was written"
     display.show(Meter(5))
-    assert kept(display) == "no image was finished"
+    assert kept(display) == "none of 5 images was finished; the same command with --resume goes on"
     assert kept(display, if_none="nothing was written") == "nothing was written"  # render removes what it has begun
     display.show(Meter(5, already=1, made=2))
     assert kept(display) == "3 of 5 images are done and stay; the same command with --resume goes on"
