@@ -341,7 +341,7 @@ def test_refusals_say_what_would_do(copy, tmp_path):
     _refused_by_pack(copy, "not finished: it has no dataset.json yet")
     (copy / "index.parquet").unlink()
     (copy / "aside.json").rename(copy / "dataset.json")
-    ask().refused(6, "the index cannot be read", "index.parquet")
+    ask().refused(6, "there is no index", "index.parquet", "--resume")
     _refused_by_pack(copy, "not finished: it has no index.parquet yet")
     assert not (tmp_path / "pack").exists()
 

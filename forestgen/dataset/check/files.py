@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from forestgen.dataset.check.finding import Finding, UnreadableError
 from forestgen.dataset.exr_chunks import check_chunks
-from forestgen.dataset.safe_path import SafePath, check_cells, load_json
+from forestgen.dataset.safe_path import SafePath, check_cells, load_json, one_line
 
 _MOST_YAML, _MOST_LEVELS = 1_000_000, 20
 
@@ -136,8 +136,4 @@ def read_head(root: Path, name: str) -> bytes:
 
 
 def unreadable(name: str, error: Exception) -> UnreadableError:
-    return UnreadableError(Finding(name, "the file cannot be read", got=_one_line(error) or type(error).__name__))
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())[:200]
+    return UnreadableError(Finding(name, "the file cannot be read", got=one_line(error)))
