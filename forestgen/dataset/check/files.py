@@ -35,7 +35,7 @@ def read_json(root: Path, name: str) -> Any:
     try:
         return load_json(read_text(root, name))
     except ValueError as error:
-        raise UnreadableError(Finding(name, "this is no JSON", got=_one_line(error))) from error
+        raise UnreadableError(Finding(name, "this is no JSON", got=one_line(error))) from error
 
 
 def read_yaml(root: Path, name: str) -> Any:
@@ -51,7 +51,7 @@ def read_yaml(root: Path, name: str) -> Any:
     try:
         return reader.load(text)
     except (YAMLError, ValueError, RecursionError) as error:
-        raise UnreadableError(Finding(name, "this is no YAML", got=_one_line(error))) from error
+        raise UnreadableError(Finding(name, "this is no YAML", got=one_line(error))) from error
 
 
 def read_exr(root: Path, name: str) -> tuple[dict[str, dict[str, NDArray[Any]]], dict[str, Any]]:
