@@ -249,5 +249,15 @@ def unreadable(path: SafePath | Path, error: Exception, hint: str | None = None)
     """What people are told of a file that raised an error when it was read."""
     if isinstance(error, FileNotFoundError | NotADirectoryError):
         return DatasetError("a file of the data set is missing", where=str(path), hint=hint)
-    reason = getattr(error, "strerror", None) or " ".join(str(error).split())[:200] or type(error).__name__
-    return DatasetError(f"cannot read: {reason}", where=str(path), hint=hint)
+    return DatasetError(
+        f"cannot read: {getattr(error, 'strerror', None) or one_line(error)}", where=str(path), hint=hint
+    )
+
+
+def one_line(error: Exception) -> str:
+    """What went wrong, the same in every process."""
+    from PIL import UnidentifiedImageError
+
+    if isinstance(error, UnidentifiedImageError):  # its text names the stream, with a number that changes
+        return "this is no PNG"
+    return " ".join(str(error).split())[:200] or type(error).__name__

@@ -162,6 +162,9 @@ def test_what_is_no_finished_data_set_is_refused(data_set: fg.Dataset, tmp_path:
     with pytest.raises(fg.DatasetError, match=r"plants\.parquet") as refused:
         _ = frame.plants
     assert "verify" in str(refused.value.hint)
+    (copy / frame.info["folder"] / "preview.png").write_bytes(b"GIF89a")
+    with pytest.raises(fg.DatasetError, match=r"preview\.png: cannot read: this is no PNG"):
+        _ = frame.preview
     (copy / "index.parquet").write_bytes(b"PAR1")
     with pytest.raises(fg.DatasetError, match="the index cannot be read"):
         fg.Dataset(copy)

@@ -167,6 +167,14 @@ def test_the_command_tells_what_it_found(data_set, tmp_path):
     assert "Traceback" not in answer.err
 
 
+def test_a_text_in_place_of_a_picture_is_told_in_the_same_words(data_set, tmp_path):
+    """Not by the number of an open file, which is another in every process."""
+    broken = shutil.copytree(data_set, tmp_path / "broken")
+    text(f"{FRAME}/semantic.png", "none")(broken)
+    (finding, *_) = check_dataset(broken, jobs=1).findings
+    assert (finding.file, finding.got) == (f"{FRAME}/semantic.png", "this is no PNG")
+
+
 @pytest.mark.slow
 def test_the_number_of_processes_changes_nothing(data_set, tmp_path):
     broken = tmp_path / "broken"

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from forestgen.dataset.check.finding import Finding, UnreadableError
 from forestgen.dataset.exr_chunks import check_chunks
-from forestgen.dataset.safe_path import SafePath, check_cells, load_json
+from forestgen.dataset.safe_path import SafePath, check_cells, load_json, one_line
 
 _MOST_YAML, _MOST_LEVELS = 1_000_000, 20
 
@@ -35,7 +35,7 @@ def read_json(root: Path, name: str) -> Any:
     try:
         return load_json(read_text(root, name))
     except ValueError as error:
-        raise UnreadableError(Finding(name, "this is no JSON", got=_one_line(error))) from error
+        raise UnreadableError(Finding(name, "this is no JSON", got=one_line(error))) from error
 
 
 def read_yaml(root: Path, name: str) -> Any:
@@ -51,7 +51,7 @@ def read_yaml(root: Path, name: str) -> Any:
     try:
         return reader.load(text)
     except (YAMLError, ValueError, RecursionError) as error:
-        raise UnreadableError(Finding(name, "this is no YAML", got=_one_line(error))) from error
+        raise UnreadableError(Finding(name, "this is no YAML", got=one_line(error))) from error
 
 
 def read_exr(root: Path, name: str) -> tuple[dict[str, dict[str, NDArray[Any]]], dict[str, Any]]:
@@ -136,8 +136,4 @@ def read_head(root: Path, name: str) -> bytes:
 
 
 def unreadable(name: str, error: Exception) -> UnreadableError:
-    return UnreadableError(Finding(name, "the file cannot be read", got=_one_line(error) or type(error).__name__))
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())[:200]
+    return UnreadableError(Finding(name, "the file cannot be read", got=one_line(error)))
