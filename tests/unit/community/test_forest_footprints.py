@@ -240,7 +240,7 @@ def test_ids_are_used_up_with_an_error(tree, site):
 def test_the_estimate_is_above_what_is_allocated(tree, rate, numbers, size):
     species = [tree(seedlings_per_ha_per_yr=rate, **numbers), tree(name="b", max_radius_m=0.3)]
     parameters = MODEL.Parameters(steps=30)
-    run(parameters, Site(size), species, 1, 2)  # compile first
+    run(parameters, Site(size), species, 1, 30)  # compile all that the steps need first
     tracemalloc.start()
     try:
         for _ in simulate(MODEL, parameters, Site(size), species, 1, steps=30):
