@@ -45,8 +45,8 @@ from forestgen.render.variant import SCALAR, mitsuba, using
 from forestgen.render.views import CloudTransport, Shot, build_view
 from forestgen.scene.channels import RGB
 from forestgen.scene.spec import Camera, SceneSpec
-from forestgen.testing.cloud_box import cloud_volume
-from forestgen.testing.scenes import camera_at, plain_ground, scattered_scene
+from support.cloud_box import cloud_volume
+from support.scenes import camera_at, plain_ground, scattered_scene
 
 MOST_DIFFERENCE, LEAST_GAIN, LEAST_PATHS_GAIN, MOST_PATHS_DIFFERENCE = 0.03, 6.0, 10.0, 0.01
 SITE_M = 100.0

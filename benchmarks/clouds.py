@@ -33,7 +33,7 @@ from forestgen.render.variant import SCALAR, drjit, mitsuba, using
 from forestgen.render.views import Shot
 from forestgen.scene.channels import RGB
 from forestgen.scene.spec import Camera, SceneSpec
-from forestgen.testing.cloud_box import cloud_volume
+from support.cloud_box import cloud_volume
 
 BOUND, MOST_SIGMA = 3.0, 4.0
 Floats = NDArray[np.float64]

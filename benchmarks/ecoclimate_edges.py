@@ -32,8 +32,8 @@ from forestgen.community.ecoclimate.months import local_climate
 from forestgen.community.ecoclimate.state import Ecoclimate
 from forestgen.community.plots import new_figure
 from forestgen.community.population import Population
-from forestgen.community.stand_measures import shares_in_bands
 from forestgen.stages.plan import Plan
+from support.stand_measures import shares_in_bands
 
 MIDDLE_M = np.array([50.0, 40.0])  # of the circle that the recipe sows
 INNER_M = 17.0  # from it: half of the circle

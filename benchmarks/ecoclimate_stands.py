@@ -16,13 +16,13 @@ from scipy.ndimage import gaussian_filter
 from forestgen.community.ecoclimate.leaves import leaf_area_index
 from forestgen.community.ecoclimate.months import soil_of
 from forestgen.community.ecoclimate.parameters import EcoclimateParameters
-from forestgen.community.field_measures import FieldMeasures, measure_field
-from forestgen.community.persistence import field_features, holes
 from forestgen.community.population import Population
 from forestgen.core.progress import Silent
 from forestgen.recipe.load import load_recipe
 from forestgen.stages.community import snapshots
 from forestgen.stages.plan import Plan, check_plan
+from support.field_measures import FieldMeasures, measure_field
+from support.persistence import field_features, holes
 
 Floats = NDArray[np.float64]
 DRYLAND = Path(__file__).resolve().parents[1] / "recipes" / "ecoclimates" / "dryland.yaml"

@@ -43,8 +43,8 @@ from matplotlib.figure import Figure
 from scipy.spatial import cKDTree
 from silviculture_stands import Report
 
-from forestgen.community.persistence import holes
 from forestgen.community.plots import new_figure
+from support.persistence import holes
 
 RAIN = 1.2  # mm/d in the end
 SLOW_YR, FAST_YR, AFTER_YR = 80, 8, 60  # years in which it falls, and that follow

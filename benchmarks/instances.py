@@ -24,8 +24,8 @@ from forestgen.render.surfaces import Paints
 from forestgen.render.variant import SCALAR, mitsuba
 from forestgen.scene.channels import RGB
 from forestgen.scene.spec import SceneSpec
-from forestgen.testing.scenes import scattered_scene
-from forestgen.testing.twins import trace_twin
+from support.scenes import scattered_scene
+from support.twins import trace_twin
 
 INSTANCES, COMPARED = 10_000, 1_000
 SIZE_PX = (512, 256)

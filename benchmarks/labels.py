@@ -44,7 +44,7 @@ from forestgen.render.views import Shot
 from forestgen.scene.plant_measures import PlantMeasures, measure_plants
 from forestgen.scene.projection import world_rays
 from forestgen.scene.spec import SceneSpec
-from forestgen.testing.scenes import scattered_scene
+from support.scenes import scattered_scene
 
 LABEL_SHARE, AMODAL_SHARE, MOST_BYTES = 0.05, 0.05, 4e9
 SAMPLES, RADIANCE_SAMPLES, PARTS, AMODAL_PLANTS = 16, 64, 4, 100

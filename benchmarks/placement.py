@@ -18,7 +18,7 @@ import numpy as np
 from forestgen.community.placement.field import DensityField, place
 from forestgen.community.placement.field_trees import build
 from forestgen.community.placement.kernels import SAMPLES, KernelTable
-from forestgen.testing.lane_algorithms import algorithm_5_2
+from support.lane_algorithms import algorithm_5_2
 
 SECONDS_2048, TIMES_5_2 = 2.0, 10.0  # 100,000 plants; for the hard core
 SECONDS_8192, BYTES_8192 = 30.0, 2e9  # 1,000,000 plants

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from silviculture_stands import Course, Report, grow, only
 
 from forestgen.community.plots import new_figure
-from forestgen.community.stand_measures import PowerLaw, fit_logistic, fit_power_law, thinning_line
+from support.stand_measures import PowerLaw, fit_logistic, fit_power_law, thinning_line
 
 COLOURS = ("#D6409F", "#F08C00", "#14532D")
 PINE: dict[str, Any] = {

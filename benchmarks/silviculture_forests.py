@@ -13,7 +13,7 @@ from silviculture_stands import Course, Plants, Report, grow
 
 from forestgen.community.plots import new_figure
 from forestgen.community.point_patterns import Window
-from forestgen.community.stand_measures import Clustering, belt, clustering, leaders, shares_in_bands
+from support.stand_measures import Clustering, belt, clustering, leaders, shares_in_bands
 
 COLOURS = ("#D6409F", "#F08C00", "#14532D")
 SHRUB: dict[str, Any] = {

@@ -37,7 +37,7 @@ from forestgen.atmosphere.fluid.diagnostics import energies_j
 from forestgen.atmosphere.sounding import Sounding
 from forestgen.atmosphere.weather import AirGrid, Weather
 from forestgen.core.threads import cores
-from forestgen.testing.plain_air import PlainAir
+from support.plain_air import PlainAir
 
 CELLS = (128, 128, 64)
 STEPS_BOUND, RATIO_BOUND, DIFFERENCE_BOUND = 3.0, 5.0, 2e-4

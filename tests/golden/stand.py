@@ -24,7 +24,7 @@ from forestgen.stages.data_set import class_map
 from forestgen.stages.frames import render_frame
 from forestgen.stages.plan import Plan, make_plan
 from forestgen.stages.scene import BuiltScene, build_scene
-from forestgen.testing.ztest import Comparison, NoisyImage, welch, welch_blocks
+from support.ztest import Comparison, NoisyImage, welch, welch_blocks
 
 HERE = Path(__file__).parent
 RECIPE = HERE / "stand.yaml"

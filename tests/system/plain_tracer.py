@@ -17,7 +17,7 @@ from forestgen.core.parts import Part
 from forestgen.geometry.mesh import Mesh
 from forestgen.render.identity import sample_offsets
 from forestgen.scene.spec import Camera, SceneSpec
-from forestgen.testing.twins import Oracle
+from support.twins import Oracle
 
 _OVER = np.float32(1e-6)  # of a triangle's side: neighbours overlap, or rays slip through between them
 

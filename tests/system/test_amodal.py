@@ -19,8 +19,8 @@ from forestgen.render.frame import Amodal
 from forestgen.render.identity import SceneTracer, sample_offsets
 from forestgen.render.variant import drjit, mitsuba
 from forestgen.scene.spec import Camera, SceneSpec
-from forestgen.testing.scenes import camera_at, dyadic_scene, plain_ground, scattered_scene
-from forestgen.testing.twins import Oracle
+from support.scenes import camera_at, dyadic_scene, plain_ground, scattered_scene
+from support.twins import Oracle
 
 UNHEARD: dict[str, Any] = {"timer": Timings(), "advance": lambda rows: None}
 

@@ -19,9 +19,9 @@ from forestgen.render.identity.tracer import camera_rays
 from forestgen.render.variant import mitsuba, using
 from forestgen.scene.projection import depth_is_distance, image_circle, lens_points
 from forestgen.scene.spec import Camera, SceneSpec
-from forestgen.testing.cameras import KINDS, camera_of
-from forestgen.testing.scenes import dyadic_scene, plain_ground
-from forestgen.testing.twins import Oracle, trace_twin
+from support.cameras import KINDS, camera_of
+from support.scenes import dyadic_scene, plain_ground
+from support.twins import Oracle, trace_twin
 
 WIDTH, HEIGHT, SAMPLES = 20, 14, 4
 # Amid the plants: they stand all around, across the seam of a panorama too, and over an upward fisheye.

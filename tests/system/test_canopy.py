@@ -21,9 +21,9 @@ from forestgen.render.surfaces import Paints
 from forestgen.render.variant import SCALAR, using
 from forestgen.scene.projection import rays, world_rays
 from forestgen.scene.spec import Material, SceneSpec, Terrain
-from forestgen.testing.radiometry import Mean, Square, flux_through, path_integrator, upper_sky
-from forestgen.testing.scenes import camera_at, plain_ground
-from forestgen.testing.turbid import (
+from support.radiometry import Mean, Square, flux_through, path_integrator, upper_sky
+from support.scenes import camera_at, plain_ground
+from support.turbid import (
     ERECTOPHILE,
     PLANOPHILE,
     SPHERICAL,

@@ -26,9 +26,9 @@ from forestgen.render.variant import SCALAR, using
 from forestgen.render.views import Shot
 from forestgen.scene.channels import RGB, Channels
 from forestgen.scene.spec import SceneSpec, Sky
-from forestgen.testing.cloud_box import cloud_volume
-from forestgen.testing.radiometry import radiance
-from forestgen.testing.scenes import camera_at, plain_ground, scattered_scene
+from support.cloud_box import cloud_volume
+from support.radiometry import radiance
+from support.scenes import camera_at, plain_ground, scattered_scene
 
 
 def field(seed: int = 1, low_m=(-500.0, -500.0, 100.0), high_m=(500.0, 500.0, 300.0), most: float = 0.05) -> CloudGrid:

@@ -21,7 +21,7 @@ from forestgen.render.surfaces import Paints, repaint
 from forestgen.render.variant import BLOCK_PX, SCALAR, using
 from forestgen.scene.channels import RGB, Channels
 from forestgen.scene.spec import Instances, Material, SceneSpec, Sky
-from forestgen.testing.radiometry import (
+from support.radiometry import (
     Mean,
     Square,
     facets_of,
@@ -31,8 +31,8 @@ from forestgen.testing.radiometry import (
     path_integrator,
     upper_sky,
 )
-from forestgen.testing.scenes import camera_at, plain_ground, scattered_scene, shifted, simple_tree
-from forestgen.testing.turbid import SPHERICAL, strew, tiled
+from support.scenes import camera_at, plain_ground, scattered_scene, shifted, simple_tree
+from support.turbid import SPHERICAL, strew, tiled
 
 ALBEDO = 0.3
 PASSES = {"colour": RGB, "wavelengths": Channels((450.0, 550.0, 865.0))}

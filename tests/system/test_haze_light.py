@@ -26,7 +26,7 @@ from forestgen.render.wavelengths import ColourAtOnce, Pass, quadrature_of
 from forestgen.scene.channels import RGB, Channels
 from forestgen.scene.projection import rays, world_rays
 from forestgen.scene.spec import Camera, Lens, Sky
-from forestgen.testing.scenes import camera_at, plain_ground, scattered_scene
+from support.scenes import camera_at, plain_ground, scattered_scene
 
 LAYER_M = 1.0  # so low that the wall blocks hardly any of the light that the haze scatters
 GREEN = Channels((550.0, 550.0, 550.0))

@@ -24,8 +24,8 @@ from forestgen.scene.spec import Camera, Instances, Material, SceneSpec
 from forestgen.stages.community import final_population
 from forestgen.stages.plan import make_plan
 from forestgen.stages.scene import build_scene
-from forestgen.testing.scenes import camera_at, dyadic_scene, plain_ground, scattered_scene
-from forestgen.testing.twins import trace_twin
+from support.scenes import camera_at, dyadic_scene, plain_ground, scattered_scene
+from support.twins import trace_twin
 
 DOWN = np.array([[1.0, 0, 0], [0, -1.0, 0], [0, 0, -1.0]])  # columns: right is east, down is south, forward is down
 

@@ -25,8 +25,8 @@ from forestgen.scene.wind import Sway, posed, sway_in
 from forestgen.stages.community import final_population
 from forestgen.stages.plan import check_plan
 from forestgen.stages.scene import BuiltScene, build_scene
-from forestgen.testing.scenes import blade_cloud, plain_ground, scattered_scene
-from forestgen.testing.twins import Oracle
+from support.scenes import blade_cloud, plain_ground, scattered_scene
+from support.twins import Oracle
 
 SIZE = (96, 54)
 

@@ -18,7 +18,7 @@ from forestgen.render.slices import Estimate, SliceSum
 from forestgen.render.unfinished import unfinished
 from forestgen.render.views import Shot
 from forestgen.scene.spec import SceneSpec
-from forestgen.testing.scenes import plain_ground, scattered_scene
+from support.scenes import plain_ground, scattered_scene
 
 EVERYWHERE = np.ones((30, 40), dtype=bool)
 

@@ -35,8 +35,8 @@ from forestgen.render.surfaces import surface_bsdf
 from forestgen.render.variant import CUDA, LLVM, SCALAR, drjit, mitsuba, using
 from forestgen.scene.channels import RGB, Channels
 from forestgen.scene.spec import Lens, Material, SceneSpec, Sky, WetGround
-from forestgen.testing.bark_post import REFLECTANCE, TILE_M, leaning_texture, post_scene
-from forestgen.testing.scenes import camera_at, plain_ground, scattered_scene, shifted
+from support.bark_post import REFLECTANCE, TILE_M, leaning_texture, post_scene
+from support.scenes import camera_at, plain_ground, scattered_scene, shifted
 
 UP = (0.0, 0.0, 1.0)
 

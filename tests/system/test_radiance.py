@@ -26,8 +26,8 @@ from forestgen.render.views import pixels_of
 from forestgen.scene.channels import RGB, Channels
 from forestgen.scene.projection import world_rays
 from forestgen.scene.spec import Instances, SceneSpec, Sky, WetGround
-from forestgen.testing.cloud_box import cloud_volume
-from forestgen.testing.scenes import camera_at, plain_ground, scattered_scene
+from support.cloud_box import cloud_volume
+from support.scenes import camera_at, plain_ground, scattered_scene
 
 
 def stand(size_px=(48, 27), plants=60) -> SceneSpec:

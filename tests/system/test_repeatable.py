@@ -100,7 +100,7 @@ def test_one_render_block_a_thread_or_not(threads):
     """A single block of 16 x 16 pixels, fewer blocks than threads: as with one thread."""
     from shots import radiance
 
-    from forestgen.testing.scenes import plain_ground, scattered_scene
+    from support.scenes import plain_ground, scattered_scene
 
     spec = scattered_scene(5, size_m=10, exemplars=2, leaves=50, size_px=(16, 16), terrain=plain_ground(-40, 60))
     before = drjit().thread_count()

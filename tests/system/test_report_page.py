@@ -15,7 +15,7 @@ from selenium.webdriver.chrome.service import Service
 from selenium.webdriver.common.by import By
 
 from forestgen.dataset.report.page import write_report
-from forestgen.testing.data_sets import SPLITS, write_data_set
+from support.data_sets import SPLITS, write_data_set
 
 IMAGES = 40
 HOSTILE = "<img src=x onerror=\"document.title='taken'\">'</script><script>document.title='taken'</script>{{ 7*7 }}"

@@ -32,7 +32,7 @@ from forestgen.scene.spec import Camera, Material, SceneSpec, Sky
 from forestgen.stages.community import final_population
 from forestgen.stages.plan import make_plan
 from forestgen.stages.scene import build_scene
-from forestgen.testing.scenes import camera_at, plain_ground, scattered_scene
+from support.scenes import camera_at, plain_ground, scattered_scene
 
 VISIBLE = np.arange(360.0, 831.0, 5.0)
 

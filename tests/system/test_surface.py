@@ -24,8 +24,8 @@ from forestgen.render.identity.surface import bilinear
 from forestgen.render.surfaces import _bitmap, ground_bsdf
 from forestgen.render.variant import LLVM, drjit, mitsuba
 from forestgen.scene.spec import Camera, Instances, Material, SceneSpec, Sky, WetGround
-from forestgen.testing.scenes import blade_cloud, camera_at, plain_ground, scattered_scene
-from forestgen.testing.twins import Oracle
+from support.scenes import blade_cloud, camera_at, plain_ground, scattered_scene
+from support.twins import Oracle
 
 SIZE_PX = (48, 27)
 VIEWS = {

@@ -15,7 +15,7 @@ from forestgen.dataset.formats import panoptic
 from forestgen.recipe.load import load_recipe_data
 from forestgen.render.identity import SceneTracer
 from forestgen.stages import frames
-from forestgen.testing.scenes import plain_ground, scattered_scene
+from support.scenes import plain_ground, scattered_scene
 
 
 class LightTracedError(Exception):

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from forestgen.render.identity import sample_offsets
 from forestgen.scene.spec import SceneSpec
-from forestgen.testing.twins import Oracle
+from support.twins import Oracle
 
 TIE_PX = 1e-4  # float32 directions and positions place an edge to within about 4e-5 px at the tests' sizes
 MOST_TIES = 2e-5  # of all samples

@@ -19,7 +19,7 @@ from forestgen.atmosphere.fluid.air import (
 from forestgen.atmosphere.fluid.diagnostics import energies_j
 from forestgen.atmosphere.sounding import Sounding
 from forestgen.atmosphere.weather import AirGrid
-from forestgen.testing.plain_air import PlainAir
+from support.plain_air import PlainAir
 
 CALM = Physics(viscosity_m2_per_s=0, confinement=0, sponge_share=0)
 

@@ -8,7 +8,7 @@ import pytest
 from forestgen.atmosphere.grid import CloudGrid
 from forestgen.atmosphere.optical_depth import cloud_opacity, optical_depth
 from forestgen.scene.projection import world_rays
-from forestgen.testing.scenes import camera_at
+from support.scenes import camera_at
 
 TOP_M, HALF_M, PER_M = 60.0, 600.0, 0.01
 EYE = (3.0, -8.0, 1.7)

@@ -21,7 +21,7 @@ from forestgen.atmosphere.humid_air import (
     saturation_pressure_pa,
 )
 from forestgen.atmosphere.sounding import AIR_EXPONENT, GRAVITY_M_PER_S2, LATENT_HEAT_J_PER_KG, saturation_ratio
-from forestgen.testing.dew_point import dew_point_k
+from support.dew_point import dew_point_k
 
 AIR, WATER, R = 28.96, 18.02, 8314.0
 ratios = st.floats(0.0, 0.04, allow_subnormal=False)

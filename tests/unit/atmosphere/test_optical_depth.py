@@ -231,7 +231,7 @@ def test_the_renderer_lets_as_much_light_through() -> None:
     from forestgen.render.sensors import sensor_of
     from forestgen.render.variant import SCALAR, mitsuba
     from forestgen.scene.spec import Camera
-    from forestgen.testing.cloud_box import cloud_volume
+    from support.cloud_box import cloud_volume
 
     grid = replace(random_grid(9), albedo=0.0)
     position = (12.0, -45.0, 30.0)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from forestgen.community.field_measures import measure_field, radial_spectrum, skewness, waves
-from forestgen.community.persistence import field_features
+from support.field_measures import measure_field, radial_spectrum, skewness, waves
+from support.persistence import field_features
 
 SIZE_M = (120.0, 80.0)
 X, Y = np.meshgrid((np.arange(120) + 0.5), (np.arange(80) + 0.5))

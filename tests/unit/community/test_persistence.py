@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pytest
 
-from forestgen.community.persistence import holes, total_persistence
+from support.persistence import holes, total_persistence
 
 
 def test_a_square_has_one_hole():
@@ -56,5 +56,5 @@ def test_points_without_a_hole(points):
 
 
 def test_gudhi_comes_late():
-    code = "import sys, forestgen.community.persistence; assert 'gudhi' not in sys.modules"
+    code = "import sys, support.persistence; assert 'gudhi' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from forestgen.community.point_patterns import Window
-from forestgen.community.stand_measures import (
+from support.stand_measures import (
     belt,
     clustering,
     fit_logistic,

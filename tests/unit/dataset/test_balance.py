@@ -12,7 +12,7 @@ from PIL import Image
 from forestgen.dataset.balance import RARE, balance
 from forestgen.dataset.index import INDEX_NAME
 from forestgen.dataset.report.frames import read_frames
-from forestgen.testing.data_sets import SPLITS, write_data_set
+from support.data_sets import SPLITS, write_data_set
 
 COUNTS = st.dictionaries(st.sampled_from("abcde"), st.integers(0, 10**12), max_size=5)
 

@@ -14,7 +14,7 @@ from forestgen.dataset.check.camera_file import camera_of as camera_of_file
 from forestgen.dataset.exr import camera_position_m
 from forestgen.dataset.formats import nerfstudio
 from forestgen.scene.projection import project, world_rays
-from forestgen.testing.cameras import KINDS, camera_of
+from support.cameras import KINDS, camera_of
 
 
 def pixel_surface(camera, rng):

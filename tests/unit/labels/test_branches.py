@@ -9,7 +9,7 @@ import numpy as np
 from forestgen.architecture.prototype import MOST_NODES
 from forestgen.labels.branches import branch_labels
 from forestgen.render.identity.surface import empty_surface
-from forestgen.testing.scenes import simple_tree
+from support.scenes import simple_tree
 
 
 def test_a_pixel_has_the_module_and_node_of_its_triangle():

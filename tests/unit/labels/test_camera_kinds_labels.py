@@ -14,7 +14,7 @@ from forestgen.render.frame import Surface
 from forestgen.render.identity.surface import empty_surface
 from forestgen.scene import projection
 from forestgen.scene.spec import Camera, Instances
-from forestgen.testing.cameras import KINDS, camera_of
+from support.cameras import KINDS, camera_of
 
 NOBODY = Instances(np.zeros(0, np.uint32), np.zeros((0, 3, 4)), np.zeros(0, np.uint32))
 PLACE = (1.0, 2.0, 3.0)

@@ -13,7 +13,7 @@ from forestgen.core.parts import Part
 from forestgen.dataset.canopy import write_canopy
 from forestgen.labels.gap_fraction import gap_fraction, looks_up
 from forestgen.render.identity import sample_offsets
-from forestgen.testing.cameras import camera_of
+from support.cameras import camera_of
 
 UP = camera_of("fisheye", (200, 200), (0.0, 0.0, 1.0), (0.0, 1e-6, 9.0))
 OFFSETS = sample_offsets(4)

@@ -208,7 +208,7 @@ def test_the_renderers_volume_path_tracer_finds_the_same() -> None:
     from forestgen.render.variant import SCALAR, mitsuba
     from forestgen.scene.channels import RGB
     from forestgen.scene.spec import Camera, Sky
-    from forestgen.testing.cloud_box import cloud_volume
+    from support.cloud_box import cloud_volume
 
     sky, grid, albedo = Sky(50.0, 140.0, 3.0), patchy(albedo=0.99, phase=Phase(0.8, -0.3, 0.85)), 0.5
     size, runs, block = (32, 16), 10, 8

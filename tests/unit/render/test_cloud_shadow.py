@@ -18,7 +18,7 @@ from forestgen.render.variant import SCALAR, mitsuba
 from forestgen.scene.channels import RGB
 from forestgen.scene.projection import world_rays
 from forestgen.scene.spec import Instances, Sky
-from forestgen.testing.scenes import camera_at, plain_ground, scattered_scene
+from support.scenes import camera_at, plain_ground, scattered_scene
 
 
 def march(clouds: CloudGrid, point: np.ndarray, direction: np.ndarray, steps: int = 4000) -> float:

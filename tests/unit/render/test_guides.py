@@ -9,7 +9,7 @@ import pytest
 
 from forestgen.core.timing import Timings
 from forestgen.render.identity import SceneTracer, trace_guides
-from forestgen.testing.scenes import camera_at, plain_ground, scattered_scene
+from support.scenes import camera_at, plain_ground, scattered_scene
 
 
 def lit_ground(elevation_deg, kind="clear"):

@@ -14,7 +14,7 @@ from forestgen.render.surfaces import Paints, surface_bsdf
 from forestgen.render.variant import SCALAR, using
 from forestgen.scene.channels import RGB, Channels
 from forestgen.scene.spec import Material, SceneSpec
-from forestgen.testing.bark_post import REFLECTANCE, TILE_M, leaning_texture, post_scene
+from support.bark_post import REFLECTANCE, TILE_M, leaning_texture, post_scene
 
 
 def render(spec: SceneSpec, light: dict, samples: int = 64, paints: Paints | None = None) -> np.ndarray:

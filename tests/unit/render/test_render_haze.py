@@ -18,7 +18,7 @@ from forestgen.render.variant import SCALAR, using
 from forestgen.render.wavelengths import BandsBySpectrum, ColourAtOnce, ColourBySpectrum
 from forestgen.scene.projection import world_rays
 from forestgen.scene.spec import Sky
-from forestgen.testing.scenes import camera_at
+from support.scenes import camera_at
 
 SKY = Sky(35.0, 200.0, 3.0)
 LEVEL = camera_at((0.0, 0.0, 2.0), (0.0, 100.0, 2.0), (12, 8))

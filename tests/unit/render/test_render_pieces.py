@@ -9,7 +9,7 @@ from forestgen.geometry.mesh import Mesh
 from forestgen.render.denoise import _exposure, denoise
 from forestgen.render.identity import face_normals, hit_tables, sample_offsets
 from forestgen.render.slices import slice_sizes
-from forestgen.testing.scenes import plain_ground, scattered_scene
+from support.scenes import plain_ground, scattered_scene
 
 
 @pytest.mark.parametrize("samples", [1, 4, 9, 16, 256])

@@ -13,7 +13,7 @@ from forestgen.render.cloud_heights import base_of, highest, least_gap_m, sheet_
 from forestgen.render.cloud_shadow import shadow_of
 from forestgen.render.transport import check_far_clouds, cloud_transport_of
 from forestgen.scene.spec import SceneSpec
-from forestgen.testing.scenes import camera_at, plain_ground, scattered_scene
+from support.scenes import camera_at, plain_ground, scattered_scene
 
 
 def layer(base_m: float, thickness_m: float = 100.0) -> CloudGrid:

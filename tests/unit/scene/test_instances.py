@@ -8,7 +8,7 @@ import numpy as np
 from scene_plants import population
 
 from forestgen.scene.assemble import pixel_size_m, place_instances, stand_on
-from forestgen.testing.scenes import camera_at, simple_tree
+from support.scenes import camera_at, simple_tree
 
 
 def placed(count: int = 40, seed: int = 3):

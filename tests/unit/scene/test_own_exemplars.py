@@ -17,7 +17,7 @@ from forestgen.community.population import Population
 from forestgen.scene.assemble import place_instances
 from forestgen.scene.exemplars import plan_exemplars, with_levels
 from forestgen.scene.own_exemplars import LEAST_PIXELS, MOST_TRIANGLES, plan_own, unique_plants, woods_of
-from forestgen.testing.scenes import simple_tree
+from support.scenes import simple_tree
 
 TYPE = PlantType(life_span_yr=100, root_vigour_max=50, growth_rate_per_yr=0.2, apical_control=0.8, determinacy=0.8)
 

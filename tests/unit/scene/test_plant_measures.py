@@ -11,7 +11,7 @@ from forestgen.core.parts import Part
 from forestgen.geometry.mesh import Mesh, surface_area_m2
 from forestgen.plants.exemplar import OrganMesh
 from forestgen.scene.plant_measures import crown_centre, measure_plants, stem_diameter_m
-from forestgen.testing.scenes import plain_ground, post, scattered_scene, simple_tree
+from support.scenes import plain_ground, post, scattered_scene, simple_tree
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,7 @@ from forestgen.scene.projection import (
     world_rays,
 )
 from forestgen.scene.spec import Camera
-from forestgen.testing.cameras import KINDS, camera_of
+from support.cameras import KINDS, camera_of
 
 POSITION_M = (120.0, -35.0, 4.0)
 

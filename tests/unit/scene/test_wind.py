@@ -11,7 +11,7 @@ from forestgen.core.parts import Part
 from forestgen.plants.exemplar import Exemplar
 from forestgen.scene.spec import Instances, SceneSpec
 from forestgen.scene.wind import LARGEST_LEAN_RAD, Sway, natural_frequency_hz, posed, spec_at, sway_in
-from forestgen.testing.scenes import plain_ground, scattered_scene, simple_tree
+from support.scenes import plain_ground, scattered_scene, simple_tree
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ import pytest
 
 from forestgen.render.frame import Surface
 from forestgen.stages.frames import haze_notes
-from forestgen.testing.scenes import plain_ground, scattered_scene
+from support.scenes import plain_ground, scattered_scene
 
 
 def surface_at(distance_m: float) -> Surface:

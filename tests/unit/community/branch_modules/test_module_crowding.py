@@ -19,7 +19,7 @@ from forestgen.community.branch_modules.crowding import (
     overlap_volumes,
     without,
 )
-from forestgen.testing.module_stands import ModuleStand, module_stand
+from support.module_stands import ModuleStand, module_stand
 
 Floats = NDArray[np.float64]
 ROOTS = np.full(2, -1)

@@ -8,7 +8,7 @@ from scipy.stats import chisquare
 
 from forestgen.community.placement.field import DensityField, place
 from forestgen.community.placement.kernels import NEUTRAL, SAMPLES, KernelTable
-from forestgen.testing.lane_algorithms import algorithm_5_1, algorithm_5_2
+from support.lane_algorithms import algorithm_5_1, algorithm_5_2
 
 
 def kernel(distances, values, *, in_radii=True, balanced=False):

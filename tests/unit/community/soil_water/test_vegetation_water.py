@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from forestgen.community.field_measures import FieldMeasures, measure_field
 from forestgen.community.soil_water.ground import Ground
 from forestgen.community.soil_water.model import Water
 from forestgen.community.soil_water.parameters import PlantParameters, SoilWaterParameters
-from forestgen.community.soil_water.vegetation import Vegetation, VegetationWater, bare_state, grown_state
+from support.field_measures import FieldMeasures, measure_field
+from support.vegetation_water import Vegetation, VegetationWater, bare_state, grown_state
 
 SOIL, PLANTS = SoilWaterParameters(), PlantParameters()
 SMALL = Ground((6.0, 6.0), (2, 2), periodic=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from forestgen.testing.ztest import NoisyImage, sidak, welch, welch_blocks
+from support.ztest import NoisyImage, sidak, welch, welch_blocks
 
 SLICES = 8
 

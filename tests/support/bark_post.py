@@ -12,7 +12,7 @@ from forestgen.geometry.mesh import Mesh
 from forestgen.plants.bark.texture import SurfaceTexture
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.scene.spec import Camera, Instances, Material, SceneSpec
-from forestgen.testing.scenes import plain_ground, scattered_scene
+from support.scenes import plain_ground, scattered_scene
 
 REFLECTANCE = (0.33, 0.24, 0.15)
 TILE_M = (0.1, 0.1)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.community.persistence import field_features
+from support.persistence import field_features
 
 Floats = NDArray[np.float64]
 _NOTHING = 1e-100
