@@ -28,7 +28,8 @@ import numpy as np
 
 from forestgen.architecture.plant_type import PlantType
 from forestgen.community.branch_modules.state import State, rows_of_plants
-from forestgen.community.model import Site, SpeciesEcology
+from forestgen.community.ecology import SpeciesEcology
+from forestgen.community.model import Site
 from forestgen.community.models.branch_modules import MODEL
 
 PLANTS, MODULES = 468_199, 2_271_000  # Makowski 2023, Table 4, Fig. 16 g

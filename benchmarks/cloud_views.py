@@ -39,10 +39,11 @@ from forestgen.render.light import sky_light, sun_disc
 from forestgen.render.noise import Until
 from forestgen.render.radiance import render_radiance
 from forestgen.render.sensors import sensor_of
+from forestgen.render.shot import CloudTransport, Shot
 from forestgen.render.sky_pixels import SkyPixels
 from forestgen.render.transport import cloud_transport_of
 from forestgen.render.variant import SCALAR, mitsuba, using
-from forestgen.render.views import CloudTransport, Shot, build_view
+from forestgen.render.views import build_view
 from forestgen.scene.channels import RGB
 from forestgen.scene.spec import Camera, SceneSpec
 from support.cloud_box import cloud_volume

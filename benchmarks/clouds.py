@@ -23,14 +23,14 @@ from forestgen.atmosphere.procedural import cumulus_field
 from forestgen.core.parts import Part
 from forestgen.core.timing import Timings
 from forestgen.render.build import load, origin_of, scene_dict
+from forestgen.render.capture import capture
 from forestgen.render.exact_view import ExactView
 from forestgen.render.light import emitters_of
 from forestgen.render.noise import Until
 from forestgen.render.painted import path_tracer
-from forestgen.render.sensors import capture
+from forestgen.render.shot import Shot
 from forestgen.render.surfaces import Paints
 from forestgen.render.variant import SCALAR, drjit, mitsuba, using
-from forestgen.render.views import Shot
 from forestgen.scene.channels import RGB
 from forestgen.scene.spec import Camera, SceneSpec
 from support.cloud_box import cloud_volume

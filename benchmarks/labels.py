@@ -39,8 +39,8 @@ from forestgen.render.frame import Amodal, Frame, Identity, Radiance, Surface
 from forestgen.render.identity import SceneTracer, trace_identity
 from forestgen.render.noise import Until
 from forestgen.render.radiance import render_radiance
+from forestgen.render.shot import Shot
 from forestgen.render.variant import drjit, mitsuba
-from forestgen.render.views import Shot
 from forestgen.scene.plant_measures import PlantMeasures, measure_plants
 from forestgen.scene.projection import world_rays
 from forestgen.scene.spec import SceneSpec

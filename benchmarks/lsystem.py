@@ -20,7 +20,8 @@ from pathlib import Path
 from statistics import median
 from time import perf_counter
 
-from forestgen.community.model import Site, SpeciesEcology
+from forestgen.community.ecology import SpeciesEcology
+from forestgen.community.model import Site
 from forestgen.community.models.multiset_lsystem import MODEL, State
 from forestgen.lsystem.compiler import compile_listing
 from forestgen.lsystem.derivation import derive

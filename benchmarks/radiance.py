@@ -47,9 +47,9 @@ from forestgen.render.frame import Identity, Radiance
 from forestgen.render.identity import SceneTracer, trace_guides, trace_identity
 from forestgen.render.noise import Until, noise_of
 from forestgen.render.radiance import render_radiance
+from forestgen.render.shot import Shot
 from forestgen.render.slices import Estimate
 from forestgen.render.variant import drjit, mitsuba
-from forestgen.render.views import Shot
 from forestgen.render.wavelengths import Mode
 from forestgen.scene.spec import Camera, SceneSpec
 from forestgen.stages.community import final_population

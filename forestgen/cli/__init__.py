@@ -8,7 +8,6 @@ from typing import Annotated, Any, Optional
 
 import typer
 
-from forestgen import __version__
 from forestgen.cli.calibrate import calibrate
 from forestgen.cli.completion import add_completion, complete_names
 from forestgen.cli.console import errors_for_people
@@ -26,6 +25,7 @@ from forestgen.cli.suggestions import options_suggested
 from forestgen.cli.variadic import RadiiCommand
 from forestgen.cli.verify import verify
 from forestgen.cli.weather import weather
+from forestgen.core.version import __version__
 
 
 class _Commands(typer.core.TyperGroup):

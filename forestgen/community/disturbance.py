@@ -33,7 +33,7 @@ from forestgen.recipe.fields import Coordinate, Fraction, Name, NonNegative, Num
 from forestgen.recipe.sources import Keys
 
 if TYPE_CHECKING:
-    from forestgen.community.model import SpeciesEcology
+    from forestgen.community.ecology import SpeciesEcology
 
 PointOnGround = tuple[Coordinate, Coordinate]
 _MOST_DRAWS = 100_000_000

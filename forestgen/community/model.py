@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
-from forestgen.architecture.plant_type import PlantType
 from forestgen.community.disturbance import Disturbance, Ground, Planting
+from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.population import Population
 from forestgen.core.randomness import child_rng
 from forestgen.recipe.fields import Whole, mistake
@@ -22,36 +22,6 @@ from forestgen.recipe.sources import Keys
 GroundHeight = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
 P = TypeVar("P", bound="CommunityParameters")
 S = TypeVar("S")
-
-
-@dataclass(frozen=True)
-class SpeciesEcology:
-    """How a species lives, as far as a community model cares. All numbers are finite.
-
-    References
-    ----------
-    B. Lane, Models of Plant Communities for Image Synthesis, University of Calgary, 2002, chapters 4 and 6.
-    """
-
-    name: str  # as in the recipe
-    growth_m_per_yr: float  # radial growth of an undominated plant, m/yr, >= 0
-    max_radius_m: float  # R, m, > 0: a plant that reaches it is mature
-    shade_tolerance: float  # shaded[sp]: probability in [0, 1] that a dominated plant survives a step
-    old_age_survival: float  # oldage[sp]: probability in [0, 1] that a mature plant survives a step
-    seedlings_per_ha_per_yr: float  # mean number of seedlings that arrive, 1/(ha yr), >= 0
-    seedling_radius_m: float  # mean radius of an arriving seedling, m, > 0
-    height_scale: float  # A_H of H = A_H r^c_H, metres of height at r = 1 m, > 0
-    height_exponent: float  # c_H of H = A_H r^c_H, >= 0
-    modules: PlantType | None = None  # how it grows as a graph of branch modules; None: not at all
-
-    def __post_init__(self) -> None:
-        for name in (f.name for f in fields(self) if f.name not in ("name", "modules")):
-            value = getattr(self, name)
-            least_is_zero = name not in ("max_radius_m", "seedling_radius_m", "height_scale")
-            most = 1.0 if name in ("shade_tolerance", "old_age_survival") else math.inf
-            if not (math.isfinite(value) and value <= most and (value > 0 or (value == 0 and least_is_zero))):
-                allowed = f"{'[' if least_is_zero else '('}0, {most:g}{']' if most == 1 else ')'}"
-                raise ValueError(f"{self.name}: {name} must lie in {allowed}, got {value!r}")
 
 
 @dataclass(frozen=True)

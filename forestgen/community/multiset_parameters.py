@@ -8,7 +8,8 @@ from typing import Annotated, Any, Self
 
 from pydantic import BaseModel, BeforeValidator, Field, ValidationError, WithJsonSchema, model_validator
 
-from forestgen.community.model import CommunityParameters, Site, SpeciesEcology
+from forestgen.community.ecology import SpeciesEcology
+from forestgen.community.model import CommunityParameters, Site
 from forestgen.community.plant_words import Form, form_of
 from forestgen.community.registry import ENVIRONMENTS
 from forestgen.core.errors import LsystemError

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.community.arrivals import of_species
+from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.environments.contract import Circles
-from forestgen.community.model import Site, SpeciesEcology
+from forestgen.community.model import Site
 from forestgen.community.multiset_parameters import MultisetParameters
 from forestgen.community.plant_words import (
     ORDER,

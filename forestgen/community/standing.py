@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from forestgen.community.arrivals import new_ids, of_species, refuse_overflow
 from forestgen.community.disturbance import Planting
-from forestgen.community.model import CommunityParameters, Site, SpeciesEcology
+from forestgen.community.ecology import SpeciesEcology
+from forestgen.community.model import CommunityParameters, Site
 from forestgen.community.population import Population, Status
 from forestgen.community.snapshot_checks import ImpossibleValueError, Limits, check_columns, check_finite
 from forestgen.core.randomness import child_rng

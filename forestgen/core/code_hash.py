@@ -14,11 +14,12 @@ from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 
-import forestgen
 from forestgen.core.registry import Registration, registrations
+from forestgen.core.version import __version__
 
 SOURCES = (".py", ".lark")
 TABLES = (".csv", ".npz", ".yaml")
+PACKAGE = Path(__file__).parents[1]
 
 
 def code_hash(
@@ -46,12 +47,11 @@ def _code_hash(
     without: tuple[str, ...],
     registered: tuple[Registration, ...],
 ) -> str:
-    root = Path(forestgen.__file__).parent
     digest = hashlib.blake2b(digest_size=20)
     versions = [version(name) for name in packages]
-    digest.update(repr((forestgen.__version__, platform.machine(), platform.python_version(), versions)).encode())
+    digest.update(repr((__version__, platform.machine(), platform.python_version(), versions)).encode())
     for path in source_files(parts, without):
-        _add(digest, root, path)
+        _add(digest, PACKAGE, path)
     for folder in tables:
         for path in _files(folder, TABLES):
             _add(digest, folder, path)
@@ -65,9 +65,8 @@ def _code_hash(
 
 def source_files(parts: tuple[str, ...], without: tuple[str, ...] = ()) -> list[Path]:
     """The files that `code_hash` reads of the package's parts."""
-    root = Path(forestgen.__file__).parent
-    left_out = [root / one for one in without]
-    found = (path for part in parts for path in _files(root / part, SOURCES))
+    left_out = [PACKAGE / one for one in without]
+    found = (path for part in parts for path in _files(PACKAGE / part, SOURCES))
     return [path for path in found if not any(path.is_relative_to(one) for one in left_out)]
 
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.geometry.export import Model, Piece, Surface, images_of, png
+from forestgen.geometry.model import Model, Piece, Surface, images_of, png
 
 _ARRAY_BUFFER, _ELEMENT_ARRAY_BUFFER = 34962, 34963
 _FLOAT, _UNSIGNED_INT = 5126, 5125

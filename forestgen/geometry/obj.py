@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.geometry.export import Model, texture_files
+from forestgen.geometry.model import Model, texture_files
 
 
 def obj_files(model: Model, file_name: str) -> dict[str, bytes]:

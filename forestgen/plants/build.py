@@ -22,7 +22,7 @@ from forestgen.plants.organs.base import OrganForm
 from forestgen.plants.parameters import Fit, PlantParameters
 from forestgen.plants.registry import GENERATORS
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
-from forestgen.plants.variation.model import vary
+from forestgen.plants.variation.courses import vary
 
 _TRIANGLE_BYTES = 150  # of an organ's triangle while it is meshed
 _LEAST_ORGAN_M = 5e-5  # single precision at a tree's top tells no points of a smaller organ apart

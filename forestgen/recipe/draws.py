@@ -218,15 +218,6 @@ def _distribution(keys: Keys, value: Any, sources: SourceMap) -> Distribution:
     return one
 
 
-def copied(value: Any) -> Any:
-    """A copy of plain data, mappings and lists and what is in them, several times as fast as `copy.deepcopy`."""
-    if type(value) is dict:
-        return {key: copied(item) for key, item in value.items()}
-    if type(value) is list:
-        return [copied(item) for item in value]
-    return value
-
-
 def mentions(value: Any, words: frozenset[str]) -> bool:
     """Whether a mapping in `value`, at any depth, has one of these keys."""
     if isinstance(value, dict):

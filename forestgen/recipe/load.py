@@ -25,13 +25,13 @@ from forestgen.core.randomness import child_root
 from forestgen.recipe.assemble import apply_override, embed_program, embed_tables, merge_species, spell_out
 from forestgen.recipe.biome import forget_drawn_biome, settle_biome
 from forestgen.recipe.distributions import Distribution, Scalar
-from forestgen.recipe.draws import Draws, copied, find_written, mentions, put
+from forestgen.recipe.draws import Draws, find_written, mentions, put
 from forestgen.recipe.hashing import recipe_hash
 from forestgen.recipe.map_files import embed_maps
 from forestgen.recipe.messages import Explainer
 from forestgen.recipe.reading import check_version, make_draws, splits_of, suggest_shipped, whole_number
 from forestgen.recipe.schema import SCHEMA_VERSION, Recipe
-from forestgen.recipe.sources import Keys, Place, SourceMap
+from forestgen.recipe.sources import Keys, Place, SourceMap, copied
 from forestgen.recipe.species import Species
 from forestgen.recipe.splits import split_of
 from forestgen.recipe.stand_ins import replace_sections, sections_of

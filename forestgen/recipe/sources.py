@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 Keys = tuple[str | int, ...]
 
@@ -56,3 +57,12 @@ class SourceMap:
         for keys, place in list(other.places.items()):
             if keys[:n] == source:
                 self.places[target + keys[n:]] = place
+
+
+def copied(value: Any) -> Any:
+    """A copy of plain data, mappings and lists and what is in them, several times as fast as `copy.deepcopy`."""
+    if type(value) is dict:
+        return {key: copied(item) for key, item in value.items()}
+    if type(value) is list:
+        return [copied(item) for item in value]
+    return value

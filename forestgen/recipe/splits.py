@@ -10,15 +10,9 @@ and without looking at the images before it.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from fractions import Fraction
 from functools import lru_cache
-from typing import TYPE_CHECKING
-
-from forestgen.core.errors import RecipeError
-
-if TYPE_CHECKING:
-    from forestgen.recipe.load import LoadedRecipe
 
 _BITS = 64  # of an image's number
 _Shares = tuple[tuple[str, float], ...]
@@ -55,23 +49,6 @@ def used_splits(splits: Mapping[str, float], images: range) -> list[str]:
             if len(used) == len(splits):
                 break
     return used
-
-
-def check_splits(loaded: LoadedRecipe, splits: Sequence[str]) -> None:
-    """Refuse a run that would show one stand in several of the splits that it uses.
-
-    Raises
-    ------
-    RecipeError : the recipe has ``same_stand: true`` and there is more than one split.
-    """
-    if loaded.data.get("same_stand") is True and len(splits) > 1:
-        raise RecipeError(
-            "one stand cannot be in several splits: what is tested would have been learned",
-            where=loaded.sources.where(("same_stand",)),
-            expected="by_split, a stand for each split; or false, a stand for each image",
-            got=f"true, with the splits {', '.join(splits)}",
-            hint="or one split: --set 'dataset.splits={train: 1}'",
-        )
 
 
 @lru_cache(maxsize=64)

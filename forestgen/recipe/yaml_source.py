@@ -14,8 +14,7 @@ from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 
 from forestgen.core.errors import AssetError, ForestgenError, RecipeError
-from forestgen.recipe.draws import copied
-from forestgen.recipe.sources import Keys, Place, SourceMap, dotted
+from forestgen.recipe.sources import Keys, Place, SourceMap, copied, dotted
 
 MAX_BYTES = 1_000_000  # more than any hand writes; ruamel reads some 20 kB a second
 MAX_DEPTH = 40

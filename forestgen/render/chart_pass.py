@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from forestgen.core.progress import Progress
 from forestgen.core.randomness import child_rng, child_seed
 from forestgen.render.build import origin_of
+from forestgen.render.capture import capture
 from forestgen.render.irradiance import Floats, Lit, Source, passes_at, sources_of
-from forestgen.render.sensors import capture
 from forestgen.render.variant import BLOCK_PX, SCALAR, using
 from forestgen.render.wavelengths import ColourBySpectrum
 from forestgen.scene.channels import RGB, Channels

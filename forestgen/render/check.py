@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
-import ctypes.util
-
 from forestgen.render.variant import LLVM, SCALAR, drjit, find_llvm, mitsuba
 
 
@@ -31,21 +28,3 @@ def check_llvm() -> str:
         if total != 4950:
             raise RuntimeError(f"the sum of 0 to 99 came out as {total}")
     return f"works, {library}"
-
-
-def check_cuda() -> str:
-    """Name the CUDA devices; asks the driver itself, because Dr.Jit would log an error where there is none."""
-    path = ctypes.util.find_library("cuda")
-    if path is None:
-        raise RuntimeError("no CUDA driver")
-    driver = ctypes.CDLL(path)
-    count = ctypes.c_int(0)
-    if driver.cuInit(0) != 0 or driver.cuDeviceGetCount(ctypes.byref(count)) != 0 or count.value == 0:
-        raise RuntimeError("a CUDA driver, but no device")
-    names = []
-    for number in range(count.value):
-        device, name = ctypes.c_int(0), ctypes.create_string_buffer(256)
-        known = driver.cuDeviceGet(ctypes.byref(device), number) == 0
-        known = known and driver.cuDeviceGetName(name, len(name), device) == 0
-        names.append(name.value.decode(errors="replace") if known else "unknown")
-    return ", ".join(names)

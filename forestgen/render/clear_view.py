@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from forestgen.core.randomness import child_seed
 from forestgen.render.identity import SceneTracer
 from forestgen.render.paths.lit_scene import LitScene
+from forestgen.render.shot import Shot, Timer
 from forestgen.render.sky_radiance import sky_map
-from forestgen.render.views import Shot, Timer
 from forestgen.scene.channels import Channels
 
 

@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.render.build import load
+from forestgen.render.capture import capture
 from forestgen.render.painted import path_tracer
-from forestgen.render.sensors import FilmWindow, capture
+from forestgen.render.sensors import FilmWindow
 from forestgen.render.variant import mitsuba
 from forestgen.scene.spec import Camera
 

@@ -33,15 +33,16 @@ from forestgen.core.errors import RenderError
 from forestgen.core.randomness import child_rng, child_seed
 from forestgen.render import cloud_bricks
 from forestgen.render.build import load, origin_of, ray_corners_m, scene_dict
+from forestgen.render.capture import capture
 from forestgen.render.cloud_walks import SunDisc, WalkField
 from forestgen.render.escapes import Escapes, EscapeScene
 from forestgen.render.light import emitters_of, has_sun, sun_disc
 from forestgen.render.painted import Painted, path_tracer
-from forestgen.render.sensors import FilmWindow, capture, is_assembled
+from forestgen.render.sensors import FilmWindow, is_assembled
 from forestgen.render.settings import CLOUD_ROULETTE_DEPTH
+from forestgen.render.shot import Shot, Timer
 from forestgen.render.sky_radiance import along, sky_map, sun_radiance
 from forestgen.render.variant import SCALAR, mitsuba, using
-from forestgen.render.views import Shot, Timer
 from forestgen.scene.channels import Channels
 from forestgen.scene.spec import SceneSpec
 

@@ -21,8 +21,8 @@ from forestgen.render.cloud_shadow import sheet_of
 from forestgen.render.identity import SceneTracer
 from forestgen.render.light import has_sun
 from forestgen.render.paths.lit_scene import LitScene
+from forestgen.render.shot import Shot, Timer
 from forestgen.render.sky_pixels import SkyPixels
-from forestgen.render.views import Shot, Timer
 from forestgen.scene.channels import Channels
 
 Floats = NDArray[np.float64]

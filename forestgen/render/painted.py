@@ -6,9 +6,9 @@ from collections.abc import Callable
 from typing import Any
 
 from forestgen.render.settings import ROULETTE_DEPTH
+from forestgen.render.shot import Timer
 from forestgen.render.surfaces import Paints, repaint
 from forestgen.render.variant import BLOCK_PX, mitsuba
-from forestgen.render.views import Timer
 from forestgen.scene.channels import RGB, Channels
 
 

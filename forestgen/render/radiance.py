@@ -17,13 +17,14 @@ from numpy.typing import NDArray
 from forestgen.atmosphere.daylight import daylight_of
 from forestgen.core.progress import Progress
 from forestgen.core.randomness import child_rng
+from forestgen.render.capture import least_samples
 from forestgen.render.frame import Radiance
 from forestgen.render.identity import SceneTracer
 from forestgen.render.noise import Noise, Schedule, noise_of
-from forestgen.render.sensors import least_samples
+from forestgen.render.shot import Shot, Timer, View, is_exact
 from forestgen.render.slices import SliceSum
 from forestgen.render.unfinished import Unfinished
-from forestgen.render.views import Shot, Timer, View, build_view, is_exact, pixels_of
+from forestgen.render.views import build_view, pixels_of
 from forestgen.render.wavelengths import Quadrature, quadrature_of
 
 _STEPS = 1000  # of the progress of an image

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.render.settings import SAMPLER
-from forestgen.render.tracing import interruptible
 from forestgen.render.variant import mitsuba
 from forestgen.scene.spec import Camera
 
@@ -100,27 +99,3 @@ def _film(size_px: tuple[int, int], window: FilmWindow | None) -> dict[str, Any]
             "crop_height": window.height,
         }
     return film
-
-
-def least_samples(camera: Camera) -> int:
-    """Samples a pixel of one capture, to which fewer are raised."""
-    if not is_assembled(camera):
-        return 1
-    from forestgen.render.assembled import LEAST_SAMPLES
-
-    return LEAST_SAMPLES
-
-
-def capture(
-    integrator: Any, scene: Any, camera: Camera, *, samples: int, seed: int, window: FilmWindow | None = None
-) -> NDArray[np.float64]:
-    """(H, W, 4) three channels and alpha of any camera; of a window only that part.
-
-    Samples are a pixel; Ctrl-C stops it. Outside of a fisheye's circle everything is 0.
-    """
-    if is_assembled(camera):
-        from forestgen.render.assembled import assemble
-
-        return assemble(integrator, scene, camera, samples=samples, seed=seed, window=window)
-    image = interruptible(integrator, scene, sensor_of(camera, samples, window), seed, samples)
-    return image.astype(np.float64)

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from forestgen.core.errors import RecipeError
 from forestgen.render.build import ray_corners_m
 from forestgen.render.cloud_heights import far_base_of, highest, least_gap_m, near_base_of, tops_of
-from forestgen.render.views import CloudTransport
+from forestgen.render.shot import CloudTransport
 from forestgen.scene.spec import Camera, SceneSpec
 
 Floats = NDArray[np.float64]

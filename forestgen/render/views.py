@@ -6,53 +6,21 @@ Both follow their paths by paths/. exact_view.py has Mitsuba trace the clouds' v
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
+from contextlib import nullcontext
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.progress import Progress
-from forestgen.render.noise import Until
+from forestgen.render.shot import Shot, Timer, View, is_exact
 from forestgen.render.variant import SCALAR, using
-from forestgen.render.wavelengths import Mode
-from forestgen.scene.channels import Channels
 from forestgen.scene.projection import image_circle, rays
-from forestgen.scene.spec import Camera, SceneSpec
+from forestgen.scene.spec import Camera
 
 if TYPE_CHECKING:
     from forestgen.render.identity import SceneTracer
-
-CloudTransport = Literal["farfield", "exact"]
-Timer = Callable[[str], AbstractContextManager[Any]]
-
-
-@dataclass(frozen=True)
-class Shot:
-    """What to render, and how well."""
-
-    spec: SceneSpec
-    camera: Camera
-    until: Until
-    seed: int  # of the frame
-    mode: Mode = "rgb"  # a camera with bands is rendered at wavelengths whatever it says
-    max_depth: int = 64  # longest path through the canopy; clouds have their own
-    cloud_transport: CloudTransport = "farfield"
-    position_m: NDArray[np.float32] | None = None  # (H, W, 3) world, of what pixels show, NaN sky; None: near the site
-
-
-class View(Protocol):
-    """A scene, ready to be captured."""
-
-    def take(self, channels: Channels, samples: int, number: tuple[int, int]) -> NDArray[np.float64]:
-        """(H, W, 3) radiance in three channels, by independent paths for each `number` of replicate and pass."""
-
-
-def is_exact(shot: Shot) -> bool:
-    """Whether light is traced through the clouds' volume and the scene together."""
-    return shot.spec.clouds is not None and shot.cloud_transport == "exact"
 
 
 def build_view(shot: Shot, progress: Progress, timer: Timer, tracer: SceneTracer | None = None) -> View:

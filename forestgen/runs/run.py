@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from forestgen.core.errors import DatasetError, ForestgenError, OutputError, RecipeError
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.recipe.load import LoadedRecipe
-from forestgen.recipe.splits import check_splits, used_splits
+from forestgen.recipe.splits import used_splits
 from forestgen.runs.contract import TRANSIENT, Done, Engine, Failed, JobRecord, Lock, Notice, Outcome, Place, Work
 from forestgen.runs.damage import damaged_images
 from forestgen.runs.discards import check_discards, standing
@@ -24,7 +24,7 @@ from forestgen.runs.meter import Listener, Meter, SilentListener
 from forestgen.runs.places import LocalPlace, place_of
 from forestgen.runs.records import done_keys, records_of
 from forestgen.runs.summary import RunSummary, write_jobs_table, write_summary
-from forestgen.stages.data_set import check_one_data_set, check_stands, data_set_of
+from forestgen.stages.data_set import check_one_data_set, check_splits, check_stands, data_set_of
 from forestgen.stages.plan import check_plan
 
 _AHEAD = 2  # jobs that are drawn and handed on, for each worker; one by one where the first failure ends the run

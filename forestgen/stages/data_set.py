@@ -79,3 +79,20 @@ def check_stands(plan: Plan, loaded: LoadedRecipe, splits: Sequence[str]) -> Non
 
 def _show(value: object) -> str:
     return ", ".join(map(str, value)) if isinstance(value, tuple) else repr(value)
+
+
+def check_splits(loaded: LoadedRecipe, splits: Sequence[str]) -> None:
+    """Refuse a run that would show one stand in several of the splits that it uses.
+
+    Raises
+    ------
+    RecipeError : the recipe has ``same_stand: true`` and there is more than one split.
+    """
+    if loaded.data.get("same_stand") is True and len(splits) > 1:
+        raise RecipeError(
+            "one stand cannot be in several splits: what is tested would have been learned",
+            where=loaded.sources.where(("same_stand",)),
+            expected="by_split, a stand for each split; or false, a stand for each image",
+            got=f"true, with the splits {', '.join(splits)}",
+            hint="or one split: --set 'dataset.splits={train: 1}'",
+        )

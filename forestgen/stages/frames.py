@@ -24,9 +24,9 @@ from forestgen.render.haze import through_haze
 from forestgen.render.identity import SceneTracer, trace_guides, trace_identity
 from forestgen.render.noise import Until
 from forestgen.render.radiance import render_radiance
+from forestgen.render.shot import Shot
 from forestgen.render.transport import cloud_transport_of
 from forestgen.render.unfinished import unfinished
-from forestgen.render.views import Shot
 from forestgen.scene.projection import world_rays
 from forestgen.scene.spec import Camera, SceneSpec
 

@@ -10,8 +10,8 @@ import numpy as np
 from forestgen.core.errors import RecipeError
 from forestgen.geometry.atlas import unwrap
 from forestgen.geometry.baking import bake
-from forestgen.geometry.export import Piece, Surface, srgb
 from forestgen.geometry.mesh import Mesh, surface_area_m2
+from forestgen.geometry.model import Piece, Surface, srgb
 from forestgen.geometry.simplify import decimate
 from forestgen.geometry.vectors import concatenate
 from forestgen.plants.bark.texture import SurfaceTexture

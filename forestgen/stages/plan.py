@@ -14,7 +14,8 @@ from typing import Any
 
 from forestgen.community.branch_modules.parameters import BranchModulesParameters
 from forestgen.community.disturbance import Ground
-from forestgen.community.model import CommunityParameters, Site, SpeciesEcology
+from forestgen.community.ecology import SpeciesEcology
+from forestgen.community.model import CommunityParameters, Site
 from forestgen.community.placement.density_map import check_maps
 from forestgen.community.placement.stands import PlacementParameters
 from forestgen.community.registry import COMMUNITY_MODELS

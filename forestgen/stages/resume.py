@@ -13,16 +13,16 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from forestgen import __version__
-from forestgen.community.branch_modules.changes import Change
+from forestgen.community.branch_modules.change import Change
 from forestgen.community.disturbance import Disturbance
 from forestgen.community.ecoclimate.parameters import ClimateChange, GlobalSeeding
+from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.history import open_history
-from forestgen.community.model import SpeciesEcology
 from forestgen.community.module_history import NAME
 from forestgen.community.population import Population
 from forestgen.community.snapshot_checks import ImpossibleValueError, check_snapshot
 from forestgen.core.errors import AssetError, RecipeError
+from forestgen.core.version import __version__
 from forestgen.recipe.hashing import recipe_hash
 from forestgen.stages.community_cache import simulation_code
 from forestgen.stages.differences import differences, shown

@@ -16,8 +16,9 @@ from forestgen.core.errors import RecipeError
 from forestgen.core.parts import Part
 from forestgen.core.progress import Progress
 from forestgen.core.randomness import child_rng
-from forestgen.geometry.export import FORMATS, Model, Piece, Surface, Value, model_files, png
+from forestgen.geometry.export import FORMATS, model_files
 from forestgen.geometry.mesh import surface_area_m2
+from forestgen.geometry.model import Model, Piece, Surface, Value, png
 from forestgen.plants.bark.texture import texture_images
 from forestgen.plants.build import build_exemplar, size_m
 from forestgen.plants.exemplar import Exemplar, OrganMesh

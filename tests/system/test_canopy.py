@@ -15,8 +15,8 @@ import pytest
 
 from forestgen.core.timing import Timings
 from forestgen.render.build import load, origin_of, scene_dict
+from forestgen.render.capture import capture
 from forestgen.render.identity import SceneTracer, sample_offsets, trace_identity
-from forestgen.render.sensors import capture
 from forestgen.render.surfaces import Paints
 from forestgen.render.variant import SCALAR, using
 from forestgen.scene.projection import rays, world_rays

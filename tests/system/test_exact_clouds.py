@@ -13,17 +13,17 @@ from forestgen.core.errors import RenderError
 from forestgen.core.timing import Timings
 from forestgen.render import exact_view
 from forestgen.render.build import load, origin_of, scene_dict
+from forestgen.render.capture import capture
 from forestgen.render.cloud_bricks import Bricks, brick_shapes, camera_shell, divide
 from forestgen.render.cloud_walks import WalkField
 from forestgen.render.exact_view import ExactView, clear_air_m, endless_tracer
 from forestgen.render.light import emitters_of, sky_light
 from forestgen.render.noise import Until
 from forestgen.render.painted import path_tracer
-from forestgen.render.sensors import capture
+from forestgen.render.shot import Shot
 from forestgen.render.sky_radiance import along, sky_map
 from forestgen.render.surfaces import Paints
 from forestgen.render.variant import SCALAR, using
-from forestgen.render.views import Shot
 from forestgen.scene.channels import RGB, Channels
 from forestgen.scene.spec import SceneSpec, Sky
 from support.cloud_box import cloud_volume

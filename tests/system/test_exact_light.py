@@ -13,9 +13,9 @@ from forestgen.core.parts import Part
 from forestgen.core.timing import Timings
 from forestgen.plants.bark.texture import SurfaceTexture
 from forestgen.render.build import load, origin_of, scene_dict
+from forestgen.render.capture import capture
 from forestgen.render.identity import SceneTracer, trace_identity
 from forestgen.render.light import sky_light, sun_disc
-from forestgen.render.sensors import capture
 from forestgen.render.settings import ROULETTE_DEPTH
 from forestgen.render.surfaces import Paints, repaint
 from forestgen.render.variant import BLOCK_PX, SCALAR, using

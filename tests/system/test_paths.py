@@ -20,6 +20,7 @@ from forestgen.core.timing import Timings
 from forestgen.geometry.mesh import Mesh
 from forestgen.plants.bark.texture import bark_texture
 from forestgen.recipe.species import Bark
+from forestgen.render.capture import capture
 from forestgen.render.cloud_shadow import Sheet
 from forestgen.render.identity import SceneTracer
 from forestgen.render.paths.light import Sky as SkyOnDevice
@@ -29,7 +30,6 @@ from forestgen.render.paths.scattering import Local, Surfaces
 from forestgen.render.paths.sequence import sequence_of
 from forestgen.render.paths.surface_tables import face_tangents, paint_of, relief_tables
 from forestgen.render.paths.tracer import PathTracer
-from forestgen.render.sensors import capture
 from forestgen.render.sky_radiance import MAP_COLUMNS, MAP_ROWS, along, sky_map
 from forestgen.render.surfaces import surface_bsdf
 from forestgen.render.variant import CUDA, LLVM, SCALAR, drjit, mitsuba, using

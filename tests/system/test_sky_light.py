@@ -13,9 +13,9 @@ from forestgen.atmosphere.daylight import daylight_of, illuminance, overcast_ill
 from forestgen.core.frames import look_at
 from forestgen.core.spectrum import Spectrum
 from forestgen.recipe.load import load_recipe
+from forestgen.render.capture import capture
 from forestgen.render.light import lights
 from forestgen.render.painted import path_tracer
-from forestgen.render.sensors import capture
 from forestgen.render.sky_radiance import map_directions, sun_irradiance
 from forestgen.render.variant import SCALAR, drjit, mitsuba, using
 from forestgen.scene.channels import RGB, Channels

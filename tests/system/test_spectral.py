@@ -18,13 +18,14 @@ from forestgen.core.spectrum import Band, Spectrum
 from forestgen.core.timing import Timings
 from forestgen.recipe.load import load_recipe
 from forestgen.render import wavelengths
+from forestgen.render.capture import capture
 from forestgen.render.denoise import denoise, denoise_bands
 from forestgen.render.identity import SceneTracer, trace_guides
 from forestgen.render.noise import Until
 from forestgen.render.radiance import _replicate
-from forestgen.render.sensors import capture
+from forestgen.render.shot import Shot
 from forestgen.render.variant import SCALAR, mitsuba, using
-from forestgen.render.views import Shot, build_view
+from forestgen.render.views import build_view
 from forestgen.render.wavelengths import BandsBySpectrum, ColourAtOnce, ColourBySpectrum, quadrature_of
 from forestgen.scene.channels import Channels
 from forestgen.scene.colour import colour_of_radiance, colour_of_reflectance, observer

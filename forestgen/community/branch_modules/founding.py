@@ -16,7 +16,8 @@ from forestgen.community.branch_modules.parameters import BranchModulesParameter
 from forestgen.community.branch_modules.seeding import begun
 from forestgen.community.branch_modules.state import Plants, State, appended, no_modules, no_snags, without_modules
 from forestgen.community.branch_modules.surroundings import boxes_of, ground_at
-from forestgen.community.model import Site, SpeciesEcology
+from forestgen.community.ecology import SpeciesEcology
+from forestgen.community.model import Site
 from forestgen.core.randomness import child_rng
 
 _ROUNDS = 200  # of draws for places on open ground

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, BeforeValidator, Field, WithJsonSchema, model_validator
 from pydantic_core import PydanticCustomError
 
-from forestgen.community.branch_modules.changes import Change, species_key
+from forestgen.community.branch_modules.change import Change, species_key
 from forestgen.community.disturbance import PointOnGround
 from forestgen.community.model import CommunityParameters
 from forestgen.community.placement.density_map import DensityMap

@@ -14,7 +14,8 @@ from forestgen.community.branch_modules.kinds import kinds_at
 from forestgen.community.branch_modules.parameters import BranchModulesParameters
 from forestgen.community.branch_modules.state import Plants, Snags, State, appended, reordered, rows_of_plants
 from forestgen.community.branch_modules.surroundings import ground_at
-from forestgen.community.model import Site, SpeciesEcology
+from forestgen.community.ecology import SpeciesEcology
+from forestgen.community.model import Site
 from forestgen.community.population import Population, Status
 from forestgen.community.snapshot_checks import ImpossibleValueError, Limits, arrival_limits, check_columns, place_of
 from forestgen.core.errors import RecipeError

@@ -11,7 +11,8 @@ from forestgen.architecture.modules import Modules
 from forestgen.architecture.plant_type import PlantType
 from forestgen.architecture.prototype import Prototype
 from forestgen.community.branch_modules.parameters import BranchModulesParameters
-from forestgen.community.model import Site, SpeciesEcology
+from forestgen.community.ecology import SpeciesEcology
+from forestgen.community.model import Site
 
 
 @dataclass(frozen=True)

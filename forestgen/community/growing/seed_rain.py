@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.ground.living_conditions import Conditions
 from forestgen.community.growing.interactions import Interactions, Rivals, invitation
-from forestgen.community.model import Site, SpeciesEcology
+from forestgen.community.model import Site
 from forestgen.community.placement.densities import COUNTING_CELLS, grid_shape, relative_density
 from forestgen.community.placement.density_map import DensityMap
 from forestgen.community.placement.field import DensityField

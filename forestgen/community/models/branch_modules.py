@@ -112,7 +112,8 @@ from forestgen.community.branch_modules.snapshot import check_resumable, populat
 from forestgen.community.branch_modules.state import State, appended, rows_of_plants
 from forestgen.community.branch_modules.step import advanced
 from forestgen.community.disturbance import Planting, planted
-from forestgen.community.model import Site, SpeciesEcology
+from forestgen.community.ecology import SpeciesEcology
+from forestgen.community.model import Site
 from forestgen.community.population import Population
 from forestgen.core.errors import RecipeError
 

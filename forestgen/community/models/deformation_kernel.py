@@ -119,8 +119,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.ground.living_conditions import Conditions
-from forestgen.community.model import Site, SpeciesEcology
+from forestgen.community.model import Site
 from forestgen.community.placement.asked_and_placed import Densities, asked_densities, deformed
 from forestgen.community.placement.clustering import (
     CELLS_PER_SPACING,

@@ -42,7 +42,8 @@ from forestgen.community.disturbance import Planting
 from forestgen.community.ecoclimate.months import advanced_ecoclimate, begun
 from forestgen.community.ecoclimate.parameters import EcoclimateParameters, GlobalSeeding, seedings_in_time
 from forestgen.community.ecoclimate.state import Books, Ecoclimate
-from forestgen.community.model import Site, SpeciesEcology
+from forestgen.community.ecology import SpeciesEcology
+from forestgen.community.model import Site
 from forestgen.community.models.branch_modules import MODEL as FOREST
 from forestgen.community.models.branch_modules import most_seedlings, with_dead
 from forestgen.community.population import Population

@@ -64,7 +64,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from forestgen.community.model import Site, SpeciesEcology
+from forestgen.community.ecology import SpeciesEcology
+from forestgen.community.model import Site
 from forestgen.community.placement.densities import COUNTING_CELLS, grid_shape, plant_counts, species_density
 from forestgen.community.placement.model import PlacementModel, placed_state, placement_rng, wanted_plants
 from forestgen.community.placement.stands import PlacementParameters

@@ -61,7 +61,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from forestgen.community.model import Site, SpeciesEcology
+from forestgen.community.ecology import SpeciesEcology
+from forestgen.community.model import Site
 from forestgen.community.placement.gridded import GriddedModel, GriddedParameters, density_at, read_densities
 from forestgen.community.placement.labelling import deal, label
 from forestgen.community.placement.lattice import lattice_shape

@@ -52,7 +52,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from forestgen.community.model import Site, SpeciesEcology
+from forestgen.community.ecology import SpeciesEcology
+from forestgen.community.model import Site
 from forestgen.community.placement.densities import COUNTING_CELLS
 from forestgen.community.placement.labelling import choose, deal, label
 from forestgen.community.placement.lattice import Lattice, lattice, lattice_shape

@@ -92,9 +92,10 @@ from pydantic import Field, field_validator
 
 from forestgen.community.arrivals import new_ids, of_species, refuse_overflow, seedlings, seedlings_per_step
 from forestgen.community.disturbance import Planting, planted
+from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.growing.interactions import Interactions, Rivals, establishment, quality
 from forestgen.community.growing.seed_rain import Ground, GroundSection, ground_of, seed_rain
-from forestgen.community.model import CommunityParameters, Site, SpeciesEcology
+from forestgen.community.model import CommunityParameters, Site
 from forestgen.community.placement.density_map import DensityMap
 from forestgen.community.placement.kernels import (
     NAMED,

@@ -87,7 +87,8 @@ from numpy.typing import NDArray
 
 from forestgen.community.arrivals import new_ids
 from forestgen.community.disturbance import Planting, planted
-from forestgen.community.model import Site, SpeciesEcology
+from forestgen.community.ecology import SpeciesEcology
+from forestgen.community.model import Site
 from forestgen.community.multiset_parameters import MultisetParameters, program_of
 from forestgen.community.multiset_state import State, answered, check_restorable, restored, snapshot, too_many
 from forestgen.community.plant_words import OWN, RADIUS, SPECIES, join_words, plant_words, plants_of, take_words

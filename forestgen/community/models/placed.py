@@ -59,8 +59,9 @@ from pydantic import Field, field_validator
 
 from forestgen.community.arrivals import new_ids
 from forestgen.community.disturbance import Ground, planted
+from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.inventory import PlacedPlant, rows
-from forestgen.community.model import CommunityParameters, Site, SpeciesEcology
+from forestgen.community.model import CommunityParameters, Site
 from forestgen.community.standing import Plants, Standing, State, azimuth_of
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.fields import Whole

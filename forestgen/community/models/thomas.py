@@ -52,7 +52,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from forestgen.community.model import Site, SpeciesEcology
+from forestgen.community.ecology import SpeciesEcology
+from forestgen.community.model import Site
 from forestgen.community.placement.gridded import GriddedModel, GriddedParameters, density_at, read_densities
 from forestgen.community.placement.model import placed_state, placement_rng, wanted_plants
 from forestgen.community.placement.stands import PlacementParameters

@@ -40,7 +40,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from forestgen.community.model import Site, SpeciesEcology
+from forestgen.community.ecology import SpeciesEcology
+from forestgen.community.model import Site
 from forestgen.community.placement.field import DensityField
 from forestgen.community.placement.gridded import GriddedModel, GriddedParameters, read_densities
 from forestgen.community.placement.model import chances, placed_state, placement_rng, wanted_plants

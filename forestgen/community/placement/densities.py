@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
+from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.ground.living_conditions import Conditions, suitability
-from forestgen.community.model import Site, SpeciesEcology
+from forestgen.community.model import Site
 from forestgen.community.placement.density_map import LEAST, MapSection
 from forestgen.community.placement.stands import MOST_PLANTS, PlacementParameters, Sizes, Stand
 from forestgen.core.errors import RecipeError

@@ -19,14 +19,12 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.community.placement.field_layout import LANES, LARGE_PAGE, SMALLEST
 from forestgen.community.placement.kernels import GREATEST, KernelTable
 
 if TYPE_CHECKING:
     from forestgen.community.placement.field_kernel import Effects
     from forestgen.community.placement.field_trees import Trees
-
-LANES = 8  # cells of a strip: a line of the processor's memory
-LARGE_PAGE = 2**18  # numbers: what the processor finds the place of at once, where the system gives it
 
 
 class DensityField:
@@ -117,7 +115,6 @@ class DensityField:
         return self._fields
 
     def _changed(self) -> None:
-        from forestgen.community.placement.field_lanes import SMALLEST
         from forestgen.community.placement.field_trees import build
 
         cells = self._fields.trees.cells

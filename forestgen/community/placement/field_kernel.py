@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.community.placement.field import LANES
 from forestgen.community.placement.field_lanes import (
     ask_for,
     distances,
@@ -29,6 +28,7 @@ from forestgen.community.placement.field_lanes import (
     times,
     times_table,
 )
+from forestgen.community.placement.field_layout import LANES
 from forestgen.community.placement.field_trees import (
     GREATEST_TOTAL,
     SMALLEST_TOTAL,

@@ -16,9 +16,8 @@ from numba.core import cgutils, types
 from numba.core.datamodel import models
 from numba.extending import intrinsic, register_model
 
-from forestgen.community.placement.field import LANES
+from forestgen.community.placement.field_layout import LANES, SMALLEST
 
-SMALLEST = 1e-290  # a cell below is 0: products stay clear of the slow numbers near the smallest
 _VECTOR = ir.VectorType(ir.DoubleType(), LANES)
 _WHOLE = ir.VectorType(ir.IntType(32), LANES)
 _INDEX = ir.IntType(32)

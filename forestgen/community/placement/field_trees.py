@@ -17,9 +17,7 @@ from __future__ import annotations
 from math import frexp, ldexp
 from typing import Any, NamedTuple
 
-from forestgen.community.placement.field import LANES
 from forestgen.community.placement.field_lanes import (
-    SMALLEST,
     load,
     load_across,
     load_line,
@@ -32,6 +30,7 @@ from forestgen.community.placement.field_lanes import (
     sum_of,
     with_number,
 )
+from forestgen.community.placement.field_layout import LANES, SMALLEST
 from forestgen.core.compiled import contracted, inlined
 
 GREATEST_TOTAL, SMALLEST_TOTAL = 1e250, 1e-150  # outside, a field is scaled by a power of two

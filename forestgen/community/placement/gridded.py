@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from forestgen.community.model import Site, SpeciesEcology
+from forestgen.community.ecology import SpeciesEcology
+from forestgen.community.model import Site
 from forestgen.community.placement.densities import grid_shape, species_density
 from forestgen.community.placement.model import PlacementModel
 from forestgen.community.placement.stands import PlacementParameters

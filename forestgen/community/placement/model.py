@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.community.disturbance import planted
+from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.ground.living_conditions import why_barred
-from forestgen.community.model import Site, SpeciesEcology
+from forestgen.community.model import Site
 from forestgen.community.placement.asked_and_placed import Densities, asked_densities
 from forestgen.community.placement.densities import (
     COUNTING_CELLS,

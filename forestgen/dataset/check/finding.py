@@ -1,16 +1,11 @@
-"""What a check finds, and what a check is."""
+"""What a check finds."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-
-if TYPE_CHECKING:
-    from forestgen.dataset.check.frame_data import FrameData
-    from forestgen.dataset.check.merged import Merged
 
 
 @dataclass(frozen=True)
@@ -54,34 +49,6 @@ def misunderstood(file: str, error: Exception, image: str = "", plant_id: int | 
     """The finding of content that a check cannot understand; `error` is one of `MISUNDERSTOOD`."""
     reason = f"{type(error).__name__}: {error}"
     return Finding(file, "the content is not of this format", got=reason[:200], image=image, plant_id=plant_id)
-
-
-@dataclass(frozen=True)
-class FrameCheck:
-    """An invariant of one image."""
-
-    name: str
-    holds: str  # what is true if it passes, for people
-    file: str  # that it is about, inside the frame's folder or, if `shared`, in the data set's
-    applies: Callable[[FrameData], bool]  # whether the files that it reads are there
-    find: Callable[[FrameData], Iterator[Finding]]
-    shared: bool = False
-
-
-@dataclass(frozen=True)
-class DatasetCheck:
-    """An invariant of the files over all images."""
-
-    name: str
-    holds: str
-    file: str
-    applies: Callable[[Merged], bool]
-    find: Callable[[Merged], Iterator[Finding]]
-
-
-def always(_: object) -> bool:
-    """Of checks whose files are in every data set."""
-    return True
 
 
 def number(value: Any) -> str:

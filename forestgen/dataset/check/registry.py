@@ -24,7 +24,7 @@ from forestgen.dataset.check import (
     points,
     yolo,
 )
-from forestgen.dataset.check.finding import DatasetCheck, FrameCheck, always
+from forestgen.dataset.check.check import DatasetCheck, FrameCheck, always
 from forestgen.dataset.check.frame_data import CAMERA, EXR, INSTANCE, PLANTS, SEMANTIC
 from forestgen.dataset.check.merged import BOP, COCO, MANIFEST, PANOPTIC, TRANSFORMS
 

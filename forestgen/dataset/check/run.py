@@ -21,14 +21,8 @@ from typing import Any
 from forestgen.core.errors import ResourceError
 from forestgen.core.processes import without_main
 from forestgen.core.progress import Progress
-from forestgen.dataset.check.finding import (
-    MISUNDERSTOOD,
-    DatasetCheck,
-    Finding,
-    FrameCheck,
-    UnreadableError,
-    misunderstood,
-)
+from forestgen.dataset.check.check import DatasetCheck, FrameCheck
+from forestgen.dataset.check.finding import MISUNDERSTOOD, Finding, UnreadableError, misunderstood
 from forestgen.dataset.check.frame_data import FrameData, FrameTask
 from forestgen.dataset.check.merged import Merged, open_dataset
 from forestgen.dataset.check.registry import DATASET_CHECKS, FIRST, FRAME_CHECKS, HASHES, SHARED_HASHES

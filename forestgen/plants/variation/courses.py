@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
 from forestgen.plants.variation.loop import carry, walk
+from forestgen.plants.variation.model import Variation
 from forestgen.plants.variation.tables import Axes, axes_of, tables
-
-if TYPE_CHECKING:
-    from forestgen.plants.variation.model import Variation
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -75,7 +73,7 @@ class Courses:
 
 
 def courses(skeleton: Skeleton, variation: Variation, rng: np.random.Generator) -> Courses:
-    """Where the loop takes every node, in double precision; see `variation.vary`."""
+    """Where the loop takes every node, in double precision; see `vary`."""
     base = skeleton.position_m.astype(np.float64)
     axes = axes_of(skeleton, base)
     t = tables(axes, variation, rng)
@@ -108,3 +106,16 @@ def courses(skeleton: Skeleton, variation: Variation, rng: np.random.Generator) 
         source=out["source"][:made],
         share=out["share"][:made],
     )
+
+
+def vary(skeleton: Skeleton, variation: Variation, rng: np.random.Generator) -> Skeleton:
+    """The plant as it would have grown under the influences of `variation`.
+
+    Lengths, and the base's own bends, are as they were; axes may have more nodes. Without influences the skeleton
+    comes back unchanged.
+
+    Raises
+    ------
+    RecipeError : more growth steps than memory holds.
+    """
+    return courses(skeleton, variation, rng).skeleton(skeleton)

@@ -96,8 +96,6 @@ from typing import Annotated, Literal, Self
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from forestgen.plants.skeleton import Skeleton
-from forestgen.plants.variation.courses import courses
 from forestgen.recipe.curves import Curve, PositiveCurve
 
 #: Where a positive angle turns to. up: to the sky; side: to the left (an upright axis: to +x and to -y, east and
@@ -221,16 +219,3 @@ class Variation(BaseModel):
         if sum(one.turns == "plant" for one in self.displacements) > 1:
             raise ValueError("a plant is turned over once: at most one displacement with turns: plant")
         return self
-
-
-def vary(skeleton: Skeleton, variation: Variation, rng: np.random.Generator) -> Skeleton:
-    """The plant as it would have grown under the influences of `variation`.
-
-    Lengths, and the base's own bends, are as they were; axes may have more nodes. Without influences the skeleton
-    comes back unchanged.
-
-    Raises
-    ------
-    RecipeError : more growth steps than memory holds.
-    """
-    return courses(skeleton, variation, rng).skeleton(skeleton)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,10 +10,8 @@ from numpy.typing import NDArray
 from forestgen.geometry.vectors import rotate, unit
 from forestgen.plants.budget import check_budget
 from forestgen.plants.skeleton import Skeleton
+from forestgen.plants.variation.model import Plane, Variation
 from forestgen.recipe.curves import Function, evaluate
-
-if TYPE_CHECKING:
-    from forestgen.plants.variation.model import Plane, Variation
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -5,7 +5,8 @@ from typing import Any
 
 import pytest
 
-from forestgen.community.model import Site, SpeciesEcology
+from forestgen.community.ecology import SpeciesEcology
+from forestgen.community.model import Site
 
 _TREE = {
     "name": "tree",

@@ -12,9 +12,10 @@ from pydantic import ValidationError
 from scipy import stats
 
 from forestgen.community.disturbance import Planting
+from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.environments.domination import dominated
 from forestgen.community.growing.interactions import Interactions, Rivals, establishment, invitation, quality
-from forestgen.community.model import Site, SpeciesEcology, simulate
+from forestgen.community.model import Site, simulate
 from forestgen.community.models.kernel_growth import MODEL, survivors
 from forestgen.community.placement.kernels import NEUTRAL, KernelSection, KernelTable, table
 from forestgen.community.population import Status

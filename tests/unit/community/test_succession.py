@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
-from forestgen.community.model import Site, SpeciesEcology, simulate
+from forestgen.community.ecology import SpeciesEcology
+from forestgen.community.model import Site, simulate
 from forestgen.community.models.multiset_lsystem import MODEL
 from forestgen.community.statistics import count_by_species, cover_by_species, hopkins_index
 

@@ -109,7 +109,7 @@ def test_every_user_of_it_names_parts_that_exist() -> None:
     from forestgen.runs import keys
     from forestgen.stages import community_cache
 
-    root = Path(module.forestgen.__file__).parent
+    root = module.PACKAGE
     for parts in (simulate.SOURCES, *(one._SOURCES for one in (keys, cache, unfinished, community_cache))):
         assert all((root / part).exists() for part in parts)
         assert module.source_files(parts)
@@ -119,7 +119,7 @@ def test_jobs_are_known_by_all_code_that_makes_their_files() -> None:
     """What a batch's key counts, and what a worker calls, imports nothing of forestgen's that it does not count."""
     from forestgen.runs import keys
 
-    root = Path(module.forestgen.__file__).parent
+    root = module.PACKAGE
     counted = set(module.source_files(keys._SOURCES, keys._WITHOUT))
     left_out = set(module.source_files(keys._SOURCES)) - counted
     assert {one.partition("/")[0] for one in keys._WITHOUT} == {"dataset"}

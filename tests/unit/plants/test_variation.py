@@ -12,8 +12,8 @@ from forestgen.plants.build import build_exemplar, size_m
 from forestgen.plants.foliage import place
 from forestgen.plants.registry import GENERATORS
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
-from forestgen.plants.variation.courses import courses
-from forestgen.plants.variation.model import Variation, vary
+from forestgen.plants.variation.courses import courses, vary
+from forestgen.plants.variation.model import Variation
 from forestgen.recipe.load import load_recipe_data
 from forestgen.stages.plan import make_plan
 

@@ -8,8 +8,8 @@ from forestgen.core.timing import Timings
 from forestgen.plants.bark.texture import bark_texture
 from forestgen.recipe.species import Bark
 from forestgen.render.build import load, origin_of, plants_dict
+from forestgen.render.capture import capture
 from forestgen.render.identity import SceneTracer, trace_identity
-from forestgen.render.sensors import capture
 from forestgen.render.surfaces import Paints, surface_bsdf
 from forestgen.render.variant import SCALAR, using
 from forestgen.scene.channels import RGB, Channels

@@ -14,7 +14,8 @@ from PIL import Image
 from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
 
-from forestgen.community.model import Site, SpeciesEcology
+from forestgen.community.ecology import SpeciesEcology
+from forestgen.community.model import Site
 from forestgen.community.placement.density_map import MapSection
 from forestgen.community.population import Population
 from forestgen.community.registry import COMMUNITY_MODELS

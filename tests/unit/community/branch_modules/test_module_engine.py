@@ -13,7 +13,8 @@ from forestgen.architecture.plant_type import PlantType
 from forestgen.community.branch_modules.kinds import kinds_at
 from forestgen.community.branch_modules.vigour import axis_lengths_m, distribute, net_gain, stature_of
 from forestgen.community.disturbance import Planting
-from forestgen.community.model import Site, SpeciesEcology, simulate
+from forestgen.community.ecology import SpeciesEcology
+from forestgen.community.model import Site, simulate
 from forestgen.community.models.branch_modules import MODEL
 from forestgen.community.population import Status
 from forestgen.core import threads

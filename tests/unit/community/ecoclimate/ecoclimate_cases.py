@@ -14,7 +14,8 @@ from forestgen.community.branch_modules.surroundings import Surroundings, surrou
 from forestgen.community.branch_modules.vigour import stature_of
 from forestgen.community.ecoclimate.parameters import EcoclimateParameters
 from forestgen.community.ecoclimate.state import Ecoclimate
-from forestgen.community.model import Site, SpeciesEcology
+from forestgen.community.ecology import SpeciesEcology
+from forestgen.community.model import Site
 from forestgen.community.models.ecoclimate import MODEL
 
 SITE = Site((15.0, 12.0))
