@@ -100,11 +100,12 @@ def recipe_page() -> str:
     text = [
         _NOTICE,
         "# Every key of a recipe\n",
-        "Any number may be a distribution, drawn anew for each image: `{uniform: [a, b]}`, `{normal: [mean, sd]}`",
+        "This page lists all keys of a recipe, with type, range and default. Users who write recipes need it.\n",
+        "Any number may be a distribution, drawn again for each image: `{uniform: [a, b]}`, `{normal: [mean, sd]}`",
         "(or with bounds: `{normal: {mean: 20, sd: 4, low: 5, high: 40}}`), `{lognormal: [median, sigma]}`,",
         "`{integers: [a, b]}`, `{choice: [a, b, c]}`, `{choice: {values: [a, b], weights: [3, 1]}}`; or",
-        "`{sequence: [a, b, c]}`, one after another by the image's number.",
-        "[Randomisation](randomisation.md) has more.\n",
+        "`{sequence: [a, b, c]}`, one value after another, by the image's number.",
+        "[Randomisation](randomisation.md) has the details.\n",
     ]
     for name, title in _SECTIONS.items():
         definition = definitions[name]
@@ -125,7 +126,7 @@ def model_page(registry: Registry, name: str) -> str:
     text = [
         _NOTICE,
         f"# {name}\n",
-        f"A {registry.kind}.\n",
+        f"{'An' if registry.kind[0] in 'aeiou' else 'A'} {registry.kind}.\n",
         _markdown(manual),
         "\n## Parameters\n",
         _table(schema, definitions),
@@ -161,17 +162,20 @@ def plant_page() -> str:
     text = [
         _NOTICE,
         "# plant\n",
-        "Keys of a species' `plant:` block that every generator has, beside its own. A plant is made in this order:",
-        "the generator grows wood, [variation](variation.md) bends it, foliage rules place [organs](../organs.md), and",
-        "the whole is fitted to the height and width that its community radius gives.\n",
-        "Where a table says `curve`, a number, points, a smooth curve or a formula will do:\n",
+        "This page lists the keys of a species' `plant:` block that all generators share.\n",
+        "A plant is made in this order:\n",
+        "1. The generator grows wood.",
+        "2. [Variation](variation.md) bends it.",
+        "3. Foliage rules place [organs](../organs.md).",
+        "4. The plant is fitted to the height and width that follow from its community radius.\n",
+        "A `curve` is a number, points, a smooth curve or a formula:\n",
         "```yaml",
         "internode_m: 0.2                                          # constant",
         "internode_m: [[0, 0.3], [1, 0.08]]                        # straight between the points, constant beyond",
         "internode_m: {smooth: [[0, 0.3], [0.5, 0.2], [1, 0.08]]}  # through the points without overshoot",
         'internode_m: {formula: "0.3 - 0.22 * x^2"}                # of the position x',
         "```\n",
-        "A whole species' file, as small as it gets; [its other keys](../recipe.md#species-each):\n",
+        "This is a minimal species file. It may have [further keys](../recipe.md#species-each):\n",
         f"```yaml\n{smallest}```\n",
         "## Parameters\n",
         _table(schema, definitions),
@@ -185,7 +189,8 @@ def figures_page() -> str:
     text = [
         _NOTICE.replace("code", "recipes"),
         "# Published figures, again\n",
-        "Made from `recipes/reproductions/*_fig*.yaml`. `uv run python docs/pictures.py figures` makes the pictures of",
+        "This page shows reproductions of published figures, made from `recipes/reproductions/*_fig*.yaml`.\n",
+        "`uv run python docs/pictures.py figures` makes the pictures of",
         "plants, `docs/pictures.py kernels map_placement two_species daisies forest` those of communities.\n",
     ]
     figures = recipes_by_figure()
@@ -278,11 +283,15 @@ def species_page() -> str:
     text = [
         _NOTICE.replace("generate.py", "species_sheet.py").replace("code", "species' files"),
         "# Species\n",
-        "Each plant close up, its organs at detail 2, and from 30 m: " + ", ".join(pictured) + ".\n",
+        "This page lists the species that come with forestgen: numbers, pictures, sources.\n",
+        "The picture shows these species close up, with organs at detail 2, and from 30 m: "
+        + ", ".join(pictured)
+        + ".\n",
         "![Every species close up and from 30 m](pictures/library.jpg)\n",
-        "Numbers are those of one mature plant, seed 3. Leaf area is of one side; the index is leaf area over the",
-        "crown's projection, π/4 width²; masses are dry. `forestgen plant NAME` grows one. Species of the generator",
-        "`branch_modules` have none: they grow in [communities of branch modules](branch_modules.md) alone.\n",
+        "The numbers describe one mature plant, seed 3. Leaf area is of one side; the index is leaf area divided by",
+        "the crown's projection, π/4 width²; masses are dry. `forestgen plant NAME` grows a plant. Species of the",
+        "generator `branch_modules` have no numbers: they grow only in",
+        "[communities of branch modules](branch_modules.md).\n",
         "| species | generator | height m | width m | triangles | leaf area m² | index | wood kg | leaves kg |",
         "|---|---|---|---|---|---|---|---|---|",
     ]
@@ -306,10 +315,10 @@ def climate_table(types: Mapping[str, PlantType]) -> list[str]:
     """What each plant type likes, as lines of a page."""
     text = [
         "\n## Climates\n",
-        "What suits the species that grow by [branch modules](branch_modules.md) and in [ecoclimates](ecoclimates.md):",
-        "mean warmth and rain a year, ± one standard deviation, at which vigour and seeds fall to 0.61.",
-        "Shade tolerance is the light that counts in the deepest shade; a branch needs `compensation` to live,",
-        "0.4 unless a species says otherwise. A recipe may give other numbers:",
+        "The table has the optimal climate of species that grow by [branch modules](branch_modules.md) and in",
+        "[ecoclimates](ecoclimates.md): mean annual temperature and rain, ± one standard deviation, at which vigour",
+        "and seeds fall to 0.61. Shade tolerance is the light that counts in the deepest shade. A branch needs",
+        "`compensation` to live, 0.4 unless a species overrides it. A recipe may override the numbers:",
         "`species: {oak: {from: oak, modules: {temperature_c: 11}}}`.\n",
         "| species | °C | mm a year | shade tolerance | life span, years | flowers at, years |",
         "|---|---|---|---|---|---|",
@@ -344,8 +353,8 @@ def _markdown(manual: str) -> str:
                 out[-1] = out[-1].removesuffix("\n```") + "\n\n" + "\n".join(fenced[1:])
             else:
                 out.append("\n".join(fenced))
-        else:
-            out.append(block[:-1] if block.endswith("::") else block)
+        elif block != "::":
+            out.append(block[:-1].removesuffix(" :") if block.endswith("::") else block)
     return "\n\n".join(out)
 
 

@@ -97,7 +97,7 @@ class MultisetParameters(CommunityParameters):
         WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "object"}], "default": "domination"}),
     ] = Field(
         EnvironmentChoice(model="domination"),
-        description="who takes what from whom: an environment's id, or {model: id, ...}",
+        description="competition model: an environment's id, or {model: id, ...}",
     )
     most_plants: int = Field(
         5_000_000, ge=1, le=500_000_000, description="stop with a message where the community grows beyond this"

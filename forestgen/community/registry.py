@@ -17,51 +17,51 @@ COMMUNITY_MODELS = Registry(
         ),
         "ecoclimate": (
             "forestgen.community.models.ecoclimate:MODEL",
-            "branch modules that live by soil water and shade, and shape them (Makowski 2023, chapter 4)",
+            "branch modules that depend on soil water and shade, and change both (Makowski 2023, chapter 4)",
         ),
         "forest_footprints": (
             "forestgen.community.models.forest_footprints:MODEL",
-            "saplings whose vigour decides who dominates, and whose health tells (Randleff-Rasmussen 2004)",
+            "saplings: vigour determines domination, health determines death (Randleff-Rasmussen 2004)",
         ),
         "halftone": (
             "forestgen.community.models.halftone:MODEL",
-            "points that follow a density as a printer's dots follow grey (Floyd and Steinberg 1975)",
+            "error diffusion (halftoning) of a density into points (Floyd and Steinberg 1975)",
         ),
         "height_field": (
             "forestgen.community.models.height_field:MODEL",
-            "trees on a jittered grid, of the species that the ground suits (Reeves and Blau 1985)",
+            "trees on a jittered grid; the ground determines their species (Reeves and Blau 1985)",
         ),
         "jittered_grid": (
             "forestgen.community.models.jittered_grid:MODEL",
-            "a plant a cell of a lattice, moved inside its cell (Neyret 1996)",
+            "one plant per cell of a lattice, moved at random inside its cell (Neyret 1996)",
         ),
         "kernel_growth": (
             "forestgen.community.models.kernel_growth:MODEL",
-            "seedlings where the plants' kernels let them, and competition by the same kernels (Lane 2002, chapter 7)",
+            "establishment and competition of plants by the same deformation kernels (Lane 2002, chapter 7)",
         ),
         "multiset_lsystem": (
             "forestgen.community.models.multiset_lsystem:MODEL",
-            "self-thinning, succession, propagation, or a program of yours (Lane 2002, multiset L-systems)",
+            "self-thinning, succession, propagation, or your own program (Lane 2002, multiset L-systems)",
         ),
         "placed": (
             "forestgen.community.models.placed:MODEL",
-            "plants at given places: an inventory or a figure; nothing grows but older",
+            "plants at given positions, from an inventory or a figure; they only age",
         ),
         "poisson_disc": (
             "forestgen.community.models.poisson_disc:MODEL",
-            "random places no two of which are near one another (Bridson 2007)",
+            "random positions with a minimum distance (Bridson 2007)",
         ),
         "strauss": (
             "forestgen.community.models.strauss:MODEL",
-            "plants that dislike, to a degree, to stand near their like (Strauss 1975)",
+            "plants of a species that repel each other with given strength (Strauss 1975)",
         ),
         "thomas": (
             "forestgen.community.models.thomas:MODEL",
-            "clusters around parents that nobody sees (Thomas 1949)",
+            "clusters around unobserved parent points (Thomas 1949)",
         ),
         "uniform": (
             "forestgen.community.models.uniform:MODEL",
-            "independent random places: no pattern at all",
+            "independent random positions",
         ),
     },
 )
@@ -83,7 +83,7 @@ ENVIRONMENTS = Registry(
         ),
         "aikman_watkinson": (
             "forestgen.community.environments.aikman_watkinson:ENVIRONMENT",
-            "the mean size against the plot: no neighbours, no places (Aikman and Watkinson 1980)",
+            "size relative to the mean and plot crowding; positions do not matter (Aikman and Watkinson 1980)",
         ),
     },
 )

@@ -1,4 +1,4 @@
-"""plants.parquet: one row a plant of the population, seen or not, by rising plant_id.
+"""plants.parquet: one row a plant of the population, visible or not, by rising plant_id.
 
 Lengths are metres in the world frame; pixels count from the image's upper left corner, right and down. Null: unknown,
 or nothing there. How the image's columns are defined stands in `forestgen.labels.plants_table`, the measures in
@@ -12,7 +12,7 @@ or nothing there. How the image's columns are defined stands in `forestgen.label
 | height_m, radius_m | double | the community's height and radius of the ecological neighbourhood | |
 | age_yr | double | | |
 | status | uint8 | `forestgen.community.population.Status`; names are in the file's metadata | |
-| adaptation | double | how well climate and soil water suit it, 0 to 1, as felt in its last step | of models without |
+| adaptation | double | how well climate and soil water suit it, 0 to 1, in its last step | of models without |
 | exemplar | uint32 | which of the modelled plants stands for it | |
 | crown_width_m | double | mean of the extents along its own x and y | |
 | dbh_m | double | stem diameter at 1.3 m | no living stem there |

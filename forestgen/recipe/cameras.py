@@ -127,8 +127,8 @@ class Camera(Section):
     obstructed: Annotated[
         Literal["error", "note"],
         Field(
-            description="What a camera below the ground, in a house or in a trunk is: a mistake, told before it is "
-            "rendered; or a note, for data sets whose cameras stand at random."
+            description="How a camera below the ground, in a house or in a trunk is treated. error: reported before it "
+            "is rendered. note: rendered with a note, for data sets with random cameras."
         ),
     ] = "error"
     path: Annotated[

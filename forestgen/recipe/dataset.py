@@ -22,7 +22,7 @@ class Licence(Section):
 
 
 class Dataset(Section):
-    """Files for those who train and measure, besides the frames' own."""
+    """Files for training and evaluation, besides the frames' own."""
 
     formats: Annotated[
         tuple[Format, ...],

@@ -44,7 +44,7 @@ class Plants(Section):
             ge=1,
             le=1000,
             description="Plants of each size that all images of a split share, for data sets of many images: sizes are "
-            "rungs of a ladder, and an image shows `variants_per_size` of them. null: every image grows its own "
+            "on a fixed scale, and an image shows `variants_per_size` of them. null: every image grows its own "
             "plants. No two splits share a plant.",
         ),
     ] = None

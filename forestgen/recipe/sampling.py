@@ -28,7 +28,7 @@ _Strata = Annotated[Literal["all"] | Whole | tuple[_Level, ...], BeforeValidator
 
 
 class Correlation(Section):
-    """Two drawn values that go together."""
+    """Two correlated drawn values."""
 
     keys: Annotated[tuple[_Key, _Key], Field(description="Two keys or variables that are drawn.")]
     rank: Annotated[
@@ -45,7 +45,7 @@ class Correlation(Section):
 
 
 class Sampling(Section):
-    """How the draws of a recipe's images are spread over their ranges, tied together and shared."""
+    """How the draws of a recipe's images are spread over their ranges, correlated and shared."""
 
     method: Annotated[
         Method,
@@ -74,7 +74,7 @@ class Sampling(Section):
         ),
     ] = {}  # noqa: RUF012 - pydantic copies a default
     correlations: Annotated[
-        tuple[Correlation, ...], Field(description="Pairs of drawn values that go together.", max_length=1000)
+        tuple[Correlation, ...], Field(description="Pairs of correlated drawn values.", max_length=1000)
     ] = ()
     variables: Annotated[
         dict[_Variable, Any],

@@ -125,7 +125,7 @@ class Site(Section):
 
 
 class Community(OpenSection):
-    """Who grows where: a community model, and keys that the model checks itself."""
+    """The plants of the stand: a community model, and keys that the model checks itself."""
 
     model: Annotated[Text, Field(min_length=1, max_length=100, description="Id of the community model.")]
 
@@ -209,7 +209,7 @@ class Recipe(Section):
     ] = False
     site: Annotated[Site, Field(description="The piece of land.")] = Site()
     species: Annotated[dict[Name, Species], Field(min_length=1, max_length=1000, description="Species by name.")]
-    community: Annotated[Community, Field(description="Who grows where: a model and its own keys.")]
+    community: Annotated[Community, Field(description="The plants of the stand: a community model and its own keys.")]
     plants: Annotated[Plants, Field(description="How plants are modelled.")] = Plants()
     sky: Annotated[SkySection, Field(description="Everything above: sun, clear sky, clouds.")] = SkySection()
     cameras: Annotated[list[Camera], Field(min_length=1, max_length=1000, description="Cameras, at least one.")]
@@ -218,7 +218,7 @@ class Recipe(Section):
     wind: Annotated[Wind, Field(description="How plants lean and sway.")] = Wind()
     dataset: Annotated[Dataset, Field(description="Files for training and measuring.")] = Dataset()
     sampling: Annotated[
-        Sampling | None, Field(description="How draws are spread over the images, tied together and shared.")
+        Sampling | None, Field(description="How draws are spread over the images, correlated and shared.")
     ] = None
 
     @model_validator(mode="before")

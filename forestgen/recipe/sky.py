@@ -149,7 +149,7 @@ class SkySection(Section):
         Literal["clear", "overcast"],
         Field(
             description="clear: sun and blue sky, with clouds if there are any. overcast: the CIE standard overcast "
-            "sky, without a sun; its light goes by the height at which the sun stands behind it."
+            "sky, without a sun; its light depends on the sun's elevation."
         ),
     ] = "clear"
     sun: Annotated[Sun, Field(description="Where the sun stands, by angles or by date.")] = Sun()

@@ -252,7 +252,7 @@ class Species(Section):
     ] = None
     modules_plant: Annotated[
         Plant | None,
-        Field(description="What clothes its branch modules, where `plant` serves other communities; null: `plant`."),
+        Field(description="Plant generator of its branch modules, if `plant` serves other communities; null: `plant`."),
     ] = None
     materials: Annotated[
         dict[Name, Material], Field(default_factory=dict, description="Materials of the plant's organs, by name.")

@@ -12,11 +12,11 @@ There are no parameters. Heights and species have no influence. A dominated circ
 Decided where the thesis is silent: of two equal circles the one with the higher plant_id, the later born, is
 dominated, so that the answer depends neither on the order of rows nor on rounding.
 
-Method: the neighbour grid, in whose cells the champion, the circle of highest rank (radius, then age), comes first.
-In a crowd a few champions and the rest that none of them meets are told apart; only where this rest is large too, the
-cell is put in order of rank. A circle looks through its cells until somebody beats it. That is little work where
-circles are few, and little where they overlap much; most is to be done for many circles that lie in one cell, much
-smaller than it, and do not meet. The decision is that of float64.
+Method: the neighbour grid. The circle of highest rank (radius, then age) comes first in its cell. In a crowded cell a
+few circles of high rank are separated from the circles that none of them intersects; only if many circles remain, the
+cell is sorted by rank. The search for a circle ends at the first circle that dominates it. This is fast for few
+circles and for circles with much overlap. It is slowest for many circles in one cell that are much smaller than the
+cell and do not intersect. The decision is that of float64.
 """
 
 from __future__ import annotations

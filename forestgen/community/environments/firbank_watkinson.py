@@ -18,9 +18,9 @@ one_sided   d       1      0 < d <= 1  0.9
 ==========  ======  =====  ==========  =======
 
 d = 1: the tallest takes everything; d = 0.5 divides equally between two. Decided where the thesis is silent: the last
-gets the remainder (else a part of the ground feeds nobody), of equal heights the lower plant_id counts as taller, and
-d = 0.9 unless said otherwise. A circle that a small torus lets overlap itself competes with its images, so that the
-zones still sum to the union.
+gets the remainder (otherwise a part of the ground would be unused), of equal heights the lower plant_id counts as
+taller, and d = 0.9 unless said otherwise. A circle that a small torus lets overlap itself competes with its images, so
+that the zones still sum to the union.
 
 Method, exact but for rounding: w is constant between arcs, so by Green's theorem z_i is a sum over the arcs in and on
 circle i, each times the jump of w across it. One walk round every circle, with the set of circles that cover the place,

@@ -32,9 +32,9 @@ Parameters are `BranchModulesParameters`, this section's keys, and `PlantType`, 
 
 A plant's radius is that of its crown, its height that of its highest node; both at least 1 cm. Columns: modules,
 trunk_diameter_m, foot_diameter_m, wood_volume_m3, leaf_area_m2, vigour (of the root), light (mean Q_eff), flowering,
-next_module, adaptation (o as felt in the last step, of the dead in their last; 1 before the first and of obstacles).
-With standing_dead_yr also dead_yr, years since death; with dieback_share tallest_m, the greatest height so far.
-Status: MATURE flowers, DOMINATED has a mean light below a half, DEAD is a standing dead tree.
+next_module, adaptation (o in the last step, of the dead in their last; 1 before the first and of obstacles). With
+standing_dead_yr also dead_yr, years since death; with dieback_share tallest_m, the greatest height so far. Status:
+MATURE flowers, DOMINATED has a mean light below a half, DEAD is a standing dead tree.
 
 Decided where the print is silent or wrong:
 
@@ -48,10 +48,10 @@ Decided where the print is silent or wrong:
   is so about the number of leafy modules in full light that feed a plant at its greatest.
 - A module is stunted that in twice the time in which full vigour makes it grow up has not come to a thirtieth of that.
   Without this, buds just above v_min, which Eq. 7 lets grow by nothing, would wait for ever; so would seedlings.
-- c, `compensation` (0.4), is ours. Without it a plant in the deepest shade still sums up s_tol of every module, and the
-  larger it is the less it can die: no stand thins itself. With it a module in deep shade feeds nobody and is fed: types
-  with s_tol below about 0.5 die where it is dark, those above wait, and grow slowly the more they tolerate. At forks a
-  branch of gain below zero counts as zero, gets nothing, and falls: crowns clean their stems.
+- c, `compensation` (0.4), is ours. Without it a plant in the deepest shade still sums up s_tol of every module, and
+  the larger it is the less it can die: no stand thins itself. With it a module in deep shade has a negative gain:
+  types with s_tol below about 0.5 die where it is dark, those above wait, and grow slowly the more they tolerate. At
+  forks a branch of gain below zero counts as zero, gets nothing, and falls: crowns clean their stems.
 - `reach_m` (25 m) and `upkeep` (0.01 / m) are ours. At λ = 1 and wherever the leader has more than v_max, Eqs. 2 and 7
   give a stem that grows at one speed as long as the plant lives. The way of water bounds the height of trees: the
   tension rises with it, and what wood still conducts falls as a Weibull function of the tension (Neufeld et al. 1992,
@@ -71,18 +71,18 @@ Decided where the print is silent or wrong:
 - l_max is not given: 0.8 m, a whole module of Table 1's trees is then 1.5 to 2 m long. a_mature is 1.
 - F_eff is limited to flowering_delay_max (1.2) times F_age: seen from v_rootmax = 600, a young stem of λ = 1 never
   flowers.
-- α of Table 1 is below 0 for hemlock, sequoia, willow and spruce, and Eq. 3 takes its cosine, which knows no sign.
-  Above 0 it is read as an angle from the vertical (cypress and eucalyptus rise steeply), below 0 as one below the
-  horizontal: so conifers have the level and drooping branches that they are known by, and brooms otherwise.
+- α of Table 1 is below 0 for hemlock, sequoia, willow and spruce, and Eq. 3 takes its cosine, which does not depend on
+  the sign. Above 0 it is read as an angle from the vertical (cypress and eucalyptus rise steeply), below 0 as one
+  below the horizontal: so conifers have the level and drooping branches that they are known by, and brooms otherwise.
 - The tropism's angle is that of branches: modules that continue a leading (λ > 0.5) plant's main axis turn upright.
   Root modules are upright and never turn; the root's prototype is that of λ and D. A new module begins along the
   segment that bears it, rolled by a random angle of its identity; along the parent's own axis, as in the print,
   laterals would stand upright.
 - Pipes of shed modules stay in the wood below them until new ones take their place, all but `disused_share` (0.15):
   stems never shrink; see shedding.py.
-- `standing_dead_yr` and `dieback_share` are ours: what dies over 1.3 m stands as a snag, which nothing that lives knows
-  of; and what has died back to less than a share of its greatest height is dead. See snags.py. Felled and burned plants
-  leave no snag, and felling and fire leave snags as they are.
+- `standing_dead_yr` and `dieback_share` are ours: what dies over 1.3 m stands as a snag, which does not affect living
+  plants; a plant that has died back to less than a share of its greatest height is dead. See snags.py. Felled and
+  burned plants leave no snag, and felling and fire leave snags as they are.
 - `seedling_spacing_m` (0.8), with the light that a seedling needs, bounds how many plants a square metre has.
 - All of a state's modules look at the spheres at the step's beginning.
 - A planting sets seeds, whatever its radius. Felling and fire spare obstacles.

@@ -1,4 +1,4 @@
-"""Ecoclimates: forests of branch modules that live by soil water and by the warmth of their place, and shape both.
+"""Ecoclimates: forests of branch modules that depend on local soil water and temperature, and change both.
 
 Reference: M. Makowski, 2023, chapter 4. Equations are numbered as there. The forest is that of `branch_modules`; soil
 and climate are described in forestgen/community/soil_water and forestgen/community/ecoclimate, decisions in
@@ -10,10 +10,10 @@ drunk by them. Then the plants grow, shed, seed and die for a step, each by its 
 
     o = exp(-(T - T_A)^2 / (2 s_T^2)) exp(-(P - P_A)^2 / (2 s_P^2))        (38)
 
-to the temperature at its foot, which shade cools, and to the water in the soil there, told as the rain that would keep
-it so. It scales the light that leaves use and caps the vigour of the root; what a module needs for itself stays. So
-drought takes the darkest branches first, then crowns, then trees. ``microclimate: false`` hands over means over the
-site instead: the paper's ablation.
+to the temperature at its foot, which shade cools, and to the water in the soil there, expressed as the rain that would
+keep the soil equally wet. It scales the light that leaves use and caps the vigour of the root; what a module needs for
+itself stays. So drought takes the darkest branches first, then crowns, then trees. ``microclimate: false`` hands over
+means over the site instead: the paper's ablation.
 
 Recipe::
 

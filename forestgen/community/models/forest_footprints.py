@@ -12,10 +12,10 @@ equal vigour, the later born. A step of Δt years is
 3.  growth: r becomes ``min(R, r + grow h^γ Δt)``: a dominated plant is stunted before it dies;
 4.  saplings: a Poisson number of each species, at uniform random places, of health 1 and of uniform random vigour in
     [0, 1];
-5.  competition: who meets whom, with the saplings.
+5.  competition: the footprints that intersect, saplings included.
 
-The age of the thesis, which tells how often a plant's own L-system is derived, is the column ``derivation_steps``: the
-integer part of ``m r / R``, between 0 and the maximum size m of the species.
+The age of the thesis, the number of derivation steps of a plant's own L-system, is the column ``derivation_steps``:
+the integer part of ``m r / R``, between 0 and the maximum size m of the species.
 
 ========================  ======================  ==========  ============  ==========
 parameter                 symbol                  unit        range         default
@@ -44,9 +44,10 @@ Recipe::
 
 Decided where the thesis is silent:
 
-- It says that growth is a function of health, that domination lowers health, and that this ends in stunted growth or in
-  death; the functions are ours, the simplest that do so. Health recovers while nobody dominates, or a removed tree
-  would leave nothing but cripples, against section 5.2.2. Constant rates need one number each.
+- It says that growth is a function of health, that domination lowers health, and that this ends in stunted growth or
+  in death; the functions are ours, the simplest that do so. Health recovers in plants that are not dominated:
+  otherwise all plants around a removed tree would stay stunted, against section 5.2.2. Constant rates need one number
+  each.
 - shade is read as the share of the loss that a species is spared: 1 is a species that domination never harms. So the
   species that come with forestgen keep their order, though their numbers were chosen for another model.
 - "Removal of the old plants" is death at the largest radius, for the age is computed from the radius; by chance, or a

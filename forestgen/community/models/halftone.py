@@ -1,8 +1,8 @@
-"""Halftoning: error diffusion turns a density into points, as a printer turns grey into dots; then the points jitter.
+"""Halftoning: error diffusion turns a density into points; then the points are jittered.
 
 Reference: R. W. Floyd and L. Steinberg, An adaptive algorithm for spatial greyscale, SID Digest, 1975; O. Deussen et
-al., Realistic modeling and rendering of plant ecosystems, SIGGRAPH 1998, as told in B. Lane, Models of Plant
-Communities for Image Synthesis, University of Calgary, 2002, section 3.2.1.
+al., Realistic modeling and rendering of plant ecosystems, SIGGRAPH 1998, after B. Lane, Models of Plant Communities
+for Image Synthesis, University of Calgary, 2002, section 3.2.1.
 
 The site is a raster of pixels; pixel (i, j) expects e = n f_ij / Σ f plants. Row after row, with the error v that came
 to it from pixels before,
@@ -15,7 +15,7 @@ ahead, 3/16 behind in the next row, 5/16 below, 1/16 ahead in the next row. Each
     centre of its pixel + J (u - 1/2) times the pixel's width, and so for its height,    u uniform in [0, 1).
 
 Numbers of plants thus follow the density much more closely than random ones do, down to areas of a few plants, and
-plants keep apart. How much apart, nobody can choose: the other models can.
+plants keep apart. Their distance cannot be set; other models have a key for it.
 
 ========================  ============  ==========  ============  ====================
 parameter                 symbol        unit        range         default

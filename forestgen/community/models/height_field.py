@@ -1,11 +1,11 @@
 """Trees on the vertices of a grid, moved a little but never too near to one another; the ground decides their species.
 
 Reference: W. T. Reeves and R. Blau, Approximate and probabilistic algorithms for shading and rendering structured
-particle systems, SIGGRAPH 1985, as told in B. Lane, Models of Plant Communities for Image Synthesis, University of
-Calgary, 2002, sections 3.2.1 and 3.2.2.
+particle systems, SIGGRAPH 1985, after B. Lane, Models of Plant Communities for Image Synthesis, University of Calgary,
+2002, sections 3.2.1 and 3.2.2.
 
-Trees stand everywhere equally dense; which of them are spruces, the ground says: in Reeves and Blau's picture its
-height, here each species' own density w, map times conditions, such as `elevation_m`.
+The density of trees is uniform. The ground determines their species: in Reeves and Blau's picture by its height, here
+by each species' own density w, map times conditions, such as `elevation_m`.
 
 1.  Vertices: a grid as near to squares as can be, with as many vertices on ground that allows any species as there are
     trees; of those that are left over, random ones stay empty.

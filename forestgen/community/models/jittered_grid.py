@@ -1,7 +1,7 @@
 """A lattice of cells with a plant in each, moved at random inside its cell.
 
 Reference: F. Neyret, Synthesizing verdant landscapes using volumetric textures, Eurographics Workshop on Rendering,
-1996, as told in B. Lane, Models of Plant Communities for Image Synthesis, University of Calgary, 2002, section 3.2.
+1996, after B. Lane, Models of Plant Communities for Image Synthesis, University of Calgary, 2002, section 3.2.
 
 The site is divided into cells, as near to squares as can be. A plant stands in a cell at
 

@@ -1,4 +1,4 @@
-"""Growing with kernels: seedlings come up where the plants that stand there let them, and plants compete by the same.
+"""Growing with kernels: deformation kernels determine where seedlings come up and how plants compete.
 
 References: B. Lane, Models of Plant Communities for Image Synthesis, University of Calgary, 2002. Chapter 5 has the
 deformation kernel and the kernel matrix M, sections 4.3 and 4.4 the life of a plant. Chapter 7 asks for a
@@ -21,8 +21,8 @@ itself fare. A step of Δt years is
 
 With a kernel of 0 within its reach and 1 beyond, q is 0 or 1, and this is domination as Deussen and Lane have it: a
 dominated plant survives a step with probability shade and does not grow, a free one lives until it is old (L-system
-4.5). Circles meet there where ``d <= r_i + r_j``, here where ``d <= reach r_j``: among plants of one size a reach of
-2 is the same. With the neutral kernel plants know nothing of each other, and are an immigration-death process. With
+4.5). Circles meet there where ``d <= r_i + r_j``, here where ``d <= reach r_j``: among plants of one size a reach of 2
+is the same. With the neutral kernel plants do not interact: they are an immigration-death process. With
 ``kernels: {curve: [[0, 0], [1.5, 1]]}`` cohorts thin themselves along a line of -1.4 to -1.6, and Lane's three species
 (recipes/reproductions/succession.yaml) succeed each other: 3055, 1568, 1275, 954 plants at steps 20, 150, 300, 1000,
 where Table 7.1 has 2688, 1593, 1409, 834.
@@ -59,8 +59,8 @@ Recipe::
 
 Decided here:
 
-- Seedlings are never more than the rain. If a kernel above 1 made seeds, a clump would multiply with every step, and no
-  bound of the number of plants could be told before a simulation.
+- Seedlings are never more than the rain. If a kernel above 1 made seeds, a clump would multiply with every step, and
+  no bound of the number of plants could be computed before a simulation.
 - A place's invitation ends at L. A product without end sends all seeds to the densest clump, the more so the denser it
   is: they die there, and the community is gone. Among plants that cover the ground all places invite alike, and they
   stand as regularly as without; there are clumps where ground is left between them.
@@ -72,11 +72,11 @@ Decided here:
   on. Nor does it matter how large a seedling is for where it comes up: every standing plant acts, also a smaller one.
 - Life is that of L-system 4.5 where its c is 0 or 1, and a mixture of the two for any q between. As there,
   shade and oldage are probabilities a step, not a year.
-- Who is larger is told by radius, whatever the species. A larger plant of a kernel above 1 makes up for others below 1;
-  but q is 1 at most, and nobody grows faster than in the open.
+- The larger of two plants is the one of greater radius, whatever the species. A larger plant of a kernel above 1 makes
+  up for others below 1; but q is 1 at most, and no plant grows faster than in the open.
 - The status is dominated where q < 1/2; q itself is the column ``quality``.
 - The initial cohort has round(n area mean(b_i) / S) plants of each of S species, at places drawn from b_i. Radii of
-  seedlings are uniform between 0.5 and 1.5 times seedling_radius_m. Planted plants stand where they are told.
+  seedlings are uniform between 0.5 and 1.5 times seedling_radius_m. Planted plants stand at the given positions.
 - A kernel cannot be `balanced`, which keeps numbers that the rain keeps already. On a torus the nearest image counts.
 """
 

@@ -19,8 +19,8 @@ path of a ``.lsys`` file of yours, relative to the recipe; docs/lsystem.md has t
 - ``firbank_watkinson``, ``leps_kindlmann``, ``aikman_watkinson``: the models of even-aged stands of section 3.1, each
   with the environment of its name.
 
-A program tells by the names of its #defines and arrays what it wants to know. These are set by the recipe's site, step
-and species: site_width_m, site_height_m, site_area_ha, step_yr, number_of_species, and arrays with an element for each
+The names of a program's #defines and arrays determine which values it receives. The recipe's site, step and species
+set these: site_width_m, site_height_m, site_area_ha, step_yr, number_of_species, and arrays with an element for each
 species, of the ecology's keys below and of height_scale, height_exponent. All others are set by ``parameters``.
 
 ``environment`` is one of domination (the default: of two circles that intersect the smaller gets nothing; a program

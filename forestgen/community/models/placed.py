@@ -1,7 +1,7 @@
-"""Plants at given places: an inventory, a figure, a stand that somebody measured.
+"""Plants at given positions: an inventory, a figure, a measured stand.
 
-A step of Δt years makes every plant older, and nothing else: plants neither grow, compete, arrive nor die. Only
-disturbances (`community.disturbances`) change who is there.
+A step of Δt years only increases the plants' age: they neither grow, compete, arrive nor die. Only disturbances
+(`community.disturbances`) add or remove plants.
 
 A plant is given by its species, its place and one of two sizes: the radius r of its neighbourhood, or its height, from
 which r follows by the species' allometry: ``r = (H / A_H)^(1 / c_H)``. Without either it has the species' largest

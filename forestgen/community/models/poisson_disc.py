@@ -2,7 +2,7 @@
 
 Reference: R. Bridson, Fast Poisson disk sampling in arbitrary dimensions, SIGGRAPH 2007 sketches, as SciPy has it
 (`scipy.stats.qmc.PoissonDisk`); N. Chiba et al., Rendering of forest scenery using 3D textures, J. Visualization and
-Computer Animation 8, 1997, as told in B. Lane, Models of Plant Communities for Image Synthesis, University of Calgary,
+Computer Animation 8, 1997, after B. Lane, Models of Plant Communities for Image Synthesis, University of Calgary,
 2002, section 3.2.
 
 The pattern grows from one random point: around each of its points 30 candidates between 0 and 2 d away are tried, and

@@ -1,4 +1,4 @@
-"""The Strauss process: plants that dislike, to a degree, to stand nearer than a distance to their like.
+"""The Strauss process: plants of a species repel each other within a distance, with given strength.
 
 Reference: D. J. Strauss, A model for clustering, Biometrika 62, 1975; F. P. Kelly and B. D. Ripley, Biometrika 63,
 1976; Baddeley, Rubak and Turner 2015, Spatial Point Patterns, ch. 13.

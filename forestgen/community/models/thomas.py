@@ -1,4 +1,4 @@
-"""The Thomas process: clusters around parents that nobody sees, the standard of clustered patterns.
+"""The Thomas process: clusters around unobserved parent points, the standard model of clustered patterns.
 
 Reference: M. Thomas, A generalization of Poisson's binomial limit for use in ecology, Biometrika 36, 1949; Baddeley,
 Rubak and Turner 2015, Spatial Point Patterns, ch. 12; Waagepetersen 2007, Biometrics 63 (with a density).

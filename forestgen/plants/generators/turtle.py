@@ -12,9 +12,9 @@ Equations
     word(0) = axiom,   word(n + 1) = word(n) rewritten,   n = round(steps(height))
     plant   = the turtle's drawing of the first word of word(n)
 
-A program knows derivation steps, a plant of a community its height. `steps` is the curve that joins them; without
-one, every plant is as old as the program's ``derivation length`` says, and small plants are small copies of large ones.
-A program that defines ``height_m`` or ``width_m`` is told the plant's.
+A program has derivation steps; a plant of a community has a height. The curve `steps` maps height to derivation steps.
+Without it, every plant has the program's ``derivation length``, and small plants are small copies of large ones. A
+program that defines ``height_m`` or ``width_m`` receives the plant's value.
 
 Parameters
 ----------

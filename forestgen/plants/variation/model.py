@@ -1,4 +1,4 @@
-"""Variation by growth responses: any skeleton, grown again by a plant that errs and corrects itself.
+"""Variation by growth responses: any skeleton, grown again with errors of direction and their correction.
 
 Reference
 ---------
@@ -68,8 +68,8 @@ Decisions
 - The loop works on the rotation between the base's course and the varied one. So bends and kinks of the base stay
   where they are, lengths too, and where nothing disturbs an axis the skeleton comes back as it was, to the bit. Nodes
   are inserted where a growth step turns; thickness is interpolated there. Organs follow their node stiffly.
-- An axis begins at its bearer's new place and in its rotated frame; it then finds that frame right (local) or feels
-  its direction in space to be wrong, and corrects it as it grows (global).
+- An axis begins at its bearer's new place and in its rotated frame; it then keeps its direction in that frame (local),
+  or corrects its direction in space as it grows (global).
 - Lifetime counts growth steps: all that the form depends on is how much has grown between sensing and response. The
   growth zone is at a fixed distance behind the tip. In a step the tip goes up by one step and the signal down by
   `transmission` steps, and the signal loses `decay`; so it ages by decay (1 + transmission) / 2 steps, and for Fig. 7,
