@@ -91,6 +91,12 @@ class Registry:
 
     def load(self, name: str, *, where: str | None = None) -> Any:
         """The object behind `name`; an unknown name raises `RecipeError` that lists the valid ones."""
+        self.check(name, where=where)
+        module, _, attribute = self._entries[name][0].partition(":")
+        return getattr(importlib.import_module(module), attribute)
+
+    def check(self, name: str, *, where: str | None = None) -> None:
+        """Raise `RecipeError` for an unknown name; imports nothing."""
         if name not in self._entries:
             near = difflib.get_close_matches(name, self._entries, n=1)
             raise RecipeError(
@@ -100,5 +106,3 @@ class Registry:
                 got=repr(name),
                 hint=f"did you mean {near[0]!r}?" if near else None,
             )
-        module, _, attribute = self._entries[name][0].partition(":")
-        return getattr(importlib.import_module(module), attribute)

@@ -285,6 +285,8 @@ class Loading:
     errors: ErrorList
     sound: LoadedRecipe | None  # the recipe with stand-ins for what is wrong, for further checks; None: impossible
     stand_ins: frozenset[str]  # sections that hold some
+    sources: SourceMap
+    community: object = None  # that section as written, overrides applied
 
     def whole(self) -> LoadedRecipe:
         """The recipe; raises all errors if it has any."""
@@ -317,6 +319,7 @@ def _loading(path: Path, data: dict[str, Any], sources: SourceMap, overrides: Se
     if isinstance(version := data.get("forestgen"), int) and version > SCHEMA_VERSION:
         check_version(data, sources)  # a newer schema's keys are not ours to judge
     errors.attempt(check_version, data, sources)
+    community = copied(data.get("community"))
     failed = errors.attempt(merge_species, data, sources, path.parent, errors) or []
     stand_ins = replace_sections(data, {("species", name) for name in failed})
     draws = errors.attempt(make_draws, data, sources)
@@ -325,8 +328,8 @@ def _loading(path: Path, data: dict[str, Any], sources: SourceMap, overrides: Se
         stand_ins |= replace_sections(data, {*wrong, ("sampling",)})
         draws = ErrorList("").attempt(make_draws, data, sources)
     if draws is None:
-        return Loading(errors, None, stand_ins)
-    return _checked(LoadedRecipe(path, data, sources, draws), errors, stand_ins)
+        return Loading(errors, None, stand_ins, sources, community)
+    return replace(_checked(LoadedRecipe(path, data, sources, draws), errors, stand_ins), community=community)
 
 
 def _checked(loaded: LoadedRecipe, errors: ErrorList, stand_ins: frozenset[str]) -> Loading:
@@ -335,7 +338,7 @@ def _checked(loaded: LoadedRecipe, errors: ErrorList, stand_ins: frozenset[str])
         found = ErrorList(errors.origin)
         found.attempt(loaded.check)
         if not found:
-            return Loading(errors, loaded, stand_ins)
+            return Loading(errors, loaded, stand_ins, loaded.sources)
         sections = {sections_of(place) for place in found.places}
         doubtful = {(_ERRORS_OF_OTHERS[one],) for one in stand_ins & _ERRORS_OF_OTHERS.keys()}
         if len(found.found) > 1 or not sections <= doubtful:  # such an error comes alone
@@ -346,7 +349,7 @@ def _checked(loaded: LoadedRecipe, errors: ErrorList, stand_ins: frozenset[str])
         if draws is None:
             break
         loaded = replace(loaded, data=data, draws=draws)
-    return Loading(errors, None, stand_ins)
+    return Loading(errors, None, stand_ins, loaded.sources)
 
 
 def _parts_with_files(data: dict[str, Any]) -> Iterator[dict[str, Any]]:

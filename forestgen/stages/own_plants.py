@@ -21,7 +21,7 @@ Parse = Callable[[DrawnRecipe, Species, Plant, tuple[str, ...]], PlantParameters
 def clothing_of(
     drawn: DrawnRecipe, generators: Mapping[str, PlantParameters], parse: Parse
 ) -> dict[str, PlantParameters]:
-    """What clothes the modules of each species that has something of the kind.
+    """What clothes the modules of each species that has something of the kind; empty where the community grows none.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ def clothing_of(
     ------
     RecipeError : a `modules_plant` of another generator; or a community without modules for species that need them.
     """
-    found = {}
+    found, grows = {}, drawn.recipe.community.model in MODELS
     for name, species in drawn.species.items():
         if species.modules_plant is not None:
             keys = ("species", name, "modules_plant")
@@ -42,7 +42,7 @@ def clothing_of(
             found[name] = parse(drawn, species, species.modules_plant, keys)
         elif species.plant.generator == GENERATOR:
             found[name] = generators[name]
-            if drawn.recipe.community.model not in MODELS:
+            if not grows:
                 raise RecipeError(
                     "plants of branch modules grow in a community of that model alone",
                     where=drawn.where("species", name, "plant", "generator"),
@@ -50,7 +50,7 @@ def clothing_of(
                     got=drawn.recipe.community.model,
                     hint="give the species another generator under plant, and move this block to modules_plant",
                 )
-    return found
+    return found if grows else {}
 
 
 def own_triangles(clothing: Mapping[str, PlantParameters], section: Plants) -> int:

@@ -15,8 +15,27 @@ import forestgen as fg
 
 OF_A_RUN = ("run/", "report.html", ".forestgen/")  # names that no promise of equal bytes covers
 SMALL = ["render.samples=1", "render.denoise=false", "labels.samples=1"]
-# Commands on files that a page tells its reader to make, on a cluster, or on an object store.
-NEEDS_MORE = ("--engine dask", "s3://", "wood", "meadow.yaml", "--resume ", "stand.yaml", "examples/")
+NEEDS_MORE = ("--engine dask", "s3://")  # a cluster, an object store
+# Files that a page's reader has: recipes of that name, and what commands before made of them.
+READERS_RECIPES = {
+    "stand.yaml": "community: {model: multiset_lsystem, program: succession, steps: 300}",
+    "wood.yaml": "community: {model: branch_modules, steps: 96, initial_plants: 12, temperature_c: 8, "
+    "precipitation_mm_per_yr: 750}",
+    "meadow.yaml": "community: {model: kernel_growth, steps: 12, kernels: {poplar: inhibition}}",
+}
+READERS_RECIPE = """\
+forestgen: 1
+seed: 7
+site: {{size_m: [20, 20]}}
+species: {{poplar: , birch: }}
+{community}
+cameras: [{{position_m: [10, 1, 1.7], look_at_m: [10, 10, 2], size_px: [48, 32]}}]
+"""
+BEFORE = (
+    "stand.yaml -o young --set community.steps=60",
+    "wood.yaml -o wood --set community.history_modules=true",
+    "recipes/branch_modules.yaml -o stand --set community.history_modules=true --set community.steps=20",
+)
 
 
 @pytest.mark.parametrize("command", documented())
@@ -46,8 +65,11 @@ def small(command: str, folder: Path) -> str:
         words[words.index("--count") + 1] = "2"
     if "--first" in words:
         words[words.index("--first") + 1] = str(min(2, given["first"]))
+    if name == "simulate" and "recipes/branch_modules.yaml" in words:
+        words[-1] = "community.steps=24" if "community.steps=40" in words else words[-1]
+        words += [] if "community.steps=24" in words else ["--set", "community.steps=20"]
     if name in ("render", "batch"):
-        cameras = fg.load(ROOT / given["recipe"]).data["cameras"] if (ROOT / given["recipe"]).exists() else [{}]
+        cameras = fg.load(folder / given["recipe"]).data["cameras"]
         sizes = [f"cameras.{number}.size_px=[48,32]" for number in range(len(cameras))]
         words += [word for one in (*SMALL, *sizes) for word in ("--set", one)]
     return " ".join(words)
@@ -57,14 +79,26 @@ def small(command: str, folder: Path) -> str:
 def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with what the commands name: recipes, a data set, and two pieces of one."""
     folder = tmp_path_factory.mktemp("documented")
-    (folder / "recipes").symlink_to(ROOT / "recipes")
+    for name in ("recipes", "examples"):
+        (folder / name).symlink_to(ROOT / name)
+    for name, community in READERS_RECIPES.items():
+        (folder / name).write_text(READERS_RECIPE.format(community=community), encoding="utf-8")
     tiny(folder).rename(folder / "recipe.yaml")
     recipe = fg.load(folder / "recipe.yaml")
     recipe.render(folder / "outputs/forests", count=4, progress=False)
-    shutil.copytree(folder / "outputs/forests", folder / "outputs/quickstart")
+    for name in ("quickstart", "young_stand"):
+        shutil.copytree(folder / "outputs/forests", folder / "outputs" / name)
     for number, names in enumerate((("part-1", "piece-1"), ("part-2", "piece-2"))):
         for name in names:
             recipe.set({"first_image": 2 * number}).render(folder / name, count=2, progress=False)
+    before = Path.cwd()
+    os.chdir(folder)
+    try:
+        for command in BEFORE:
+            answer = run("simulate", *command.split())
+            assert answer.code == 0, answer.err
+    finally:
+        os.chdir(before)
     return folder
 
 

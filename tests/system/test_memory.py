@@ -19,7 +19,7 @@ SMALL = [
 ]
 # Settings, least plants, and how many times what is taken the estimate may be: it takes all trees for full grown.
 RUNS: dict[str, tuple[list[str], int, float]] = {
-    "quickstart": (["render.samples=1"], 0, 8.0),
+    "quickstart": (["render.samples=1"], 0, 3.0),
     "images": ([*SMALL, "cameras=[{size_px: [2048, 1024]}]", "labels.samples=16"], 0, 3.0),
     "ground and plants": ([*SMALL, "site.size_m=[600,600]"], 50_000, 5.5),
     "tall exemplars": (

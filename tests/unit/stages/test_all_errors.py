@@ -100,6 +100,30 @@ def test_every_unknown_species_of_a_community_is_told(tmp_path: Path) -> None:
     assert found["sprus"] == "did you mean 'spruce'?"
 
 
+@pytest.mark.parametrize(
+    ("community", "keys"),
+    [
+        ("model: multiset_lsytem, program: sucession, steps: sixty", {"model", "program", "steps"}),
+        ("model: multiset_lsystem, program: sucession, steps: sixty, environmnt: domination",
+         {"program", "steps", "environmnt"}),
+        ("model: nonesuch, steps: -1, per_ha: 3", {"model", "steps"}),
+        ("model: nonesuch", {"model"}),
+        ("model: multiset_lsystem, program: sucession, steps: {integers: [20, 400]}", {"program"}),
+        ("steps: 3", {"model"}),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("other", [(), (10,)])
+def test_no_error_of_a_community_hides_another(
+    community: str, keys: set[str], other: tuple[int, ...], tmp_path: Path
+) -> None:
+    path = written(tmp_path, *other)
+    path.write_text(path.read_text().replace("model: multiset_lsystem, program: succession, steps: 3", community))
+    with pytest.raises((RecipeError, AssetError)) as caught:
+        load_checked(path)
+    expected = {f"{path}:8: community.{key}" for key in keys} | {f"{path}:{n}: {WRONG[n][2]}" for n in other}
+    assert {error.where for error in caught.value.errors} == expected
+
+
 def test_bad_overrides_are_told_with_the_rest(tmp_path: Path) -> None:
     path = written(tmp_path, 8)
     with pytest.raises(RecipeErrors) as caught:
