@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from forestgen.render.cuda import cuda_devices
 from forestgen.render.variant import LLVM, SCALAR, drjit, find_llvm, mitsuba
 
 
@@ -28,3 +29,8 @@ def check_llvm() -> str:
         if total != 4950:
             raise RuntimeError(f"the sum of 0 to 99 came out as {total}")
     return f"works, {library}"
+
+
+def check_cuda() -> str:
+    """Name the CUDA devices."""
+    return cuda_devices()

@@ -8,8 +8,6 @@ DRJIT_LIBLLVM_PATH must name it before Dr.Jit is first imported.
 
 from __future__ import annotations
 
-import ctypes
-import ctypes.util
 import importlib
 import os
 import sys
@@ -22,6 +20,7 @@ from typing import Any
 
 from forestgen.core.errors import ResourceError
 from forestgen.core.interrupts import uninterrupted
+from forestgen.render.cuda import cuda_devices
 
 SCALAR = "scalar_rgb"
 LLVM = "llvm_ad_rgb"
@@ -126,7 +125,7 @@ def require(variant: str) -> None:
         return
 
     try:
-        check_cuda()
+        cuda_devices()
     except RuntimeError as error:
         raise ResourceError(
             f"rays were to be traced on CUDA, and there is {error}",
@@ -143,21 +142,3 @@ def require_llvm() -> None:
             expected=f"libLLVM 19 or newer in {Path(sys.prefix) / 'lib'} or at DRJIT_LIBLLVM_PATH",
             hint="pip install karellen-llvm-core; `forestgen doctor` shows what is found",
         )
-
-
-def check_cuda() -> str:
-    """Name the CUDA devices; asks the driver itself, because Dr.Jit would log an error where there is none."""
-    path = ctypes.util.find_library("cuda")
-    if path is None:
-        raise RuntimeError("no CUDA driver")
-    driver = ctypes.CDLL(path)
-    count = ctypes.c_int(0)
-    if driver.cuInit(0) != 0 or driver.cuDeviceGetCount(ctypes.byref(count)) != 0 or count.value == 0:
-        raise RuntimeError("a CUDA driver, but no device")
-    names = []
-    for number in range(count.value):
-        device, name = ctypes.c_int(0), ctypes.create_string_buffer(256)
-        known = driver.cuDeviceGet(ctypes.byref(device), number) == 0
-        known = known and driver.cuDeviceGetName(name, len(name), device) == 0
-        names.append(name.value.decode(errors="replace") if known else "unknown")
-    return ", ".join(names)

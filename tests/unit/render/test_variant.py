@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from forestgen.core.errors import ResourceError
-from forestgen.render import check
+from forestgen.render import variant
 from forestgen.render.variant import CUDA, LLVM, TRACING_ENVIRONMENT, require, tracing_variant
 
 
@@ -27,7 +27,7 @@ def test_cuda_without_a_device_is_refused_with_the_way_out(monkeypatch):
     def none() -> str:
         raise RuntimeError("no CUDA driver")
 
-    monkeypatch.setattr(check, "check_cuda", none)
+    monkeypatch.setattr(variant, "cuda_devices", none)
     with pytest.raises(ResourceError, match=r"no CUDA driver(?s:.)*unset FORESTGEN_TRACING"):
         require(CUDA)
     require(LLVM)
