@@ -65,7 +65,7 @@ def main() -> int:
     parser.add_argument("figure", choices=[*FIGURES, "all"])
     parser.add_argument("--quick", action="store_true", help="fewer years, larger cells; of trees one seed")
     parser.add_argument("--seeds", type=int, default=3, help="number of seeds, from 0 on")
-    parser.add_argument("--out", type=Path, default=Path("out/ecoclimates"), help="folder of the pictures")
+    parser.add_argument("--out", type=Path, default=Path("outputs/ecoclimates"), help="folder of the pictures")
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
     report = Report()

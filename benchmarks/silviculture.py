@@ -48,7 +48,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("figure", choices=[*FIGURES, "all"])
     parser.add_argument("--quick", action="store_true", help="smaller stands")
-    parser.add_argument("--out", type=Path, default=Path("out/silviculture"), help="folder of the pictures")
+    parser.add_argument("--out", type=Path, default=Path("outputs/silviculture"), help="folder of the pictures")
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
     report = Report()

@@ -1,5 +1,6 @@
-"""Writes the generated pages: docs/recipe.md from the schema, docs/models/*.md from the models' manual pages, and
-docs/species.md from the species' files and the numbers that docs/species_sheet.py measured.
+"""Writes the generated pages: docs/recipe.md from the schema, docs/models/*.md from the models' manual pages,
+docs/species.md from the species' files and the numbers that docs/species_sheet.py measured, and docs/reference/*.md
+from signatures, docstrings and help texts (docs/generate_reference.py).
 
 Run `uv run python docs/generate.py` after changing either; a test fails while a page is out of date.
 """
@@ -14,6 +15,8 @@ from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
+
+import generate_reference
 
 from forestgen.community.registry import COMMUNITY_MODELS, ENVIRONMENTS
 from forestgen.core.registry import Registry
@@ -73,6 +76,9 @@ def pages() -> dict[Path, str]:
     made[DOCS / "models" / "plant.md"] = plant_page()
     made[DOCS / "models" / "variation.md"] = variation_page()
     made[DOCS / "plants_table.md"] = plants_table_page()
+    made[DOCS / "reference" / "api.md"] = f"{_NOTICE}\n{generate_reference.api_page()}"
+    made[DOCS / "reference" / "community_models.md"] = f"{_NOTICE}\n{generate_reference.parts_page()}"
+    made[DOCS / "reference" / "command_line.md"] = f"{_NOTICE}\n{generate_reference.command_line_page()}"
     for registry in (COMMUNITY_MODELS, ENVIRONMENTS, GENERATORS):
         for name in registry.ids():
             made[DOCS / "models" / page_name(registry, name)] = model_page(registry, name)

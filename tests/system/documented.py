@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,23 +16,25 @@ from forestgen.cli import app
 
 ROOT = Path(__file__).parents[2]
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
+TUTORIALS = tuple(sorted((ROOT / "docs" / "tutorials").glob("*.md")))
 _COMMAND = re.compile(r"^(?:\$ )?(?:uv run )?(forestgen [a-z].*)$")
 _GROUP: Any = typer.main.get_command(app)
 
 
-def documented() -> list[str]:
+def documented(pages: Sequence[Path] = PAGES) -> list[str]:
     """Every command of a shell block of a page, or of a recipe's comment, once, in order."""
     found: dict[str, None] = {}
-    for page in PAGES:
+    for page in pages:
         for block in re.findall(r"```sh\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL):
-            found |= dict.fromkeys(_commands(block))
+            found |= dict.fromkeys(commands_of(block))
     for recipe in sorted((ROOT / "recipes").rglob("*.yaml")):
         comments = (line.lstrip("# ") for line in recipe.read_text(encoding="utf-8").splitlines() if line[:1] == "#")
-        found |= dict.fromkeys(_commands("\n".join(comments)))
+        found |= dict.fromkeys(commands_of("\n".join(comments)))
     return list(found)
 
 
-def _commands(text: str) -> Iterator[str]:
+def commands_of(text: str) -> Iterator[str]:
+    """forestgen's commands among the lines of a shell block."""
     for line in text.replace("\\\n", " ").splitlines():
         command = _COMMAND.match(line.strip())
         if command:
@@ -41,8 +43,10 @@ def _commands(text: str) -> Iterator[str]:
 
 def python_blocks() -> Iterator[tuple[str, str]]:
     """Page and code of every Python block."""
-    for page in PAGES:
-        for number, block in enumerate(re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)):
+    for page in (*PAGES, *TUTORIALS):
+        for number, block in enumerate(
+            re.findall(r"```python(?: title=\S+)?\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
+        ):
             yield f"{page.name}:{number}", block
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from command_line import run, tiny
-from documented import ROOT, documented, in_python, parsed, python_blocks
+from documented import PAGES, ROOT, TUTORIALS, documented, in_python, parsed, python_blocks
 
 import forestgen as fg
 
@@ -38,7 +38,7 @@ BEFORE = (
 )
 
 
-@pytest.mark.parametrize("command", documented())
+@pytest.mark.parametrize("command", documented((*PAGES, *TUTORIALS)))
 def test_every_documented_command_is_one(command: str) -> None:
     name, _ = parsed(command)
     assert name

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -57,3 +58,12 @@ def test_the_wheel_works_without_the_checkout(tmp_path: Path) -> None:
     assert "Parameters" in _done(elsewhere, forestgen, "models", "silhouette")
     assert "1 frame" in _done(elsewhere, forestgen, "render", recipe, "-o", "out")
     assert (elsewhere / "out" / "train" / "000000-camera0" / "frame.exr").is_file()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("uv") is None, reason="needs uv to build")
+def test_what_is_published_has_sound_metadata(tmp_path: Path) -> None:
+    _done(tmp_path, "uv", "build", "--quiet", "--out-dir", tmp_path / "dist", ROOT)
+    files = sorted(path for path in (tmp_path / "dist").iterdir() if path.suffix in (".whl", ".gz"))
+    assert [path.suffix for path in files] == [".whl", ".gz"]
+    _done(tmp_path, sys.executable, "-m", "twine", "check", "--strict", *files)

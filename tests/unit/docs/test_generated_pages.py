@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import sys
 from pathlib import Path
 
 import pytest
@@ -15,7 +16,11 @@ def _pages() -> dict[Path, str]:
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    sys.path.insert(0, str(GENERATE.parent))  # generate.py imports the module beside it
+    try:
+        spec.loader.exec_module(module)
+    finally:
+        sys.path.remove(str(GENERATE.parent))
     return dict(module.pages())
 
 

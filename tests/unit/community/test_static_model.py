@@ -1,0 +1,144 @@
+"""The base class of models that place plants once, by the model of examples/plugin."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from forestgen.community.disturbance import Planting
+from forestgen.community.history import open_history, write_history
+from forestgen.community.model import Site, simulate
+from forestgen.community.population import Status
+from forestgen.community.snapshot_checks import check_snapshot
+from forestgen.community.static_model import Placement, StaticModel, StaticParameters
+
+EXAMPLE = Path(__file__).parents[3] / "examples" / "plugin" / "forestgen_plantation" / "__init__.py"
+SITE = Site((30.0, 20.0))
+
+
+def _plantation():
+    spec = importlib.util.spec_from_file_location("forestgen_plantation", EXAMPLE)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.MODEL
+
+
+PLANTATION = _plantation()
+
+
+@pytest.fixture
+def species(tree):
+    return [tree(max_radius_m=1.5), tree(name="b", max_radius_m=1.0)]
+
+
+class Given(StaticModel[StaticParameters]):
+    """Places what a test gives it."""
+
+    Parameters = StaticParameters
+
+    def __init__(self, placement):
+        self.placement = placement
+
+    def place(self, parameters, site, species, rng):
+        return self.placement
+
+    def most_plants(self, parameters, site, species):
+        return float(len(self.placement.species))
+
+
+def placed(kind=0, position_m=(1.0, 1.0), radius_m=0.5, height_m=None):
+    heights = None if height_m is None else np.array([height_m])
+    return Placement(np.array([kind]), np.array([position_m]), np.array([radius_m]), heights)
+
+
+def test_the_example_is_as_short_as_its_page_says():
+    assert len(EXAMPLE.read_text(encoding="utf-8").splitlines()) < 60
+
+
+def test_rows_without_displacement_are_where_the_keys_say(species):
+    parameters = PLANTATION.Parameters(row_m=10, tree_m=5, displacement_m=0, failed=0, size=(1, 1))
+    plants = PLANTATION.population(PLANTATION.init(parameters, SITE, species, 1))
+    assert plants.position_m[:, 0].tolist() == [5.0] * 4 + [15.0] * 4 + [25.0] * 4
+    assert plants.position_m[:4, 1].tolist() == [2.5, 7.5, 12.5, 17.5]
+    assert plants.species.tolist() == [0] * 4 + [1] * 4 + [0] * 4
+    assert set(plants.status) == {Status.MATURE}
+    assert plants.height_m == pytest.approx(
+        [species[kind].height_scale * plants.radius_m[i] ** species[kind].height_exponent
+         for i, kind in enumerate(plants.species)]
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2**63 - 1])
+def test_a_seed_makes_one_stand_on_the_site(species, seed):
+    first, again = (PLANTATION.init(PLANTATION.Parameters(), SITE, species, seed).plants for _ in range(2))
+    other = PLANTATION.init(PLANTATION.Parameters(), SITE, species, seed - 1 if seed else 5).plants
+    assert np.array_equal(first.x_m, again.x_m)
+    assert not np.array_equal(first.x_m[:5], other.x_m[:5])
+    assert np.all((first.x_m >= 0) & (first.x_m <= SITE.size_m))
+
+
+def test_no_more_plants_than_expected(species):
+    parameters = PLANTATION.Parameters(disturbances=({"at_step": 0, "plant": {"species": "b", "count": 7}},))
+    numbers = [len(next(simulate(PLANTATION, parameters, SITE, species, k, steps=0))) for k in range(20)]
+    assert np.mean(numbers) <= PLANTATION.expected_plants(parameters, SITE, species)
+    assert PLANTATION.why_barren(parameters, SITE, species) is None
+    assert PLANTATION.why_barren(PLANTATION.Parameters(failed=1), SITE, species) == "the model places no plant"
+    assert PLANTATION.estimate_bytes(parameters, SITE, species) > 400 * max(numbers)
+
+
+def test_a_stored_snapshot_resumes_to_the_same_future(species, tmp_path):
+    felling = {"at_step": 3, "fell": {"share": 0.5}}
+    parameters = PLANTATION.Parameters(steps=6, disturbances=(felling,))
+    whole = list(simulate(PLANTATION, parameters, SITE, species, 4, steps=6))
+    write_history(tmp_path / "a.parquet", whole)
+    start = open_history(tmp_path / "a.parquet").snapshot(2)
+    check_snapshot(start, SITE, species)
+    PLANTATION.check_snapshot(parameters, SITE, species, start)
+    again = list(simulate(PLANTATION, parameters, SITE, species, 4, steps=6, start=start))
+    for one, other in zip(again, whole[2:], strict=True):
+        assert np.array_equal(one.plant_id, other.plant_id)
+        assert np.array_equal(one.position_m, other.position_m)
+        assert np.array_equal(one.age_yr, other.age_yr)
+    assert len(whole[-1]) < len(whole[0])
+
+
+def test_planting_and_removing(species):
+    state = PLANTATION.init(PLANTATION.Parameters(), SITE, species, 4)
+    n = len(state.plants)
+    planted = PLANTATION.plant(state, Planting(np.array([1], np.uint16), np.array([[2.0, 3.0]]), np.array([0.7])))
+    assert PLANTATION.population(planted).plant_id[-1] == n + 1
+    assert len(PLANTATION.population(PLANTATION.remove(planted, np.arange(1, n + 1, dtype=np.uint32)))) == 1
+
+
+def test_given_heights_are_kept(species):
+    model = Given(placed(height_m=3.25))
+    assert model.population(model.init(StaticParameters(), SITE, species, 0)).height_m.tolist() == [3.25]
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"kind": 2}, "species must be indices below 2, got 2"),
+        ({"position_m": (31.0, 1.0)}, "position_m must lie on the site"),
+        ({"position_m": (np.nan, 1.0)}, "position_m must lie on the site"),
+        ({"radius_m": 1.6}, r"radius_m must lie in \(0, 1.5\], got 1.6"),
+        ({"radius_m": 0.0}, r"radius_m must lie in \(0, 1.5\], got 0"),
+        ({"height_m": -1.0}, "height_m must be positive"),
+    ],
+)
+def test_plants_that_no_later_stage_can_use_are_refused(species, wrong, message):
+    with pytest.raises(ValueError, match=message):
+        Given(placed(**wrong)).init(StaticParameters(), SITE, species, 0)
+
+
+def test_columns_of_different_lengths_are_refused():
+    with pytest.raises(ValueError, match="must be of 1 plants"):
+        Placement(np.array([0]), np.zeros((2, 2)), np.ones(1))
+
+
+def test_a_placement_without_plants_is_one(species):
+    model = Given(Placement(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros(0)))
+    assert len(model.population(model.init(StaticParameters(), SITE, species, 0))) == 0
