@@ -16,8 +16,6 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from forestgen.core.version import __version__
-
 if TYPE_CHECKING:
     from forestgen.api.catalogue import doctor, models, register, schema, species
     from forestgen.api.datasets import Dataset, merge, verify
@@ -36,6 +34,7 @@ if TYPE_CHECKING:
         RenderError,
         ResourceError,
     )
+    from forestgen.core.version import __version__
     from forestgen.dataset.frame import Frame
 
 _ERRORS = (
@@ -51,6 +50,7 @@ _MODULES = {
     **dict.fromkeys(("doctor", "models", "register", "schema", "species"), "forestgen.api.catalogue"),
     **dict.fromkeys(("fit_kernel", "stats"), "forestgen.api.points"),
     "derive": "forestgen.api.programs",
+    "__version__": "forestgen.core.version",
     **dict.fromkeys(_ERRORS, "forestgen.core.errors"),
 }
 

@@ -22,7 +22,7 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         (tmp_path / layer / "deep").mkdir(parents=True)
         (tmp_path / layer / "deep" / "a.py").write_text("x = 1")
     (tmp_path / "pipeline.py").write_text("x = 1")
-    monkeypatch.setattr(module.forestgen, "__file__", str(tmp_path / "__init__.py"))
+    monkeypatch.setattr(module, "PACKAGE", tmp_path)
     return tmp_path
 
 

@@ -45,8 +45,8 @@ def test_the_guide_has_every_column_and_tells_its_frame(tmp_path: Path) -> None:
     graph = pa_csv.read_csv(tmp_path / "graph.csv").to_pydict()
     modules = pq.read_table(tmp_path / "modules.parquet", filters=[("step", "=", 12)]).to_pydict()
     plants = pq.read_table(tmp_path / "history.parquet", filters=[("step", "=", 12)]).to_pydict()
-    assert _columns("The columns of `modules.parquet`") == list(modules)
-    assert _columns("The columns of a graph's table") == list(graph)
+    assert _columns("the columns of `modules.parquet`") == list(modules)
+    assert _columns("the columns of a graph's table") == list(graph)
 
     assert [plants["plant_id"][row] for row in graph["plant"]] == graph["plant_id"]
     assert [plants["species_name"][row] for row in graph["plant"]] == graph["species"]
