@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from itertools import dropwhile, takewhile
 from pathlib import Path
 
 import numpy as np
@@ -32,9 +33,9 @@ RECIPE = {
 def _columns(title: str) -> list[str]:
     """Names in the first column of the table below a line."""
     lines = PAGE.read_text(encoding="utf-8").split(title, 1)[1].splitlines()
-    rows = [line.split("|")[1] for line in lines[2:] if line.startswith("|")]
-    ends = next(n for n, line in enumerate(lines[2:]) if not line.startswith("|"))
-    return [name for row in rows[2:ends] for name in re.findall(r"`(\w+)`", row)]
+    table = takewhile(lambda line: line.startswith("|"), dropwhile(lambda line: not line.startswith("|"), lines))
+    rows = [line.split("|")[1] for line in table][2:]
+    return [name for row in rows for name in re.findall(r"`(\w+)`", row)]
 
 
 def test_the_guide_has_every_column_and_tells_its_frame(tmp_path: Path) -> None:
