@@ -16,7 +16,7 @@ from forestgen.render.paths.lit_scene import LitScene
 from forestgen.render.radiance import render_radiance
 from forestgen.render.shot import Shot
 from forestgen.render.sky_radiance import sky_map
-from forestgen.render.variant import check_cuda
+from forestgen.render.cuda import cuda_devices
 from forestgen.render.wavelengths import Mode
 from forestgen.scene.channels import RGB
 from forestgen.scene.spec import Camera, SceneSpec
@@ -45,7 +45,7 @@ def radiance(spec: SceneSpec, samples: int | Until, seed: int, max_depth: int = 
 def need_cuda() -> None:
     """Skip a test where there is no GPU."""
     try:
-        check_cuda()
+        cuda_devices()
     except RuntimeError as error:
         pytest.skip(str(error))
 
