@@ -43,6 +43,29 @@ settings.register_profile("forestgen", deadline=None)
 settings.load_profile("forestgen")
 
 
+@pytest.hookimpl(tryfirst=True)  # before those marked slow are left out
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Of a product of parameters, cases that have each value once run by default; the others are slow."""
+    seen: dict[str, set[tuple[int, str]]] = {}
+    for item in items:
+        ids = getattr(getattr(item, "callspec", None), "_idlist", ())  # one for each `parametrize`
+        if len(ids) < 2 or item.get_closest_marker("slow"):
+            continue
+        values, met = set(enumerate(ids)), seen.setdefault(item.nodeid.partition("[")[0], set())
+        if values <= met:
+            item.add_marker(pytest.mark.slow)
+        met |= values
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
+    """A file's tests run in one process, which builds their fixtures once; files in the order of collection."""
+    from xdist.scheduler import LoadFileScheduling
+
+    config.option.loadscopereorder = False
+    return LoadFileScheduling(config, log)
+
+
 @pytest.fixture(scope="session", autouse=True)
 def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Tests keep their exemplars apart from the user's; commands that they start inherit the one folder."""

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.tiers import slow_but
 from batch_pieces import RECIPE, shown
 from command_line import tree
 from PIL import Image
@@ -306,7 +307,7 @@ class Interrupts:
         yield lambda steps: None
 
 
-@pytest.mark.parametrize("number", [1, 5])
+@pytest.mark.parametrize("number", slow_but([1, 5], 5))
 def test_an_interrupted_render_goes_on(number: int, recipe: fg.Recipe, data_set: fg.Dataset, tmp_path: Path) -> None:
     """In the first image, so that nothing was made, not even a folder; and in the second frame of the second one."""
     target, done = tmp_path / "set", (number - 1) // 3
@@ -331,7 +332,7 @@ print(run.summary.made, len(run.dataset), report.ok, report.frames)
 """
 
 
-@pytest.mark.parametrize("way", ["a script", "standard input", pytest.param("an argument", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("way", slow_but(["a script", "standard input", "an argument"], "standard input"))
 def test_workers_need_nothing_of_the_script_that_starts_them(way: str, tmp_path: Path) -> None:
     """No ``__main__`` guard, and no file either: they neither run it again nor look for it."""
     path = written(tmp_path, ("splits: {train: 1, val: 1}", "splits: {train: 1}"))  # six frames: enough for processes

@@ -36,6 +36,7 @@ def faults(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return faults_folder(tmp_path)
 
 
+@pytest.mark.slow
 def test_two_workers_and_one_process_in_reverse_make_the_same_bytes(tmp_path: Path) -> None:
     """The command with its workers, against the same jobs in another order and in this process."""
     path = recipe(tmp_path, WITH_LABELS)

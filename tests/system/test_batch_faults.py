@@ -155,7 +155,7 @@ def test_a_worker_that_takes_too_much_memory_is_stopped(tmp_path: Path, faults: 
 def test_a_worker_that_hangs_is_stopped_and_its_image_tried_again(tmp_path: Path, faults: Path) -> None:
     (faults / "stop-1").touch()  # the first attempt at it
     path, target = recipe(tmp_path), tmp_path / "data"
-    summary = local(str(path), str(target), 3, make, timeout_s=12.0)
+    summary = local(str(path), str(target), 3, make, timeout_s=6.0)
     assert summary.failed == ()
     again = [event for event in log_of(target) if event["event"] == "job_failed"]
     assert [(event["image"], event["kind"], event["will_retry"]) for event in again] == [(1, "time", True)]

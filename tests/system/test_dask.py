@@ -213,6 +213,7 @@ def test_nobody_writes_after_the_run_was_given_up(crowd: Cluster, tmp_path: Path
     assert not content(tmp_path / "out")
 
 
+@pytest.mark.slow
 def test_a_worker_killed_in_a_job_leaves_the_bytes_of_a_local_run(crowd: Cluster, tmp_path: Path) -> None:
     """One of three workers dies in the middle of a job, another joins: every job is done, with the same bytes.
 

@@ -312,6 +312,7 @@ def test_the_lock_is_patient_enough() -> None:
 
 
 @pytest.mark.usefixtures("_quick")
+@pytest.mark.slow
 def test_a_batch_in_s3_has_the_bytes_of_one_in_a_folder(whole: Path, bucket: str, tmp_path: Path) -> None:
     """Stopped before its last image and gone on with: nothing is made twice, and nothing differs.
 

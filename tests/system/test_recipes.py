@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from support.tiers import slow_but
 
 import forestgen
 from forestgen.core.progress import Silent
@@ -72,8 +73,8 @@ COARSE = {  # of clouds, of a walk of eight frames, of a house on a larger site,
 # Young plants, two of them with branches of their own.
 MODULES = ("community.steps=4", "community.initial_plants=12", "plants.unique=2")
 BIOMES = [name for name in list_assets("recipes") if name.startswith("biomes/")]
-ALWAYS = "biomes/desert"  # the others with the slow tests
-LARGE = ("mixed_stand", "vista")
+# One of each kind of community and sky; the others with the slow tests.
+BY_DEFAULT = ("biomes/desert", "ecoclimates/dying", "kernel_growth", "quickstart", "sapling_stand", "weather_cumulus")
 
 
 def _render(recipe: Path, target: Path, *settings: str) -> Path:
@@ -90,12 +91,7 @@ def _frames(folder: Path) -> dict[str, bytes]:
 REPRODUCTIONS = [name for name in list_assets("recipes") if name.startswith("reproductions/")]
 
 
-LONG = "reproductions/propagation"  # 15 s, and simulated again by the slow reproductions
-
-
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.slow if name == LONG else ()) for name in REPRODUCTIONS]
-)
+@pytest.mark.parametrize("name", slow_but(REPRODUCTIONS, "reproductions/kernels_fig5_4", "reproductions/size_hierarchy"))
 def test_reproduction_simulates(name: str) -> None:
     plan = check_plan(load_recipe(find_asset("recipes", name)), simulate_only=True)
     assert len(final_population(plan, Silent()))
@@ -104,7 +100,7 @@ def test_reproduction_simulates(name: str) -> None:
 @pytest.mark.parametrize(
     "name",
     [
-        pytest.param(name, marks=pytest.mark.slow if name in (*BIOMES, *LARGE) and name != ALWAYS else ())
+        pytest.param(name, marks=() if name in BY_DEFAULT else pytest.mark.slow)
         for name in list_assets("recipes")
         if name not in REPRODUCTIONS
     ],
@@ -120,6 +116,7 @@ def test_shipped_recipe_renders(name: str, tmp_path: Path) -> None:
     }  # fmt: skip
 
 
+@pytest.mark.slow
 def test_an_image_is_the_same_alone_among_others_and_from_its_stored_recipe(tmp_path: Path) -> None:
     recipe = recipes_dir() / "training_set.yaml"
     # Young stands under few clouds: the same draws in less time.

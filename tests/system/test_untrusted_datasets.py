@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from support.tiers import sampled
 from batch_pieces import copied
 from command_line import Answer, run, tree
 from hostile_sets import MARK, OUTSIDE, WAYS, WHOLES, changed, outside, summed
@@ -140,7 +141,7 @@ def test_no_file_of_a_data_set_leads_out_of_it(way: str, name: str, whole: Path,
     ask(READ[name], root, secret)
 
 
-@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("way", sampled(WAYS, 3))
 def test_of_one_file_in_every_way(way: str, whole: Path, tmp_path: Path, secret: Path) -> None:
     root = copied(whole, tmp_path / "set")
     WAYS[way](root / FRAME / "camera.json", secret)
@@ -161,7 +162,7 @@ def test_no_file_of_a_pack_leads_out_of_it(way: str, name: str, packable: Path, 
 NAMES = (f"../../{OUTSIDE}/own", f"/{OUTSIDE}/own", "..", "a\\own", "C:own", "a\nb", "", "\x00")
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", sampled(NAMES))
 def test_no_row_of_an_index_names_a_file_outside(name: str, packable: Path, tmp_path: Path, secret: Path) -> None:
     """Nor is a name that leads out, or breaks lines, written into a shard."""
     frame = packable / "train/000000-camera0"
@@ -176,7 +177,7 @@ def test_no_row_of_an_index_names_a_file_outside(name: str, packable: Path, tmp_
         ask("report", root, secret)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", sampled(NAMES))
 def test_no_name_in_a_text_leads_out(name: str, whole: Path, tmp_path: Path, secret: Path) -> None:
     """Of sums, of records, of the manifest and of the files over all images; each is told, none is opened."""
     (secret / "own").write_text(MARK)
@@ -211,7 +212,7 @@ RESUMED = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", RESUMED)
+@pytest.mark.parametrize("name", sampled(RESUMED, 3))
 def test_a_batch_that_goes_on_writes_and_removes_nothing_outside(
     name: str, whole: Path, tmp_path: Path, secret: Path
 ) -> None:
@@ -294,7 +295,7 @@ def content_of(root: Path, name: str) -> bytes:
     return LOG.encode() if name.startswith("run/") else found(root, name).read_bytes()
 
 
-@pytest.mark.parametrize("name", KINDS)
+@pytest.mark.parametrize("name", sampled(KINDS, 3))
 @pytest.mark.parametrize("seed", [1, *(pytest.param(k, marks=pytest.mark.slow) for k in range(2, 20))])
 def test_wrong_values_in_json_are_ordinary_errors(name: str, seed: int, whole: Path, tmp_path: Path) -> None:
     root, rng = copied(whole, tmp_path / "set"), random.Random(seed)
@@ -310,7 +311,7 @@ def test_what_is_no_json_is_an_ordinary_error(name: str, kind: str, whole: Path,
     ask(KINDS[name], root)
 
 
-@pytest.mark.parametrize("kind", WHOLES)
+@pytest.mark.parametrize("kind", sampled(WHOLES))
 def test_of_each_kind_one_file(kind: str, whole: Path, tmp_path: Path) -> None:
     """Which file it is, is drawn: every command meets some."""
     root, rng = copied(whole, tmp_path / "set"), random.Random(kind)
@@ -319,7 +320,7 @@ def test_of_each_kind_one_file(kind: str, whole: Path, tmp_path: Path) -> None:
     ask(KINDS[name], root)
 
 
-@pytest.mark.parametrize("name", OF_A_PACKS_JSON)
+@pytest.mark.parametrize("name", sampled(OF_A_PACKS_JSON, 3))
 @pytest.mark.parametrize("quick", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_of_a_pack_too(quick: bool, name: str, packable: Path, tmp_path: Path) -> None:
     content, rng = (packable / name).read_bytes(), random.Random(name)
