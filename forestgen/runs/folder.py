@@ -101,7 +101,7 @@ def is_made_from(place: Place, mark: str) -> bool:
 
 def images_in_frames(place: Place, splits: Iterable[str]) -> set[int]:
     """Numbers of the images that have a frame's folder in these splits, or in those that the batch was begun with."""
-    folders = {*splits, *_splits_before(place)}
+    folders = {*splits, *splits_before(place)}
     return {int(name.partition("-")[0]) for folder in folders for name in place.names(folder) if is_frame(name)}
 
 
@@ -126,7 +126,7 @@ def open_batch(
     damaged : finished images that have lost a file or its content: what is left of them is removed.
     """
     splits = tuple(splits)
-    before = _splits_before(place)
+    before = splits_before(place)
     listed = {split: set(place.names(split)) for split in {*splits, *before}}
     for name in _WHOLE:  # before the first frame goes
         place.remove(name)
@@ -194,7 +194,7 @@ def _is_batch(place: Place) -> bool:
     return _state(place) is not None or bool(place.names(JOBS))
 
 
-def _splits_before(place: Place) -> list[str]:
+def splits_before(place: Place) -> list[str]:
     """The splits that the batch was begun with."""
     listing = (_state(place) or {}).get("splits")
     names = listing if isinstance(listing, list) else []
