@@ -132,12 +132,11 @@ def _discard(aside: Path, root: Path, say: Callable[[str], None]) -> None:
     """Remove the previous data set; what is not forestgen's moves into the new one, or stays."""
     try:
         kept = move_strays(aside, root)
-    except (OSError, OutputError) as error:
-        say(f"note: the previous data set stays in {aside}, for its other files could not be moved: {error}")
-        return
-    if kept:
-        say(f"note: kept of the previous data set, as forestgen has not written it: {named(kept)}")
-    shutil.rmtree(aside, ignore_errors=True)
+        if kept:
+            say(f"note: kept of the previous data set, as forestgen has not written it: {named(kept)}")
+        shutil.rmtree(aside, ignore_errors=True)
+    except (OSError, OutputError, RecursionError) as error:  # the last: folders a thousand deep
+        say(f"note: the previous data set stays in {aside}: {error}")
 
 
 @contextmanager

@@ -59,35 +59,38 @@ def strays(root: Path) -> list[str]:
                 with suppress(DatasetError):  # two records, or a record and SHA256SUMS, disagree
                     ledger.add_file(FileSum(path, 0, str(said["sha256"])))
         try:
-            return list(_strays_in(root, "", ledger, splits, is_whole))
+            return sorted(_strays_in(root, ledger, splits, is_whole))
         except OSError as error:
             raise OutputError(f"cannot read: {error.strerror or error}", where=str(error.filename or root)) from error
 
 
-def _strays_in(root: Path, folder: str, ledger: Ledger, splits: set[str], is_whole: bool) -> Iterator[str]:
-
+def _strays_in(root: Path, ledger: Ledger, splits: set[str], is_whole: bool) -> Iterator[str]:
     def is_known(path: str) -> bool:
         """Whether the ledger has all that forestgen has written there."""
         return is_whole or (_is_in_frame(path, splits) and ledger.has_below("/".join(path.split("/")[:2])))
 
-    with os.scandir(root / folder) as entries:
-        found = sorted(entries, key=lambda entry: entry.name)
-    for entry in found:
-        path = f"{folder}/{entry.name}" if folder else entry.name
-        try:
-            path.encode()
-        except UnicodeEncodeError:  # forestgen writes no such name
-            yield path
-            continue
-        if path == HIDDEN:
-            continue
-        if entry.is_dir(follow_symlinks=False):
-            if ledger.has_below(path) or path in _FOLDERS or path in splits:
-                yield from _strays_in(root, path, ledger, splits, is_whole)
-            elif is_known(path) or not _may_be_ours(f"{path}/", splits):
+    waiting = [""]
+    while waiting:
+        folder = waiting.pop()
+        with os.scandir(root / folder) as entries:
+            found = [(one.name, one.is_dir(follow_symlinks=False)) for one in entries]
+        for name, is_folder in found:
+            path = f"{folder}/{name}" if folder else name
+            if not _is_text(path):  # forestgen writes no such name
                 yield path
-        elif not (ledger.file(path) or _is_of_run(path)) and (is_known(path) or not _may_be_ours(path, splits)):
-            yield path
+            elif path == HIDDEN or ledger.file(path) or _is_of_run(path):
+                continue
+            elif is_folder and (ledger.has_below(path) or path in _FOLDERS or path in splits):
+                waiting.append(path)
+            elif is_known(path) or not _may_be_ours(f"{path}/" if is_folder else path, splits):
+                yield path
+
+
+def _is_text(path: str) -> bool:
+    try:
+        return bool(path.encode())
+    except UnicodeEncodeError:
+        return False
 
 
 def _is_of_run(path: str) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -141,6 +142,18 @@ def test_files_in_the_way_of_the_new_data_set_are_refused_before_it(tmp_path: Pa
         raise AssertionError("the block must not run")
     assert (root / path).read_text() == "own"
     assert (root / "dataset.json").read_text() == "old"
+
+
+def test_names_of_any_depth_and_letters_are_kept(tmp_path: Path) -> None:
+    root = tmp_path / "set"
+    place, deep, odd = data_set(root), "/".join(["d"] * 100), os.fsdecode(b"mine-\xff.txt")
+    put(root, f"{deep}/frame.exr", f"{deep}/own.txt", odd)
+    (root / "SHA256SUMS").write_text(f"{'0' * 64}  {deep}/frame.exr\n{'0' * 64}  dataset.json\n")
+    said: list[str] = []
+    with replacing(place, ["train"], said.append):
+        data_set(root, "new")
+    assert (root / deep / "own.txt").read_text() == (root / odd).read_text() == "own"
+    assert not (root / deep / "frame.exr").exists()
 
 
 def test_files_that_meet_others_of_their_name_are_kept_beside_them(tmp_path: Path) -> None:
