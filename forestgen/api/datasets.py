@@ -62,6 +62,7 @@ class Dataset(Sequence[Frame]):
 
     Raises
     ------
+    RecipeError : there is no such folder.
     DatasetError : the folder holds no data set, or one that is not finished or damaged.
     """
 
@@ -321,6 +322,8 @@ def _rows_of(folder: Path) -> Any:
     try:
         open_data_set(folder)
     except RecipeError as error:  # it says what the folder is instead
+        if not folder.is_dir():
+            raise
         raise DatasetError(
             error.problem, where=error.where, expected=error.expected, got=error.got, hint=error.hint
         ) from error

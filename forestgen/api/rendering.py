@@ -17,6 +17,7 @@ from forestgen.core.timing import Timings
 from forestgen.dataset.frame import Frame
 from forestgen.pipeline import assemble_image, image_frames
 from forestgen.recipe.load import LoadedRecipe
+from forestgen.recipe.splits import NUMBERS_END
 from forestgen.render.variant import mitsuba, tracing_on
 from forestgen.runs import start
 from forestgen.runs.start import DryRun, RunOptions
@@ -42,6 +43,12 @@ def frames_of(
         raise RecipeError("no such image", where="first", expected="0 or more", got=repr(first))
     RunOptions(threads=threads, device=device).check()
     check_plan(loaded)
+    most = NUMBERS_END - int(loaded.complete["first_image"])
+    if first + total > most:
+        where, got = ("first", first) if first >= most else ("count", total)
+        raise RecipeError(
+            "there are no images of such numbers", where=where, expected=f"numbers below {NUMBERS_END}", got=str(got)
+        )
     return _frames(loaded, range(first, first + total), threads, device, display_of(progress))
 
 

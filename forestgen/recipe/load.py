@@ -33,7 +33,7 @@ from forestgen.recipe.reading import check_version, make_draws, splits_of, sugge
 from forestgen.recipe.schema import SCHEMA_VERSION, Recipe
 from forestgen.recipe.sources import Keys, Place, SourceMap
 from forestgen.recipe.species import Species
-from forestgen.recipe.splits import split_of
+from forestgen.recipe.splits import NUMBERS_END, split_of
 from forestgen.recipe.stand_ins import replace_sections, sections_of
 from forestgen.recipe.yaml_source import read_yaml
 
@@ -165,9 +165,9 @@ class LoadedRecipe:
         ------
         RecipeError : a drawn value is one that the schema rejects.
         """
-        if image_index < 0:
-            raise RecipeError("no such image", expected="an index of at least 0", got=str(image_index))
         image = self._first_image + image_index
+        if not self._first_image <= image < NUMBERS_END:
+            raise RecipeError("no such image", expected=f"an index from 0 to {NUMBERS_END - 1}", got=str(image_index))
         return self._drawn(self.draws.values(image), image)
 
     def probes(self) -> Iterator[DrawnRecipe]:

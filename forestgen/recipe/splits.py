@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from forestgen.recipe.load import LoadedRecipe
 
 _BITS = 64  # of an image's number
+NUMBERS_END = 2**_BITS  # no image's number is as large
 _Shares = tuple[tuple[str, float], ...]
 
 

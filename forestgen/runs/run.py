@@ -106,9 +106,10 @@ def run_batch(
         _clear_staging(work.place)
         used = used_splits(splits, images)
         damaged = damaged_images(work.place, loaded, images, before.stale, listener.say)
-        known = open_batch(work.place, images, used, mark, listener.say, before.stale, damaged)
-        queue = JobQueue(work, images, splits, known)
         with Log(work.place) as log:
+            work.place.discard(work.place.staging())  # what cannot be written is told before anything is removed
+            known = open_batch(work.place, images, used, mark, listener.say, before.stale, damaged)
+            queue = JobQueue(work, images, splits, known)
             run = _Run(work, lock, log, Meter(count, already=queue.done), queue, listener, retries, strict)
             log.event("start", target=target, recipe=str(loaded.path), images=count, done=queue.done, threads=threads)
             for image, problem in damaged.items():

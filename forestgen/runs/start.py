@@ -24,7 +24,7 @@ from forestgen.runs.folder import check_ours, check_resume, fingerprint
 from forestgen.runs.keys import versions_hash
 from forestgen.runs.meter import Listener
 from forestgen.runs.places import place_of
-from forestgen.runs.replace import leaving_no_empty, replacing
+from forestgen.runs.replace import leaving_no_empty, replacing, restore_previous
 from forestgen.runs.run import check_recipe, images_of, run_batch
 from forestgen.runs.summary import RunSummary
 from forestgen.runs.work import make_job
@@ -61,7 +61,7 @@ class RunOptions:
         """Raise `RecipeError` for values that are none, and options that exclude one another."""
         for name, least, most in (("count", 1, 10**8), ("threads", 1, 4096), ("workers", 1, 1024), ("retries", 0, 100)):
             value = getattr(self, name)
-            if value is not None and not (type(value) is int and least <= value <= most):
+            if (value is not None or name == "retries") and not (type(value) is int and least <= value <= most):
                 raise RecipeError(
                     "no such number", where=f"--{name}", expected=f"{least:,} to {most:,}", got=repr(value)
                 )
@@ -120,9 +120,9 @@ def render(loaded: LoadedRecipe, target: str, options: RunOptions, display: Disp
     RecipeError, AssetError, ResourceError, OutputError, RenderError : what an image or the folder does not allow.
     DatasetError : images are missing at the end.
     """
-    run = _prepared(loaded, target, options, display)
+    run = _prepared(loaded, _entered(target, options, display), options, display)
     check_disk(loaded, run.place, run.count - run.before.kept)
-    with _room_for(run.place, options), leaving_no_empty(run.place):
+    with _room_for(loaded, run.place, options, display), leaving_no_empty(run.place):
         summary = run_batch(
             loaded,
             target,
@@ -147,12 +147,12 @@ def batch(loaded: LoadedRecipe, target: str, options: RunOptions, display: Displ
     RecipeError, ResourceError, OutputError : see `forestgen.runs.run.run_batch`.
     DatasetError : images failed, or are missing at the end.
     """
-    run = _prepared(loaded, target, options, display)
+    run = _prepared(loaded, _entered(target, options, display), options, display)
     expected = _expected(loaded, run, options, display, probe=False)
     check_fits(expected, run.place, workers_here=options.engine == "local")
     for text in lines(expected):
         display.say(text)
-    with _room_for(run.place, options):
+    with _room_for(loaded, run.place, options, display):
         summary = run_batch(
             loaded,
             target,
@@ -182,7 +182,7 @@ def dry_run(loaded: LoadedRecipe, target: str, options: RunOptions, display: Dis
     """Check a batch and estimate its time, memory and disk; nothing is made."""
     options.check()
     lenient = options if options.overwrite else replace(options, discard=True, resume=True)
-    run = _prepared(loaded, target, lenient, display)
+    run = _prepared(loaded, place_of(target), lenient, display)
     expected = _expected(loaded, run, options, display, probe=True)
     check_fits(expected, run.place, workers_here=options.engine == "local")
     return DryRun(expected, run.before.discarded, run.before.reasons())
@@ -198,9 +198,16 @@ class _Prepared:
     before: Standing  # finished images that are there
 
 
-def _prepared(loaded: LoadedRecipe, target: str, options: RunOptions, display: Display) -> _Prepared:
+def _entered(target: str, options: RunOptions, display: Display) -> Place:
+    """Where the data set lies, as it was before a run that was killed while it replaced it."""
     options.check()
-    place, count = place_of(target), options.count or loaded.images
+    place = place_of(target)
+    restore_previous(place, display.say)
+    return place
+
+
+def _prepared(loaded: LoadedRecipe, place: Place, options: RunOptions, display: Display) -> _Prepared:
+    count = options.count or loaded.images
     check_ours(place)
     if not options.overwrite:
         check_resume(place, resume=options.resume)
@@ -215,8 +222,8 @@ def _prepared(loaded: LoadedRecipe, target: str, options: RunOptions, display: D
 
 
 @contextmanager
-def _room_for(place: Place, options: RunOptions) -> Iterator[None]:
-    with replacing(place) if options.overwrite else nullcontext():
+def _room_for(loaded: LoadedRecipe, place: Place, options: RunOptions, display: Display) -> Iterator[None]:
+    with replacing(place, loaded.splits, display.say) if options.overwrite else nullcontext():
         yield
 
 
@@ -282,7 +289,7 @@ def _failure(failed: Failed) -> str:
 
 def seconds_of(duration: float | str, option: str) -> float:
     """Seconds of a number, or of a text such as 90s, 30min or 1.5h. Raises `RecipeError`."""
-    if isinstance(duration, int | float) and 0 < duration < sys.maxsize:
+    if isinstance(duration, int | float) and not isinstance(duration, bool) and 0 < duration < sys.maxsize:
         return float(duration)
     found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*(s|min|h)\s*", str(duration))
     if found is None or not float(found[1]):

@@ -169,7 +169,9 @@ def test_what_is_no_finished_data_set_is_refused(data_set: fg.Dataset, tmp_path:
     with pytest.raises(fg.DatasetError, match="the index cannot be read"):
         fg.Dataset(copy)
     (copy / "dataset.json").unlink()
-    for folder, got in ((copy, "not finished"), (tmp_path, "a folder of data sets"), (tmp_path / "none", "no such")):
+    with pytest.raises(fg.RecipeError, match="there is no such folder"):
+        fg.Dataset(tmp_path / "none")
+    for folder, got in ((copy, "not finished"), (tmp_path, "a folder of data sets")):
         if folder == tmp_path:
             (copy / "dataset.json").write_text("{}")
         with pytest.raises(fg.DatasetError) as refused:
@@ -315,7 +317,7 @@ def test_an_interrupted_render_goes_on(number: int, recipe: fg.Recipe, data_set:
     assert target.exists() == bool(done)
     assert len(list(target.glob("*/*/frame.exr"))) == 3 * done
     assert not list((target / HIDDEN / "staging").glob("*"))
-    with pytest.raises(fg.DatasetError, match="not finished" if done else "no such folder"):
+    with pytest.raises(fg.DatasetError if done else fg.RecipeError, match="not finished" if done else "no such folder"):
         fg.Dataset(target)
     run = recipe.render(target, count=IMAGES, resume=True, progress=False)
     assert (run.summary.already, run.summary.made) == (done, IMAGES - done)

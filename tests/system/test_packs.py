@@ -327,7 +327,7 @@ def test_refusals_say_what_would_do(copy, tmp_path):
     for size in ("0MB", "ten", "-5MB", "5XB", "1e9"):
         ask("--shard-size", size).refused(2, "this is no size", size)
     ask(folder=tmp_path).refused(6, "this is no data set", str(tmp_path))
-    ask(folder=tmp_path / "none").refused(6, "there is no such folder")
+    ask(folder=tmp_path / "none").refused(2, "there is no such folder")
     run("pack", copy, "--format", "webdataset", "--out", copy / "pack").refused(4, "inside the data set")
     for frame in (*frames(copy, "train").values(), *frames(copy, "val").values()):
         (frame / "depth.png").unlink()

@@ -206,7 +206,7 @@ def test_no_name_in_a_text_leads_out(name: str, whole: Path, tmp_path: Path, sec
 
 
 RESUMED = {
-    ".forestgen/lock": 4, ".forestgen/holder.json": 4, ".forestgen/jobs": 6, ".forestgen/staging": 6, ".forestgen": 6,
+    ".forestgen/lock": 4, ".forestgen/holder.json": 4, ".forestgen/jobs": 6, ".forestgen/staging": 4, ".forestgen": 6,
     "train": 4, "thumbnails": 4, "maps": 4, "run": 4, "run/log.jsonl": 4, "train/coco.json": 0,
 }  # fmt: skip
 

@@ -78,7 +78,7 @@ def pack(root: Path, target: Path, packing: Packing, *, overwrite: bool = False,
     Raises
     ------
     DatasetError : `root` is no data set, or a file of it is missing or damaged.
-    RecipeError : the data set has no such channel or split.
+    RecipeError : there is no such folder, or the data set has no such channel or split.
     OutputError : the pack cannot be written.
     """
     source = open_source(root, packing.splits)

@@ -12,7 +12,7 @@ from forestgen.core.errors import DatasetError, RecipeError
 from forestgen.dataset.index import INDEX_NAME, whole_index
 from forestgen.dataset.legend import FILE_NAME as CLASSES_FILE
 from forestgen.dataset.pack.channels import read_json
-from forestgen.dataset.safe_path import SafePath, unreadable
+from forestgen.dataset.safe_path import SafePath, check_folder, unreadable
 
 LAST_FILE = "dataset.json"  # that a run writes
 
@@ -60,20 +60,19 @@ def open_source(root: Path, splits: Sequence[str] = ()) -> Source:
     Raises
     ------
     DatasetError : the folder is no data set, is not finished, or is damaged.
-    RecipeError : the data set has no such split.
+    RecipeError : there is no such folder, or the data set has no such split.
     """
+    elsewhere = "packs are made of folders of this machine: copy the data set here first" if ":/" in str(root) else None
+    check_folder(root, "a folder that forestgen render, batch or merge made", elsewhere)
     if not os.path.lexists(root / INDEX_NAME) or not os.path.lexists(root / LAST_FILE):
         raise _no_data_set(root)
     return _opened(root, splits)
 
 
 def _no_data_set(root: Path) -> DatasetError:
-    if not root.is_dir():
-        hint = "packs are made of folders of this machine: copy the data set here first" if ":/" in str(root) else None
-        return DatasetError("there is no such folder", where=str(root), hint=hint)
     if (root / INDEX_NAME).exists() or (root / ".forestgen").is_dir():
         missing = LAST_FILE if (root / INDEX_NAME).is_file() else INDEX_NAME
-        hint = "the command that made it, with --resume, goes on with it"
+        hint: str | None = "the command that made it, with --resume, goes on with it"
         return DatasetError(f"the data set is not finished: it has no {missing} yet", where=str(root), hint=hint)
     hint = f"name {root.parent}, with --split {root.name}" if (root.parent / LAST_FILE).is_file() else None
     expected = "a folder that forestgen render, batch or merge made"

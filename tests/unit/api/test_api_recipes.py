@@ -147,3 +147,12 @@ def test_validate_counts_the_frames_of_paths_and_notes_what_is_odd() -> None:
 
 def test_the_quickstart_is_valid() -> None:
     assert fg.load(QUICKSTART).validate().species == ("fireweed", "poplar", "spruce")
+
+
+@pytest.mark.parametrize(
+    ("count", "first", "where"), [(1, 10**30, "first"), (1, 2**64, "first"), (2**64, 1, "count"), (10**30, 0, "count")]
+)
+def test_images_beyond_all_numbers_are_refused_at_once(count: int, first: int, where: str) -> None:
+    with pytest.raises(fg.RecipeError, match="numbers below 18446744073709551616") as refused:
+        fg.load(STAND).frames(count, first=first)
+    assert refused.value.where == where

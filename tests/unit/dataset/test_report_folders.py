@@ -14,7 +14,7 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from forestgen.cli import app
-from forestgen.core.errors import DatasetError, OutputError
+from forestgen.core.errors import DatasetError, OutputError, RecipeError
 from forestgen.dataset import png
 from forestgen.dataset.index import INDEX_NAME, read_index, write_index
 from forestgen.dataset.report.frames import read_frames
@@ -226,8 +226,8 @@ def test_a_page_of_many_images_stays_small(tmp_path):
 
 
 def test_a_folder_that_is_none_of_ours(tmp_path):
-    for folder in (tmp_path, tmp_path / "nowhere"):
-        with pytest.raises(DatasetError) as caught:
+    for folder, error in ((tmp_path, DatasetError), (tmp_path / "nowhere", RecipeError)):
+        with pytest.raises(error) as caught:
             write_report(folder, tmp_path / "report.html")
         assert str(folder) in str(caught.value)
     assert list(tmp_path.iterdir()) == []

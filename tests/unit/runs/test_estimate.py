@@ -220,6 +220,12 @@ def test_the_table_tells_what_and_how(expected: Callable[..., Estimate]) -> None
         assert word in text, text
 
 
+def test_one_frame_is_told_in_the_singular(recipe: Callable[..., LoadedRecipe], settings: DatasetSettings) -> None:
+    one = recipe("cameras=[{position_m: [5, -3, 1.6], look_at_m: [5, 5, 0.5], size_px: [32, 24]}]")
+    text = "\n".join(lines(estimate(one, settings, count=1, workers=1, threads=1, progress=Silent(), probe=False)))
+    assert "1; 1 frame, " in text
+
+
 def test_one_worker_that_does_not_fit_is_refused(expected: Callable[..., Estimate], tmp_path: Path) -> None:
     with pytest.raises(ResourceError, match=r"one worker[\s\S]*at most 8 GB[\s\S]*got"):
         check_fits(expected(probe(memory=9 * 10**9)), LocalPlace(tmp_path))
