@@ -153,9 +153,15 @@ class Dataset(Sequence[Frame]):
         """
         return verify(self.folder, rerender=rerender, seed=seed, workers=workers, hashes=hashes, progress=progress)
 
-    def report(self, out: PathLike | None = None) -> Path:
-        """Write the data set's page, by default report.html in its folder; the path of it."""
-        return write_report(self.folder, out)
+    def report(self, out: PathLike | None = None, *, overwrite: bool = False) -> Path:
+        """Write the data set's page, by default report.html in its folder, which is renewed; the path of it.
+
+        Parameters
+        ----------
+        out : another file.
+        overwrite : replace that file if it exists.
+        """
+        return write_report(self.folder, out, overwrite=overwrite)
 
     def pack(
         self,
@@ -269,11 +275,16 @@ def verify(
         return check(Path(folder), rerender=rerender, seed=seed, workers=workers, hashes=hashes, progress=display)
 
 
-def write_report(folder: PathLike, out: PathLike | None = None) -> Path:
+def write_report(folder: PathLike, out: PathLike | None = None, *, overwrite: bool = False) -> Path:
     """Write the page of a data set, finished or not; the path of it. See `Dataset.report`."""
     from forestgen.dataset.report import page
+    from forestgen.stages.plant_files import check_writable
 
-    target = Path(folder) / page.REPORT_NAME if out is None else Path(out)
+    own = Path(folder) / page.REPORT_NAME
+    target = own if out is None else Path(out)
+    is_own = target.name == own.name and os.path.realpath(target.parent) == os.path.realpath(own.parent)
+    if os.path.lexists(target):
+        check_writable([target], overwrite=overwrite or is_own)
     page.write_report(Path(folder), target)
     return target
 

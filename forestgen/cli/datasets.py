@@ -115,6 +115,7 @@ def report(
             "--out", "-o", metavar="FILE", help="The page; by default report.html in DIR.", show_default=False
         ),
     ] = None,
+    overwrite: Overwrite = False,
 ) -> None:
     """Show a data set on one HTML page: gallery, balance, coverage, failures, timings.
 
@@ -123,4 +124,4 @@ def report(
     """
     from forestgen.api.datasets import write_report
 
-    Printer()(f"file: {write_report(folder, out)}")
+    Printer()(f"file: {write_report(folder, out, overwrite=overwrite)}")
