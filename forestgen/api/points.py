@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from forestgen.api.arguments import several
 from forestgen.api.display import display_of
 from forestgen.core.errors import RecipeError
 from forestgen.core.progress import Progress
@@ -27,7 +28,9 @@ _UNEVEN = 0.05
 _SPECIES = "poplar"  # what plants look like of which nothing is said
 
 
-def stats(points: PathLike, *, window: Bounds | None = None, radii: Sequence[float | str] = ()) -> PointStatistics:
+def stats(
+    points: PathLike, *, window: Bounds | None = None, radii: str | Sequence[float | str] = ()
+) -> PointStatistics:
     """Measure whether points are clustered, random or regular.
 
     Parameters
@@ -42,7 +45,7 @@ def stats(points: PathLike, *, window: Bounds | None = None, radii: Sequence[flo
     """
     from forestgen.community.point_statistics import measure_file
 
-    return measure_file(Path(points), window, radii)
+    return measure_file(Path(points), window, several(radii))
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 
+import numpy as np
+
 from forestgen.core.errors import RecipeError
 
 _UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "t": 10**12, "ki": 2**10, "mi": 2**20, "gi": 2**30, "ti": 2**40}
@@ -21,6 +23,13 @@ def show_bytes(count: float) -> str:
         if count >= size:
             return f"{three_digits(count / size)} {unit}"
     return f"{three_digits(count / 1e3)} kB"
+
+
+def check_whole(value: object, option: str, least: int, most: int = 2**63 - 1) -> None:
+    """Refuse what is no whole number within bounds, as a `RecipeError` that names the option."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or not least <= value <= most:
+        expected = f"a whole number, {least:,} or more" if most == 2**63 - 1 else f"a whole number, {least} to {most:,}"
+        raise RecipeError("no such number", where=option, expected=expected, got=f"{value!r:.60}")
 
 
 def parse_bytes(size: int | str, option: str) -> int:

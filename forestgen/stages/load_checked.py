@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from forestgen.core.errors import ResourceError
-from forestgen.recipe.load import LoadedRecipe, read_recipe, read_recipe_data
+from forestgen.recipe.load import LoadedRecipe, read_recipe, read_recipe_data, read_recipe_text
 
 
 def load_checked(source: Path | str | Mapping[str, Any], overrides: Sequence[str] = ()) -> LoadedRecipe:
@@ -18,10 +18,13 @@ def load_checked(source: Path | str | Mapping[str, Any], overrides: Sequence[str
 
     Parameters
     ----------
-    source : a file, or the content of one; paths in that are relative to the working folder.
+    source : a file, or the content of one, as a mapping or a text of several lines; paths in that are relative to the
+        working folder.
     """
     if isinstance(source, Mapping):
         loading = read_recipe_data(source, "recipe", overrides=overrides)
+    elif isinstance(source, str) and "\n" in source:
+        loading = read_recipe_text(source, overrides)
     else:
         loading = read_recipe(source, overrides)
     if loading.errors and loading.sound is not None:

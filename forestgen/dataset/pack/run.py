@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 from forestgen.core.errors import DatasetError, OutputError, RecipeError
-from forestgen.core.figures import parse_bytes
+from forestgen.core.figures import check_whole, parse_bytes
 from forestgen.core.progress import Progress
 from forestgen.dataset.files import write_bytes, write_json
 from forestgen.dataset.folder import OutputFolder
@@ -50,8 +50,10 @@ def packing_of(
 
     Raises
     ------
-    RecipeError : no such format or size.
+    RecipeError : no such format, size or seed.
     """
+    if seed is not None:
+        check_whole(seed, "--seed", 0)
     chosen = next((one for one in FORMATS if one == form), None)
     if chosen is None:
         raise RecipeError("there is no such format", where="--format", expected=" or ".join(FORMATS), got=form)
