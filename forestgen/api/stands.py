@@ -19,6 +19,7 @@ from forestgen.core.progress import Progress
 from forestgen.core.timing import Timings
 from forestgen.pipeline import SimulationSummary
 from forestgen.recipe.load import LoadedRecipe
+from forestgen.recipe.suggestions import did_you_mean
 from forestgen.stages.history import map_colours
 from forestgen.stages.module_checks import ground_plans
 
@@ -89,9 +90,8 @@ class Stand:
         try:
             return self.columns[column]
         except KeyError:
-            raise RecipeError(
-                "the stand has no such column", expected="one of " + ", ".join(self.columns), got=repr(column)
-            ) from None
+            expected, hint = "one of " + ", ".join(self.columns), did_you_mean(str(column), self.columns)
+            raise RecipeError("the stand has no such column", expected=expected, got=repr(column), hint=hint) from None
 
     def __len__(self) -> int:
         return len(self.population)

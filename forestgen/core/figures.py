@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
+import operator
 import re
-
-import numpy as np
 
 from forestgen.core.errors import RecipeError
 
@@ -25,10 +24,14 @@ def show_bytes(count: float) -> str:
     return f"{three_digits(count / 1e3)} kB"
 
 
-def check_whole(value: object, option: str, least: int, most: int = 2**63 - 1) -> None:
+def check_whole(value: object, option: str, least: int, most: int | None = None) -> None:
     """Refuse what is no whole number within bounds, as a `RecipeError` that names the option."""
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or not least <= value <= most:
-        expected = f"a whole number, {least:,} or more" if most == 2**63 - 1 else f"a whole number, {least} to {most:,}"
+    try:
+        number = None if isinstance(value, bool) else operator.index(value)  # type: ignore[arg-type]  # NumPy's too
+    except TypeError:
+        number = None
+    if number is None or number < least or (most is not None and number > most):
+        expected = f"a whole number, {least:,} {'or more' if most is None else f'to {most:,}'}"
         raise RecipeError("no such number", where=option, expected=expected, got=f"{value!r:.60}")
 
 

@@ -48,7 +48,7 @@ def mapping_of(
         raise error("the text is too large", where=origin, expected=f"at most {MAX_BYTES // 10**6} MB", got="more")
     data, sources = parse_yaml(text, origin, error=error)
     if data is None:
-        raise error("the file says nothing", where=origin, expected="a mapping of keys to values", got="no content")
+        raise error("the text says nothing", where=origin, expected="a mapping of keys to values", got="no content")
     if not isinstance(data, dict):
         raise error("not a mapping", where=f"{origin}:1", expected="lines such as 'seed: 7'", got=_kind(data))
     return data, sources

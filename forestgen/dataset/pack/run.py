@@ -178,13 +178,14 @@ def _write_rest(
     write_bytes(folder / CLASSES_FILE, read_file(source.splits[0].folder / CLASSES_FILE))
     code = opening_code(packing.format, "PATH", shards)
     of_card, chapter = card_of(source.root)
-    text = body("Packed for " + _LIBRARIES[packing.format], code, shards, source.classes) + chapter
+    title, names = "Packed for " + _LIBRARIES[packing.format], [channel.name for channel in channels]
+    text = body(title, code, shards, source.classes, names) + chapter
     head = front_matter(columns_of(source, channels), shards, of_card) if packing.format == "huggingface" else ""
     write_bytes(folder / "README.md", (head + text).encode())
     content = {
         "schema": _SCHEMA,
         "format": packing.format,
-        "channels": [channel.name for channel in channels],
+        "channels": names,
         "order_seed": packing.seed,
         "shard_bytes": packing.shard_bytes,
         "splits": {name: [asdict(one) for one in listed] for name, listed in shards.items()},
