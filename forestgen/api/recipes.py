@@ -15,7 +15,7 @@ from forestgen.stages.load_checked import load_checked
 
 if TYPE_CHECKING:
     from forestgen.api.datasets import Run
-    from forestgen.api.instruments import LightMeter, Weather
+    from forestgen.api.instruments import LightReadings, Weather
     from forestgen.api.stands import Stand
     from forestgen.api.validation import Validation
     from forestgen.dataset.frame import Frame
@@ -328,7 +328,7 @@ class Recipe:
         spectrum: float | None = None,
         overwrite: bool = False,
         progress: bool | Progress | None = None,
-    ) -> list[LightMeter]:
+    ) -> LightReadings:
         """Measure light at points of the first image's scene.
 
         Parameters

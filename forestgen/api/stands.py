@@ -78,13 +78,7 @@ class Stand:
     @property
     def biome(self) -> str | None:
         """What people call land of the climate that chose the recipe's species; None if no climate did."""
-        from forestgen.recipe.biome import biome_name
-
-        biome = self.summary.plan.drawn.recipe.community.parameters.get("biome")
-        if not biome:
-            return None
-        warmth, rain = biome["temperature_c"], biome["precipitation_mm_per_yr"]
-        return f"{biome_name(warmth, rain)}, of {warmth:g} deg C and {rain:g} mm a year"
+        return self.summary.biome
 
     def __getitem__(self, column: str) -> NDArray[Any]:
         try:

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Optional
 import typer
 
 from forestgen.cli.arguments import DatasetPath, Overwrite, Quiet, Seed, progress_of
-from forestgen.cli.console import Printer, count
+from forestgen.cli.console import Printer
+from forestgen.core.figures import count
 
 if TYPE_CHECKING:
     from forestgen.dataset.pack.run import Packed
