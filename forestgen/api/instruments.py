@@ -14,7 +14,8 @@ from forestgen.core.progress import Progress
 from forestgen.core.timing import Timings
 from forestgen.recipe.cameras import DIRECTIONS
 from forestgen.recipe.load import LoadedRecipe
-from forestgen.stages.light import LightMeter, Point
+from forestgen.stages.light import Point
+from forestgen.stages.light_text import LightReadings
 from forestgen.stages.plant_files import FileSet, check_writable
 from forestgen.stages.weather import Report as Weather
 
@@ -38,7 +39,7 @@ def measure_light(
     spectrum: float | None,
     overwrite: bool,
     progress: bool | Progress | None,
-) -> list[LightMeter]:
+) -> LightReadings:
     """See `Recipe.light`."""
     from forestgen.stages import light
 
@@ -68,7 +69,7 @@ def measure_light(
         )
         with FileSet(overwrite=overwrite) as files:
             files.write(out, content)
-    return meters
+    return LightReadings(meters, spectrum)
 
 
 def simulate_weather(
@@ -199,4 +200,4 @@ def _check_range(option: str, value: float, least: float, most: float) -> None:
         raise RecipeError("no such number", where=option, expected=f"{least:,} to {most:,}", got=f"{value:,}")
 
 
-__all__ = ["LightMeter", "Weather", "calibrate", "measure_light", "normal_of", "point_of", "simulate_weather"]
+__all__ = ["LightReadings", "Weather", "calibrate", "measure_light", "normal_of", "point_of", "simulate_weather"]

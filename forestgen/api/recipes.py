@@ -8,13 +8,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from forestgen.api.arguments import several
 from forestgen.core.errors import RecipeError
 from forestgen.core.progress import Progress
 from forestgen.stages.load_checked import load_checked
 
 if TYPE_CHECKING:
     from forestgen.api.datasets import Run
-    from forestgen.api.instruments import LightMeter, Weather
+    from forestgen.api.instruments import LightReadings, Weather
     from forestgen.api.stands import Stand
     from forestgen.api.validation import Validation
     from forestgen.dataset.frame import Frame
@@ -29,14 +30,14 @@ def load(
     source: PathLike | Mapping[str, Any],
     set: Overrides = (),  # noqa: A002 - the name of the option on the command line
     *,
-    allow_folders: Sequence[PathLike] = (),
+    allow_folders: PathLike | Sequence[PathLike] = (),
 ) -> Recipe:
     """Read a recipe and check it.
 
     Parameters
     ----------
-    source : path of a YAML file, or a mapping with the same keys; paths in a mapping are relative to the working
-        folder.
+    source : path of a YAML file, or a mapping with the same keys, or the YAML itself, a text of several lines; paths in
+        a mapping or a text are relative to the working folder.
     set : values that replace those of the recipe: ``{"sky.turbidity": 5, "cameras.0.size_px": [640, 480]}``, or texts
         ``["sky.turbidity=5"]`` whose values are YAML.
     allow_folders : folders besides the recipe's own that this recipe, and all later ones of this process, may read
@@ -49,7 +50,7 @@ def load(
     if allow_folders:
         from forestgen.recipe.paths import allow_folders as allow
 
-        allow([Path(folder) for folder in allow_folders])
+        allow([Path(folder) for folder in several(allow_folders)])
     return Recipe(source, _texts(set))
 
 
@@ -78,7 +79,7 @@ class Recipe:
 
     def __init__(self, source: PathLike | Mapping[str, Any], overrides: Sequence[str] = ()) -> None:
         self._source, self._overrides = source, tuple(overrides)
-        self._loaded = load_checked(source if isinstance(source, Mapping) else Path(source), overrides)
+        self._loaded = load_checked(source if isinstance(source, Mapping | str) else Path(source), overrides)
 
     @property
     def name(self) -> str:
@@ -133,7 +134,7 @@ class Recipe:
         map_steps: Sequence[int] = (),
         resume: PathLike | None = None,
         from_step: int | None = None,
-        graphs: Sequence[PathLike] = (),
+        graphs: PathLike | Sequence[PathLike] = (),
         overwrite: bool = False,
         progress: bool | Progress | None = None,
     ) -> Stand:
@@ -161,7 +162,7 @@ class Recipe:
             map_steps=map_steps,
             resume=None if resume is None else Path(resume),
             from_step=from_step,
-            graphs=[Path(one) for one in graphs],
+            graphs=[Path(one) for one in several(graphs)],
             overwrite=overwrite,
             progress=progress,
         )
@@ -320,14 +321,14 @@ class Recipe:
         self,
         at: Sequence[Sequence[float | str]],
         *,
-        normals: Sequence[str | Sequence[float]] = ("up",),
+        normals: str | Sequence[str | Sequence[float]] = ("up",),
         samples: int = 16384,
         absolute_z: bool = False,
         out: PathLike | None = None,
         spectrum: float | None = None,
         overwrite: bool = False,
         progress: bool | Progress | None = None,
-    ) -> list[LightMeter]:
+    ) -> LightReadings:
         """Measure light at points of the first image's scene.
 
         Parameters
@@ -345,7 +346,7 @@ class Recipe:
         return measure_light(
             self._loaded,
             at,
-            normals,
+            several(normals),
             samples=samples,
             absolute_z=absolute_z,
             out=None if out is None else Path(out),
@@ -372,11 +373,10 @@ class Recipe:
         """
         from forestgen.api.instruments import simulate_weather
 
-        files = [out] if isinstance(out, str | os.PathLike) else list(out)
         return simulate_weather(
             self._loaded,
             count,
-            out=[Path(one) for one in files],
+            out=[Path(one) for one in several(out)],
             picture=None if picture is None else Path(picture),
             overwrite=overwrite,
             progress=progress,

@@ -19,6 +19,7 @@ from forestgen.core.progress import Progress
 from forestgen.core.timing import Timings
 from forestgen.pipeline import SimulationSummary
 from forestgen.recipe.load import LoadedRecipe
+from forestgen.recipe.suggestions import did_you_mean
 from forestgen.stages.history import map_colours
 from forestgen.stages.module_checks import ground_plans
 
@@ -77,21 +78,14 @@ class Stand:
     @property
     def biome(self) -> str | None:
         """What people call land of the climate that chose the recipe's species; None if no climate did."""
-        from forestgen.recipe.biome import biome_name
-
-        biome = self.summary.plan.drawn.recipe.community.parameters.get("biome")
-        if not biome:
-            return None
-        warmth, rain = biome["temperature_c"], biome["precipitation_mm_per_yr"]
-        return f"{biome_name(warmth, rain)}, of {warmth:g} deg C and {rain:g} mm a year"
+        return self.summary.biome
 
     def __getitem__(self, column: str) -> NDArray[Any]:
         try:
             return self.columns[column]
         except KeyError:
-            raise RecipeError(
-                "the stand has no such column", expected="one of " + ", ".join(self.columns), got=repr(column)
-            ) from None
+            expected, hint = "one of " + ", ".join(self.columns), did_you_mean(str(column), self.columns)
+            raise RecipeError("the stand has no such column", expected=expected, got=repr(column), hint=hint) from None
 
     def __len__(self) -> int:
         return len(self.population)

@@ -20,7 +20,7 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, NoReturn, cast
 
@@ -56,14 +56,6 @@ class Printer:
     def __call__(self, text: str = "") -> None:
         if not self._quiet:
             output().print(plain(text), markup=False)  # names of strangers' files may hold brackets, or control codes
-
-    def table(self, rows: Sequence[Sequence[str]]) -> None:
-        """Rows as wide as they must be, the first column to the left and the others to the right."""
-        widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-        for row in rows:
-            first = row[0].ljust(widths[0])
-            rest = (text.rjust(width) for text, width in zip(row[1:], widths[1:], strict=True))
-            self("  ".join([first, *rest]).rstrip())
 
     def json(self, content: object) -> None:
         """Plain values; NaN, which JSON lacks, as null."""
@@ -201,13 +193,3 @@ def stops_keep(what: Callable[[], str]) -> Iterator[None]:
     except _StoppedError as stopped:
         stopped.kept = what()
         raise
-
-
-def seconds(value: float) -> str:
-    """A duration for people."""
-    return f"{value:.1f} s" if value < 60 else f"{int(value) // 60} min {int(value) % 60:02d} s"
-
-
-def count(number: int, one: str, many: str | None = None) -> str:
-    """A number with its noun: 1 image, 2 images."""
-    return f"{number:,} {one if number == 1 else many or one + 's'}"

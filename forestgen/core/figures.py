@@ -1,8 +1,10 @@
-"""Numbers for people, and sizes as people write them."""
+"""Numbers and tables for people, and sizes as people write them."""
 
 from __future__ import annotations
 
+import operator
 import re
+from collections.abc import Sequence
 
 from forestgen.core.errors import RecipeError
 
@@ -21,6 +23,39 @@ def show_bytes(count: float) -> str:
         if count >= size:
             return f"{three_digits(count / size)} {unit}"
     return f"{three_digits(count / 1e3)} kB"
+
+
+def seconds(value: float) -> str:
+    """A duration for people."""
+    return f"{value:.1f} s" if value < 60 else f"{int(value) // 60} min {int(value) % 60:02d} s"
+
+
+def count(number: int, one: str, many: str | None = None) -> str:
+    """A number with its noun: 1 image, 2 images."""
+    return f"{number:,} {one if number == 1 else many or one + 's'}"
+
+
+def table_lines(rows: Sequence[Sequence[str]], *, names_left: bool = True) -> list[str]:
+    """Rows as wide as they must be, the first column to the left, where it has names, and the others to the right."""
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    lines = []
+    for row in rows:
+        cells = [text.rjust(width) for text, width in zip(row, widths, strict=True)]
+        if names_left:
+            cells[0] = row[0].ljust(widths[0])
+        lines.append("  ".join(cells).rstrip())
+    return lines
+
+
+def check_whole(value: object, option: str, least: int, most: int | None = None) -> None:
+    """Refuse what is no whole number within bounds, as a `RecipeError` that names the option."""
+    try:
+        number = None if isinstance(value, bool) else operator.index(value)  # type: ignore[arg-type]  # NumPy's too
+    except TypeError:
+        number = None
+    if number is None or number < least or (most is not None and number > most):
+        expected = f"a whole number, {least:,} {'or more' if most is None else f'to {most:,}'}"
+        raise RecipeError("no such number", where=option, expected=expected, got=f"{value!r:.60}")
 
 
 def parse_bytes(size: int | str, option: str) -> int:

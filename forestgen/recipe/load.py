@@ -35,7 +35,7 @@ from forestgen.recipe.sources import Keys, Place, SourceMap
 from forestgen.recipe.species import Species
 from forestgen.recipe.splits import NUMBERS_END, split_of
 from forestgen.recipe.stand_ins import replace_sections, sections_of
-from forestgen.recipe.yaml_source import read_yaml
+from forestgen.recipe.yaml_source import mapping_of, read_yaml
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
 # Words of keys that files are found by, or checked with: see `LoadedRecipe._template`.
@@ -308,6 +308,12 @@ def read_recipe_data(
 ) -> Loading:
     """The same of a recipe that is no file."""
     return _loading(folder / name, copy.deepcopy(dict(data)), SourceMap({(): Place(name)}), overrides)
+
+
+def read_recipe_text(text: str, overrides: Sequence[str] = ()) -> Loading:
+    """The same of a recipe's YAML text; its paths are relative to the working folder."""
+    data, sources = mapping_of(text, "recipe text")
+    return _loading(Path("recipe"), data, sources, overrides)
 
 
 def _loading(path: Path, data: dict[str, Any], sources: SourceMap, overrides: Sequence[str]) -> Loading:

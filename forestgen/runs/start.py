@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 from forestgen.core.errors import DatasetError, RecipeError
-from forestgen.core.figures import parse_bytes
+from forestgen.core.figures import count, parse_bytes, seconds
 from forestgen.core.progress import Progress
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.recipe.load import LoadedRecipe
@@ -169,13 +169,29 @@ def batch(loaded: LoadedRecipe, target: str, options: RunOptions, display: Displ
     return summary
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class DryRun:
     """What a batch would take, and what it would remove."""
 
     estimate: Estimate
     discarded: int  # finished images that --resume --discard would remove
     reasons: str  # why, for people
+
+    def __str__(self) -> str:
+        return "\n".join(self.lines())
+
+    def __repr__(self) -> str:
+        images, low_and_high = self.estimate.counts.images, self.estimate.seconds
+        time = "not measured" if low_and_high is None else f"about {seconds(low_and_high.mean)}"
+        return f"<DryRun: {count(images, 'image')}, {time}>"
+
+    def lines(self) -> Iterator[str]:
+        """For people."""
+        yield from lines(self.estimate)
+        if self.discarded:
+            number = count(self.discarded, "finished image")
+            yield f"--resume --discard would remove {number}: {self.reasons}"
+        yield "nothing was made"
 
 
 def dry_run(loaded: LoadedRecipe, target: str, options: RunOptions, display: Display) -> DryRun:

@@ -36,6 +36,7 @@ from time import perf_counter
 from typing import Any
 
 from forestgen.core.errors import DatasetError, ForestgenError, RecipeError
+from forestgen.core.figures import check_whole
 from forestgen.core.progress import Progress, Silent
 from forestgen.dataset.check import MOST_NAMED, CheckResult, Finding, check_dataset
 from forestgen.dataset.index import INDEX_NAME, read_index
@@ -106,8 +107,12 @@ def verify(
 
     Raises
     ------
-    RecipeError : the folder is no data set of forestgen.
+    RecipeError : the folder is no data set of forestgen, or a number is out of bounds.
     """
+    check_whole(rerender, "--rerender", 0)
+    check_whole(seed, "--seed", 0)
+    if workers is not None:
+        check_whole(workers, "--workers", 1, 1024)
     start = perf_counter()
     said = open_data_set(root)
     with TemporaryDirectory(prefix="forestgen-verify-") as scratch, Ledger(Path(scratch)) as ledger:

@@ -55,7 +55,7 @@ def commands(name: str, root: Path, out: Path) -> list[list[str | Path]]:
         "verify": [["verify", root, "--workers", "1"]],
         "merge": [["merge", root, "--out", out / "merged"]],
         "linked merge": [["merge", root, "--link", "--out", out / "linked"]],
-        "report": [["report", root, "--out", out / "report.html"]],
+        "report": [["report", root, "--out", out / "report.html", "--overwrite"]],
         "pack": [
             ["pack", root, "--format", "webdataset", "--out", out / "shards", "--channels", "preview,annotations"],
             ["pack", root, "--format", "huggingface", "--out", out / "pack"],

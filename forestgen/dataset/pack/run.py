@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 from forestgen.core.errors import DatasetError, OutputError, RecipeError
-from forestgen.core.figures import parse_bytes
+from forestgen.core.figures import check_whole, parse_bytes
 from forestgen.core.progress import Progress
 from forestgen.dataset.files import write_bytes, write_json
 from forestgen.dataset.folder import OutputFolder
@@ -50,8 +50,10 @@ def packing_of(
 
     Raises
     ------
-    RecipeError : no such format or size.
+    RecipeError : no such format, size or seed.
     """
+    if seed is not None:
+        check_whole(seed, "--seed", 0)
     chosen = next((one for one in FORMATS if one == form), None)
     if chosen is None:
         raise RecipeError("there is no such format", where="--format", expected=" or ".join(FORMATS), got=form)
@@ -176,13 +178,14 @@ def _write_rest(
     write_bytes(folder / CLASSES_FILE, read_file(source.splits[0].folder / CLASSES_FILE))
     code = opening_code(packing.format, "PATH", shards)
     of_card, chapter = card_of(source.root)
-    text = body("Packed for " + _LIBRARIES[packing.format], code, shards, source.classes) + chapter
+    title, names = "Packed for " + _LIBRARIES[packing.format], [channel.name for channel in channels]
+    text = body(title, code, shards, source.classes, names) + chapter
     head = front_matter(columns_of(source, channels), shards, of_card) if packing.format == "huggingface" else ""
     write_bytes(folder / "README.md", (head + text).encode())
     content = {
         "schema": _SCHEMA,
         "format": packing.format,
-        "channels": [channel.name for channel in channels],
+        "channels": names,
         "order_seed": packing.seed,
         "shard_bytes": packing.shard_bytes,
         "splits": {name: [asdict(one) for one in listed] for name, listed in shards.items()},

@@ -10,9 +10,11 @@ from typing import Any
 
 from forestgen.core.errors import DatasetError, RecipeError
 from forestgen.dataset.index import INDEX_NAME, whole_index
+from forestgen.dataset.index_values import plain_rows
 from forestgen.dataset.legend import FILE_NAME as CLASSES_FILE
+from forestgen.dataset.legend import read_legend
 from forestgen.dataset.pack.channels import read_json
-from forestgen.dataset.safe_path import SafePath, check_folder, unreadable
+from forestgen.dataset.safe_path import SafePath, check_folder
 
 LAST_FILE = "dataset.json"  # that a run writes
 
@@ -42,11 +44,7 @@ class Source:
 
     def row(self, frame: str) -> dict[str, Any]:
         """A frame's row of the index."""
-        try:
-            rows = self.index.slice(self.row_numbers[frame], 1).to_pylist(maps_as_pydicts="strict")
-        except (ValueError, KeyError) as error:  # a key twice, or a text that is no UTF-8
-            raise unreadable(self.root / INDEX_NAME, error) from error
-        return dict(rows[0])
+        return plain_rows(self.index.slice(self.row_numbers[frame], 1), self.root / INDEX_NAME)[0]
 
 
 def open_source(root: Path, splits: Sequence[str] = ()) -> Source:
@@ -101,12 +99,7 @@ def _opened(root: Path, wanted: Sequence[str]) -> Source:
 
 
 def _common_classes(splits: Sequence[Split]) -> dict[str, Any]:
-    classes = read_json(splits[0].folder / CLASSES_FILE)
-    for key in ("semantic", "categories"):
-        named = classes.get(key)
-        if not isinstance(named, dict) or not all(isinstance(name, str) for name in named.values()):
-            where, expected = str(splits[0].folder / CLASSES_FILE), f"{key}: a name for each number"
-            raise DatasetError("a file is not what its name says", where=where, expected=expected)
+    classes = read_legend(splits[0].folder)
     for split in splits[1:]:
         if read_json(split.folder / CLASSES_FILE) != classes:
             raise DatasetError(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import io
 import json
+import os
 import re
 import shutil
 
@@ -13,6 +14,7 @@ import pytest
 from PIL import Image
 from typer.testing import CliRunner
 
+from forestgen.api.datasets import write_report as write_page
 from forestgen.cli import app
 from forestgen.core.errors import DatasetError, OutputError, RecipeError
 from forestgen.dataset import png
@@ -263,6 +265,33 @@ def test_a_page_that_cannot_be_written(tmp_path):
             write_report(tmp_path / "data", target)
         assert str(target) in str(caught.value)
     assert not any("report" in path.name for path in tmp_path.rglob("*"))
+
+
+def test_a_page_replaces_nothing_unasked(tmp_path):
+    """But the data set's own page; and what is no regular file stays whatever is asked for."""
+    write_data_set(tmp_path / "data", 1, run=False)
+    target = tmp_path / "page.html"
+    target.write_text("mine")
+    with pytest.raises(OutputError, match="the file exists") as caught:
+        write_page(tmp_path / "data", target)
+    assert "--overwrite" in caught.value.hint
+    assert target.read_text() == "mine"
+    result = CliRunner().invoke(app, ["report", str(tmp_path / "data"), "-o", str(target)])
+    assert result.exit_code == 4
+    result = CliRunner().invoke(app, ["report", str(tmp_path / "data"), "-o", str(target), "--overwrite"])
+    assert result.exit_code == 0
+    (tmp_path / "link").symlink_to("data")
+    for own in (None, tmp_path / "data" / "report.html", tmp_path / "link" / "report.html"):
+        (tmp_path / "data" / "report.html").write_text("an older page")
+        write_page(tmp_path / "data", own)
+        assert (tmp_path / "data" / "report.html").read_bytes() == target.read_bytes()
+    (tmp_path / "data" / "report.html").unlink()
+    os.mkfifo(tmp_path / "data" / "report.html")
+    (tmp_path / "linked.html").symlink_to(target)
+    for strange in (None, tmp_path / "data" / "report.html", tmp_path / "linked.html"):
+        with pytest.raises(OutputError, match="no regular file"):
+            write_page(tmp_path / "data", strange, overwrite=True)
+    assert (tmp_path / "linked.html").is_symlink()
 
 
 def test_the_command(tmp_path):
