@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 
 from forestgen.api.display import display_of
+from forestgen.core.arguments import MOST_SEEDS, PathLike, path_of, paths_of, shown, text_of, texts_of, whole_of
 from forestgen.core.errors import DatasetError, RecipeError
 from forestgen.core.progress import Progress
 from forestgen.dataset.frame import Frame, StoredFrame
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from forestgen.dataset.pack.run import Packed
     from forestgen.runs.verify_report import VerificationReport
 
-PathLike = str | os.PathLike[str]
 _TORCH_CHANNELS = ("preview", "semantic", "instance")
 _ARRAYS = (
     *_TORCH_CHANNELS, "radiance", "variance", "denoised", "part", "depth", "distance", "position", "normal", "albedo",
@@ -66,13 +65,13 @@ class Dataset(Sequence[Frame]):
     """
 
     def __init__(self, folder: PathLike, split: str | None = None) -> None:
-        self.folder = Path(folder)
+        self.folder = path_of(folder, "folder")
         self._split = split
         self._rows = _rows_of(self.folder)
         if split is not None:
             if split not in self.splits:
                 expected = "one of " + ", ".join(self.splits)
-                raise RecipeError("the data set has no such split", expected=expected, got=repr(split))
+                raise RecipeError("the data set has no such split", expected=expected, got=shown(split))
             self._rows = self._rows.filter(np.asarray(self._rows["split"]) == split)
 
     @cached_property
@@ -129,7 +128,7 @@ class Dataset(Sequence[Frame]):
         """The frame of a name such as 000000-camera0."""
         names = self._rows["frame"].to_pylist()
         if name not in names:
-            raise RecipeError("the data set has no such frame", where=str(self.folder), got=repr(name))
+            raise RecipeError("the data set has no such frame", where=str(self.folder), got=shown(name))
         number: int = names.index(name)
         return self[number]
 
@@ -163,8 +162,8 @@ class Dataset(Sequence[Frame]):
         format: str,  # noqa: A002 - the name of the option on the command line
         *,
         shard_size: int | str = "500MB",
-        channels: Sequence[str] | None = None,
-        splits: Sequence[str] = (),
+        channels: Sequence[str] | str | None = None,
+        splits: Sequence[str] | str = (),
         seed: int = 0,
         by_name: bool = False,
         overwrite: bool = False,
@@ -182,10 +181,13 @@ class Dataset(Sequence[Frame]):
         """
         from forestgen.dataset.pack.run import pack, packing_of
 
-        packing = packing_of(format, shard_size, channels, splits, None if by_name else seed)
+        target = path_of(out, "out", output=True)
+        names = None if channels is None else texts_of(channels, "channels")
+        order = None if by_name else whole_of(seed, "seed", 0, MOST_SEEDS)
+        packing = packing_of(text_of(format, "format"), shard_size, names, texts_of(splits, "splits"), order)
         display = display_of(progress)
         with display.running():
-            return pack(self.folder, Path(out), packing, overwrite=overwrite, progress=display)
+            return pack(self.folder, target, packing, overwrite=overwrite, progress=display)
 
     def as_torch(
         self, channels: Sequence[str] = _TORCH_CHANNELS, transform: Callable[[dict[str, Any]], Any] | None = None
@@ -201,11 +203,12 @@ class Dataset(Sequence[Frame]):
         ------
         RecipeError : no such array; later, if the data set does not have it.
         """
-        for name in channels:
+        names = texts_of(channels, "channels")
+        for name in names:
             if name not in _ARRAYS:
                 expected = "of " + ", ".join(_ARRAYS)
-                raise RecipeError("frames have no such array", where="channels", expected=expected, got=repr(name))
-        return _torch_frames(self, tuple(channels), transform)
+                raise RecipeError("frames have no such array", where="channels", expected=expected, got=shown(name))
+        return _torch_frames(self, tuple(names), transform)
 
     def as_huggingface(self) -> Any:
         """A `datasets.DatasetDict` of the splits: preview, semantic and instance pictures, and the index's columns."""
@@ -264,17 +267,21 @@ def verify(
     """Check a data set that may be damaged; see `Dataset.verify`. Raises `RecipeError` if the folder holds none."""
     from forestgen.runs.verify import verify as check
 
+    root = path_of(folder, "folder")
+    again, drawn = whole_of(rerender, "rerender", 0, 10**9), whole_of(seed, "seed", 0, MOST_SEEDS)
+    jobs = None if workers is None else whole_of(workers, "workers", 1, 1024)
     display = display_of(progress)
     with display.running():
-        return check(Path(folder), rerender=rerender, seed=seed, workers=workers, hashes=hashes, progress=display)
+        return check(root, rerender=again, seed=drawn, workers=jobs, hashes=hashes, progress=display)
 
 
 def write_report(folder: PathLike, out: PathLike | None = None) -> Path:
     """Write the page of a data set, finished or not; the path of it. See `Dataset.report`."""
     from forestgen.dataset.report import page
 
-    target = Path(folder) / page.REPORT_NAME if out is None else Path(out)
-    page.write_report(Path(folder), target)
+    root = path_of(folder, "folder")
+    target = root / page.REPORT_NAME if out is None else path_of(out, "out", output=True)
+    page.write_report(root, target)
     return target
 
 
@@ -293,7 +300,11 @@ class Merged:
 
 
 def merge(
-    sources: Sequence[PathLike], out: PathLike, *, link: bool = False, progress: bool | Progress | None = None
+    sources: Sequence[PathLike] | PathLike,
+    out: PathLike,
+    *,
+    link: bool = False,
+    progress: bool | Progress | None = None,
 ) -> Merged:
     """Make one data set of several; pieces of one recipe become what one run would have made, to the last byte.
 
@@ -309,10 +320,11 @@ def merge(
     """
     from forestgen.runs.merge import merge as merge_pieces
 
+    pieces, target = paths_of(sources, "sources"), path_of(out, "out", output=True)
     display = display_of(progress)
     with display.running():
-        done = merge_pieces([Path(source) for source in sources], Path(out), link=link, progress=display)
-    return Merged(Path(out), done.frames, done.bytes, done.notes)
+        done = merge_pieces(pieces, target, link=link, progress=display)
+    return Merged(target, done.frames, done.bytes, done.notes)
 
 
 def _rows_of(folder: Path) -> Any:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 
+from forestgen.core.arguments import shown
 from forestgen.core.errors import RecipeError
 
 _UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "t": 10**12, "ki": 2**10, "mi": 2**20, "gi": 2**30, "ti": 2**40}
@@ -30,10 +31,11 @@ def parse_bytes(size: int | str, option: str) -> int:
     ------
     RecipeError : it is no size; the message names the option.
     """
-    found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([kmgt]?i?)b?\s*", str(size), re.IGNORECASE | re.ASCII)
+    text = size if isinstance(size, str) else shown(size)
+    found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([kmgt]?i?)b?\s*", text, re.IGNORECASE | re.ASCII)
     unit = found[2].lower() if found else None
     if found is not None and unit in _UNITS and len(found[1]) <= _LONGEST_NUMBER:
         number = int(float(found[1]) * _UNITS[unit])
         if number > 0:
             return number
-    raise RecipeError("this is no size", where=option, expected="such as 500MB, 1.5GB or 256MiB", got=repr(size))
+    raise RecipeError("this is no size", where=option, expected="such as 500MB, 1.5GB or 256MiB", got=shown(size))

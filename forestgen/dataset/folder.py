@@ -109,13 +109,13 @@ class OutputFolder:
                 "the folder is not empty and holds no forestgen output",
                 where=str(self.target),
                 expected="a new or empty folder, or a previous forestgen output",
-                hint="choose another folder; forestgen replaces only its own, with --overwrite",
+                hint="choose another folder; forestgen replaces only its own, with `overwrite=True`",
             )
         if not self.overwrite:
             raise OutputError(
                 "the folder already holds a forestgen output",
                 where=str(self.target),
-                hint="choose another folder, or --overwrite to replace it",
+                hint="choose another folder, or `overwrite=True` to replace it",
             )
 
     def _make_parents(self) -> None:

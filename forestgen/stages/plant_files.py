@@ -22,7 +22,7 @@ def check_writable(paths: Iterable[Path], *, overwrite: bool) -> None:
                     "the output is a folder", where=str(path), expected="a file", hint="choose another name"
                 )
             if path.exists() and not overwrite:
-                raise OutputError("the file exists", where=str(path), hint="choose another name, or --overwrite")
+                raise OutputError("the file exists", where=str(path), hint="choose another name, or `overwrite=True`")
             folder = next(parent for parent in path.absolute().parents if parent.exists())
         except OSError as error:
             raise output_error(error, path) from error

@@ -54,9 +54,9 @@ def packing_of(
     """
     chosen = next((one for one in FORMATS if one == form), None)
     if chosen is None:
-        raise RecipeError("there is no such format", where="--format", expected=" or ".join(FORMATS), got=form)
+        raise RecipeError("there is no such format", where="format", expected=" or ".join(FORMATS), got=form)
     names = None if channels is None else tuple(channels)
-    return Packing(chosen, parse_bytes(shard_size, "--shard-size"), names, tuple(splits), seed)
+    return Packing(chosen, parse_bytes(shard_size, "shard_size"), names, tuple(splits), seed)
 
 
 @dataclass(frozen=True)
@@ -146,7 +146,7 @@ def _split_names(source: Source, form: Format) -> dict[str, str]:
     if len(set(names.values())) < len(names):
         raise RecipeError(
             "two splits would have the same name, for hyphens become underscores",
-            where="--split",
+            where="splits",
             got=", ".join(names),
             hint="pack them one by one",
         )
