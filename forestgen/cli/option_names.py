@@ -13,7 +13,7 @@ import typer
 
 _PLACE = re.compile(r"(?P<before>(?:error: )?)(?P<name>[a-z][a-z0-9_]*)(?:=(?P<value>\w+))?(?=: )")
 _QUOTED = re.compile(r"`(?P<name>[a-z][a-z0-9_]*)(?:=(?P<value>[^`]+))?`")
-_OVERRIDE = re.compile(r"(?P<before>^(?:error: )?|\(named by )set (?=\S+=)")
+_OVERRIDE = re.compile(r"(?P<before>^(?:error: )?|\(named by )set (?=\S*=|\S+: not an override)")
 #: Of other commands than the one that fails, such as that which made a data set.
 _ELSEWHERE = {
     "resume": "--resume",

@@ -101,7 +101,9 @@ def _given_window(window: tuple[float, float, float, float]) -> Window:
             "this is no window",
             where="window",
             expected="x0 x1 y0 y1 in metres, with x0 < x1 and y0 < y1, 1e-6 to 1e9 m wide and high",
-            got=" ".join(map(shown, window)) if isinstance(window, list | tuple) else shown(window),
+            got=" ".join(f"{one:g}" if isinstance(one, float) else shown(one) for one in window)
+            if isinstance(window, list | tuple)
+            else shown(window),
         ) from error
 
 

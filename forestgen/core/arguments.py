@@ -71,7 +71,7 @@ def _checked(value: Any, where: str, error: type[ForestgenError], *, output: boo
     if wrong or not _encodes(text):
         raise error("no file has such a name", where=where, expected=expected, got=f"{text!a:.100}")
     if "://" not in text and _too_long(text):
-        got = f"{len(text):,} characters, {text!r:.60}..."
+        got = f"{os.strerror(errno.ENAMETOOLONG)}: {len(text):,} characters, {text!r:.60}..."
         raise error("the name is too long", where=where, expected="a shorter one", got=got)
     return text
 

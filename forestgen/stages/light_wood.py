@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from forestgen.core.arguments import whole_of
+from forestgen.core.errors import RecipeError
 from forestgen.geometry.atlas import unwrap
 from forestgen.geometry.baking import bake
 from forestgen.geometry.export import Piece, Surface, srgb
@@ -25,7 +26,9 @@ _NAME = "wood"
 def check_wood_triangles(number: int | None) -> None:
     """Raise `RecipeError` for a number that no trunk can be made of."""
     if number is not None:
-        whole_of(number, "wood_triangles", FEWEST_TRIANGLES, _MOST_TRIANGLES)
+        if whole_of(number, "wood_triangles", -_MOST_TRIANGLES, _MOST_TRIANGLES) < FEWEST_TRIANGLES:
+            expected = f"at least {FEWEST_TRIANGLES}"
+            raise RecipeError("too few triangles", where="wood_triangles", expected=expected, got=str(number))
 
 
 def with_light_wood(
