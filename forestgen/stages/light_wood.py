@@ -25,10 +25,11 @@ _NAME = "wood"
 
 def check_wood_triangles(number: int | None) -> None:
     """Raise `RecipeError` for a number that no trunk can be made of."""
-    if number is not None:
-        if whole_of(number, "wood_triangles", -_MOST_TRIANGLES, _MOST_TRIANGLES) < FEWEST_TRIANGLES:
-            expected = f"at least {FEWEST_TRIANGLES}"
-            raise RecipeError("too few triangles", where="wood_triangles", expected=expected, got=str(number))
+    if number is None:
+        return
+    if whole_of(number, "wood_triangles", -_MOST_TRIANGLES, _MOST_TRIANGLES) < FEWEST_TRIANGLES:
+        expected = f"at least {FEWEST_TRIANGLES}"
+        raise RecipeError("too few triangles", where="wood_triangles", expected=expected, got=str(number))
 
 
 def with_light_wood(
