@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
-from forestgen.api.arguments import several
 from forestgen.api.display import display_of
 from forestgen.api.loaders import PICTURES, Transform, huggingface_splits, torch_frames
+from forestgen.core.arguments import PathLike, path_of, paths_of, shown, text_of, texts_of
 from forestgen.core.errors import DatasetError, RecipeError
 from forestgen.core.progress import Progress
 from forestgen.dataset.frame import Frame, StoredFrame
@@ -29,8 +29,6 @@ from forestgen.runs.summary import RunSummary
 if TYPE_CHECKING:
     from forestgen.dataset.pack.run import Packed
     from forestgen.runs.verify_report import VerificationReport
-
-PathLike = str | os.PathLike[str]
 
 
 class Run:
@@ -68,7 +66,7 @@ class Dataset(Sequence[Frame]):
     """
 
     def __init__(self, folder: PathLike, split: str | None = None) -> None:
-        self.folder = Path(folder)
+        self.folder = path_of(folder, "folder")
         self._split = split
         self._rows = _rows_of(self.folder)
         if split is not None:
@@ -133,7 +131,7 @@ class Dataset(Sequence[Frame]):
     def frame(self, name: str) -> Frame:
         """The frame of a name such as 000000-camera0."""
         if name not in self._numbers:
-            raise RecipeError("the data set has no such frame", where=str(self.folder), got=repr(name))
+            raise RecipeError("the data set has no such frame", where=str(self.folder), got=shown(name))
         return self[self._numbers[name]]
 
     def verify(
@@ -191,16 +189,13 @@ class Dataset(Sequence[Frame]):
         """
         from forestgen.dataset.pack.run import pack, packing_of
 
-        packing = packing_of(
-            format,
-            shard_size,
-            None if channels is None else several(channels),
-            several(splits),
-            None if by_name else seed,
-        )
+        target = path_of(out, "out", output=True)
+        names = None if channels is None else texts_of(channels, "channels")
+        order = None if by_name else seed
+        packing = packing_of(text_of(format, "format"), shard_size, names, texts_of(splits, "splits"), order)
         display = display_of(progress)
         with display.running():
-            return pack(self.folder, Path(out), packing, overwrite=overwrite, progress=display)
+            return pack(self.folder, target, packing, overwrite=overwrite, progress=display)
 
     def as_torch(self, channels: str | Sequence[str] = PICTURES, transform: Transform | None = None) -> Any:
         """A map-style data set for `torch.utils.data.DataLoader`: a dict of tensors a frame, pictures as (C, H, W).
@@ -215,7 +210,7 @@ class Dataset(Sequence[Frame]):
         RecipeError : no such array; later, if the data set does not have it.
         ResourceError : PyTorch is not installed.
         """
-        return torch_frames(self, several(channels), transform)
+        return torch_frames(self, texts_of(channels, "channels"), transform)
 
     def as_huggingface(self) -> Any:
         """A `datasets.DatasetDict` of the splits: preview, semantic and instance pictures, and the index's columns.
@@ -239,12 +234,12 @@ class Dataset(Sequence[Frame]):
         declared = {split: share for one in self.info["recipes"] for split, share in one["splits"].items()}
         if name not in declared:
             hint = did_you_mean(str(name), self.splits)
-            return RecipeError("the data set has no such split", expected=expected, got=repr(name), hint=hint)
+            return RecipeError("the data set has no such split", expected=expected, got=shown(name), hint=hint)
         share, total = declared[name], sum(declared.values())
         part = f"about {100 * share / total:.2g} % of the images are for it; " if share > 0 and total > 0 else ""
         hint = f"{part}make more, with --resume"
         problem = "the data set has no such split yet: its recipe declares it, but no image of it is there"
-        return RecipeError(problem, expected=expected, got=repr(name), hint=hint)
+        return RecipeError(problem, expected=expected, got=shown(name), hint=hint)
 
     @cached_property
     def _legend(self) -> Mapping[str, Any]:
@@ -271,9 +266,10 @@ def verify(
     """Check a data set that may be damaged; see `Dataset.verify`. Raises `RecipeError` if the folder holds none."""
     from forestgen.runs.verify import verify as check
 
+    root = path_of(folder, "folder")
     display = display_of(progress)
     with display.running():
-        return check(Path(folder), rerender=rerender, seed=seed, workers=workers, hashes=hashes, progress=display)
+        return check(root, rerender=rerender, seed=seed, workers=workers, hashes=hashes, progress=display)
 
 
 def write_report(folder: PathLike, out: PathLike | None = None, *, overwrite: bool = False) -> Path:
@@ -281,12 +277,13 @@ def write_report(folder: PathLike, out: PathLike | None = None, *, overwrite: bo
     from forestgen.dataset.report import page
     from forestgen.stages.plant_files import check_writable
 
-    own = Path(folder) / page.REPORT_NAME
-    target = own if out is None else Path(out)
+    root = path_of(folder, "folder")
+    own = root / page.REPORT_NAME
+    target = own if out is None else path_of(out, "out", output=True)
     is_own = target.name == own.name and os.path.realpath(target.parent) == os.path.realpath(own.parent)
     if os.path.lexists(target):
         check_writable([target], overwrite=overwrite or is_own)
-    page.write_report(Path(folder), target)
+    page.write_report(root, target)
     return target
 
 
@@ -325,10 +322,11 @@ def merge(
     """
     from forestgen.runs.merge import merge as merge_pieces
 
+    pieces, target = paths_of(sources, "sources"), path_of(out, "out", output=True)
     display = display_of(progress)
     with display.running():
-        done = merge_pieces([Path(source) for source in several(sources)], Path(out), link=link, progress=display)
-    return Merged(Path(out), done.frames, done.bytes, done.notes)
+        done = merge_pieces(pieces, target, link=link, progress=display)
+    return Merged(target, done.frames, done.bytes, done.notes)
 
 
 def _rows_of(folder: Path) -> Any:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from forestgen.api.arguments import several
 from forestgen.api.display import display_of
+from forestgen.core.arguments import MOST_SEEDS, PathLike, listed, number_of, path_of, text_of, whole_of
 from forestgen.core.errors import RecipeError
 from forestgen.core.figures import count
 from forestgen.core.progress import Progress
@@ -22,7 +21,6 @@ if TYPE_CHECKING:
     from forestgen.community.fitting.stand import MeasuredStand
     from forestgen.community.point_statistics import PointStatistics
 
-PathLike = str | os.PathLike[str]
 Bounds = tuple[float, float, float, float]
 _RECIPES = (".yaml", ".yml")
 _UNEVEN = 0.05
@@ -47,7 +45,7 @@ def stats(
     """
     from forestgen.community.point_statistics import measure_file
 
-    return measure_file(Path(points), window, several(radii))
+    return measure_file(path_of(points, "points"), window, listed(radii, "radii", "numbers"))
 
 
 @dataclass(frozen=True, repr=False)
@@ -129,19 +127,19 @@ def fit_kernel(
     from forestgen.community.fitting.stand import measured_stand
     from forestgen.community.point_table import read_points
 
+    source = path_of(points, "points")
+    files = None if out is None else fit_files(path_of(out, "out", output=True))
+    checks, seed = whole_of(checks, "checks", 1, 1000), whole_of(seed, "seed", 0, MOST_SEEDS)
+    reach_m = None if reach_m is None else number_of(reach_m, "reach_m")
     library = set(list_assets("species"))
-    if species is not None and species not in library:
+    if species is not None and text_of(species, "species") not in library:
         raise RecipeError(
             "no such species",
-            where="--species",
+            where="species",
             expected=", ".join(sorted(library)),
             got=repr(species[:60]),
-            hint="a fit says where plants stand; --species, what they look like",
+            hint="a fit says where plants stand; `species`, what they look like",
         )
-    if not 1 <= checks <= 1000:
-        raise RecipeError("no such number", where="--checks", expected="1 to 1,000", got=f"{checks:,}")
-    source = Path(points)
-    files = None if out is None else fit_files(Path(out))
     if files is not None:
         check_writable(files, overwrite=overwrite)
     table = read_points(source, window, marks=True)

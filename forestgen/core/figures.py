@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import operator
 import re
 from collections.abc import Sequence
 
+from forestgen.core.arguments import shown
 from forestgen.core.errors import RecipeError
 
 _UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "t": 10**12, "ki": 2**10, "mi": 2**20, "gi": 2**30, "ti": 2**40}
@@ -47,17 +47,6 @@ def table_lines(rows: Sequence[Sequence[str]], *, names_left: bool = True) -> li
     return lines
 
 
-def check_whole(value: object, option: str, least: int, most: int | None = None) -> None:
-    """Refuse what is no whole number within bounds, as a `RecipeError` that names the option."""
-    try:
-        number = None if isinstance(value, bool) else operator.index(value)  # type: ignore[arg-type]  # NumPy's too
-    except TypeError:
-        number = None
-    if number is None or number < least or (most is not None and number > most):
-        expected = f"a whole number, {least:,} {'or more' if most is None else f'to {most:,}'}"
-        raise RecipeError("no such number", where=option, expected=expected, got=f"{value!r:.60}")
-
-
 def parse_bytes(size: int | str, option: str) -> int:
     """Bytes of a number, or of a text such as 500MB (decimal), 1.5 GB or 256MiB (binary).
 
@@ -65,10 +54,11 @@ def parse_bytes(size: int | str, option: str) -> int:
     ------
     RecipeError : it is no size; the message names the option.
     """
-    found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([kmgt]?i?)b?\s*", str(size), re.IGNORECASE | re.ASCII)
+    text = size if isinstance(size, str) else shown(size)
+    found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([kmgt]?i?)b?\s*", text, re.IGNORECASE | re.ASCII)
     unit = found[2].lower() if found else None
     if found is not None and unit in _UNITS and len(found[1]) <= _LONGEST_NUMBER:
         number = int(float(found[1]) * _UNITS[unit])
         if number > 0:
             return number
-    raise RecipeError("this is no size", where=option, expected="such as 500MB, 1.5GB or 256MiB", got=repr(size))
+    raise RecipeError("this is no size", where=option, expected="such as 500MB, 1.5GB or 256MiB", got=shown(size))

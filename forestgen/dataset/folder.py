@@ -111,13 +111,13 @@ class OutputFolder:
                 NO_OUTPUT,
                 where=str(self.target),
                 expected="a new or empty folder, or a previous forestgen output",
-                hint="choose another folder; forestgen replaces only its own, with --overwrite",
+                hint="choose another folder; forestgen replaces only its own, with `overwrite=True`",
             )
         if not self.overwrite:
             raise OutputError(
                 OURS,
                 where=str(self.target),
-                hint="choose another folder, or --overwrite to replace it",
+                hint="choose another folder, or `overwrite=True` to replace it",
             )
 
     def _make_parents(self) -> None:

@@ -71,7 +71,7 @@ def check_splits(loaded: LoadedRecipe, splits: Sequence[str]) -> None:
             where=loaded.sources.where(("same_stand",)),
             expected="by_split, a stand for each split; or false, a stand for each image",
             got=f"true, with the splits {', '.join(splits)}",
-            hint="or one split: --set 'dataset.splits={train: 1}'",
+            hint="or one split: `set='dataset.splits={train: 1}'`",
         )
 
 

@@ -85,7 +85,7 @@ def check_discards(found: Standing, where: str, *, agreed: bool) -> None:
             where=where,
             expected="the recipe, the numbers of images and the versions that the batch was begun with, or more images",
             got=found.reasons(),
-            hint="--discard agrees to it; or choose another folder",
+            hint="`discard=True` agrees to it; or choose another folder",
         )
 
 

@@ -89,8 +89,8 @@ def check_resume(place: Place, *, resume: bool) -> None:
         raise OutputError(
             "the folder already holds a forestgen data set",
             where=place.name,
-            hint="--resume goes on with it: images that are done stay, if the recipe still makes them; "
-            "--overwrite replaces it; or choose another folder",
+            hint="`resume=True` goes on with it: images that are done stay, if the recipe still makes them; "
+            "`overwrite=True` replaces it; or choose another folder",
         )
 
 

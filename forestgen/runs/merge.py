@@ -209,7 +209,7 @@ def _check_numbers(parts: Sequence[RecipePart], pieces: Sequence[Piece]) -> None
                 where=", ".join(str(piece.root) for piece in pieces),
                 expected="numbers that differ: frames are named by them",
                 got=f"image {first} in both",
-                hint=f"make one of the data sets with --set first_image={max(last for _, last in ranges) + 1}",
+                hint=f"make one of the data sets with `set='first_image={max(last for _, last in ranges) + 1}'`",
             )
 
 

@@ -228,7 +228,7 @@ def _give_up(run: _Run, failed: Failed) -> None:
         raise OutputError(
             f"the run has stopped: results cannot be written\n{failed.message}",
             where=run.work.place.name,
-            hint="when that is mended, the same command with --resume goes on",
+            hint="when that is mended, the same command with `resume=True` goes on",
         )
     if run.meter.failed >= _HOPELESS and not run.meter.done:
         kinds = Counter(one.message for one in run.failed)
@@ -236,7 +236,7 @@ def _give_up(run: _Run, failed: Failed) -> None:
         raise DatasetError(
             f"the run has stopped: the first {run.meter.failed} images all failed, {times} of them with\n{message}",
             where=run.work.place.name,
-            hint="the same command with --resume tries them again",
+            hint="the same command with `resume=True` tries them again",
         )
 
 

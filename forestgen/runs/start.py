@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import sys
 from collections.abc import Callable, Iterator, Mapping
@@ -9,6 +10,7 @@ from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
+from forestgen.core.arguments import shown
 from forestgen.core.errors import DatasetError, RecipeError
 from forestgen.core.figures import count, parse_bytes, seconds
 from forestgen.core.progress import Progress
@@ -62,54 +64,57 @@ class RunOptions:
         for name, least, most in (("count", 1, 10**8), ("threads", 1, 4096), ("workers", 1, 1024), ("retries", 0, 100)):
             value = getattr(self, name)
             if (value is not None or name == "retries") and not (type(value) is int and least <= value <= most):
-                raise RecipeError(
-                    "no such number", where=f"--{name}", expected=f"{least:,} to {most:,}", got=repr(value)
-                )
+                raise RecipeError("no such number", where=name, expected=f"{least:,} to {most:,}", got=shown(value))
         if self.device is not None and self.device not in DEVICES:
-            raise RecipeError("no such device", where="--device", expected=" or ".join(DEVICES), got=repr(self.device))
+            raise RecipeError("no such device", where="device", expected=" or ".join(DEVICES), got=shown(self.device))
         if self.engine not in ENGINES:
-            raise RecipeError("no such engine", where="--engine", expected=" or ".join(ENGINES), got=repr(self.engine))
+            raise RecipeError("no such engine", where="engine", expected=" or ".join(ENGINES), got=shown(self.engine))
         for wrong, where, why in (
-            (self.discard and not self.resume, "--discard", "it belongs to --resume"),
-            (self.resume and self.overwrite, "--overwrite", "it replaces the data set, which --resume goes on with"),
+            (self.discard and not self.resume, "discard", "it belongs to `resume`"),
+            (self.resume and self.overwrite, "overwrite", "it replaces the data set, which `resume` goes on with"),
             (
                 self.engine == "local" and (self.scheduler is not None or bool(self.resources)),
-                "--engine",
-                "--scheduler and --resource belong to --engine dask",
+                "engine",
+                "`scheduler` and `resources` belong to `engine='dask'`",
             ),
-            (self.engine == "dask" and self.workers is not None, "--workers", "the cluster has its own workers"),
+            (self.engine == "dask" and self.workers is not None, "workers", "the cluster has its own workers"),
             (
                 self.engine == "dask" and self.timeout is not None,
-                "--timeout",
+                "timeout",
                 "only workers of this machine can be stopped",
             ),
             (
                 self.engine == "dask" and self.device is not None,
-                "--device",
+                "device",
                 "set FORESTGEN_TRACING where the workers start",
             ),
         ):
             if wrong:
                 raise RecipeError(f"this option cannot be used here: {why}", where=where)
+        amounts = self.resources.items() if isinstance(self.resources, Mapping) else [(None, self.resources)]
+        for name, amount in amounts:
+            if not (isinstance(name, str) and isinstance(amount, int | float) and 0 < amount < math.inf):
+                expected, got = "a mapping such as {'GPU': 1}", shown(self.resources)
+                raise RecipeError("these are no resources", where="resources", expected=expected, got=got)
         _ = self.memory_bytes, self.timeout_s  # which refuse texts that are no size and no duration
 
     @property
     def memory_bytes(self) -> int | None:
         if self.worker_memory is None:
             return None
-        size = parse_bytes(self.worker_memory, "--worker-memory")
+        size = parse_bytes(self.worker_memory, "worker_memory")
         if size < _LEAST_BYTES:
             raise RecipeError(
                 "this is too little for a worker",
-                where="--worker-memory",
+                where="worker_memory",
                 expected="such as 4GB",
-                got=repr(self.worker_memory),
+                got=shown(self.worker_memory),
             )
         return size
 
     @property
     def timeout_s(self) -> float | None:
-        return None if self.timeout is None else seconds_of(self.timeout, "--timeout")
+        return None if self.timeout is None else seconds_of(self.timeout, "timeout")
 
 
 def render(loaded: LoadedRecipe, target: str, options: RunOptions, display: Display) -> RunSummary:
@@ -282,7 +287,7 @@ def _check_complete(summary: RunSummary) -> None:
             f"{len(summary.missing):,} of {summary.images:,} images are missing: files have changed meanwhile",
             where=summary.target,
             got="\n".join(summary.notes[:_MOST_FAILURES]),
-            hint="the same command with --resume makes them again",
+            hint="the same command with `resume=True` makes them again",
         )
     shown = [_failure(failed) for failed in summary.failed[:_MOST_FAILURES]]
     if len(summary.failed) > _MOST_FAILURES:
@@ -292,7 +297,7 @@ def _check_complete(summary: RunSummary) -> None:
         f"{len(summary.missing):,} of {summary.images:,} images could not be made",
         where=summary.target,
         got="\n".join(shown),
-        hint="the same command with --resume tries them again"
+        hint="the same command with `resume=True` tries them again"
         if again
         else "they would fail again in the same way; the data set is finished without them",
     )
@@ -307,7 +312,7 @@ def seconds_of(duration: float | str, option: str) -> float:
     """Seconds of a number, or of a text such as 90s, 30min or 1.5h. Raises `RecipeError`."""
     if isinstance(duration, int | float) and not isinstance(duration, bool) and 0 < duration < sys.maxsize:
         return float(duration)
-    found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*(s|min|h)\s*", str(duration))
+    found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*(s|min|h)\s*", duration if isinstance(duration, str) else "")
     if found is None or not float(found[1]):
-        raise RecipeError("no such duration", where=option, expected="such as 90s, 30min or 2h", got=repr(duration))
+        raise RecipeError("no such duration", where=option, expected="such as 90s, 30min or 2h", got=shown(duration))
     return float(found[1]) * {"s": 1, "min": 60, "h": 3600}[found[2]]

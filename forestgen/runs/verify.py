@@ -35,8 +35,8 @@ from tempfile import TemporaryDirectory
 from time import perf_counter
 from typing import Any
 
+from forestgen.core.arguments import MOST_SEEDS, whole_of
 from forestgen.core.errors import DatasetError, ForestgenError, RecipeError
-from forestgen.core.figures import check_whole
 from forestgen.core.progress import Progress, Silent
 from forestgen.dataset.check import MOST_NAMED, CheckResult, Finding, check_dataset
 from forestgen.dataset.index import INDEX_NAME, read_index
@@ -109,10 +109,10 @@ def verify(
     ------
     RecipeError : the folder is no data set of forestgen, or a number is out of bounds.
     """
-    check_whole(rerender, "--rerender", 0)
-    check_whole(seed, "--seed", 0)
+    whole_of(rerender, "rerender", 0, 10**9)
+    whole_of(seed, "seed", 0, MOST_SEEDS)
     if workers is not None:
-        check_whole(workers, "--workers", 1, 1024)
+        whole_of(workers, "workers", 1, 1024)
     start = perf_counter()
     said = open_data_set(root)
     with TemporaryDirectory(prefix="forestgen-verify-") as scratch, Ledger(Path(scratch)) as ledger:

@@ -29,7 +29,7 @@ def check_writable(paths: Iterable[Path], *, overwrite: bool) -> None:
                 expected, hint = "a new name, or a regular file: no link, pipe or device", "choose another name"
                 raise OutputError("the output is no regular file", where=str(path), expected=expected, hint=hint)
             if path.exists() and not overwrite:
-                raise OutputError("the file exists", where=str(path), hint="choose another name, or --overwrite")
+                raise OutputError("the file exists", where=str(path), hint="choose another name, or `overwrite=True`")
             folder = next(parent for parent in path.absolute().parents if parent.exists())
         except OSError as error:
             raise output_error(error, path) from error

@@ -267,7 +267,7 @@ def test_a_split_is_no_data_set_of_its_own(data_set, tmp_path):
     answer.refused(6, "this is no data set", "a part of a data set", f"name {data_set}")
     with pytest.raises(DatasetError, match="this is no data set") as refused:
         packed(data_set / "val", tmp_path / "pack")
-    assert refused.value.hint == f"name {data_set}, with --split val"
+    assert refused.value.hint == f"name {data_set}, with `splits='val'`"
     assert not (tmp_path / "pack").exists()
 
 

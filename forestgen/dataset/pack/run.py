@@ -8,8 +8,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Literal
 
+from forestgen.core.arguments import MOST_SEEDS, whole_of
 from forestgen.core.errors import DatasetError, OutputError, RecipeError
-from forestgen.core.figures import check_whole, parse_bytes
+from forestgen.core.figures import parse_bytes
 from forestgen.core.progress import Progress
 from forestgen.dataset.files import write_bytes, write_json
 from forestgen.dataset.folder import OutputFolder
@@ -53,12 +54,12 @@ def packing_of(
     RecipeError : no such format, size or seed.
     """
     if seed is not None:
-        check_whole(seed, "--seed", 0)
+        whole_of(seed, "seed", 0, MOST_SEEDS)
     chosen = next((one for one in FORMATS if one == form), None)
     if chosen is None:
-        raise RecipeError("there is no such format", where="--format", expected=" or ".join(FORMATS), got=form)
+        raise RecipeError("there is no such format", where="format", expected=" or ".join(FORMATS), got=form)
     names = None if channels is None else tuple(channels)
-    return Packing(chosen, parse_bytes(shard_size, "--shard-size"), names, tuple(splits), seed)
+    return Packing(chosen, parse_bytes(shard_size, "shard_size"), names, tuple(splits), seed)
 
 
 @dataclass(frozen=True)
@@ -148,7 +149,7 @@ def _split_names(source: Source, form: Format) -> dict[str, str]:
     if len(set(names.values())) < len(names):
         raise RecipeError(
             "two splits would have the same name, for hyphens become underscores",
-            where="--split",
+            where="splits",
             got=", ".join(names),
             hint="pack them one by one",
         )

@@ -72,7 +72,7 @@ def _no_data_set(root: Path) -> DatasetError:
         missing = LAST_FILE if (root / INDEX_NAME).is_file() else INDEX_NAME
         hint: str | None = "the command that made it, with --resume, goes on with it"
         return DatasetError(f"the data set is not finished: it has no {missing} yet", where=str(root), hint=hint)
-    hint = f"name {root.parent}, with --split {root.name}" if (root.parent / LAST_FILE).is_file() else None
+    hint = f"name {root.parent}, with `splits='{root.name}'`" if (root.parent / LAST_FILE).is_file() else None
     expected = "a folder that forestgen render, batch or merge made"
     return DatasetError("this is no data set", where=str(root), expected=expected, hint=hint)
 
@@ -88,7 +88,7 @@ def _opened(root: Path, wanted: Sequence[str]) -> Source:
     for name in wanted:
         if name not in frames:
             raise RecipeError(
-                "the data set has no such split", where="--split", expected="of " + ", ".join(sorted(frames)), got=name
+                "the data set has no such split", where="splits", expected="of " + ", ".join(sorted(frames)), got=name
             )
     chosen = sorted(set(wanted) or frames, key=lambda name: (order.index(name) if name in order else len(order), name))
     splits = tuple(Split(name, SafePath(root, name), tuple(sorted(frames[name]))) for name in chosen)
@@ -106,6 +106,6 @@ def _common_classes(splits: Sequence[Split]) -> dict[str, Any]:
                 "splits differ in the numbers of their classes",
                 where=str(split.folder / CLASSES_FILE),
                 expected=f"the same as in {splits[0].name}",
-                hint="pack them one by one, with --split",
+                hint="pack them one by one, with `splits`",
             )
     return classes

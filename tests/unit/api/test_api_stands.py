@@ -98,5 +98,5 @@ def test_an_empty_stand_has_its_columns() -> None:
 
 
 def test_a_step_to_resume_from_needs_a_history() -> None:
-    with pytest.raises(fg.RecipeError, match="--resume"):
+    with pytest.raises(fg.RecipeError, match="`resume="):
         fg.load(STAND).simulate(from_step=3, progress=False)

@@ -112,7 +112,7 @@ def test_an_empty_folder_is_used(tmp_path):
 
 def test_a_previous_run_is_replaced_only_on_demand(tmp_path):
     make_run(tmp_path / "run")
-    with pytest.raises(OutputError, match="--overwrite"), OutputFolder(tmp_path / "run"):
+    with pytest.raises(OutputError, match="overwrite=True"), OutputFolder(tmp_path / "run"):
         pytest.fail("entered")
     with OutputFolder(tmp_path / "run", overwrite=True) as staging:
         write_bytes(staging / "new.txt", b"new")

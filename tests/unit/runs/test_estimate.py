@@ -235,7 +235,7 @@ def test_one_worker_that_does_not_fit_is_refused(expected: Callable[..., Estimat
 def test_workers_that_were_asked_for_and_do_not_fit_are_refused(
     expected: Callable[..., Estimate], tmp_path: Path
 ) -> None:
-    with pytest.raises(ResourceError, match=r"--workers 8[\s\S]*--workers 2, or leave it out"):
+    with pytest.raises(ResourceError, match=r"workers=8[\s\S]*`workers=2`, or leave it out"):
         check_fits(expected(probe(memory=3 * 10**9), workers=8), LocalPlace(tmp_path))
     check_fits(expected(probe(memory=3 * 10**9)), LocalPlace(tmp_path))
 
@@ -245,7 +245,7 @@ def test_a_disk_that_is_too_small_is_refused(
 ) -> None:
     monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=90_000_000))
     place = LocalPlace(tmp_path / "not" / "yet", "not/yet")
-    with pytest.raises(OutputError, match=r"not/yet[\s\S]*at most 40 MB[\s\S]*about 100 MB[\s\S]*--count 40") as caught:
+    with pytest.raises(OutputError, match=r"not/yet[\s\S]*at most 40 MB[\s\S]*about 100 MB[\s\S]*`count=40`") as caught:
         check_fits(expected(probe()), place)
     assert caught.value.exit_code == 4  # the output cannot be written; 3 is for memory
     check_fits(expected(probe(disk=10**5)), place)
