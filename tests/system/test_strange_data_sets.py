@@ -241,13 +241,13 @@ def test_a_saved_frame_is_replaced_where_that_is_asked_for(made: Path, tmp_path:
      {"seed": -1}],
 )  # fmt: skip
 def test_numbers_of_a_check_are_checked(options: dict[str, Any], made: Path) -> None:
-    with pytest.raises(fg.RecipeError, match="--" + next(iter(options))):
+    with pytest.raises(fg.RecipeError, match=next(iter(options))):
         fg.Dataset(made).verify(**options, progress=False)
 
 
 @pytest.mark.parametrize("seed", [1.5, -1, "x"])
 def test_the_seed_of_a_pack_is_a_whole_number(seed: Any, made: Path, tmp_path: Path) -> None:
-    with pytest.raises(fg.RecipeError, match="--seed"):
+    with pytest.raises(fg.RecipeError, match="seed"):
         fg.Dataset(made).pack(tmp_path / "pack", "webdataset", seed=seed, progress=False)
     assert list(tmp_path.iterdir()) == []
 

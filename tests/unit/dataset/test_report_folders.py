@@ -274,7 +274,7 @@ def test_a_page_replaces_nothing_unasked(tmp_path):
     target.write_text("mine")
     with pytest.raises(OutputError, match="the file exists") as caught:
         write_page(tmp_path / "data", target)
-    assert "--overwrite" in caught.value.hint
+    assert "overwrite=True" in caught.value.hint
     assert target.read_text() == "mine"
     result = CliRunner().invoke(app, ["report", str(tmp_path / "data"), "-o", str(target)])
     assert result.exit_code == 4
