@@ -6,6 +6,8 @@ import signal
 import sys
 from types import FrameType
 
+from forestgen.core.streams import open_streams
+
 
 def _stop_before_work(_number: int, _frame: FrameType | None) -> None:
     """Ctrl-C before a command handles signals itself: Typer would end without a word."""
@@ -15,6 +17,7 @@ def _stop_before_work(_number: int, _frame: FrameType | None) -> None:
 
 def main() -> None:
     """Run the command line."""
+    open_streams()
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # ignored under nohup, and then it stays so
         signal.signal(signal.SIGINT, _stop_before_work)
     from forestgen.cli import main as run

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import importlib.util
 import inspect
 import sys
 from collections.abc import Iterator
@@ -11,7 +10,9 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from forestgen.api.parts import check_part, part_at
 from forestgen.community.registry import COMMUNITY_MODELS, ENVIRONMENTS
+from forestgen.core.arguments import shown, text_of
 from forestgen.core.errors import RecipeError
 from forestgen.core.registry import Registry
 from forestgen.plants.registry import GENERATORS
@@ -22,6 +23,9 @@ if TYPE_CHECKING:
     from forestgen.api.diagnosis import Diagnosis
 
 _REGISTRIES = {"community_model": COMMUNITY_MODELS, "environment": ENVIRONMENTS, "plant_generator": GENERATORS}
+_WITHOUT_COMMENT = {  # files of a format that has none
+    "fig_5_2": "A bush of one rule, of Rhodes University's forest: its Fig. 5.2, in the format .sys.",
+}
 _ASSETS = {"species": "species", "lsystems": "lsystem", "recipes": "recipe"}  # folder of files -> kind
 
 
@@ -60,11 +64,12 @@ def models(name: str | None = None, *, kind: str | None = None) -> list[Entry]:
     RecipeError : there is no such name or kind.
     """
     kinds = (*_REGISTRIES, *_ASSETS.values())
-    if kind is not None and kind not in kinds:
+    if kind is not None and text_of(kind, "kind") not in kinds:
         hint = did_you_mean(kind, kinds)
-        raise RecipeError("no such kind", expected="one of " + ", ".join(kinds), got=repr(kind), hint=hint)
+        expected = "one of " + ", ".join(kinds)
+        raise RecipeError("no such kind", where="kind", expected=expected, got=repr(kind), hint=hint)
     found = [one for one in _entries() if kind in (None, one.kind)]
-    named = [one for one in found if name in (None, one.name)]
+    named = [one for one in found if name is None or one.name == text_of(name, "name")]
     if name is not None and not named:
         known = [one.name for one in found]
         raise RecipeError(
@@ -83,12 +88,23 @@ def _entries() -> Iterator[Entry]:
     for folder, kind in _ASSETS.items():
         for name in list_assets(folder):
             path = find_asset(folder, name)
-            yield Entry(kind, name, _first_comment(path), path)
+            yield Entry(kind, name, _WITHOUT_COMMENT.get(name) or _first_sentences(path), path)
 
 
-def _first_comment(path: Path) -> str:
-    first = path.read_text(encoding="utf-8").partition("\n")[0]
-    return first.lstrip("#/").strip() if first.startswith(("#", "//")) else ""
+def _first_sentences(path: Path) -> str:
+    """What the comment at a file's top says in whole sentences: those of its first line, or a longer one."""
+    comment = []
+    for line in path.read_text(encoding="utf-8").split("\n"):
+        if not line.startswith(("#", "//")) or not line.lstrip("#/").strip():
+            break
+        comment.append(line.lstrip("#/").strip())
+    if not comment or comment[0].endswith((".", ":")):
+        return comment[0] if comment else ""
+    whole, stop, _ = comment[0].rpartition(". ")
+    if stop:
+        return f"{whole}."
+    first, stop, _ = " ".join(comment).partition(". ")
+    return f"{first}." if stop else first
 
 
 @dataclass(frozen=True)
@@ -141,28 +157,25 @@ def register(kind: str, name: str, part: object, description: str = "") -> None:
 
     Raises
     ------
-    RecipeError : no such kind, the name is taken, or the object cannot be found again in its module.
+    RecipeError : no such kind, the name is taken, the object cannot be found again in its module, or lacks what a
+        part of its kind must have.
     """
-    if kind not in _REGISTRIES:
+    if text_of(kind, "kind") not in _REGISTRIES:
         hint = did_you_mean(kind, list(_REGISTRIES))
         raise RecipeError(
-            "no such kind of part", expected="one of " + ", ".join(_REGISTRIES), got=repr(kind), hint=hint
+            "no such kind of part",
+            where="kind",
+            expected="one of " + ", ".join(_REGISTRIES),
+            got=shown(kind),
+            hint=hint,
         )
-    path = _checked(part) if isinstance(part, str) else _path_of(part)
-    text = description or (inspect.getdoc(part) or "").partition("\n")[0] * (not isinstance(part, str))
+    text_of(name, "name")
+    is_path = isinstance(part, str)
+    found = part_at(part) if isinstance(part, str) else part
+    path = part if isinstance(part, str) else _path_of(part)
+    check_part(kind, found)
+    text = text_of(description, "description") or ("" if is_path else (inspect.getdoc(part) or "").partition("\n")[0])
     _REGISTRIES[kind].register(name, path, text)
-
-
-def _checked(path: str) -> str:
-    """A path ``module:attribute`` whose module is there; it is imported when the part is first used."""
-    module, _, attribute = path.partition(":")
-    try:
-        found = attribute.isidentifier() and importlib.util.find_spec(module) is not None
-    except (ImportError, ValueError):  # of a package above it, or no name of a module
-        found = False
-    if not found:
-        raise RecipeError("there is no such place", expected="'package.module:NAME'", got=repr(path)[:200])
-    return path
 
 
 def _path_of(part: object) -> str:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import operator
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -12,24 +13,22 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 
 from forestgen.api.display import display_of
+from forestgen.api.loaders import PICTURES, Transform, huggingface_splits, torch_frames
+from forestgen.core.arguments import PathLike, path_of, paths_of, shown, text_of, texts_of
 from forestgen.core.errors import DatasetError, RecipeError
 from forestgen.core.progress import Progress
 from forestgen.dataset.frame import Frame, StoredFrame
 from forestgen.dataset.index import INDEX_NAME, whole_index
-from forestgen.dataset.legend import FILE_NAME as LEGEND_NAME
-from forestgen.dataset.safe_path import SafePath, unreadable
+from forestgen.dataset.index_values import plain_rows
+from forestgen.dataset.legend import read_legend
+from forestgen.dataset.safe_path import SafePath
+from forestgen.recipe.suggestions import did_you_mean
+from forestgen.runs.description import DATASET_NAME
 from forestgen.runs.summary import RunSummary
 
 if TYPE_CHECKING:
     from forestgen.dataset.pack.run import Packed
     from forestgen.runs.verify_report import VerificationReport
-
-PathLike = str | os.PathLike[str]
-_TORCH_CHANNELS = ("preview", "semantic", "instance")
-_ARRAYS = (
-    *_TORCH_CHANNELS, "radiance", "variance", "denoised", "part", "depth", "distance", "position", "normal", "albedo",
-    "motion", "sun", "cloud", "boundary", "overlay",
-)  # fmt: skip
 
 
 class Run:
@@ -62,17 +61,17 @@ class Dataset(Sequence[Frame]):
 
     Raises
     ------
+    RecipeError : there is no such folder.
     DatasetError : the folder holds no data set, or one that is not finished or damaged.
     """
 
     def __init__(self, folder: PathLike, split: str | None = None) -> None:
-        self.folder = Path(folder)
+        self.folder = path_of(folder, "folder")
         self._split = split
         self._rows = _rows_of(self.folder)
         if split is not None:
             if split not in self.splits:
-                expected = "one of " + ", ".join(self.splits)
-                raise RecipeError("the data set has no such split", expected=expected, got=repr(split))
+                raise self._no_split(split)
             self._rows = self._rows.filter(np.asarray(self._rows["split"]) == split)
 
     @cached_property
@@ -95,13 +94,13 @@ class Dataset(Sequence[Frame]):
     @cached_property
     def classes(self) -> tuple[str, ...]:
         """Names of the semantic classes, by number."""
-        names = self._legend.get("semantic", {})
+        names = self._legend["semantic"]
         return tuple(names[str(number)] for number in range(len(names)))
 
     @cached_property
     def categories(self) -> dict[int, str]:
         """Names of the instances' categories, by their number in coco.json."""
-        return {int(number): name for number, name in self._legend.get("categories", {}).items()}
+        return {int(number): name for number, name in self._legend["categories"].items()}
 
     def split(self, name: str) -> Dataset:
         """The frames of one split."""
@@ -111,27 +110,29 @@ class Dataset(Sequence[Frame]):
         return int(self._rows.num_rows)
 
     @overload
-    def __getitem__(self, index: int) -> Frame: ...
+    def __getitem__(self, index: int | str) -> Frame: ...
 
     @overload
     def __getitem__(self, index: slice) -> list[Frame]: ...
 
-    def __getitem__(self, index: int | slice) -> Frame | list[Frame]:
+    def __getitem__(self, index: int | str | slice) -> Frame | list[Frame]:
         if isinstance(index, slice):
             return [self[number] for number in range(*index.indices(len(self)))]
-        number = index + len(self) if index < 0 else index
+        if isinstance(index, str):
+            return self.frame(index)
+        if not hasattr(index, "__index__"):
+            raise TypeError(f"a frame is asked for by its number, a slice or its name, not by {type(index).__name__}")
+        number = operator.index(index) + (len(self) if index < 0 else 0)
         if not 0 <= number < len(self):
             raise IndexError(f"the data set has {len(self)} frames, there is none of number {index}")
-        row = self._rows.slice(number, 1).to_pylist(maps_as_pydicts="strict")[0]
+        row = plain_rows(self._rows.slice(number, 1), self.folder / INDEX_NAME)[0]
         return Frame(StoredFrame(SafePath(self.folder, f"{row['split']}/{row['frame']}"), row, self.classes))
 
     def frame(self, name: str) -> Frame:
         """The frame of a name such as 000000-camera0."""
-        names = self._rows["frame"].to_pylist()
-        if name not in names:
-            raise RecipeError("the data set has no such frame", where=str(self.folder), got=repr(name))
-        number: int = names.index(name)
-        return self[number]
+        if name not in self._numbers:
+            raise RecipeError("the data set has no such frame", where=str(self.folder), got=shown(name))
+        return self[self._numbers[name]]
 
     def verify(
         self,
@@ -153,9 +154,15 @@ class Dataset(Sequence[Frame]):
         """
         return verify(self.folder, rerender=rerender, seed=seed, workers=workers, hashes=hashes, progress=progress)
 
-    def report(self, out: PathLike | None = None) -> Path:
-        """Write the data set's page, by default report.html in its folder; the path of it."""
-        return write_report(self.folder, out)
+    def report(self, out: PathLike | None = None, *, overwrite: bool = False) -> Path:
+        """Write the data set's page, by default report.html in its folder, which is renewed; the path of it.
+
+        Parameters
+        ----------
+        out : another file.
+        overwrite : replace that file if it exists.
+        """
+        return write_report(self.folder, out, overwrite=overwrite)
 
     def pack(
         self,
@@ -163,8 +170,8 @@ class Dataset(Sequence[Frame]):
         format: str,  # noqa: A002 - the name of the option on the command line
         *,
         shard_size: int | str = "500MB",
-        channels: Sequence[str] | None = None,
-        splits: Sequence[str] = (),
+        channels: str | Sequence[str] | None = None,
+        splits: str | Sequence[str] = (),
         seed: int = 0,
         by_name: bool = False,
         overwrite: bool = False,
@@ -182,14 +189,15 @@ class Dataset(Sequence[Frame]):
         """
         from forestgen.dataset.pack.run import pack, packing_of
 
-        packing = packing_of(format, shard_size, channels, splits, None if by_name else seed)
+        target = path_of(out, "out", output=True)
+        names = None if channels is None else texts_of(channels, "channels")
+        order = None if by_name else seed
+        packing = packing_of(text_of(format, "format"), shard_size, names, texts_of(splits, "splits"), order)
         display = display_of(progress)
         with display.running():
-            return pack(self.folder, Path(out), packing, overwrite=overwrite, progress=display)
+            return pack(self.folder, target, packing, overwrite=overwrite, progress=display)
 
-    def as_torch(
-        self, channels: Sequence[str] = _TORCH_CHANNELS, transform: Callable[[dict[str, Any]], Any] | None = None
-    ) -> Any:
+    def as_torch(self, channels: str | Sequence[str] = PICTURES, transform: Transform | None = None) -> Any:
         """A map-style data set for `torch.utils.data.DataLoader`: a dict of tensors a frame, pictures as (C, H, W).
 
         Parameters
@@ -200,50 +208,44 @@ class Dataset(Sequence[Frame]):
         Raises
         ------
         RecipeError : no such array; later, if the data set does not have it.
+        ResourceError : PyTorch is not installed.
         """
-        for name in channels:
-            if name not in _ARRAYS:
-                expected = "of " + ", ".join(_ARRAYS)
-                raise RecipeError("frames have no such array", where="channels", expected=expected, got=repr(name))
-        return _torch_frames(self, tuple(channels), transform)
+        return torch_frames(self, texts_of(channels, "channels"), transform)
 
     def as_huggingface(self) -> Any:
-        """A `datasets.DatasetDict` of the splits: preview, semantic and instance pictures, and the index's columns."""
-        import datasets
+        """A `datasets.DatasetDict` of the splits: preview, semantic and instance pictures, and the index's columns.
 
+        Raises
+        ------
+        ResourceError : the library datasets is not installed.
+        DatasetError : a file is missing, or the library cannot hold a value.
+        """
         splits = (self._split,) if self._split is not None else self.splits
-        return datasets.DatasetDict({split: self._as_huggingface(datasets, split) for split in splits})
+        return huggingface_splits(self.folder, self._rows, splits)
 
-    def _as_huggingface(self, datasets: Any, split: str) -> Any:
-        rows = self._rows.filter(np.asarray(self._rows["split"]) == split).to_pylist(maps_as_pydicts="strict")
-        plain = {name: [row[name] for row in rows] for name in self._rows.column_names if _is_plain(self._rows, name)}
-        pictures = ("preview", "semantic", "instance")
-        paths = {
-            name: [self._located(f"{row['split']}/{row['frame']}/{name}.png") for row in rows] for name in pictures
-        }
-        made = datasets.Dataset.from_dict({**paths, **plain})
-        for name in pictures:
-            made = made.cast_column(name, datasets.Image())
-        return made
+    @cached_property
+    def _numbers(self) -> dict[str, int]:
+        """Frame -> number."""
+        return {name: number for number, name in enumerate(self._rows["frame"].to_pylist())}
 
-    def _located(self, name: str) -> str:
-        """The path of a file, for libraries that open it themselves."""
-        path = SafePath(self.folder, name)
-        try:
-            return str(path.located())
-        except OSError as error:
-            raise unreadable(path, error, "forestgen verify checks all files") from error
+    def _no_split(self, name: str) -> RecipeError:
+        """What is told of a split that no image is in."""
+        expected = "one of " + ", ".join(self.splits)
+        declared = {split: share for one in self.info["recipes"] for split, share in one["splits"].items()}
+        if name not in declared:
+            hint = did_you_mean(str(name), self.splits)
+            return RecipeError("the data set has no such split", expected=expected, got=shown(name), hint=hint)
+        share, total = declared[name], sum(declared.values())
+        part = f"about {100 * share / total:.2g} % of the images are for it; " if share > 0 and total > 0 else ""
+        hint = f"{part}make more, with --resume"
+        problem = "the data set has no such split yet: its recipe declares it, but no image of it is there"
+        return RecipeError(problem, expected=expected, got=shown(name), hint=hint)
 
     @cached_property
     def _legend(self) -> Mapping[str, Any]:
-        path = SafePath(self.folder, self.splits[0]) / LEGEND_NAME
-        try:
-            content = path.read_json()
-        except (OSError, ValueError) as error:
-            raise unreadable(path, error) from error
-        if not isinstance(content, dict):
-            raise DatasetError("the file holds no classes", where=str(path))
-        return content
+        if not self.splits:
+            raise DatasetError("the data set has no split", where=str(self.folder / DATASET_NAME))
+        return read_legend(SafePath(self.folder, self.splits[0]))
 
     def __iter__(self) -> Iterator[Frame]:
         return (self[number] for number in range(len(self)))
@@ -264,17 +266,24 @@ def verify(
     """Check a data set that may be damaged; see `Dataset.verify`. Raises `RecipeError` if the folder holds none."""
     from forestgen.runs.verify import verify as check
 
+    root = path_of(folder, "folder")
     display = display_of(progress)
     with display.running():
-        return check(Path(folder), rerender=rerender, seed=seed, workers=workers, hashes=hashes, progress=display)
+        return check(root, rerender=rerender, seed=seed, workers=workers, hashes=hashes, progress=display)
 
 
-def write_report(folder: PathLike, out: PathLike | None = None) -> Path:
+def write_report(folder: PathLike, out: PathLike | None = None, *, overwrite: bool = False) -> Path:
     """Write the page of a data set, finished or not; the path of it. See `Dataset.report`."""
     from forestgen.dataset.report import page
+    from forestgen.stages.plant_files import check_writable
 
-    target = Path(folder) / page.REPORT_NAME if out is None else Path(out)
-    page.write_report(Path(folder), target)
+    root = path_of(folder, "folder")
+    own = root / page.REPORT_NAME
+    target = own if out is None else path_of(out, "out", output=True)
+    is_own = target.name == own.name and os.path.realpath(target.parent) == os.path.realpath(own.parent)
+    if os.path.lexists(target):
+        check_writable([target], overwrite=overwrite or is_own)
+    page.write_report(root, target)
     return target
 
 
@@ -293,13 +302,17 @@ class Merged:
 
 
 def merge(
-    sources: Sequence[PathLike], out: PathLike, *, link: bool = False, progress: bool | Progress | None = None
+    sources: PathLike | Sequence[PathLike],
+    out: PathLike,
+    *,
+    link: bool = False,
+    progress: bool | Progress | None = None,
 ) -> Merged:
     """Make one data set of several; pieces of one recipe become what one run would have made, to the last byte.
 
     Parameters
     ----------
-    sources : folders of finished data sets.
+    sources : folders of finished data sets, or one.
     out : a new or empty folder.
     link : hard links instead of copies.
 
@@ -309,10 +322,11 @@ def merge(
     """
     from forestgen.runs.merge import merge as merge_pieces
 
+    pieces, target = paths_of(sources, "sources"), path_of(out, "out", output=True)
     display = display_of(progress)
     with display.running():
-        done = merge_pieces([Path(source) for source in sources], Path(out), link=link, progress=display)
-    return Merged(Path(out), done.frames, done.bytes, done.notes)
+        done = merge_pieces(pieces, target, link=link, progress=display)
+    return Merged(target, done.frames, done.bytes, done.notes)
 
 
 def _rows_of(folder: Path) -> Any:
@@ -321,42 +335,9 @@ def _rows_of(folder: Path) -> Any:
     try:
         open_data_set(folder)
     except RecipeError as error:  # it says what the folder is instead
+        if not folder.is_dir():
+            raise
         raise DatasetError(
             error.problem, where=error.where, expected=error.expected, got=error.got, hint=error.hint
         ) from error
     return whole_index(folder / INDEX_NAME)
-
-
-def _torch_frames(frames: Dataset, channels: tuple[str, ...], transform: Callable[[dict[str, Any]], Any] | None) -> Any:
-    """See `Dataset.as_torch`. The class is made here, as PyTorch may be missing or slow to load."""
-    import torch.utils.data
-
-    class Frames(torch.utils.data.Dataset):  # type: ignore[misc]
-        def __len__(self) -> int:
-            return len(frames)
-
-        def __getitem__(self, index: int) -> Any:
-            frame = frames[index]
-            item = {name: torch.from_numpy(_for_torch(name, getattr(frame, name))) for name in channels}
-            return item if transform is None else transform(item)
-
-        def __reduce__(self) -> Any:  # for loaders whose processes do not fork
-            return _torch_frames, (frames, channels, transform)
-
-    return Frames()
-
-
-def _for_torch(name: str, values: Any) -> Any:
-    """A copy that may be written to, as tensors may."""
-    if values is None:
-        hint = "labels.channels of the recipe chooses them"
-        raise RecipeError("the data set has no such channel", where="channels", got=name, hint=hint)
-    array = np.moveaxis(values, -1, 0) if values.ndim == 3 else values
-    return np.array(array, dtype=np.int64 if array.dtype == np.uint32 else array.dtype, order="C")
-
-
-def _is_plain(table: Any, name: str) -> bool:
-    """Whether a column holds a text or a number a frame."""
-    import pyarrow as pa
-
-    return not pa.types.is_nested(table.schema.field(name).type)

@@ -9,9 +9,11 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any, Protocol, cast
 
+from forestgen.core.arguments import shown
+from forestgen.core.errors import RecipeError
 from forestgen.core.figures import three_digits
 from forestgen.core.progress import Progress
 from forestgen.runs.meter import Meter
@@ -48,7 +50,10 @@ def display_of(progress: bool | Progress | None) -> Display:
     if progress is None or progress is True:
         if _in_notebook():
             return NotebookDisplay()
-        return Bars() if sys.stderr.isatty() else Lines(_LINE_EVERY_S)
+        return Bars() if _in_terminal() else Lines(_LINE_EVERY_S)
+    if not callable(getattr(progress, "stage", None)) or isinstance(progress, type):
+        expected = "None, True, False, or an object with a method stage(title, total)"
+        raise RecipeError("this shows no progress", where="progress", expected=expected, got=shown(progress))
     return cast(Display, progress) if hasattr(progress, "running") else _Wrapped(progress)
 
 
@@ -276,6 +281,10 @@ def span(seconds: float) -> str:
     return f"{minutes // 1440} d {minutes % 1440 // 60} h"
 
 
+def _in_terminal() -> bool:
+    return sys.stderr is not None and not sys.stderr.closed and sys.stderr.isatty()
+
+
 def _in_notebook() -> bool:
     """Whether this is a Jupyter kernel, where a cell shows what is displayed."""
     if "IPython" not in sys.modules:
@@ -285,5 +294,8 @@ def _in_notebook() -> bool:
 
 
 def _write(text: str) -> None:
-    sys.stderr.write(text + "\n")
-    sys.stderr.flush()
+    if sys.stderr is None:  # of a program without a console
+        return
+    with suppress(OSError, ValueError):  # it is full, or closed: the work goes on
+        sys.stderr.write(text + "\n")
+        sys.stderr.flush()

@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING
 
 from forestgen.api.display import display_of
 from forestgen.api.rendering import free_folder
+from forestgen.core.arguments import listed, number_of, path_of, shown, whole_of
 from forestgen.core.errors import OutputError, RecipeError
 from forestgen.core.progress import Progress
 from forestgen.core.timing import Timings
 from forestgen.recipe.cameras import DIRECTIONS
 from forestgen.recipe.load import LoadedRecipe
-from forestgen.stages.light import LightMeter, Point
+from forestgen.stages.light import Point
+from forestgen.stages.light_text import LightReadings
 from forestgen.stages.plant_files import FileSet, check_writable
 from forestgen.stages.weather import Report as Weather
 
@@ -30,7 +32,7 @@ _LEAST_SAMPLES, _MOST_SAMPLES = 512, 100_000_000
 def measure_light(
     loaded: LoadedRecipe,
     at: Sequence[Sequence[float | str]],
-    normals: Sequence[str | Sequence[float]],
+    normals: str | Sequence[str | Sequence[float]],
     *,
     samples: int,
     absolute_z: bool,
@@ -38,17 +40,18 @@ def measure_light(
     spectrum: float | None,
     overwrite: bool,
     progress: bool | Progress | None,
-) -> list[LightMeter]:
+) -> LightReadings:
     """See `Recipe.light`."""
     from forestgen.stages import light
 
-    _check_range("--samples", samples, _LEAST_SAMPLES, _MOST_SAMPLES)
+    samples = whole_of(samples, "samples", _LEAST_SAMPLES, _MOST_SAMPLES)
     if spectrum is not None:
-        _check_range("--spectrum", spectrum, *_SPECTRUM_NM)
+        spectrum = number_of(spectrum, "spectrum", *_SPECTRUM_NM)
     if out is not None:
         _check_ending(out, _LIGHT_FILES)
         check_writable([out], overwrite=overwrite)
-    points, directions = [point_of(one) for one in at], [normal_of(one) for one in normals]
+    points = [point_of(one) for one in listed(at, "at", "points")]
+    directions = [normal_of(one) for one in listed(normals, "normals", "directions")]
     display = display_of(progress)
     with display.running():
         meters = light.light_at(
@@ -68,7 +71,7 @@ def measure_light(
         )
         with FileSet(overwrite=overwrite) as files:
             files.write(out, content)
-    return meters
+    return LightReadings(meters, spectrum)
 
 
 def simulate_weather(
@@ -86,10 +89,9 @@ def simulate_weather(
     for one in out:
         _check_ending(one, _WEATHER_FILES)
     if picture is not None and picture.suffix.lower() != ".png":
-        raise RecipeError("no such kind of picture", where="--picture", expected=".png", got=str(picture))
+        raise RecipeError("no such kind of picture", where="picture", expected=".png", got=str(picture))
     check_writable([*out, *([picture] if picture else [])], overwrite=overwrite)
-    number = loaded.images if count is None else count
-    _check_range("--count", number, 1, 10**8)
+    number = loaded.images if count is None else whole_of(count, "count", 1, 10**8)
     display = display_of(progress)
     with display.running():
         reports = [weather_report(loaded.draw(index), display) for index in range(number)]
@@ -119,10 +121,9 @@ def calibrate(
     from forestgen.stages import calibrate as stage
     from forestgen.stages.calibration_files import write_calibration
 
-    _check_range("--width-px", width_px, 64, 1024)
-    _check_range("--samples", samples, 4, 65536)
+    width_px, samples = whole_of(width_px, "width_px", 64, 1024), whole_of(samples, "samples", 4, 65536)
     point, towards = (None if at is None else point_of(at)), normal_of(normal)
-    folder = out if out is not None else free_folder(Path("outputs") / f"{loaded.path.stem}-calibration")
+    folder = out or path_of(free_folder(Path("outputs") / f"{loaded.path.stem}-calibration"), "out", output=True)
     timings, display = Timings(), display_of(progress)
     with display.running(), OutputFolder(folder, overwrite=overwrite) as staging:
         found = stage.calibrate(
@@ -152,10 +153,10 @@ def point_of(values: Sequence[float | str]) -> Point:
     """A point of three finite numbers, metres. Raises `RecipeError`."""
     try:
         x, y, z = (float(one) for one in values)
-    except (TypeError, ValueError):
-        got = " ".join(map(str, values)) if not isinstance(values, float | int) else str(values)
+    except (TypeError, ValueError, OverflowError):
+        got = " ".join(map(shown, values)) if isinstance(values, list | tuple) else shown(values)
         raise RecipeError(
-            "this is no point", where="--at", expected="three numbers, metres: --at 30 40 1.5", got=got
+            "this is no point", where="at", expected="three numbers, metres, such as 30 40 1.5", got=got
         ) from None
     return x, y, z
 
@@ -167,11 +168,12 @@ def normal_of(direction: str | Sequence[float]) -> Point:
     try:
         x, y, z = (float(one) for one in (direction.split(",") if isinstance(direction, str) else direction))
         length = math.sqrt(x * x + y * y + z * z)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         length = math.nan
     if not (math.isfinite(length) and length > 1e-9):
         expected = ", ".join(DIRECTIONS) + ", or x,y,z such as 0,0.5,1"
-        raise RecipeError("this is no direction", where="--normal", expected=expected, got=str(direction))
+        got = direction if isinstance(direction, str) else shown(direction)
+        raise RecipeError("this is no direction", where="normals", expected=expected, got=got)
     return x / length, y / length, z / length
 
 
@@ -191,12 +193,7 @@ def _save_weather(path: Path, report: Weather) -> None:
 
 def _check_ending(path: Path, endings: Sequence[str]) -> None:
     if path.suffix.lower() not in endings:
-        raise RecipeError("no such kind of file", where="--out", expected=" or ".join(endings), got=str(path))
+        raise RecipeError("no such kind of file", where="out", expected=" or ".join(endings), got=str(path))
 
 
-def _check_range(option: str, value: float, least: float, most: float) -> None:
-    if not least <= value <= most:
-        raise RecipeError("no such number", where=option, expected=f"{least:,} to {most:,}", got=f"{value:,}")
-
-
-__all__ = ["LightMeter", "Weather", "calibrate", "measure_light", "normal_of", "point_of", "simulate_weather"]
+__all__ = ["LightReadings", "Weather", "calibrate", "measure_light", "normal_of", "point_of", "simulate_weather"]

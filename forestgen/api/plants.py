@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.api.display import display_of
+from forestgen.core.arguments import path_of, paths_of
 from forestgen.core.progress import Progress
 from forestgen.core.randomness import child_rng
 from forestgen.geometry.export import model_files
@@ -57,7 +58,7 @@ def plant(
     ------
     RecipeError, AssetError : there is no such species, or it has no plant of that height.
     """
-    source = os.fspath(species)
+    source = str(path_of(species, "species"))
     check_numbers(Order(source, (), height_m, seed, detail=detail))
     plan, name = plan_of(source, seed, detail), name_of(source)
     radius_m = radius_of_m(plan.drawn.species[name], height_m)
@@ -96,8 +97,8 @@ def grow_files(
     ------
     RecipeError, AssetError, OutputError
     """
-    source = os.fspath(species)
-    outputs = tuple(Path(one) for one in out) if out else default_outputs(source)
+    source = str(path_of(species, "species"))
+    outputs = tuple(paths_of(out, "out", output=True)) if out else default_outputs(source)
     order = Order(
         source,
         outputs,
@@ -177,7 +178,7 @@ class Plant:
         RecipeError : an unknown kind of file.
         OutputError : the file exists, or cannot be written.
         """
-        target = Path(path)
+        target = path_of(path, "path", output=True)
         check_formats([target])
         check_numbers(Order(self.species, (target,), wood_triangles=wood_triangles))
         check_writable([target], overwrite=overwrite)

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import json
-import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from forestgen.api.display import display_of
+from forestgen.core.arguments import MOST_SEEDS, PathLike, listed, number_of, path_of, text_of, whole_of
 from forestgen.core.errors import RecipeError
+from forestgen.core.figures import count
 from forestgen.core.progress import Progress
 from forestgen.recipe.assets import list_assets
 from forestgen.stages.plant_files import FileSet, check_writable
@@ -20,14 +21,16 @@ if TYPE_CHECKING:
     from forestgen.community.fitting.stand import MeasuredStand
     from forestgen.community.point_statistics import PointStatistics
 
-PathLike = str | os.PathLike[str]
 Bounds = tuple[float, float, float, float]
 _RECIPES = (".yaml", ".yml")
 _UNEVEN = 0.05
+_HEAD, _WIDEST = 8, 110  # lines of a recipe that are shown, and characters of a line
 _SPECIES = "poplar"  # what plants look like of which nothing is said
 
 
-def stats(points: PathLike, *, window: Bounds | None = None, radii: Sequence[float | str] = ()) -> PointStatistics:
+def stats(
+    points: PathLike, *, window: Bounds | None = None, radii: str | Sequence[float | str] = ()
+) -> PointStatistics:
     """Measure whether points are clustered, random or regular.
 
     Parameters
@@ -42,10 +45,10 @@ def stats(points: PathLike, *, window: Bounds | None = None, radii: Sequence[flo
     """
     from forestgen.community.point_statistics import measure_file
 
-    return measure_file(Path(points), window, radii)
+    return measure_file(path_of(points, "points"), window, listed(radii, "radii", "numbers"))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class FittedKernel:
     """Kernels of a measured stand."""
 
@@ -58,6 +61,34 @@ class FittedKernel:
     @property
     def notes(self) -> tuple[str, ...]:
         return (*self.notes_before, *self.notes_after)
+
+    def __str__(self) -> str:
+        return "\n".join(self.lines())
+
+    def __repr__(self) -> str:
+        where = "" if self.files is None else f", {self.files[0]}"
+        return f"<FittedKernel: {count(self.fit.stand.n, 'plant')}{where}>"
+
+    def lines(self) -> Iterator[str]:
+        """For people: the recipe's first lines, how new stands compare with the measured one, notes, files."""
+        from forestgen.community.fitting import fit_text
+
+        yield fit_text.head(self.fit)
+        yield ""
+        lines = self.recipe.rstrip().splitlines()
+        for line in lines[:_HEAD]:
+            yield line if len(line) <= _WIDEST else line[: _WIDEST - 4] + " ..."
+        if len(lines) > _HEAD:
+            where = "recipe" if self.files is None else self.files[0]
+            yield f"... and {count(len(lines) - _HEAD, 'more line')} in {where}"
+        yield ""
+        yield from fit_text.check_lines(self.fit)
+        for note in self.notes:
+            yield f"note: {note}"
+        if self.files is not None:
+            yield f"files: {', '.join(str(path) for path in self.files)}"
+            yield f"place one: forestgen simulate {self.files[0]} --set seed=1"
+        yield fit_text.in_words(self.fit)
 
 
 def fit_kernel(
@@ -96,19 +127,19 @@ def fit_kernel(
     from forestgen.community.fitting.stand import measured_stand
     from forestgen.community.point_table import read_points
 
+    source = path_of(points, "points")
+    files = None if out is None else fit_files(path_of(out, "out", output=True))
+    checks, seed = whole_of(checks, "checks", 1, 1000), whole_of(seed, "seed", 0, MOST_SEEDS)
+    reach_m = None if reach_m is None else number_of(reach_m, "reach_m")
     library = set(list_assets("species"))
-    if species is not None and species not in library:
+    if species is not None and text_of(species, "species") not in library:
         raise RecipeError(
             "no such species",
-            where="--species",
+            where="species",
             expected=", ".join(sorted(library)),
             got=repr(species[:60]),
-            hint="a fit says where plants stand; --species, what they look like",
+            hint="a fit says where plants stand; `species`, what they look like",
         )
-    if not 1 <= checks <= 1000:
-        raise RecipeError("no such number", where="--checks", expected="1 to 1,000", got=f"{checks:,}")
-    source = Path(points)
-    files = None if out is None else fit_files(Path(out))
     if files is not None:
         check_writable(files, overwrite=overwrite)
     table = read_points(source, window, marks=True)

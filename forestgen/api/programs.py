@@ -5,9 +5,9 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
+from forestgen.core.arguments import MOST_SEEDS, path_of, texts_of, whole_of
 from forestgen.core.errors import LsystemError, RecipeError
 from forestgen.lsystem import derivation
 from forestgen.lsystem.compiler import Value, compile_listing, with_values
@@ -18,6 +18,7 @@ from forestgen.recipe.assets import find_asset
 
 _MOST_STEPS = 1_000_000
 _MOST_MODULES = 50_000_000
+_MOST_LIMIT = 10**9
 Module = list[str | float]  # a symbol and its parameters
 
 
@@ -66,7 +67,7 @@ def derive(
     steps: int | None = None,
     *,
     seed: int = 0,
-    set: Mapping[str, Value] | Sequence[str] = (),  # noqa: A002 - the name of the option on the command line
+    set: Mapping[str, Value] | Sequence[str] | None = (),  # noqa: A002 - the name of the option on the command line
     max_modules: int = _MOST_MODULES,
 ) -> Words:
     """Derive an L-system.
@@ -83,14 +84,16 @@ def derive(
     ------
     LsystemError, RecipeError, AssetError
     """
-    path = Path(file) if Path(file).exists() else find_asset("lsystems", str(file))
+    named = path_of(file, "file")
+    drawn, most = whole_of(seed, "seed", 0, MOST_SEEDS), whole_of(max_modules, "max_modules", 1, _MOST_LIMIT)
+    path = named if os.path.exists(named) else find_asset("lsystems", str(named))  # noqa: PTH110 - never raises
     program = compile_listing(with_values(read_listing(path), _values(set)))
     wanted = _steps(program, steps)
     last: derivation.Derivation | None = None
-    for last in derivation.derive(program, wanted, seed, most_modules=max_modules):  # noqa: B007 - the last matters
+    for last in derivation.derive(program, wanted, drawn, most_modules=most):  # noqa: B007 - the last matters
         pass
     assert last is not None
-    return Words(str(path), wanted, seed, last)
+    return Words(str(path), wanted, drawn, last)
 
 
 def _steps(program: Program, steps: int | None) -> int:
@@ -99,29 +102,25 @@ def _steps(program: Program, steps: int | None) -> int:
         raise RecipeError(
             "how many steps?",
             where=program.name,
-            expected="--steps N, or derivation length: N in the file",
+            expected="`steps=N`, or derivation length: N in the file",
             got="neither",
         )
-    if not 0 <= wanted <= _MOST_STEPS:
-        raise RecipeError("no such number of steps", where="--steps", expected=f"0 to {_MOST_STEPS:,}", got=str(wanted))
-    return wanted
+    return whole_of(wanted, "steps", 0, _MOST_STEPS)
 
 
-def _values(settings: Mapping[str, Value] | Sequence[str]) -> dict[str, Value]:
+def _values(settings: Mapping[str, Value] | Sequence[str] | None) -> dict[str, Value]:
     """Values by name; texts are NAME=NUMBER or NAME=NUMBER,NUMBER,..."""
     if isinstance(settings, Mapping):
         return dict(settings)
     values: dict[str, Value] = {}
-    for setting in settings:
+    for setting in () if settings is None else texts_of(settings, "set"):
         name, equals, text = setting.partition("=")
         try:
             numbers = [float(one) for one in text.split(",") if one.strip()]
         except ValueError:
             numbers = []
         if not equals or not name.strip() or not numbers:
-            raise LsystemError(
-                "not a setting", where="--set", expected="NAME=NUMBER or NAME=NUMBER,NUMBER", got=setting
-            )
+            raise LsystemError("not a setting", where="set", expected="NAME=NUMBER or NAME=NUMBER,NUMBER", got=setting)
         values[name.strip()] = numbers if "," in text else numbers[0]
     return values
 

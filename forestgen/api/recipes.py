@@ -3,42 +3,41 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from forestgen.core.arguments import PathLike, address_of, listed, path_of, paths_of, plain_copy, shown, texts_of
 from forestgen.core.errors import RecipeError
 from forestgen.core.progress import Progress
 from forestgen.stages.load_checked import load_checked
 
 if TYPE_CHECKING:
     from forestgen.api.datasets import Run
-    from forestgen.api.instruments import LightMeter, Weather
+    from forestgen.api.instruments import LightReadings, Weather
     from forestgen.api.stands import Stand
     from forestgen.api.validation import Validation
     from forestgen.dataset.frame import Frame
     from forestgen.runs.start import DryRun
     from forestgen.stages.calibrate import Calibration
 
-Overrides = Mapping[str, Any] | Sequence[str]
-PathLike = str | os.PathLike[str]
+Overrides = Mapping[str, Any] | Sequence[str] | None
 
 
 def load(
     source: PathLike | Mapping[str, Any],
     set: Overrides = (),  # noqa: A002 - the name of the option on the command line
     *,
-    allow_folders: Sequence[PathLike] = (),
+    allow_folders: PathLike | Sequence[PathLike] = (),
 ) -> Recipe:
     """Read a recipe and check it.
 
     Parameters
     ----------
-    source : path of a YAML file, or a mapping with the same keys; paths in a mapping are relative to the working
-        folder.
+    source : path of a YAML file, or a mapping with the same keys, or the YAML itself, a text of several lines; paths in
+        a mapping or a text are relative to the working folder.
     set : values that replace those of the recipe: ``{"sky.turbidity": 5, "cameras.0.size_px": [640, 480]}``, or texts
-        ``["sky.turbidity=5"]`` whose values are YAML.
+        ``["sky.turbidity=5"]`` whose values are YAML; None: nothing.
     allow_folders : folders besides the recipe's own that this recipe, and all later ones of this process, may read
         files from.
 
@@ -46,20 +45,20 @@ def load(
     ------
     RecipeError, AssetError : with `place`, `expected`, `got` and `hint`; `errors` has all that were found.
     """
-    if allow_folders:
+    if folders := paths_of(allow_folders, "allow_folders"):
         from forestgen.recipe.paths import allow_folders as allow
 
-        allow([Path(folder) for folder in allow_folders])
+        allow(folders)
     return Recipe(source, _texts(set))
 
 
 def _texts(overrides: Overrides) -> list[str]:
     """Overrides as ``key=YAML``."""
-    if isinstance(overrides, str):
-        return [overrides]
+    if overrides is None:
+        return []
     if not isinstance(overrides, Mapping):
-        return [str(one) for one in overrides]
-    return [f"{key}={_yaml(key, value)}" for key, value in overrides.items()]
+        return texts_of(overrides, "set")
+    return [f"{key}={_yaml(key, plain_copy(value, f'set: {key}'))}" for key, value in overrides.items()]
 
 
 def _yaml(key: str, value: Any) -> str:
@@ -69,7 +68,7 @@ def _yaml(key: str, value: Any) -> str:
     except (TypeError, ValueError, AttributeError) as error:
         expected = "a number, a text, a list or a mapping"
         raise RecipeError(
-            "this value cannot be set", where=f"set: {key}", expected=expected, got=f"{value!r:.100}"
+            "this value cannot be set", where=f"set: {key}", expected=expected, got=shown(value)
         ) from error
 
 
@@ -78,7 +77,12 @@ class Recipe:
 
     def __init__(self, source: PathLike | Mapping[str, Any], overrides: Sequence[str] = ()) -> None:
         self._source, self._overrides = source, tuple(overrides)
-        self._loaded = load_checked(source if isinstance(source, Mapping) else Path(source), overrides)
+        given: Path | str | Mapping[str, Any]
+        if isinstance(source, Mapping) or (isinstance(source, str) and "\n" in source):
+            given = source
+        else:
+            given = path_of(source, "source")
+        self._loaded = load_checked(given, overrides)
 
     @property
     def name(self) -> str:
@@ -133,7 +137,7 @@ class Recipe:
         map_steps: Sequence[int] = (),
         resume: PathLike | None = None,
         from_step: int | None = None,
-        graphs: Sequence[PathLike] = (),
+        graphs: PathLike | Sequence[PathLike] = (),
         overwrite: bool = False,
         progress: bool | Progress | None = None,
     ) -> Stand:
@@ -157,11 +161,11 @@ class Recipe:
 
         return simulated(
             self._loaded,
-            None if out is None else Path(out),
+            None if out is None else path_of(out, "out", output=True),
             map_steps=map_steps,
-            resume=None if resume is None else Path(resume),
+            resume=None if resume is None else path_of(resume, "resume"),
             from_step=from_step,
-            graphs=[Path(one) for one in graphs],
+            graphs=paths_of(graphs, "graphs", output=True),
             overwrite=overwrite,
             progress=progress,
         )
@@ -222,7 +226,7 @@ class Recipe:
         options = RunOptions(
             count=count, resume=resume, discard=discard, overwrite=overwrite, threads=threads, device=device
         )
-        return render_run(self._loaded, out, options, progress)
+        return render_run(self._loaded, None if out is None else address_of(out, "out"), options, progress)
 
     def batch(
         self,
@@ -276,10 +280,10 @@ class Recipe:
             retries=retries,
             engine=engine,
             scheduler=scheduler,
-            resources=dict(resources or {}),
+            resources={} if resources is None else resources,
             device=device,
         )
-        return batch_run(self._loaded, out, options, progress)
+        return batch_run(self._loaded, address_of(out, "out"), options, progress)
 
     def estimate(
         self,
@@ -314,20 +318,20 @@ class Recipe:
             engine=engine,
             device=device,
         )
-        return estimate_run(self._loaded, out, options, progress)
+        return estimate_run(self._loaded, address_of(out, "out"), options, progress)
 
     def light(
         self,
         at: Sequence[Sequence[float | str]],
         *,
-        normals: Sequence[str | Sequence[float]] = ("up",),
+        normals: str | Sequence[str | Sequence[float]] = ("up",),
         samples: int = 16384,
         absolute_z: bool = False,
         out: PathLike | None = None,
         spectrum: float | None = None,
         overwrite: bool = False,
         progress: bool | Progress | None = None,
-    ) -> list[LightMeter]:
+    ) -> LightReadings:
         """Measure light at points of the first image's scene.
 
         Parameters
@@ -345,10 +349,10 @@ class Recipe:
         return measure_light(
             self._loaded,
             at,
-            normals,
+            listed(normals, "normals", "directions"),
             samples=samples,
             absolute_z=absolute_z,
-            out=None if out is None else Path(out),
+            out=None if out is None else path_of(out, "out", output=True),
             spectrum=spectrum,
             overwrite=overwrite,
             progress=progress,
@@ -372,12 +376,11 @@ class Recipe:
         """
         from forestgen.api.instruments import simulate_weather
 
-        files = [out] if isinstance(out, str | os.PathLike) else list(out)
         return simulate_weather(
             self._loaded,
             count,
-            out=[Path(one) for one in files],
-            picture=None if picture is None else Path(picture),
+            out=paths_of(out, "out", output=True),
+            picture=None if picture is None else path_of(picture, "picture", output=True),
             overwrite=overwrite,
             progress=progress,
         )
@@ -412,7 +415,7 @@ class Recipe:
 
         return calibrate(
             self._loaded,
-            None if out is None else Path(out),
+            None if out is None else path_of(out, "out", output=True),
             at=at,
             normal=normal,
             width_px=width_px,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,6 +9,7 @@ from pathlib import Path
 from forestgen.api.datasets import Run
 from forestgen.api.display import Display, display_of
 from forestgen.api.frames import MadeFrame
+from forestgen.core.arguments import address_of, shown
 from forestgen.core.errors import RecipeError
 from forestgen.core.progress import Progress
 from forestgen.core.threads import cores, limit_cores
@@ -17,13 +17,12 @@ from forestgen.core.timing import Timings
 from forestgen.dataset.frame import Frame
 from forestgen.pipeline import assemble_image, image_frames
 from forestgen.recipe.load import LoadedRecipe
+from forestgen.recipe.splits import NUMBERS_END
 from forestgen.render.variant import mitsuba, tracing_on
 from forestgen.runs import start
 from forestgen.runs.start import DryRun, RunOptions
 from forestgen.stages.data_set import data_set_of
 from forestgen.stages.plan import check_memory, check_plan, make_plan
-
-PathLike = str | os.PathLike[str]
 
 
 def frames_of(
@@ -37,11 +36,17 @@ def frames_of(
     """See `Recipe.frames`. Arguments are checked at once, and nothing is set while the caller looks at a frame."""
     total = loaded.images if count is None else count
     if type(total) is not int or total < 0:
-        raise RecipeError("no such number of images", where="count", expected="0 or more", got=repr(total))
+        raise RecipeError("no such number of images", where="count", expected="0 or more", got=shown(total))
     if type(first) is not int or first < 0:
-        raise RecipeError("no such image", where="first", expected="0 or more", got=repr(first))
+        raise RecipeError("no such image", where="first", expected="0 or more", got=shown(first))
     RunOptions(threads=threads, device=device).check()
     check_plan(loaded)
+    most = NUMBERS_END - int(loaded.complete["first_image"])
+    if first + total > most:
+        where, got = ("first", first) if first >= most else ("count", total)
+        raise RecipeError(
+            "there are no images of such numbers", where=where, expected=f"numbers below {NUMBERS_END}", got=str(got)
+        )
     return _frames(loaded, range(first, first + total), threads, device, display_of(progress))
 
 
@@ -76,28 +81,26 @@ def _tracing(threads: int | None, device: str | None) -> Iterator[None]:
                 mitsuba(cores())
 
 
-def render_run(
-    loaded: LoadedRecipe, out: PathLike | None, options: RunOptions, progress: bool | Progress | None
-) -> Run:
+def render_run(loaded: LoadedRecipe, out: str | None, options: RunOptions, progress: bool | Progress | None) -> Run:
     """See `Recipe.render`."""
-    target = os.fspath(out) if out is not None else str(free_folder(Path("outputs") / loaded.path.stem))
+    target = out or address_of(free_folder(Path("outputs") / loaded.path.stem), "out")
     display = display_of(progress)
     with display.running():
         return Run(start.render(loaded, target, options, display))
 
 
-def batch_run(loaded: LoadedRecipe, out: PathLike, options: RunOptions, progress: bool | Progress | None) -> Run:
+def batch_run(loaded: LoadedRecipe, out: str, options: RunOptions, progress: bool | Progress | None) -> Run:
     """See `Recipe.batch`."""
     display = display_of(progress)
     with display.running():
-        return Run(start.batch(loaded, os.fspath(out), options, display))
+        return Run(start.batch(loaded, out, options, display))
 
 
-def estimate_run(loaded: LoadedRecipe, out: PathLike, options: RunOptions, progress: bool | Progress | None) -> DryRun:
+def estimate_run(loaded: LoadedRecipe, out: str, options: RunOptions, progress: bool | Progress | None) -> DryRun:
     """See `Recipe.estimate`."""
     display = display_of(progress)
     with display.running():
-        return start.dry_run(loaded, os.fspath(out), options, display)
+        return start.dry_run(loaded, out, options, display)
 
 
 def free_folder(wanted: Path) -> Path:

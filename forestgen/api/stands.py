@@ -14,13 +14,17 @@ from numpy.typing import NDArray
 from forestgen import pipeline
 from forestgen.api.display import display_of
 from forestgen.community.population import Population, Status
+from forestgen.core.arguments import listed, shown, whole_of
 from forestgen.core.errors import RecipeError
 from forestgen.core.progress import Progress
 from forestgen.core.timing import Timings
 from forestgen.pipeline import SimulationSummary
 from forestgen.recipe.load import LoadedRecipe
+from forestgen.recipe.suggestions import did_you_mean
 from forestgen.stages.history import map_colours
 from forestgen.stages.module_checks import ground_plans
+
+_MOST_STEPS = 10**9
 
 
 class Stand:
@@ -77,27 +81,25 @@ class Stand:
     @property
     def biome(self) -> str | None:
         """What people call land of the climate that chose the recipe's species; None if no climate did."""
-        from forestgen.recipe.biome import biome_name
-
-        biome = self.summary.plan.drawn.recipe.community.parameters.get("biome")
-        if not biome:
-            return None
-        warmth, rain = biome["temperature_c"], biome["precipitation_mm_per_yr"]
-        return f"{biome_name(warmth, rain)}, of {warmth:g} deg C and {rain:g} mm a year"
+        return self.summary.biome
 
     def __getitem__(self, column: str) -> NDArray[Any]:
         try:
             return self.columns[column]
-        except KeyError:
-            raise RecipeError(
-                "the stand has no such column", expected="one of " + ", ".join(self.columns), got=repr(column)
-            ) from None
+        except (KeyError, TypeError):
+            expected, hint = "one of " + ", ".join(self.columns), did_you_mean(str(column), self.columns)
+            raise RecipeError("the stand has no such column", expected=expected, got=shown(column), hint=hint) from None
 
     def __len__(self) -> int:
         return len(self.population)
 
-    def plot(self) -> Any:
-        """A matplotlib figure: the map of the plants, each at its size."""
+    def plot(self, ax: Any = None) -> Any:
+        """A matplotlib figure: the map of the plants, each at its size.
+
+        Parameters
+        ----------
+        ax : matplotlib Axes to draw into, whose figure is returned; None: a new figure.
+        """
         from forestgen.community.plots import map_figure
 
         plan = self.summary.plan
@@ -108,6 +110,7 @@ class Stand:
             map_colours(plan),
             periodic=plan.model_parameters.periodic,
             obstacles=obstacles,
+            axes=_axes_of(ax),
         )
 
     def _repr_png_(self) -> bytes:
@@ -118,6 +121,15 @@ class Stand:
     def __repr__(self) -> str:
         counts = ", ".join(f"{number:,} {name}" for name, number in self.summary.counts.items())
         return f"<Stand at year {self.population.time_yr:g}: {counts or 'no plants'}>"
+
+
+def _axes_of(ax: Any) -> Any:
+    """Axes to draw into, or None. Raises `RecipeError` for what is none."""
+    from matplotlib.axes import Axes
+
+    if ax is None or isinstance(ax, Axes):
+        return ax
+    raise RecipeError("these are no axes", where="ax", expected="matplotlib Axes, one pair", got=shown(ax))
 
 
 def simulated(
@@ -133,15 +145,17 @@ def simulated(
 ) -> Stand:
     """See `Recipe.simulate`."""
     if from_step is not None and resume is None:
-        raise RecipeError("no history to go on from", where="--from-step", expected="--resume history.parquet with it")
+        raise RecipeError("no history to go on from", where="from_step", expected="`resume='history.parquet'` with it")
+    steps = [whole_of(one, "map_steps", -_MOST_STEPS, _MOST_STEPS) for one in listed(map_steps, "map_steps", "steps")]
+    first = None if from_step is None else whole_of(from_step, "from_step", -_MOST_STEPS, _MOST_STEPS)
     display = display_of(progress)
     with display.running():
         summary = pipeline.simulate(
             loaded,
             out,
-            map_steps=map_steps,
+            map_steps=steps,
             resume=resume,
-            from_step=from_step,
+            from_step=first,
             graphs=graphs,
             overwrite=overwrite,
             progress=display,

@@ -17,6 +17,7 @@ from forestgen.cli.help_pages import show_plainly
 from forestgen.cli.inspect import doctor, models, schema, validate
 from forestgen.cli.light import PointsCommand, light
 from forestgen.cli.lsystem import lsystem
+from forestgen.cli.option_names import names_of
 from forestgen.cli.plant import plant
 from forestgen.cli.render import batch, render
 from forestgen.cli.simulate import simulate
@@ -41,8 +42,13 @@ class _Commands(typer.core.TyperGroup):
             return super().parse_args(ctx, args)
 
     def invoke(self, ctx: Any) -> Any:
-        with errors_for_people(), options_suggested():
+        with errors_for_people(lambda: self._names(ctx)), options_suggested():
             return super().invoke(ctx)
+
+    def _names(self, ctx: Any) -> dict[str, str]:
+        """Options of the command that is running, by their parameters."""
+        command = self.commands.get(ctx.invoked_subcommand or "")
+        return {} if command is None else names_of(command)
 
 
 app = typer.Typer(
@@ -113,4 +119,5 @@ add_completion(app)
 
 def main() -> None:
     """Entry point."""
-    app(prog_name="forestgen")
+    with errors_for_people():  # those of help pages, which are written before a command begins
+        app(prog_name="forestgen")

@@ -20,13 +20,15 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, NoReturn, cast
 
 import typer
 
-from forestgen.core.errors import ForestgenError, ResourceError, plain
+from forestgen.cli.option_names import in_options
+from forestgen.core.errors import ForestgenError, OutputError, ResourceError, plain
+from forestgen.core.streams import leave_streams, output_failure
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -56,14 +58,6 @@ class Printer:
     def __call__(self, text: str = "") -> None:
         if not self._quiet:
             output().print(plain(text), markup=False)  # names of strangers' files may hold brackets, or control codes
-
-    def table(self, rows: Sequence[Sequence[str]]) -> None:
-        """Rows as wide as they must be, the first column to the left and the others to the right."""
-        widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-        for row in rows:
-            first = row[0].ljust(widths[0])
-            rest = (text.rjust(width) for text, width in zip(row[1:], widths[1:], strict=True))
-            self("  ".join([first, *rest]).rstrip())
 
     def json(self, content: object) -> None:
         """Plain values; NaN, which JSON lacks, as null."""
@@ -149,7 +143,7 @@ def _on_its_way(error: BaseException | None) -> bool:
 
 
 def _say(message: str) -> None:
-    with suppress(OSError):  # a closed terminal takes no message
+    with suppress(OSError, ValueError):  # a closed terminal takes no message, nor does a full disk
         sys.stderr.write(message.rstrip() + "\n")
         sys.stderr.flush()
 
@@ -160,9 +154,21 @@ def fail(message: str, code: int) -> NoReturn:
     raise SystemExit(code)
 
 
+def _fail_of_output(failure: OSError) -> NoReturn:
+    """Leave because standard output takes no more, as on a full disk."""
+    got = failure.strerror or str(failure)
+    error = OutputError("the output cannot be written", where="standard output", got=got)
+    fail(f"error: {error}", error.exit_code)
+
+
 @contextmanager
-def errors_for_people() -> Iterator[None]:
-    """Turn exceptions into messages and exit codes. FORESTGEN_DEBUG=1 shows tracebacks instead."""
+def errors_for_people(names: Callable[[], Mapping[str, str]] = dict) -> Iterator[None]:
+    """Turn exceptions into messages and exit codes. FORESTGEN_DEBUG=1 shows tracebacks instead.
+
+    Parameters
+    ----------
+    names : options by the parameters that errors name, see `option_names.names_of`.
+    """
     if os.environ.get("FORESTGEN_DEBUG"):
         yield
         return
@@ -173,7 +179,7 @@ def errors_for_people() -> Iterator[None]:
     except (typer.Exit, typer.Abort, _UsageError):
         raise  # typer's own way out: --version, a misspelt option
     except ForestgenError as error:
-        fail(error.text("error: "), error.exit_code)
+        fail(in_options(error.text("error: "), names()), error.exit_code)
     except MemoryError:
         hint = "make images or the site smaller, or take fewer species or exemplars"
         fail(f"error: {ResourceError('memory ran out', hint=hint)}", ResourceError.exit_code)
@@ -186,11 +192,15 @@ def errors_for_people() -> Iterator[None]:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         raise SystemExit(141) from None
     except Exception as error:  # noqa: BLE001 - the one place where a bug is caught, named as such, and reported
+        if (failure := output_failure()) is not None:
+            _fail_of_output(failure)
         fail(
             f"error: a bug in forestgen: {type(error).__name__}: {error}\n"
             "  try       the same command with FORESTGEN_DEBUG=1 shows the traceback for a report",
             INTERNAL_ERROR,
         )
+    finally:
+        leave_streams()
 
 
 @contextmanager
@@ -201,13 +211,3 @@ def stops_keep(what: Callable[[], str]) -> Iterator[None]:
     except _StoppedError as stopped:
         stopped.kept = what()
         raise
-
-
-def seconds(value: float) -> str:
-    """A duration for people."""
-    return f"{value:.1f} s" if value < 60 else f"{int(value) // 60} min {int(value) % 60:02d} s"
-
-
-def count(number: int, one: str, many: str | None = None) -> str:
-    """A number with its noun: 1 image, 2 images."""
-    return f"{number:,} {one if number == 1 else many or one + 's'}"

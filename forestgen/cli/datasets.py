@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Optional
 import typer
 
 from forestgen.cli.arguments import DatasetPath, Overwrite, Quiet, Seed, progress_of
-from forestgen.cli.console import Printer, count
+from forestgen.cli.console import Printer
+from forestgen.core.figures import count
 
 if TYPE_CHECKING:
     from forestgen.dataset.pack.run import Packed
@@ -115,6 +116,7 @@ def report(
             "--out", "-o", metavar="FILE", help="The page; by default report.html in DIR.", show_default=False
         ),
     ] = None,
+    overwrite: Overwrite = False,
 ) -> None:
     """Show a data set on one HTML page: gallery, balance, coverage, failures, timings.
 
@@ -123,4 +125,4 @@ def report(
     """
     from forestgen.api.datasets import write_report
 
-    Printer()(f"file: {write_report(folder, out)}")
+    Printer()(f"file: {write_report(folder, out, overwrite=overwrite)}")

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import itertools
-import math
 import re
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Optional
+from typing import Annotated, Any, Optional
 
 import typer
 
 from forestgen.cli.arguments import Overrides, Overwrite, Quiet, RecipePath, progress_of
-from forestgen.cli.console import Printer, seconds
-
-if TYPE_CHECKING:
-    from forestgen.stages.light import LightMeter, Quantity
+from forestgen.cli.console import Printer
+from forestgen.core.figures import seconds
 
 _LIKE_A_NUMBER = re.compile(r"[-+]?\.?\d|[-+]?(nan|inf)", re.IGNORECASE)
 
@@ -112,72 +109,7 @@ def light(
         progress=progress_of(quiet),
     )
     say = Printer(quiet)
-    _print(readings, spectrum, say)
+    say(str(readings))
     say(f"measured in {seconds(time.perf_counter() - started)}")
     if out is not None:
         say(f"files: {out}")
-
-
-def _print(meters: Sequence[LightMeter], step_nm: float | None, say: Printer) -> None:
-    turned = {meter.normal for meter in meters} != {(0.0, 0.0, 1.0)}
-    rows = [
-        ["x", "y", "z", *(["normal"] if turned else []), "lux", "sun", "sky", "scattered", "CCT (K)", "PAR", "W/m²"]
-    ]
-    for meter in meters:
-        scattered = 1.0 - meter.from_sun.value - meter.from_sky.value
-        shares = (meter.from_sun.value, meter.from_sky.value, scattered)
-        rows.append(
-            [
-                *(f"{value:g}" for value in meter.point_m[:2]),
-                f"{meter.above_ground_m:.2f}",
-                *([",".join(f"{value:.2g}" for value in meter.normal)] if turned else []),
-                told(meter.illuminance_lux),
-                *(f"{100 * max(share, 0.0):.1f}%" for share in shares),
-                "none" if math.isnan(meter.cct_k.value) else told(meter.cct_k),
-                told(meter.par_umol_per_m2_s),
-                told(meter.irradiance_w_per_m2),
-            ]
-        )
-    _columns(rows, say)
-    say("x, y and z (above ground) in metres; PAR: µmol/m²/s of 400 to 700 nm; W/m² of 300 to 2500 nm")
-    say("sun, sky: their direct shares of the lux; the rest was scattered by plants and ground; ± standard error")
-    if step_nm is not None:
-        _spectra(meters, step_nm, say)
-    for number, meter in enumerate(meters, start=1):
-        if meter.note:
-            say(f"note: point {number}: {meter.note}")
-
-
-def _columns(rows: Sequence[Sequence[str]], say: Printer) -> None:
-    """Right-aligned columns as wide as they must be."""
-    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-    for row in rows:
-        say("  ".join(text.rjust(width) for text, width in zip(row, widths, strict=True)))
-
-
-def _spectra(meters: Sequence[LightMeter], step_nm: float, say: Printer) -> None:
-    from forestgen.stages.light import sampled
-
-    columns = [sampled(meter, step_nm) for meter in meters]
-    rows = [["nm", *(f"point {number + 1}" for number in range(len(meters)))]]
-    rows += [[f"{row[0][0]:g}", *(f"{value:.4g}" for _, value, _ in row)] for row in zip(*columns, strict=True)]
-    say()
-    _columns(rows, say)
-    say("W/m²/nm, means over each step")
-
-
-def told(one: Quantity) -> str:
-    """A value to at most five digits and no more than its error leaves, and that error."""
-    value, error = one.value, one.error
-    if value == 0 or not math.isfinite(value):
-        return f"{value:g}"
-    places = 4 - math.floor(math.log10(abs(value)))
-    if not (math.isfinite(error) and error > 0):
-        return _plain(value, places)
-    places = min(places, 1 - math.floor(math.log10(error)))
-    return f"{_plain(value, places)} ± {_plain(max(error, 10.0**-places), places)}"
-
-
-def _plain(value: float, places: int) -> str:
-    """Rounded to decimal places; a negative number of them rounds to tens, hundreds, ..."""
-    return f"{round(value, places):,.{max(places, 0)}f}"

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Optional
 import typer
 
 from forestgen.cli.arguments import Json, Overwrite, Quiet, Seed, progress_of
-from forestgen.cli.console import Printer, count
+from forestgen.cli.console import Printer
+from forestgen.core.figures import count, table_lines
 
 if TYPE_CHECKING:
     from forestgen.stages.single_plant import SinglePlant
@@ -170,7 +171,7 @@ def _print_many(made: Sequence[SinglePlant], say: Printer, *, frames: bool) -> N
             )
         )
     say(f"{count(len(made), 'frame' if frames else 'plant')} of {made[0].species}")
-    say.table(rows)
+    say("\n".join(table_lines(rows)))
 
 
 def _print_files(files: dict[Path, int], say: Printer) -> None:

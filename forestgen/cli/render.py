@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Optional
 
@@ -25,16 +24,11 @@ from forestgen.cli.arguments import (
     progress_of,
     with_first,
 )
-from forestgen.cli.console import Printer, count, seconds, stops_keep
+from forestgen.cli.console import Printer, stops_keep
+from forestgen.core.figures import count
 
 if TYPE_CHECKING:
-    from forestgen.api.datasets import Run
     from forestgen.api.display import Display
-    from forestgen.runs.start import DryRun
-    from forestgen.runs.summary import RunSummary
-
-_MOST_NOTES = 5
-_MOST_STAGES = 5
 
 
 def render(
@@ -75,7 +69,7 @@ def render(
     if dry_run:
         shown = progress_of(quiet)
         options: dict[str, Any] = {"workers": 1, "threads": threads, "overwrite": overwrite, "device": device}
-        _dry_run(loaded.estimate(target, images, progress=shown, **options), Printer(quiet))
+        Printer(quiet)(str(loaded.estimate(target, images, progress=shown, **options)))
         return
     display = _display(quiet)
     with stops_keep(lambda: kept(display, overwrite=overwrite, if_none="nothing was written")):
@@ -89,7 +83,7 @@ def render(
             device=device,
             progress=display,
         )
-    _print(run, Printer(quiet), verbose=verbose)
+    Printer(quiet)("\n".join(run.summary.lines(verbose=verbose)))
 
 
 def batch(
@@ -176,7 +170,7 @@ def batch(
         "device": device,
     }
     if dry_run:
-        _dry_run(loaded.estimate(out, images, progress=progress_of(quiet), **options), Printer(quiet))
+        Printer(quiet)(str(loaded.estimate(out, images, progress=progress_of(quiet), **options)))
         return
     display = _display(quiet)
     with stops_keep(lambda: kept(display, overwrite=overwrite)):
@@ -192,7 +186,7 @@ def batch(
             progress=display,
             **options,
         )
-    _print(run, Printer(quiet), verbose=verbose)
+    Printer(quiet)("\n".join(run.summary.lines(verbose=verbose)))
 
 
 def _display(quiet: bool) -> Display:
@@ -225,88 +219,3 @@ def _amounts(texts: Sequence[str]) -> dict[str, float]:
         if not name or not 0 < found[name] < float("inf"):
             raise typer.BadParameter(f"{text!r} is no NAME=AMOUNT such as GPU=1", param_hint="--resource")
     return found
-
-
-def _dry_run(expected: DryRun, say: Printer) -> None:
-    from forestgen.runs.estimate_text import lines
-
-    for text in lines(expected.estimate):
-        say(text)
-    if expected.discarded:
-        number = count(expected.discarded, "finished image")
-        say(f"--resume --discard would remove {number}: {expected.reasons}")
-    say("nothing was made")
-
-
-def _print(run: Run, say: Printer, *, verbose: bool) -> None:
-    summary = run.summary
-    if summary.last is not None:
-        _print_image(summary, say)
-    before = f", {summary.already:,} of them before" if summary.already else ""
-    say(f"{summary.images - len(summary.missing):,} of {count(summary.images, 'image')} done{before}")
-    say(
-        f"{count(summary.frames, 'frame')}, {summary.bytes / 1e6:,.1f} MB in {seconds(summary.seconds)}{_pace(summary)}"
-    )
-    _print_notes(summary, say, verbose=verbose)
-    total = sum(summary.stages_s.values())
-    if total:
-        stages = list(summary.stages_s.items())[: None if verbose else _MOST_STAGES]
-        say("time: " + ", ".join(f"{name} {100 * spent / total:.0f} %" for name, spent in stages))
-    say(f"files: {summary.target}/")
-    if summary.last is not None and summary.last.rows:
-        folder = f"{summary.target}/{summary.last.rows[0]['folder']}"
-        say(f"look at {folder}/preview.png and {folder}/overlay.png{_and_report(summary)}")
-    elif summary.report:
-        say(f"look at {summary.report}")
-
-
-def _and_report(summary: RunSummary) -> str:
-    return f", or at {summary.report}" if summary.report else ""
-
-
-def _pace(summary: RunSummary) -> str:
-    if summary.images_per_hour is None or summary.made < 2:
-        return ""
-    return f", {summary.images_per_hour:,.0f} images an hour"
-
-
-def _print_notes(summary: RunSummary, say: Printer, *, verbose: bool) -> None:
-    notes = [*dict.fromkeys([*summary.image_notes, *summary.notes])]
-    shown = notes if verbose else notes[:_MOST_NOTES]
-    for note in shown:
-        say(f"note: {note}")
-    if len(notes) > len(shown):
-        say(f"note: {len(notes) - len(shown)} more notes; --verbose prints all")
-
-
-def _print_image(summary: RunSummary, say: Printer) -> None:
-    """The plants, the noise and the exemplars of the image that was finished last."""
-    assert summary.last is not None
-    report = summary.last.report
-    counts: Mapping[str, int] = report.get("counts", {})
-    if summary.made > 1:
-        say(f"image {summary.last.image}:")
-    kinds = ", ".join(f"{number:,} {name}" for name, number in counts.items())
-    dead = f", {report['standing_dead']:,} of them standing dead" if report.get("standing_dead") else ""
-    seen = f"; {report.get('visible_plants', 0):,} of them in view"
-    say(f"{count(sum(counts.values()), 'plant')} ({kinds}){dead}{seen}")
-    errors = [row.get("relative_error") for row in summary.last.rows]
-    known = [100 * error for error in errors if error is not None and math.isfinite(error)]
-    if known:
-        least, most = f"{min(known):.2g}", f"{max(known):.2g}"
-        say(f"noise: relative error {least if least == most else f'{least} to {most}'} % before denoising")
-    _print_size_errors(report.get("size_errors", []), say)
-
-
-def _print_size_errors(errors: Sequence[Mapping[str, Any]], say: Printer) -> None:
-    """How well the exemplars stand for the plants: root mean squares of relative errors."""
-    if not errors:
-        return
-    rows = [("species", "plants", "exemplars", "rms size error", "rms crown width error")]
-    for one in errors:
-        rms = (
-            "-" if one[name] is None else f"{100 * one[name]:.1f} %"  # no species of its kind has a crown
-            for name in ("radius_rms", "crown_width_rms")
-        )
-        rows.append((one["species"], f"{one['plants']:,}", f"{one['exemplars']:,}", *rms))
-    say.table(rows)

@@ -6,11 +6,14 @@ Only options that the command has are suggested, and `--set` with a key only whe
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
 import typer
+
+from forestgen.recipe.suggestions import did_you_mean
 
 _RECIPE = "RECIPE"  # stands for the argument of that name
 
@@ -49,6 +52,7 @@ _CALLED: dict[tuple[str, ...], str] = {
     ("--set community.model=multiset_lsystem",): "--model --community",
 }
 _MEANT = {name: does for does, names in _CALLED.items() for name in names.split()}
+_BOUNDS = {"greater_than_equal": ("at least", "ge"), "less_than_equal": ("at most", "le")}
 
 
 @contextmanager
@@ -57,12 +61,32 @@ def options_suggested() -> Iterator[None]:
     try:
         yield
     except Exception as error:
+        cause: Any = error.__cause__
+        if isinstance(error, typer.BadParameter) and hasattr(cause, "errors"):
+            error.message = _value_message(cause.errors()[0])
         name, context = getattr(error, "option_name", None), getattr(error, "ctx", None)
         if type(error).__name__ == "NoSuchOption" and isinstance(name, str) and context is not None:
             unknown: Any = error
             unknown.message = _message(name, context)
             unknown.possibilities = None
         raise
+
+
+def _value_message(details: Mapping[str, Any]) -> str:
+    """What is wrong with a value, in the words of recipes."""
+    from forestgen.core.arguments import shown
+    from forestgen.recipe.messages import expectation
+
+    kind, context, given = details["type"], details.get("ctx", {}), details["input"]
+    if kind == "value_error":  # of a choice: 'bsh' is not one of 'bash', 'zsh', 'fish'.
+        text = str(context["error"])
+        choices = re.findall(r"'([^']*)'", text.partition("is not one of")[2])
+        near = did_you_mean(str(given), choices)
+        return text + (f" {near[0].upper()}{near[1:]}" if near else "")
+    bound = _BOUNDS.get(kind)
+    if bound is not None:
+        return f"{given} is not {bound[0]} {context[bound[1]]:,}."
+    return f"{shown(given)} is not {expectation(kind, context, details['msg'])}."
 
 
 def _message(name: str, context: Any) -> str:
@@ -84,6 +108,9 @@ def suggestion(name: str, command: Any) -> str | None:
     """
     options = [option for one in command.params if not isinstance(one, typer.core.TyperArgument) for option in one.opts]
     takes_recipe = any(isinstance(one, typer.core.TyperArgument) and one.name == "recipe" for one in command.params)
+    begun: list[str] = [option for option in options if option.startswith(f"{name.replace('_', '-')}-")]
+    if len(begun) == 1:
+        return begun[0]
     for does in _MEANT.get(name.replace("_", "-"), ()):
         if does != name and (
             does in options or (takes_recipe and (does == _RECIPE or (" " in does and "--set" in options)))

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from forestgen.cli.arguments import DatasetPath, Json, Quiet, Seed, Workers, progress_of
-from forestgen.cli.console import Printer, count, seconds
+from forestgen.cli.console import Printer
+from forestgen.core.figures import count
 
 if TYPE_CHECKING:
     from forestgen.runs.verify_report import VerificationReport
@@ -44,29 +45,9 @@ def verify(
     if as_json:
         Printer().json(report.as_dict())
     else:
-        _print(report, Printer(quiet))
+        Printer(quiet)(str(report))
     if not report.ok:
         _fail(report, folder)
-
-
-def _print(report: VerificationReport, say: Printer) -> None:
-    """The table of checks, what was found, then what people should know."""
-    width = max(len(check.name) for check in report.checks)
-    say(f"{'check':<{width}}   looked at  ok")
-    for check in report.checks:
-        what = f"FAILED: {check.holds} ({count(check.found, 'finding')})" if check.found else check.holds
-        mark = "no " if check.found else "yes"
-        say(f"{check.name:<{width}}  {check.images:>10,}  {mark} {what}")
-    for one in report.findings:
-        values = [f"{word} {text}" for word, text in (("expected", one.expected), ("got", one.got)) if text]
-        more = f" ({'; '.join(values)})" if values else ""
-        say(f"{one.check}: {one.where}: {one.problem}{more}")
-    if report.not_named:
-        say(f"... and {report.not_named:,} more")
-    for note in report.notes:
-        say(f"note: {note}")
-    done = f"{count(report.images, 'image')}, {count(report.frames, 'frame')}, {count(report.files, 'file')}"
-    say(f"{done} in {seconds(report.seconds)}")
 
 
 def _fail(report: VerificationReport, folder: Path) -> None:

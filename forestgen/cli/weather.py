@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Optional
 import typer
 
 from forestgen.cli.arguments import Count, Overrides, Overwrite, Quiet, RecipePath, progress_of
-from forestgen.cli.console import Printer, seconds
+from forestgen.cli.console import Printer
+from forestgen.core.figures import seconds
 
 if TYPE_CHECKING:
     from forestgen.api.instruments import Weather

@@ -132,7 +132,7 @@ def read_modules(path: Path, population: Population, marks: Sequence[Sequence[in
             where=str(path),
             expected=f"the {NAME} that was written with it",
             got="no such file" if isinstance(error, FileNotFoundError) else str(error),
-            hint="simulate again with --set community.history_modules=true",
+            hint="simulate again with `set='community.history_modules=true'`",
         ) from error
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
@@ -24,6 +24,7 @@ HERB, DECIDUOUS, CONIFER = "#D6409F", "#F08C00", "#14532D"  # apart in lightness
 _OTHERS = ("#0072B2", "#56B4E9", "#7A5195", "#8C564B", "#666666")
 _DPI = 160
 _MAP_IN = 6.3  # longer side of a map
+_PAPER = "#FAF8F3"
 OBSTACLE, _OBSTACLE_EDGE = "#9A9A9A", "#4D4D4D"  # grey, as no species is unless its file says so
 _LEGEND_COLUMNS, _LEGEND_COLUMN_IN, _LEGEND_ROW_IN = 3, 2.0, 0.235
 _MARGINS_IN = (0.75, 0.35, 0.6, 0.4)  # left, right, below without the legend, above
@@ -132,14 +133,21 @@ def map_figure(
     *,
     periodic: bool = True,
     obstacles: Obstacles = NO_OBSTACLES,
+    axes: Axes | None = None,
 ) -> Figure:
     """Circles of all living plants to scale; `periodic` repeats those that reach over an edge.
 
     A plant that would be smaller than a dot is drawn as a dot; an obstacle, which is no plant of the population
-    (`Obstacles.left_out_of`), is its grey ground plan.
+    (`Obstacles.left_out_of`), is its grey ground plan. With `axes` the map is drawn there.
     """
     colours, counts = colours_of(species_colours, population.species_names), count_by_species(population)
-    figure, axes = _map_axes(site, _map_legend(colours, counts, obstacles))
+    handles = _map_legend(colours, counts, obstacles)
+    if axes is None:
+        figure, axes = _map_axes(site, handles)
+    else:
+        figure = cast("Figure", axes.get_figure(root=True))
+        axes.set(xlim=(0, site.size_m[0]), ylim=(0, site.size_m[1]), aspect="equal", facecolor=_PAPER)
+        axes.legend(handles=handles, loc="upper left", bbox_to_anchor=(1, 1), frameon=False)
     axes.set(xlabel="x, east (m)", ylabel="y, north (m)")
     axes.set_title(f"{population.time_yr:g} years, {sum(counts.values()):,} plants", fontsize=12)
     _draw_outlines(axes, obstacles)
@@ -162,7 +170,7 @@ def _map_axes(site: Site, handles: Sequence[Line2D]) -> tuple[Figure, Axes]:
     tall = foot + high + above
     corner = (left + (wide - left - right - width) / 2) / wide, (foot + (high - height) / 2) / tall
     axes = figure.add_axes((*corner, width / wide, height / tall))
-    axes.set(xlim=(0, site.size_m[0]), ylim=(0, site.size_m[1]), facecolor="#FAF8F3")
+    axes.set(xlim=(0, site.size_m[0]), ylim=(0, site.size_m[1]), facecolor=_PAPER)
     figure.legend(
         handles=handles, loc="lower center", ncols=columns, frameon=False, fontsize=11, borderaxespad=0.2,
     )  # fmt: skip

@@ -27,6 +27,9 @@ class Estimate(NamedTuple):
     error: float
 
 
+_FARTHEST_M, _LEAST_M, _MOST_M = 1e12, 1e-6, 1e9  # of a window's corners from the origin; of its sides
+
+
 @dataclass(frozen=True)
 class Window:
     """The rectangle [x0, x1] x [y0, y1] in which a pattern was observed, metres."""
@@ -40,6 +43,8 @@ class Window:
         for name, low, high in (("x", self.x0, self.x1), ("y", self.y0, self.y1)):
             if not (math.isfinite(low) and math.isfinite(high) and low < high):
                 raise ValueError(f"a window must have finite {name}0 < {name}1, got {low!r} and {high!r}")
+            if not (max(-low, high) <= _FARTHEST_M and _LEAST_M <= high - low <= _MOST_M):
+                raise ValueError(f"a window's sides are {_LEAST_M:g} to {_MOST_M:g} m, got {low!r} to {high!r}")
 
     def __str__(self) -> str:
         return f"[{self.x0:g}, {self.x1:g}] x [{self.y0:g}, {self.y1:g}] m"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -13,17 +13,19 @@ from numpy.typing import NDArray
 from forestgen.community import point_patterns as patterns
 from forestgen.community.point_patterns import Estimate, Window
 from forestgen.community.point_table import PointTable, read_points
-from forestgen.community.ripley import count_pairs, greatest_radius, ripley_k
+from forestgen.community.ripley import besag_l, count_pairs, greatest_radius, ripley_bound, ripley_k
 from forestgen.core.errors import RecipeError, ResourceError
+from forestgen.core.figures import count, table_lines
 from forestgen.core.randomness import child_rng
 
 _DEFAULT_RADII = 10
 _NEIGHBOURS, _DEFAULT_PAIRS = 100, 50_000_000  # within the greatest default radius, at most
 _MOST_RADII = 1000
+_Z = 1.96  # of a normal distribution, 95% lies within so many standard errors
 _MOST_PAIRS = 2_000_000_000  # some minutes
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class PointStatistics:
     """How the points of a pattern lie."""
 
@@ -58,6 +60,52 @@ class PointStatistics:
             "window": [self.window.x0, self.window.x1, self.window.y0, self.window.y1],
             "notes": list(self.notes),
         }
+
+    def __str__(self) -> str:
+        return "\n".join(self.lines())
+
+    def __repr__(self) -> str:
+        return f"<PointStatistics: {count(self.n, 'point')} in {self.window}>"
+
+    def lines(self) -> Iterator[str]:
+        """For people: the indices, then Ripley's functions."""
+        yield f"{count(self.n, 'point')} in {self.window}"
+        yield f"density {self.density:.6g} per m²"
+        yield ""
+        yield from table_lines([("index", "value", "error", "pattern"), *self._indices()])
+        yield "errors are standard errors; Hopkins is above 1 for clusters, the others below 1"
+        yield ""
+        rows = [("r (m)", "K isotropic", "K translation", "π r² (m²)", "L - r (m)", "pattern")]
+        bound_m = ripley_bound(self.n, self.window)
+        functions = zip(self.radii_m, self.k_isotropic_m2, self.k_translation_m2, strict=True)
+        for r, isotropic, translation in functions:
+            excess_m = float(besag_l(isotropic)) - float(r)
+            numbers = (f"{one:.6g}" for one in (r, isotropic, translation, math.pi * r * r))
+            rows.append((*numbers, f"{excess_m:+.4g}", _word(excess_m, bound_m / _Z)))  # type: ignore[arg-type]
+        yield from table_lines(rows)
+        for note in self.notes:
+            yield f"note: {note}"
+
+    def _indices(self) -> Iterator[tuple[str, str, str, str]]:
+        """Name, value, standard error and meaning. An index below 1 is clustered for all but Hopkins' own."""
+        named = (
+            ("Hopkins", self.hopkins, 1),
+            ("Hopkins-Skellam", self.hopkins_skellam, -1),
+            ("Clark-Evans, naive", self.clark_evans, -1),
+            ("Clark-Evans, Donnelly", self.clark_evans_donnelly, -1),
+        )
+        for name, (value, error), sign in named:
+            shown = f"± {error:.3f}" if math.isfinite(error) else ""
+            yield name, f"{value:.4f}", shown, _word(sign * (value - 1), error)
+
+
+def _word(difference: float, error: float) -> str:
+    """What a difference from the random pattern means; one that chance makes in 19 of 20 patterns means none."""
+    if not math.isfinite(error):
+        return "unclear"
+    if abs(difference) <= _Z * error:
+        return "random"
+    return "clustered" if difference > 0 else "regular"
 
 
 def measure_file(
@@ -104,7 +152,7 @@ def _radii(given: Sequence[float | str], table: PointTable) -> NDArray[np.float6
     most = greatest_radius(window)
     radii = [_radius(one, most) for text in given for one in str(text).split(",") if one.strip()]
     if not 0 < len(radii) <= _MOST_RADII:
-        raise RecipeError("so many radii", where="--radii", expected=f"1 to {_MOST_RADII}", got=str(len(radii)))
+        raise RecipeError("so many radii", where="radii", expected=f"1 to {_MOST_RADII}", got=str(len(radii)))
     return np.array(radii)
 
 
@@ -113,7 +161,7 @@ def _check_pairs(points_m: NDArray[np.float64], most_m: float) -> None:
     if pairs > _MOST_PAIRS:
         raise ResourceError(
             "too many pairs of points lie within the greatest radius",
-            where="--radii",
+            where="radii",
             expected=f"at most {_MOST_PAIRS:,}",
             got=f"{pairs:,} within {most_m:g} m",
             hint="lower the greatest radius",
@@ -129,7 +177,7 @@ def _radius(text: str, most: float) -> float:
         return radius
     raise RecipeError(
         "this radius is too large for the window" if radius > most else "this is no radius",
-        where="--radii",
+        where="radii",
         expected=f"metres, 0 to {most:g}: beyond, nothing can correct for the window's edges",
         got=text.strip(),
     )

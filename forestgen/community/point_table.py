@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.community.point_patterns import Window
+from forestgen.core.arguments import shown
 from forestgen.core.errors import AssetError, RecipeError, ResourceError
 
 MOST_POINTS = 5_000_000
@@ -94,13 +95,15 @@ def read_points(
 
 def _given_window(window: tuple[float, float, float, float]) -> Window:
     try:
-        return Window(*window)
-    except ValueError as error:
+        return Window(*(float(one) for one in window))
+    except (ValueError, TypeError, OverflowError) as error:
         raise RecipeError(
             "this is no window",
-            where="--window",
-            expected="x0 x1 y0 y1 in metres, finite, with x0 < x1 and y0 < y1",
-            got=" ".join(f"{one:g}" for one in window),
+            where="window",
+            expected="x0 x1 y0 y1 in metres, with x0 < x1 and y0 < y1, 1e-6 to 1e9 m wide and high",
+            got=" ".join(f"{one:g}" if isinstance(one, float) else shown(one) for one in window)
+            if isinstance(window, list | tuple)
+            else shown(window),
         ) from error
 
 
@@ -236,11 +239,12 @@ def _bounding_box(path: Path, points: NDArray[np.float64]) -> Window:
     try:
         return Window(float(x0), float(x1), float(y0), float(y1))
     except ValueError as error:
+        line = x0 == x1 or y0 == y1
         raise AssetError(
-            "the points lie on one line, and their bounding box has no area",
+            "the points lie on one line, and their bounding box has no area" if line else f"no stand's points: {error}",
             where=str(path),
             got=f"x from {x0:g} to {x1:g}, y from {y0:g} to {y1:g}",
-            hint="state the window: --window x0 x1 y0 y1",
+            hint="state the `window` x0 x1 y0 y1",
         ) from error
 
 

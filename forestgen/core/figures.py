@@ -1,9 +1,11 @@
-"""Numbers for people, and sizes as people write them."""
+"""Numbers and tables for people, and sizes as people write them."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 
+from forestgen.core.arguments import shown
 from forestgen.core.errors import RecipeError
 
 _UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "t": 10**12, "ki": 2**10, "mi": 2**20, "gi": 2**30, "ti": 2**40}
@@ -23,6 +25,28 @@ def show_bytes(count: float) -> str:
     return f"{three_digits(count / 1e3)} kB"
 
 
+def seconds(value: float) -> str:
+    """A duration for people."""
+    return f"{value:.1f} s" if value < 60 else f"{int(value) // 60} min {int(value) % 60:02d} s"
+
+
+def count(number: int, one: str, many: str | None = None) -> str:
+    """A number with its noun: 1 image, 2 images."""
+    return f"{number:,} {one if number == 1 else many or one + 's'}"
+
+
+def table_lines(rows: Sequence[Sequence[str]], *, names_left: bool = True) -> list[str]:
+    """Rows as wide as they must be, the first column to the left, where it has names, and the others to the right."""
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    lines = []
+    for row in rows:
+        cells = [text.rjust(width) for text, width in zip(row, widths, strict=True)]
+        if names_left:
+            cells[0] = row[0].ljust(widths[0])
+        lines.append("  ".join(cells).rstrip())
+    return lines
+
+
 def parse_bytes(size: int | str, option: str) -> int:
     """Bytes of a number, or of a text such as 500MB (decimal), 1.5 GB or 256MiB (binary).
 
@@ -30,10 +54,11 @@ def parse_bytes(size: int | str, option: str) -> int:
     ------
     RecipeError : it is no size; the message names the option.
     """
-    found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([kmgt]?i?)b?\s*", str(size), re.IGNORECASE | re.ASCII)
+    text = size if isinstance(size, str) else shown(size)
+    found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([kmgt]?i?)b?\s*", text, re.IGNORECASE | re.ASCII)
     unit = found[2].lower() if found else None
     if found is not None and unit in _UNITS and len(found[1]) <= _LONGEST_NUMBER:
         number = int(float(found[1]) * _UNITS[unit])
         if number > 0:
             return number
-    raise RecipeError("this is no size", where=option, expected="such as 500MB, 1.5GB or 256MiB", got=repr(size))
+    raise RecipeError("this is no size", where=option, expected="such as 500MB, 1.5GB or 256MiB", got=shown(size))

@@ -1,8 +1,8 @@
 """The folder of a run: it appears whole, or not at all.
 
-Files are staged in a hidden folder beside the target, ``.NAME.partial-HOST-PID-RANDOM``, and renamed into place when
-all are written. On any failure, Ctrl-C included, the staging folder goes and what was there before stays. A process
-that was killed leaves its staging folder behind; the next run to the same target clears it.
+Files are staged in a hidden folder beside the target, ``.NAME.partial-HOST-PID-START-RANDOM``, and renamed into place
+when all are written. On any failure, Ctrl-C included, the staging folder goes and what was there before stays. A
+process that was killed leaves its staging folder behind; the next run to the same target clears it.
 """
 
 from __future__ import annotations
@@ -20,6 +20,8 @@ from forestgen.core.errors import OutputError
 from forestgen.dataset.files import STORAGE_ERRNOS, output_error
 from forestgen.dataset.manifest import is_run_folder
 
+OURS = "the folder already holds a forestgen output"
+NO_OUTPUT = "the folder is not empty and holds no forestgen output"
 _LONGEST_STEM = 160  # bytes: leaves room for the suffix in a file system's usual 255
 
 
@@ -106,16 +108,16 @@ class OutputFolder:
             return
         if not self.is_ours(target):
             raise OutputError(
-                "the folder is not empty and holds no forestgen output",
+                NO_OUTPUT,
                 where=str(self.target),
                 expected="a new or empty folder, or a previous forestgen output",
-                hint="choose another folder; forestgen replaces only its own, with --overwrite",
+                hint="choose another folder; forestgen replaces only its own, with `overwrite=True`",
             )
         if not self.overwrite:
             raise OutputError(
-                "the folder already holds a forestgen output",
+                OURS,
                 where=str(self.target),
-                hint="choose another folder, or --overwrite to replace it",
+                hint="choose another folder, or `overwrite=True` to replace it",
             )
 
     def _make_parents(self) -> None:
@@ -206,31 +208,57 @@ def _host() -> str:
 
 
 def hidden_name(target: Path, kind: str) -> str:
-    return f"{_stem(target)}{kind}-{_host()}-{os.getpid()}-{secrets.token_hex(4)}"
+    """Name beside `target` for what this process has there for a while."""
+    process = f"{os.getpid()}-{_started(os.getpid())}"
+    return f"{_stem(target)}{kind}-{_host()}-{process}-{secrets.token_hex(4)}"
 
 
-def clear_leftovers(target: Path, has_replacement: Callable[[], bool] | None = None) -> None:
-    """Remove staging folders of dead processes, and finish what a process killed while replacing had begun.
-
-    Parameters
-    ----------
-    has_replacement : whether something has taken the place of what was moved aside; by default, whether it is there.
-    """
+def _started(pid: int) -> str:
+    """When a process was started, on a clock that nobody sets: ids are given again, at once in a new container."""
     import psutil
 
+    try:
+        told = Path(f"/proc/{pid}/stat").read_bytes()
+        return told.rpartition(b")")[2].split()[19].decode()  # ticks since the machine was started
+    except (OSError, IndexError):
+        try:
+            return str(int(100 * psutil.Process(pid).create_time()))
+        except psutil.Error:
+            return ""
+
+
+def _is_alive(pid: int, started: str) -> bool:
+    """Whether a process may still run; in doubt it does."""
+    import psutil
+
+    return bool(psutil.pid_exists(pid)) and _started(pid) in (started, "")
+
+
+def hidden_beside(target: Path, kind: str) -> list[Path]:
+    """What processes of any machine have, or have left, beside `target`; sorted."""
     if not _exists(target.parent):
-        return
-    stem = _stem(target)
-    for path in sorted(target.parent.iterdir()):
-        kind, _, rest = path.name.removeprefix(stem).partition("-")
-        host, _, rest = rest.partition("-")
-        pid = rest.partition("-")[0]
-        if not path.name.startswith(stem) or kind not in ("partial", "replaced") or host != _host():
+        return []
+    return sorted(path for path in target.parent.iterdir() if path.name.startswith(f"{_stem(target)}{kind}-"))
+
+
+def leftovers(target: Path, kind: str) -> list[Path]:
+    """Of `hidden_beside`, what processes of this machine have left that are dead."""
+    found = []
+    for path in hidden_beside(target, kind):
+        host, *process = path.name.removeprefix(f"{_stem(target)}{kind}-").split("-")
+        if host != _host() or len(process) != 3 or not process[0].isdecimal():
             continue
-        if not pid.isdecimal() or psutil.pid_exists(int(pid)):
-            continue
-        if kind == "replaced" and not (target.exists() if has_replacement is None else has_replacement()):
-            shutil.rmtree(target, ignore_errors=True)
-            path.rename(target)
-        else:
+        if not _is_alive(int(process[0]), process[1]):
+            found.append(path)
+    return found
+
+
+def clear_leftovers(target: Path) -> None:
+    """Remove staging folders of dead processes, and finish what one killed while replacing had begun."""
+    for path in leftovers(target, "replaced"):
+        if target.exists():
             shutil.rmtree(path, ignore_errors=True)
+        else:
+            path.rename(target)
+    for path in leftovers(target, "partial"):
+        shutil.rmtree(path, ignore_errors=True)

@@ -33,9 +33,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.core.errors import RecipeError
+from forestgen.core.errors import OutputError, RecipeError
 from forestgen.dataset.files import make_folder, write_bytes
-from forestgen.dataset.png import instance_of, semantic_of
+from forestgen.dataset.png import instance_of, rgb_of, semantic_of
 from forestgen.dataset.safe_path import SafePath, check_cells, unreadable
 from forestgen.recipe.paths import MAPS
 
@@ -217,8 +217,12 @@ class Frame:
                 "the frame has no such channel", where=self.name, expected=f"one of {known}", got=f"{part}, {name}"
             ) from None
 
-    def save(self, folder: str | Path) -> Path:
+    def save(self, folder: str | Path, *, overwrite: bool = False) -> Path:
         """Write the frame's files into a new folder of its name below `folder`; that folder's path.
+
+        Parameters
+        ----------
+        overwrite : replace the folder if it holds a frame; it is the old one or the new one, and never a mixture.
 
         Raises
         ------
@@ -227,7 +231,10 @@ class Frame:
         from forestgen.dataset.folder import OutputFolder
 
         target = Path(folder) / self.name
-        with OutputFolder(target) as staging:
+        if not overwrite and _is_frame_folder(target):
+            hint = "choose another folder, or overwrite=True"
+            raise OutputError("the frame is there already", where=str(target), hint=hint)
+        with OutputFolder(target, overwrite=overwrite, is_ours=_is_frame_folder) as staging:
             self._source.save(staging, Path(folder))
         return target
 
@@ -259,6 +266,11 @@ class Frame:
         return self._stack(part, names) if part in self.parts else None
 
 
+def _is_frame_folder(folder: Path) -> bool:
+    """Whether a folder holds a frame: only such a one may be replaced by another."""
+    return all(SafePath(folder, name).is_file() for name in ("frame.exr", "camera.json", "recipe.yaml"))
+
+
 class StoredFrame:
     """A `FrameSource`: the files of a frame's folder, each read when it is asked for.
 
@@ -276,6 +288,10 @@ class StoredFrame:
     def name(self) -> str:
         return str(self.info["frame"])
 
+    @property
+    def _size_px(self) -> tuple[int, int]:
+        return int(self.info["width_px"]), int(self.info["height_px"])
+
     def parts(self) -> Parts:
         from forestgen.dataset.exr import read_exr
         from forestgen.dataset.exr_chunks import check_chunks
@@ -289,11 +305,11 @@ class StoredFrame:
 
     def instance(self) -> NDArray[np.uint32]:
         with self._reading("instance.png") as path:
-            return instance_of(path.read())
+            return instance_of(path.read(), self._size_px)
 
     def semantic(self) -> NDArray[np.uint8]:
         with self._reading("semantic.png") as path:
-            return semantic_of(path.read())
+            return semantic_of(path.read(), self._size_px)
 
     def plants(self) -> Any:
         import pyarrow.parquet as pq
@@ -310,10 +326,8 @@ class StoredFrame:
             return content
 
     def preview(self) -> NDArray[np.uint8]:
-        from PIL import Image
-
-        with self._reading("preview.png") as path, Image.open(io.BytesIO(path.read()), formats=("PNG",)) as picture:
-            return np.asarray(picture.convert("RGB"))
+        with self._reading("preview.png") as path:
+            return rgb_of(path.read(), self._size_px)
 
     @property
     def recipe_yaml(self) -> str:

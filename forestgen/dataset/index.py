@@ -55,6 +55,7 @@ from typing import Any
 
 from forestgen.core.errors import DatasetError
 from forestgen.dataset.files import make_folder, output_error
+from forestgen.dataset.index_values import FRAME_COLUMNS, check_frames, check_values
 from forestgen.dataset.safe_path import SafePath, check_cells, is_frame, is_split
 from forestgen.dataset.settings import DRAW
 
@@ -216,16 +217,30 @@ def open_index(path: Path, needed: Sequence[str]) -> Iterator[Any]:
         ) from error
 
 
+def open_table(path: Path, needed: Sequence[str]) -> Any:
+    """The index as a `pyarrow.Table` whose values are within the bounds of `dataset.index_values`.
+
+    Raises
+    ------
+    DatasetError : see `open_index`; or a value is out of bounds.
+    """
+    with open_index(path, needed) as file:
+        table = file.read()
+        table.validate(full=True)  # texts are UTF-8
+    check_values(table, COLUMNS, path)
+    return table
+
+
 def whole_index(path: Path) -> Any:
     """The index as a `pyarrow.Table`, whose rows name folders of frames below the data set's folder.
 
     Raises
     ------
-    DatasetError : see `open_index`; or a row names no frame, or a frame has two rows.
+    DatasetError : see `open_table`; or a row is no frame's, or a frame has two rows.
     """
-    with open_index(path, ("split", "frame")) as file:
-        index = file.read()
-        names = list(zip(index["split"].to_pylist(), index["frame"].to_pylist(), strict=True))
+    index = open_table(path, FRAME_COLUMNS)
+    check_frames(index, path)
+    names = list(zip(index["split"].to_pylist(), index["frame"].to_pylist(), strict=True))
     for split, frame in names:
         if not is_split(split) or not is_frame(frame):
             expected, got = "names such as train and 000000-camera0", ascii((split, frame))[:160]
@@ -236,12 +251,15 @@ def whole_index(path: Path) -> Any:
 
 
 def _is_of_its_type(field: Any, needed: Sequence[str]) -> bool:
-    """Whether a column is of the kind that its name stands for; others may be of any, and null where none is needed."""
+    """Whether a column is of the kind that its name stands for; of unknown names any, and null where none is needed."""
     from pyarrow import types
 
     wanted, kind = COLUMNS.get(field.name), field.type
-    if wanted is None or (types.is_null(kind) and field.name not in needed):
-        return True
+    if types.is_null(kind):
+        return field.name not in needed
+    if wanted is None:
+        plain = (types.is_boolean, types.is_integer, types.is_floating, types.is_string, types.is_large_string)
+        return not field.name.startswith(DRAW) or any(test(kind) for test in plain)
     if wanted == _TEXT:
         return bool(types.is_string(kind) or types.is_large_string(kind))
     if wanted in (_WHOLE, _SMALL):
@@ -250,7 +268,8 @@ def _is_of_its_type(field: Any, needed: Sequence[str]) -> bool:
         return bool(types.is_floating(kind) or types.is_integer(kind))
     if wanted == _BY_NAME:
         return bool(types.is_map(kind) and types.is_string(kind.key_type) and types.is_integer(kind.item_type))
-    return bool(types.is_list(kind))
+    is_item = types.is_string if wanted == _TEXTS else types.is_integer
+    return bool(types.is_list(kind) and (is_item(kind.value_type) or types.is_null(kind.value_type)))
 
 
 def check_row(row: Mapping[str, Any]) -> None:

@@ -16,12 +16,15 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.core.errors import DatasetError
 from forestgen.core.parts import Part
 from forestgen.dataset.files import write_bytes
+from forestgen.dataset.safe_path import SafePath, unreadable
 from forestgen.dataset.settings import DatasetSettings
 
 FILE_NAME = "classes.json"
@@ -42,6 +45,39 @@ def write_legend(root: Path, settings: DatasetSettings, palette: NDArray[np.uint
     }
     lines = ",\n".join(f" {json.dumps(key)}: {json.dumps(names)}" for key, names in legend.items())
     write_bytes(root / FILE_NAME, f"{{\n{lines}\n}}\n".encode())
+
+
+def read_legend(split: SafePath) -> dict[str, Any]:
+    """classes.json of a split's folder; `semantic` counts from 0, and both it and `categories` have names.
+
+    Raises
+    ------
+    DatasetError : the file is missing, damaged, or of another form.
+    """
+    path = split / FILE_NAME
+    try:
+        content = path.read_json()
+    except (OSError, ValueError) as error:
+        raise unreadable(path, error, "forestgen verify checks all files") from error
+    for key in ("semantic", "categories"):
+        named = content.get(key) if isinstance(content, dict) else None
+        if not isinstance(named, dict) or not all(map(_is_number, named)) or not _are_texts(named.values()):
+            raise _strange(path, f"{key}: a name for each number")
+    if set(content["semantic"]) != {str(number) for number in range(len(content["semantic"]))}:
+        raise _strange(path, "semantic: numbers from 0 on")
+    return dict(content)
+
+
+def _strange(path: SafePath, expected: str) -> DatasetError:
+    return DatasetError("a file is not what its name says", where=str(path), expected=expected)
+
+
+def _are_texts(values: Any) -> bool:
+    return all(isinstance(one, str) for one in values)
+
+
+def _is_number(key: str) -> bool:
+    return key.isascii() and key.isdecimal() and len(key) < 10 and key == str(int(key))
 
 
 def classes_text(class_names: Sequence[str]) -> str:

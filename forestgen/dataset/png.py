@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import struct
+import zlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -62,24 +64,60 @@ def write_instance(path: Path, instance: NDArray[np.uint32]) -> None:
 
 def read_instance(path: Path) -> NDArray[np.uint32]:
     """(H, W) uint32 plant ids of an instance PNG."""
-    return instance_of(path.read_bytes())
+    content = path.read_bytes()
+    return instance_of(content, _size_of(content))
 
 
-def semantic_of(content: bytes) -> NDArray[np.uint8]:
-    """(H, W) uint8 classes of a semantic PNG's bytes."""
-    from PIL import Image
-
-    with Image.open(io.BytesIO(content), formats=("PNG",)) as image:
+def semantic_of(content: bytes, size_px: tuple[int, int]) -> NDArray[np.uint8]:
+    """(H, W) uint8 classes of a semantic PNG's bytes; see `rgb_of`."""
+    with _opened(content, size_px) as image:
+        if image.mode not in ("P", "L"):
+            raise ValueError(f"the picture has no classes, but pixels of the kind {image.mode}")
         return np.array(image, dtype=np.uint8)
 
 
-def instance_of(content: bytes) -> NDArray[np.uint32]:
-    """(H, W) uint32 plant ids of an instance PNG's bytes."""
-    from PIL import Image
-
-    with Image.open(io.BytesIO(content), formats=("PNG",)) as image:
-        rgb = np.asarray(image.convert("RGB")).astype(np.uint32)
+def instance_of(content: bytes, size_px: tuple[int, int]) -> NDArray[np.uint32]:
+    """(H, W) uint32 plant ids of an instance PNG's bytes; see `rgb_of`."""
+    rgb = rgb_of(content, size_px).astype(np.uint32)
     return np.asarray(rgb[..., 0] | (rgb[..., 1] << 8) | (rgb[..., 2] << 16), dtype=np.uint32)
+
+
+def rgb_of(content: bytes, size_px: tuple[int, int]) -> NDArray[np.uint8]:
+    """(H, W, 3) uint8 of a PNG's bytes.
+
+    Parameters
+    ----------
+    size_px : width and height that the picture must have; another one is refused before a pixel is unpacked.
+
+    Raises
+    ------
+    ValueError, OSError, SyntaxError : this is no PNG, one of another size, or a damaged one.
+    """
+    with _opened(content, size_px) as image:
+        return np.asarray(image.convert("RGB"))
+
+
+def _opened(content: bytes, size_px: tuple[int, int]) -> Image:
+    from PIL.PngImagePlugin import PngImageFile
+
+    found = _size_of(content)
+    if found != size_px:
+        raise ValueError(f"the picture has {found[0]} x {found[1]} pixels, and its frame {size_px[0]} x {size_px[1]}")
+    try:
+        # `PIL.Image.open` would refuse large pictures whose size is known to be right.
+        image = PngImageFile(io.BytesIO(content))
+        image.load()
+    except (struct.error, zlib.error, IndexError, KeyError, TypeError, EOFError, OverflowError) as error:
+        raise ValueError(f"the picture is damaged: {error}") from error
+    return image
+
+
+def _size_of(content: bytes) -> tuple[int, int]:
+    """Width and height of a PNG, as its first chunk says."""
+    if content[:8] != b"\x89PNG\r\n\x1a\n" or content[12:16] != b"IHDR" or len(content) < 24:
+        raise ValueError("this is no PNG")
+    width, height = struct.unpack(">II", content[16:24])
+    return width, height
 
 
 def write_semantic(path: Path, semantic: NDArray[np.uint8], class_names: Sequence[str]) -> None:

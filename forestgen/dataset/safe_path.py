@@ -32,7 +32,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.core.errors import DatasetError
+from forestgen.core.errors import DatasetError, RecipeError
 from forestgen.core.memory import free_bytes
 
 _MB, _GB = 10**6, 10**9
@@ -243,6 +243,13 @@ def check_cells(rows: int, columns: int) -> None:
     """Refuse a table that memory may not hold: a few bytes can stand for any number of equal rows."""
     if rows * columns > _MOST_CELLS:
         raise RefusedFileError(f"the table is too large: {rows:,} rows of {columns:,} columns")
+
+
+def check_folder(root: Path, expected: str, hint: str | None = None) -> None:
+    """Refuse what is no folder of this machine, with a `RecipeError`: a wrong name, not a damaged data set."""
+    if not root.is_dir():
+        problem = "this is a file" if root.exists() else "there is no such folder"
+        raise RecipeError(problem, where=str(root), expected=expected, hint=hint)
 
 
 def unreadable(path: SafePath | Path, error: Exception, hint: str | None = None) -> DatasetError:

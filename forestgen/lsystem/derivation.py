@@ -273,7 +273,7 @@ def _too_many(program: Program, most_modules: int, step: int) -> TooManyModulesE
         where=program.name,
         expected=f"at most {most_modules:,} modules",
         got=f"more of them in derivation step {step}",
-        hint="fewer steps, or a higher limit (--max-modules)",
+        hint="fewer steps, or a higher limit (`max_modules`)",
     )
 
 

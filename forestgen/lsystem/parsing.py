@@ -86,7 +86,7 @@ class _Builder:
         first = keyword.split()[0]
         handler: Callable[[Reader, Statement], None] | None = _HANDLERS.get(first)
         if handler is None:
-            hint = "the seed is --seed N, or the recipe's" if first == "seed" else "of a preprocessor, only #define is"
+            hint = "the seed is `seed`, or the recipe's" if first == "seed" else "of a preprocessor, only #define is"
             reader.fail(f"{keyword} is not supported", statement.start, hint=hint)
         handler(self, reader, statement)  # type: ignore[call-arg,arg-type]
 

@@ -7,7 +7,6 @@
 
 from __future__ import annotations
 
-import copy
 import io
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -19,6 +18,7 @@ from pydantic import BaseModel, ValidationError
 from ruamel.yaml import YAML
 from ruamel.yaml.representer import SafeRepresenter
 
+from forestgen.core.arguments import plain_copy
 from forestgen.core.error_list import ErrorList
 from forestgen.core.errors import RecipeError
 from forestgen.core.randomness import child_root
@@ -33,9 +33,9 @@ from forestgen.recipe.reading import check_version, make_draws, splits_of, sugge
 from forestgen.recipe.schema import SCHEMA_VERSION, Recipe
 from forestgen.recipe.sources import Keys, Place, SourceMap, copied
 from forestgen.recipe.species import Species
-from forestgen.recipe.splits import split_of
+from forestgen.recipe.splits import NUMBERS_END, split_of
 from forestgen.recipe.stand_ins import replace_sections, sections_of
-from forestgen.recipe.yaml_source import read_yaml
+from forestgen.recipe.yaml_source import mapping_of, read_yaml
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
 # Words of keys that files are found by, or checked with: see `LoadedRecipe._template`.
@@ -92,7 +92,7 @@ class DrawnRecipe:
             return model.model_validate(dict(data), context={"folder": self.folder})  # where its files are
         except ValidationError as failure:
             explainer = Explainer(model, data, self.sources, tuple(keys), self.written)
-            raise explainer.error(failure) from failure
+            raise explainer.error(failure) from None  # its text would come first in a traceback
 
 
 @dataclass(frozen=True)
@@ -165,9 +165,9 @@ class LoadedRecipe:
         ------
         RecipeError : a drawn value is one that the schema rejects.
         """
-        if image_index < 0:
-            raise RecipeError("no such image", expected="an index of at least 0", got=str(image_index))
         image = self._first_image + image_index
+        if not self._first_image <= image < NUMBERS_END:
+            raise RecipeError("no such image", expected=f"an index from 0 to {NUMBERS_END - 1}", got=str(image_index))
         return self._drawn(self.draws.values(image), image)
 
     def probes(self) -> Iterator[DrawnRecipe]:
@@ -209,7 +209,7 @@ class LoadedRecipe:
             return Recipe.model_validate(data)
         except ValidationError as failure:
             sources, written = self.draws.placed(values, self.sources)
-            raise Explainer(Recipe, data, sources, (), written).error(failure) from failure
+            raise Explainer(Recipe, data, sources, (), written).error(failure) from None
 
     def _template(self, values: Mapping[Keys, Scalar], errors: ErrorList) -> dict[str, Any]:
         """The data with all that files are needed for; it is the same for most images, so the last few are kept."""
@@ -307,7 +307,13 @@ def read_recipe_data(
     data: Mapping[str, Any], name: str, folder: Path = Path(), overrides: Sequence[str] = ()
 ) -> Loading:
     """The same of a recipe that is no file."""
-    return _loading(folder / name, copy.deepcopy(dict(data)), SourceMap({(): Place(name)}), overrides)
+    return _loading(folder / name, plain_copy(data, name), SourceMap({(): Place(name)}), overrides)
+
+
+def read_recipe_text(text: str, overrides: Sequence[str] = ()) -> Loading:
+    """The same of a recipe's YAML text; its paths are relative to the working folder."""
+    data, sources = mapping_of(text, "recipe text")
+    return _loading(Path("recipe"), data, sources, overrides)
 
 
 def _loading(path: Path, data: dict[str, Any], sources: SourceMap, overrides: Sequence[str]) -> Loading:

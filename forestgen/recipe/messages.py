@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 import types
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -58,6 +59,22 @@ _WITH_CONTEXT: dict[str, Callable[[Mapping[str, Any]], str]] = {
     "string_too_long": lambda c: f"text of at most {c['max_length']} characters",
     "value_error": lambda c: f"{c['error']}",
     "assertion_error": lambda c: f"{c['error']}",
+}
+_WITH_UNIT = re.compile(r"([-+]?[0-9.]+(?:e[-+]?[0-9]+)?)\s*([^\s0-9].*)", re.IGNORECASE)
+#: Ends of keys -> what their unit is called: first for people, then as it is written.
+_UNITS = {
+    "_m2": "square metres, m2, m²",
+    "_m": "metres, m, metre, meter, meters",
+    "_deg": "degrees, deg, °, degree",
+    "_yr": "years, yr, y, a, year",
+    "_px": "pixels, px, pixel",
+    "_nm": "nanometres, nm",
+    "_mm": "millimetres, mm",
+    "_um": "micrometres, um, µm",
+    "_c": "degrees Celsius, C, °C",
+    "_k": "kelvins, K",
+    "_s": "seconds, s, sec",
+    "_kg": "kilograms, kg",
 }
 _NUMBER_TYPES = {"float_type", "float_parsing", "int_type", "int_parsing", "finite_number"}
 
@@ -141,8 +158,20 @@ class Explainer:
             got = context["got"] or show(value)
             keys += tuple(context["at"])
             return self._at(keys, context["problem"], context["expected"], got, context["hint"])
+        expected = expectation(kind, context, details["msg"])
         hint = self._number_hint(keys, value) if kind in _NUMBER_TYPES else None
-        return self._at(keys, "bad value", _expected(kind, context, details["msg"]), show(value), hint)
+        if kind in ("literal_error", "enum") and isinstance(value, str):
+            hint = did_you_mean(value, re.findall(r"'([^']*)'", expected), cutoff=0.5)
+        elif kind in ("list_type", "tuple_type"):
+            expected, hint = self._list_expected(keys, expected), None
+        return self._at(keys, "bad value", expected, show(value), hint)
+
+    def _list_expected(self, keys: Keys, expected: str) -> str:
+        """What a list holds, where the key's name or the schema tells."""
+        if keys and keys[-1] == "size_px":
+            return "[width, height], pixels"
+        length = self._tuple_length(keys, "too_long")
+        return expected if length is None else f"a list of {length} entries"
 
     def _at(self, keys: Keys, problem: str, expected: str | None, got: str | None, hint: str | None = None) -> _Finding:
         full = self.prefix + keys
@@ -226,7 +255,9 @@ class Explainer:
 
     def _number_hint(self, keys: Keys, value: object) -> str | None:
         if not isinstance(value, Mapping):
-            return "remove the quotes" if isinstance(value, str) and _is_number(value) else None
+            if not isinstance(value, str):
+                return None
+            return "remove the quotes" if _is_number(value) else _unit_hint(keys, value)
         full = self.prefix + keys
         if is_distribution(value) and any(full[:n] in UNDRAWN for n in range(1, len(full) + 1)):
             return "this key may not be a distribution"
@@ -234,7 +265,8 @@ class Explainer:
         return f"did you mean {{{near[0]}: ...}}?" if near else "a distribution is {uniform: [a, b]}"
 
 
-def _expected(kind: str, context: Mapping[str, Any], message: str) -> str:
+def expectation(kind: str, context: Mapping[str, Any], message: str) -> str:
+    """What the schema library expected, for people."""
     if kind == "string_pattern_mismatch":
         if context["pattern"] == NAME_PATTERN:
             return "a name of 1 to 64 letters, digits, - or _, not beginning with - or _"
@@ -256,6 +288,18 @@ def _bound_hint(written: Mapping[str, Any], expected: str) -> str | None:
     if kind == "formula" and "whole number" in expected:
         return "{formula: 'round(...)'} gives whole numbers"
     return None
+
+
+def _unit_hint(keys: Keys, text: str) -> str | None:
+    """What to write in place of a number with its unit, where the key's name has one."""
+    names = [key for key in keys if isinstance(key, str)]
+    unit = next((words for end, words in _UNITS.items() if names and names[-1].endswith(end)), None)
+    found = _WITH_UNIT.fullmatch(text.strip())
+    if unit is None or found is None:
+        return None
+    own = found[2] in unit.split(", ")
+    number = found[1] if own else "the number alone"
+    return f"{number}: the unit is in the key's name, {unit.split(', ')[0]}"
 
 
 def _is_number(text: str) -> bool:

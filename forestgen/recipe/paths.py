@@ -38,7 +38,7 @@ def allow_folders(folders: list[Path]) -> None:
     """
     for folder in folders:
         if not folder.is_dir():
-            raise AssetError("no such folder", where="--allow-folder", expected="an existing folder", got=str(folder))
+            raise AssetError("no such folder", where="allow_folders", expected="an existing folder", got=str(folder))
     together = [*allowed_folders(), *(folder.absolute() for folder in folders)]
     if together:
         os.environ[ALLOWED] = os.pathsep.join(str(folder) for folder in together)

@@ -52,7 +52,7 @@ def _sampling(data: Mapping[str, Any], sources: SourceMap) -> Sampling | None:
         return Sampling.model_validate(written)
     except ValidationError as failure:
         given = written if isinstance(written, dict) else {}
-        raise Explainer(Sampling, given, sources, ("sampling",)).error(failure) from failure
+        raise Explainer(Sampling, given, sources, ("sampling",)).error(failure) from None
 
 
 def suggest_shipped(path: Path) -> None:

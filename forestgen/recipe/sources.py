@@ -1,4 +1,4 @@
-"""Where each key of a recipe was written: a file's line, or a ``--set`` of the command line."""
+"""Where each key of a recipe was written: a file's line, or an override, ``set key=value``."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Place:
 
 
 def dotted(keys: Keys) -> str:
-    """``("cameras", 0, "size_px")`` as ``cameras.0.size_px``, the way ``--set`` writes it."""
+    """``("cameras", 0, "size_px")`` as ``cameras.0.size_px``, the way overrides write it."""
     return ".".join(str(key) for key in keys)
 
 

@@ -15,6 +15,7 @@ from fractions import Fraction
 from functools import lru_cache
 
 _BITS = 64  # of an image's number
+NUMBERS_END = 2**_BITS  # no image's number is as large
 _Shares = tuple[tuple[str, float], ...]
 
 

@@ -36,11 +36,20 @@ def read_yaml(path: Path, *, error: type[ForestgenError] = RecipeError) -> tuple
     AssetError : the file is missing or unreadable.
     ForestgenError : of type `error`; the text is not a YAML mapping.
     """
-    data, sources = parse_yaml(_read_text(path), str(path), error=error)
+    return mapping_of(_read_text(path), str(path), error=error)
+
+
+def mapping_of(
+    text: str, origin: str, *, error: type[ForestgenError] = RecipeError
+) -> tuple[dict[str, Any], SourceMap]:
+    """The mapping in a YAML text and where its keys are; see `read_yaml`. `origin` names the text in messages."""
+    if len(text) > MAX_BYTES:
+        raise error("the text is too large", where=origin, expected=f"at most {MAX_BYTES // 10**6} MB", got="more")
+    data, sources = parse_yaml(text, origin, error=error)
     if data is None:
-        raise error("the file says nothing", where=str(path), expected="a mapping of keys to values", got="no content")
+        raise error("the text says nothing", where=origin, expected="a mapping of keys to values", got="no content")
     if not isinstance(data, dict):
-        raise error("not a mapping", where=f"{path}:1", expected="lines such as 'seed: 7'", got=_kind(data))
+        raise error("not a mapping", where=f"{origin}:1", expected="lines such as 'seed: 7'", got=_kind(data))
     return data, sources
 
 

@@ -79,7 +79,7 @@ def check_far_clouds(spec: SceneSpec, point_m: Sequence[float]) -> None:
             where="sky.clouds",
             expected=near[0],
             got=near[1],
-            hint="raise the clouds, or measure with --set sky.clouds=none",
+            hint="raise the clouds, or measure with `set='sky.clouds=none'`",
         )
 
 

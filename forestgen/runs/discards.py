@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import reprlib
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Any
 
 from forestgen.core.errors import ForestgenError, RecipeError
+from forestgen.dataset.check.finding import UnreadableError
 from forestgen.recipe.load import LoadedRecipe
 from forestgen.runs.contract import Place
-from forestgen.runs.folder import is_made_from
+from forestgen.runs.finish import recipe_part
+from forestgen.runs.folder import images_in_frames, is_made_from
 from forestgen.runs.keys import image_of_key, job_key
 from forestgen.runs.records import done_keys
+from forestgen.runs.verify_manifests import plain_yaml
 
+_MOST_CHANGES = 4  # that are named
 _MANY = 1000  # images whose comparison takes long enough to say so
 
 
@@ -22,17 +28,21 @@ class Standing:
     kept: int
     beyond: int  # whose numbers are not among the images that are wanted
     stale: frozenset[int]  # that the recipe, or these versions, would make otherwise now
+    unrecorded: int = 0  # that have frames and no record, and that this run would not make again as they are
+    changes: str = ""  # what the recipe says otherwise than the data set's own, as far as that is known
 
     @property
     def discarded(self) -> int:
         """How many would be thrown away."""
-        return self.beyond + len(self.stale)
+        return self.beyond + len(self.stale) + self.unrecorded
 
     def reasons(self) -> str:
         """Why, for people."""
+        other = "made from another recipe, for another split, or by other versions"
         parts = [
             (self.beyond, "beyond the images that are asked for now"),
-            (len(self.stale), "made from another recipe, for another split, or by other versions"),
+            (len(self.stale), other + (f" ({self.changes})" if self.changes else "")),
+            (self.unrecorded, "that have lost their records, by which they are recognised"),
         ]
         return "; ".join(f"{number:,} {reason}" for number, reason in parts if number)
 
@@ -50,13 +60,16 @@ def standing(
     """
     keys = done_keys(place)
     mine = {image: key for key in keys if (image := image_of_key(key)) in images}
-    beyond = len({image_of_key(key) for key in keys} - mine.keys())
+    recorded = {image_of_key(key) for key in keys}
+    beyond = len(recorded - mine.keys())
+    unrecorded = images_in_frames(place, loaded.splits) - recorded
     if is_made_from(place, mark):
-        return Standing(len(mine), beyond, frozenset())
+        return Standing(len(mine), beyond, frozenset(), len(unrecorded.difference(images)))
     if len(mine) >= _MANY:
         say(f"comparing {len(mine):,} finished images with the recipe, which has changed")
     stale = frozenset(image for image in mine if _key(loaded, image - images.start, versions) not in keys)
-    return Standing(len(mine) - len(stale), beyond, stale)
+    changes = _changes(place, loaded) if stale else ""
+    return Standing(len(mine) - len(stale), beyond, stale, len(unrecorded), changes)
 
 
 def check_discards(found: Standing, where: str, *, agreed: bool) -> None:
@@ -72,7 +85,7 @@ def check_discards(found: Standing, where: str, *, agreed: bool) -> None:
             where=where,
             expected="the recipe, the numbers of images and the versions that the batch was begun with, or more images",
             got=found.reasons(),
-            hint="--discard agrees to it; or choose another folder",
+            hint="`discard=True` agrees to it; or choose another folder",
         )
 
 
@@ -82,3 +95,30 @@ def _key(loaded: LoadedRecipe, index: int, versions: str) -> str:
         return job_key(loaded.draw(index), versions)
     except ForestgenError:
         return ""
+
+
+def _changes(place: Place, loaded: LoadedRecipe) -> str:
+    """What the recipe says otherwise than recipe.yaml of the data set; "" where neither can tell."""
+    try:
+        before = plain_yaml((place.read("recipe.yaml") or b"").decode(), "")
+        now = plain_yaml(recipe_part(loaded, ()).yaml, "")
+    except (ForestgenError, UnreadableError, UnicodeDecodeError):
+        return ""
+    for content in (before, now):
+        content.pop("images", None)
+        content.pop("first_image", None)
+    found = list(_differences(before, now))
+    more = f"; {len(found) - _MOST_CHANGES} more" if len(found) > _MOST_CHANGES else ""
+    return "; ".join(found[:_MOST_CHANGES]) + more
+
+
+def _differences(before: Any, now: Any, where: str = "") -> Iterator[str]:
+    """Keys whose values differ, with both."""
+    if isinstance(before, dict) and isinstance(now, dict):
+        for key in sorted({*before, *now}, key=str):
+            yield from _differences(before.get(key), now.get(key), f"{where}.{key}" if where else str(key))
+    elif isinstance(before, list) and isinstance(now, list) and len(before) == len(now):
+        for number, (old, new) in enumerate(zip(before, now, strict=True)):
+            yield from _differences(old, new, f"{where}.{number}")
+    elif before != now:
+        yield f"{where:.60} was {reprlib.repr(before)}, is now {reprlib.repr(now)}"

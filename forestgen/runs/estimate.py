@@ -264,10 +264,10 @@ def _check_memory(expected: Estimate) -> None:
         fits = max(1, int(free / need))
         raise ResourceError(
             "so many workers would need more memory than is free",
-            where=f"--workers {expected.wanted}",
+            where=f"workers={expected.wanted}",
             expected=f"at most {show_bytes(free)} in all",
             got=f"about {show_bytes(need * expected.wanted)}: {show_bytes(need)} for each",
-            hint=f"--workers {fits}, or leave it out",
+            hint=f"`workers={fits}`, or leave it out",
         )
 
 
@@ -285,5 +285,5 @@ def _check_disk(place: Place, images: int, image_bytes: float) -> None:
             where=place.name,
             expected=f"at most {show_bytes(max(0, free - _ROOM_BYTES))}",
             got=f"about {show_bytes(need)} for {images:,} images",
-            hint=f"another disk, or --count {fits}" if fits else "another disk",
+            hint=f"another disk, or `count={fits}`" if fits else "another disk",
         )

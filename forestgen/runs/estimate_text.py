@@ -22,10 +22,11 @@ def lines(expected: Estimate) -> Iterator[str]:
 
 def _rows(expected: Estimate) -> Iterator[tuple[str, str]]:
     counts = expected.counts
+    frames = "frame" if round(counts.frames) == 1 else "frames"
     about = "" if not counts.drawn else f" (drawn: the mean of {counts.drawn} images)"
     yield (
         "images",
-        f"{counts.images:,}; {counts.frames:,.0f} frames, {_large(counts.pixels)} pixels, "
+        f"{counts.images:,}; {counts.frames:,.0f} {frames}, {_large(counts.pixels)} pixels, "
         f"{_large(counts.paths)} light paths{about}",
     )
     probes = expected.probed.probes

@@ -4,23 +4,25 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import re
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 
 from forestgen.core.errors import DatasetError, OutputError
-from forestgen.dataset.safe_path import is_split, load_json
+from forestgen.dataset.safe_path import SafePath, is_frame, is_split, load_json
 from forestgen.dataset.thumbnails import FOLDER_NAME as THUMBNAILS
 from forestgen.recipe.hashing import recipe_hash
 from forestgen.recipe.load import LoadedRecipe
 from forestgen.recipe.paths import MAPS
-from forestgen.runs.contract import HIDDEN, JobRecord, Place
-from forestgen.runs.places import LocalPlace
+from forestgen.runs.contract import HIDDEN, RUN, JobRecord, Place
+from forestgen.runs.places import STAGING, LocalPlace
 from forestgen.runs.records import JOBS, read_record, record_path, records_of
 
 BATCH = f"{HIDDEN}/batch.json"
 TAKEN = ("maps", "run", "thumbnails")  # names in the data set's folder that no split can have
 _SCHEMA = "forestgen-batch/1"
+_FOLDERS = (HIDDEN, JOBS, STAGING, RUN)  # without them a run would take finished images for unfinished ones
 _WHOLE = ("dataset.json", "SHA256SUMS")  # they say that the data set is complete: while a run works, it is not
 _FRAME = re.compile(r"\d{6,}-")
 
@@ -62,13 +64,23 @@ def check_ours(place: Place) -> None:
             got=", ".join(names[:4]) + (", ..." if len(names) > 4 else ""),
             hint="choose another folder",
         )
-    linked = [name for name in names if isinstance(place, LocalPlace) and (place.root / name).is_symlink()]
+    if not isinstance(place, LocalPlace):
+        return
+    linked = [name for name in names if (place.root / name).is_symlink()]
     if linked:
         raise OutputError(
             "a part of the data set is a link to elsewhere: what a run removes and replaces must lie here",
             where=f"{place.name}/{linked[0]}",
             hint="move it here; the whole folder may be a link",
         )
+    for name in _FOLDERS:
+        if os.path.lexists(place.root / name) and not SafePath(place.root, name).is_folder():
+            raise OutputError(
+                "a part of the data set is no folder",
+                where=f"{place.name}/{name}",
+                expected="a folder of its own, and no link",
+                hint="move it away",
+            )
 
 
 def check_resume(place: Place, *, resume: bool) -> None:
@@ -77,14 +89,20 @@ def check_resume(place: Place, *, resume: bool) -> None:
         raise OutputError(
             "the folder already holds a forestgen data set",
             where=place.name,
-            hint="--resume goes on with it: images that are done stay, if the recipe still makes them; "
-            "--overwrite replaces it; or choose another folder",
+            hint="`resume=True` goes on with it: images that are done stay, if the recipe still makes them; "
+            "`overwrite=True` replaces it; or choose another folder",
         )
 
 
 def is_made_from(place: Place, mark: str) -> bool:
     """Whether all finished images were made from the recipe and by the versions of this `fingerprint`."""
     return (_state(place) or {}).get("fingerprint") == mark
+
+
+def images_in_frames(place: Place, splits: Iterable[str]) -> set[int]:
+    """Numbers of the images that have a frame's folder in these splits, or in those that the batch was begun with."""
+    folders = {*splits, *splits_before(place)}
+    return {int(name.partition("-")[0]) for folder in folders for name in place.names(folder) if is_frame(name)}
 
 
 def open_batch(
@@ -107,14 +125,11 @@ def open_batch(
     stale : finished images that would be made otherwise now; they stay until their turn comes.
     damaged : finished images that have lost a file or its content: what is left of them is removed.
     """
-    for name in _WHOLE:
-        place.remove(name)
     splits = tuple(splits)
-    state = _state(place) or {}
-    listing = state.get("splits")
-    names = listing if isinstance(listing, list) else []
-    before = [name for name in names if is_split(name) and name not in TAKEN]
+    before = splits_before(place)
     listed = {split: set(place.names(split)) for split in {*splits, *before}}
+    for name in _WHOLE:  # before the first frame goes
+        place.remove(name)
     keys: dict[int, str] = {}
     vouched: set[str] = set()
     for record in records_of(place, note):
@@ -177,6 +192,13 @@ def _remove_unvouched(place: Place, listed: dict[str, set[str]], vouched: set[st
 def _is_batch(place: Place) -> bool:
     """Whether a batch's file is there or, if a disk has damaged that one, images' records."""
     return _state(place) is not None or bool(place.names(JOBS))
+
+
+def splits_before(place: Place) -> list[str]:
+    """The splits that the batch was begun with."""
+    listing = (_state(place) or {}).get("splits")
+    names = listing if isinstance(listing, list) else []
+    return [name for name in names if is_split(name) and name not in TAKEN]
 
 
 def _state(place: Place) -> dict[str, object] | None:

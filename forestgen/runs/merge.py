@@ -22,17 +22,13 @@ from typing import Any
 from forestgen.core.errors import DatasetError, OutputError, RecipeError
 from forestgen.core.progress import Progress, Silent
 from forestgen.dataset.files import output_error
-from forestgen.dataset.folder import OutputFolder
+from forestgen.dataset.folder import NO_OUTPUT, OURS, OutputFolder
+from forestgen.dataset.manifest import is_run_folder
 from forestgen.dataset.safe_path import SafePath, unreadable
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.recipe.paths import MAPS
-from forestgen.runs.contract import JobRecord
-from forestgen.runs.description import (
-    MOST_IMAGES,
-    RecipePart,
-    settings_of,
-    union_of,
-)
+from forestgen.runs.contract import HIDDEN, JobRecord
+from forestgen.runs.description import DATASET_NAME, MOST_IMAGES, RecipePart, settings_of, union_of
 from forestgen.runs.finish import Finished, write_data_set
 from forestgen.runs.folder import settle_batch
 from forestgen.runs.ledger import Ledger
@@ -104,15 +100,24 @@ def merge(sources: Sequence[Path], target: Path, *, link: bool = False, progress
 
 
 def _check_target(target: Path, sources: Sequence[Path]) -> None:
+    if not sources:
+        raise RecipeError("no data set is named", expected="at least one to merge")
     refuse_address(target)
     if target.exists() and (not target.is_dir() or any(target.iterdir())):
-        got = "a file" if not target.is_dir() else "a folder with files in it"
-        raise OutputError("the output is in use", where=str(target), expected="a new or empty folder", got=got)
+        raise OutputError(_in_the_way(target), where=str(target), expected="a new or empty folder")
     inside = [source for source in sources if target.resolve().is_relative_to(source.resolve())]
     if inside:
         raise OutputError("the output lies in a data set that is merged", where=str(target), got=str(inside[0]))
     if len({source.resolve() for source in sources}) < len(sources):
         raise RecipeError("a data set is named twice", got=", ".join(map(str, sources)))
+
+
+def _in_the_way(target: Path) -> str:
+    """What lies where the merged data set shall; in the words of `OutputFolder`, which can replace some of it."""
+    if not target.is_dir():
+        return "the output is a file"
+    is_ours = (target / HIDDEN).is_dir() or (target / DATASET_NAME).exists() or is_run_folder(target)
+    return OURS if is_ours else NO_OUTPUT
 
 
 def _piece(root: Path) -> Piece:
@@ -204,7 +209,7 @@ def _check_numbers(parts: Sequence[RecipePart], pieces: Sequence[Piece]) -> None
                 where=", ".join(str(piece.root) for piece in pieces),
                 expected="numbers that differ: frames are named by them",
                 got=f"image {first} in both",
-                hint=f"make one of the data sets with --set first_image={max(last for _, last in ranges) + 1}",
+                hint=f"make one of the data sets with `set='first_image={max(last for _, last in ranges) + 1}'`",
             )
 
 

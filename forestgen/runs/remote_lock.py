@@ -81,7 +81,7 @@ class RemoteLock:
                 "the lock of the data set was lost: this run could not reach the store, or another took over",
                 where=self._where,
                 got=self._lost,
-                hint="see that no other run writes there, then --resume",
+                hint="see that no other run writes there, then `resume=True`",
             )
 
     def _take(self) -> None:

@@ -143,7 +143,8 @@ def storage_error(error: BaseException, where: str) -> OutputError:
             got=got,
             hint="check the network, and AWS_ENDPOINT_URL if the store is not Amazon's",
         )
-    return OutputError("the store failed", where=where, got=got, hint="look at the store's own status, then --resume")
+    hint = "look at the store's own status, then `resume=True`"
+    return OutputError("the store failed", where=where, got=got, hint=hint)
 
 
 def _as_os_error(error: Exception) -> OSError:

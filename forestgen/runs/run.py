@@ -106,9 +106,10 @@ def run_batch(
         _clear_staging(work.place)
         used = used_splits(splits, images)
         damaged = damaged_images(work.place, loaded, images, before.stale, listener.say)
-        known = open_batch(work.place, images, used, mark, listener.say, before.stale, damaged)
-        queue = JobQueue(work, images, splits, known)
         with Log(work.place) as log:
+            work.place.discard(work.place.staging())  # what cannot be written is told before anything is removed
+            known = open_batch(work.place, images, used, mark, listener.say, before.stale, damaged)
+            queue = JobQueue(work, images, splits, known)
             run = _Run(work, lock, log, Meter(count, already=queue.done), queue, listener, retries, strict)
             log.event("start", target=target, recipe=str(loaded.path), images=count, done=queue.done, threads=threads)
             for image, problem in damaged.items():
@@ -227,7 +228,7 @@ def _give_up(run: _Run, failed: Failed) -> None:
         raise OutputError(
             f"the run has stopped: results cannot be written\n{failed.message}",
             where=run.work.place.name,
-            hint="when that is mended, the same command with --resume goes on",
+            hint="when that is mended, the same command with `resume=True` goes on",
         )
     if run.meter.failed >= _HOPELESS and not run.meter.done:
         kinds = Counter(one.message for one in run.failed)
@@ -235,7 +236,7 @@ def _give_up(run: _Run, failed: Failed) -> None:
         raise DatasetError(
             f"the run has stopped: the first {run.meter.failed} images all failed, {times} of them with\n{message}",
             where=run.work.place.name,
-            hint="the same command with --resume tries them again",
+            hint="the same command with `resume=True` tries them again",
         )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import sys
 from collections.abc import Callable, Iterator, Mapping
@@ -9,8 +10,9 @@ from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
+from forestgen.core.arguments import shown
 from forestgen.core.errors import DatasetError, RecipeError
-from forestgen.core.figures import parse_bytes
+from forestgen.core.figures import count, parse_bytes, seconds
 from forestgen.core.progress import Progress
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.recipe.load import LoadedRecipe
@@ -24,7 +26,7 @@ from forestgen.runs.folder import check_ours, check_resume, fingerprint
 from forestgen.runs.keys import versions_hash
 from forestgen.runs.meter import Listener
 from forestgen.runs.places import place_of
-from forestgen.runs.replace import leaving_no_empty, replacing
+from forestgen.runs.replace import leaving_no_empty, replacing, restore_previous
 from forestgen.runs.run import check_recipe, images_of, run_batch
 from forestgen.runs.summary import RunSummary
 from forestgen.runs.work import make_job
@@ -61,55 +63,58 @@ class RunOptions:
         """Raise `RecipeError` for values that are none, and options that exclude one another."""
         for name, least, most in (("count", 1, 10**8), ("threads", 1, 4096), ("workers", 1, 1024), ("retries", 0, 100)):
             value = getattr(self, name)
-            if value is not None and not (type(value) is int and least <= value <= most):
-                raise RecipeError(
-                    "no such number", where=f"--{name}", expected=f"{least:,} to {most:,}", got=repr(value)
-                )
+            if (value is not None or name == "retries") and not (type(value) is int and least <= value <= most):
+                raise RecipeError("no such number", where=name, expected=f"{least:,} to {most:,}", got=shown(value))
         if self.device is not None and self.device not in DEVICES:
-            raise RecipeError("no such device", where="--device", expected=" or ".join(DEVICES), got=repr(self.device))
+            raise RecipeError("no such device", where="device", expected=" or ".join(DEVICES), got=shown(self.device))
         if self.engine not in ENGINES:
-            raise RecipeError("no such engine", where="--engine", expected=" or ".join(ENGINES), got=repr(self.engine))
+            raise RecipeError("no such engine", where="engine", expected=" or ".join(ENGINES), got=shown(self.engine))
         for wrong, where, why in (
-            (self.discard and not self.resume, "--discard", "it belongs to --resume"),
-            (self.resume and self.overwrite, "--overwrite", "it replaces the data set, which --resume goes on with"),
+            (self.discard and not self.resume, "discard", "it belongs to `resume`"),
+            (self.resume and self.overwrite, "overwrite", "it replaces the data set, which `resume` goes on with"),
             (
                 self.engine == "local" and (self.scheduler is not None or bool(self.resources)),
-                "--engine",
-                "--scheduler and --resource belong to --engine dask",
+                "engine",
+                "`scheduler` and `resources` belong to `engine='dask'`",
             ),
-            (self.engine == "dask" and self.workers is not None, "--workers", "the cluster has its own workers"),
+            (self.engine == "dask" and self.workers is not None, "workers", "the cluster has its own workers"),
             (
                 self.engine == "dask" and self.timeout is not None,
-                "--timeout",
+                "timeout",
                 "only workers of this machine can be stopped",
             ),
             (
                 self.engine == "dask" and self.device is not None,
-                "--device",
+                "device",
                 "set FORESTGEN_TRACING where the workers start",
             ),
         ):
             if wrong:
                 raise RecipeError(f"this option cannot be used here: {why}", where=where)
+        amounts = self.resources.items() if isinstance(self.resources, Mapping) else [(None, self.resources)]
+        for name, amount in amounts:
+            if not (isinstance(name, str) and isinstance(amount, int | float) and 0 < amount < math.inf):
+                expected, got = "a mapping such as {'GPU': 1}", shown(self.resources)
+                raise RecipeError("these are no resources", where="resources", expected=expected, got=got)
         _ = self.memory_bytes, self.timeout_s  # which refuse texts that are no size and no duration
 
     @property
     def memory_bytes(self) -> int | None:
         if self.worker_memory is None:
             return None
-        size = parse_bytes(self.worker_memory, "--worker-memory")
+        size = parse_bytes(self.worker_memory, "worker_memory")
         if size < _LEAST_BYTES:
             raise RecipeError(
                 "this is too little for a worker",
-                where="--worker-memory",
+                where="worker_memory",
                 expected="such as 4GB",
-                got=repr(self.worker_memory),
+                got=shown(self.worker_memory),
             )
         return size
 
     @property
     def timeout_s(self) -> float | None:
-        return None if self.timeout is None else seconds_of(self.timeout, "--timeout")
+        return None if self.timeout is None else seconds_of(self.timeout, "timeout")
 
 
 def render(loaded: LoadedRecipe, target: str, options: RunOptions, display: Display) -> RunSummary:
@@ -120,9 +125,9 @@ def render(loaded: LoadedRecipe, target: str, options: RunOptions, display: Disp
     RecipeError, AssetError, ResourceError, OutputError, RenderError : what an image or the folder does not allow.
     DatasetError : images are missing at the end.
     """
-    run = _prepared(loaded, target, options, display)
+    run = _prepared(loaded, _entered(target, options, display), options, display)
     check_disk(loaded, run.place, run.count - run.before.kept)
-    with _room_for(run.place, options), leaving_no_empty(run.place):
+    with _room_for(loaded, run.place, options, display), leaving_no_empty(run.place):
         summary = run_batch(
             loaded,
             target,
@@ -147,12 +152,12 @@ def batch(loaded: LoadedRecipe, target: str, options: RunOptions, display: Displ
     RecipeError, ResourceError, OutputError : see `forestgen.runs.run.run_batch`.
     DatasetError : images failed, or are missing at the end.
     """
-    run = _prepared(loaded, target, options, display)
+    run = _prepared(loaded, _entered(target, options, display), options, display)
     expected = _expected(loaded, run, options, display, probe=False)
     check_fits(expected, run.place, workers_here=options.engine == "local")
     for text in lines(expected):
         display.say(text)
-    with _room_for(run.place, options):
+    with _room_for(loaded, run.place, options, display):
         summary = run_batch(
             loaded,
             target,
@@ -169,7 +174,7 @@ def batch(loaded: LoadedRecipe, target: str, options: RunOptions, display: Displ
     return summary
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class DryRun:
     """What a batch would take, and what it would remove."""
 
@@ -177,12 +182,28 @@ class DryRun:
     discarded: int  # finished images that --resume --discard would remove
     reasons: str  # why, for people
 
+    def __str__(self) -> str:
+        return "\n".join(self.lines())
+
+    def __repr__(self) -> str:
+        images, low_and_high = self.estimate.counts.images, self.estimate.seconds
+        time = "not measured" if low_and_high is None else f"about {seconds(low_and_high.mean)}"
+        return f"<DryRun: {count(images, 'image')}, {time}>"
+
+    def lines(self) -> Iterator[str]:
+        """For people."""
+        yield from lines(self.estimate)
+        if self.discarded:
+            number = count(self.discarded, "finished image")
+            yield f"--resume --discard would remove {number}: {self.reasons}"
+        yield "nothing was made"
+
 
 def dry_run(loaded: LoadedRecipe, target: str, options: RunOptions, display: Display) -> DryRun:
     """Check a batch and estimate its time, memory and disk; nothing is made."""
     options.check()
     lenient = options if options.overwrite else replace(options, discard=True, resume=True)
-    run = _prepared(loaded, target, lenient, display)
+    run = _prepared(loaded, place_of(target), lenient, display)
     expected = _expected(loaded, run, options, display, probe=True)
     check_fits(expected, run.place, workers_here=options.engine == "local")
     return DryRun(expected, run.before.discarded, run.before.reasons())
@@ -198,9 +219,16 @@ class _Prepared:
     before: Standing  # finished images that are there
 
 
-def _prepared(loaded: LoadedRecipe, target: str, options: RunOptions, display: Display) -> _Prepared:
+def _entered(target: str, options: RunOptions, display: Display) -> Place:
+    """Where the data set lies, as it was before a run that was killed while it replaced it."""
     options.check()
-    place, count = place_of(target), options.count or loaded.images
+    place = place_of(target)
+    restore_previous(place, display.say)
+    return place
+
+
+def _prepared(loaded: LoadedRecipe, place: Place, options: RunOptions, display: Display) -> _Prepared:
+    count = options.count or loaded.images
     check_ours(place)
     if not options.overwrite:
         check_resume(place, resume=options.resume)
@@ -215,8 +243,8 @@ def _prepared(loaded: LoadedRecipe, target: str, options: RunOptions, display: D
 
 
 @contextmanager
-def _room_for(place: Place, options: RunOptions) -> Iterator[None]:
-    with replacing(place) if options.overwrite else nullcontext():
+def _room_for(loaded: LoadedRecipe, place: Place, options: RunOptions, display: Display) -> Iterator[None]:
+    with replacing(place, loaded.splits, display.say) if options.overwrite else nullcontext():
         yield
 
 
@@ -259,7 +287,7 @@ def _check_complete(summary: RunSummary) -> None:
             f"{len(summary.missing):,} of {summary.images:,} images are missing: files have changed meanwhile",
             where=summary.target,
             got="\n".join(summary.notes[:_MOST_FAILURES]),
-            hint="the same command with --resume makes them again",
+            hint="the same command with `resume=True` makes them again",
         )
     shown = [_failure(failed) for failed in summary.failed[:_MOST_FAILURES]]
     if len(summary.failed) > _MOST_FAILURES:
@@ -269,7 +297,7 @@ def _check_complete(summary: RunSummary) -> None:
         f"{len(summary.missing):,} of {summary.images:,} images could not be made",
         where=summary.target,
         got="\n".join(shown),
-        hint="the same command with --resume tries them again"
+        hint="the same command with `resume=True` tries them again"
         if again
         else "they would fail again in the same way; the data set is finished without them",
     )
@@ -282,9 +310,9 @@ def _failure(failed: Failed) -> str:
 
 def seconds_of(duration: float | str, option: str) -> float:
     """Seconds of a number, or of a text such as 90s, 30min or 1.5h. Raises `RecipeError`."""
-    if isinstance(duration, int | float) and 0 < duration < sys.maxsize:
+    if isinstance(duration, int | float) and not isinstance(duration, bool) and 0 < duration < sys.maxsize:
         return float(duration)
-    found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*(s|min|h)\s*", str(duration))
+    found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*(s|min|h)\s*", duration if isinstance(duration, str) else "")
     if found is None or not float(found[1]):
-        raise RecipeError("no such duration", where=option, expected="such as 90s, 30min or 2h", got=repr(duration))
+        raise RecipeError("no such duration", where=option, expected="such as 90s, 30min or 2h", got=shown(duration))
     return float(found[1]) * {"s": 1, "min": 60, "h": 3600}[found[2]]

@@ -35,20 +35,23 @@ from tempfile import TemporaryDirectory
 from time import perf_counter
 from typing import Any
 
+from forestgen.core.arguments import MOST_SEEDS, whole_of
 from forestgen.core.errors import DatasetError, ForestgenError, RecipeError
 from forestgen.core.progress import Progress, Silent
 from forestgen.dataset.check import MOST_NAMED, CheckResult, Finding, check_dataset
 from forestgen.dataset.index import INDEX_NAME, read_index
 from forestgen.dataset.manifest import is_run_folder
-from forestgen.dataset.safe_path import SafePath, unreadable
+from forestgen.dataset.safe_path import SafePath, check_folder, unreadable
 from forestgen.dataset.thumbnails import thumbnail_name
 from forestgen.runs import verify_files as files
 from forestgen.runs.contract import JobRecord
 from forestgen.runs.description import DATASET_NAME, read_description
+from forestgen.runs.folder import BATCH
 from forestgen.runs.ledger import Ledger
 from forestgen.runs.places import LocalPlace
 from forestgen.runs.records import JOBS, record_path, records_of
-from forestgen.runs.verify_frames import check_frames
+from forestgen.runs.replace import previous_beside
+from forestgen.runs.verify_frames import check_frames, column_findings
 from forestgen.runs.verify_manifests import description_findings, group_findings, manifest_findings, recipe_findings
 from forestgen.runs.verify_renders import check_renders
 from forestgen.runs.verify_report import VerificationReport
@@ -104,12 +107,19 @@ def verify(
 
     Raises
     ------
-    RecipeError : the folder is no data set of forestgen.
+    RecipeError : the folder is no data set of forestgen, or a number is out of bounds.
     """
+    whole_of(rerender, "rerender", 0, 10**9)
+    whole_of(seed, "seed", 0, MOST_SEEDS)
+    if workers is not None:
+        whole_of(workers, "workers", 1, 1024)
     start = perf_counter()
     said = open_data_set(root)
     with TemporaryDirectory(prefix="forestgen-verify-") as scratch, Ledger(Path(scratch)) as ledger:
         verifier = _Verifier(root, ledger, said, workers, progress or Silent())
+        previous = previous_beside(root)
+        if previous is not None:
+            verifier.notes.append(f"{previous} has a data set that a run was to replace, or is just replacing")
         _check_files(verifier, hashes)
         _check_records(verifier)
         _check_index(verifier)
@@ -143,9 +153,9 @@ def open_data_set(root: Path) -> dict[str, Any]:
     DatasetError : dataset.json is damaged.
     """
     refuse_address(root)
-    if not root.is_dir():
-        problem = "this is a file" if root.exists() else "there is no such folder"
-        raise RecipeError(problem, where=str(root), expected="a folder that forestgen render or batch made")
+    previous = previous_beside(root)
+    beside = None if previous is None else f"{previous} has the data set that was there: --resume puts it back"
+    check_folder(root, "a folder that forestgen render or batch made", beside)
     content, hint = root / DATASET_NAME, None
     if os.path.lexists(content):
         try:
@@ -157,13 +167,15 @@ def open_data_set(root: Path) -> dict[str, Any]:
     elif is_run_folder(root):
         got = "a split without its data set, or the output of forestgen simulate or calibrate"
         hint = f"name the folder that has {DATASET_NAME}"
-    elif (root / JOBS).is_dir():
+    elif (root / BATCH).is_file() or (root / JOBS).is_dir():
         got, hint = "a data set that is not finished", "the command that began it, with --resume"
     else:
         inside = sorted(path.parent.name for path in root.glob(f"*/{DATASET_NAME}"))
         got = f"a folder of data sets, such as {inside[0]}" if inside else "no forestgen output"
         hint = f"name {root / inside[0]}" if inside else None
-    raise RecipeError("this is no data set of forestgen", where=str(root), expected=DATASET_NAME, got=got, hint=hint)
+    raise RecipeError(
+        "this is no data set of forestgen", where=str(root), expected=DATASET_NAME, got=got, hint=beside or hint
+    )
 
 
 def refuse_address(path: Path) -> None:
@@ -277,6 +289,7 @@ def _index_findings(verifier: _Verifier) -> Iterator[Finding]:
     root, said = verifier.root, verifier.said
     frames: dict[str, set[str]] = {}
     try:
+        yield from column_findings(root, said)
         for row in read_index(root / INDEX_NAME):
             yield from _row_findings(verifier, row, frames)
     except (DatasetError, TypeError, ValueError, KeyError) as error:

@@ -16,7 +16,8 @@ from forestgen.core.errors import DatasetError
 from forestgen.core.progress import Progress
 from forestgen.dataset.check.files import read_json, read_picture, read_table, read_text
 from forestgen.dataset.check.finding import MISUNDERSTOOD, Finding, UnreadableError, misunderstood
-from forestgen.dataset.index import INDEX_NAME, read_index
+from forestgen.dataset.index import COLUMNS, INDEX_NAME, open_index, read_index
+from forestgen.dataset.settings import DRAW
 from forestgen.recipe.hashing import recipe_hash
 from forestgen.runs.parallel import in_order
 from forestgen.runs.verify_manifests import plain_yaml
@@ -57,6 +58,23 @@ def check_frames(root: Path, said: Mapping[str, Any], jobs: int | None, progress
         ("seeds", "no image's seed is in two splits", images, seeds.findings),
         ("communities", "no plant community is in two splits", images, communities.findings),
     ]
+
+
+def column_findings(root: Path, said: Mapping[str, Any]) -> Iterator[Finding]:
+    """Columns of the index that no data set of these recipes has.
+
+    Parameters
+    ----------
+    said : dataset.json.
+    """
+    known = {*COLUMNS, *(DRAW + key for recipe in said["recipes"] for key in recipe["draws"])}
+    with open_index(root / INDEX_NAME, ()) as file:
+        names = file.schema_arrow.names
+    for name in names:
+        if name not in known:
+            yield Finding(
+                INDEX_NAME, "the index has a column of its own", "those that forestgen writes", f"{name!r:.80}"
+            )
 
 
 def _rows(root: Path) -> Iterator[dict[str, Any]]:

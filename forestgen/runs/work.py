@@ -163,7 +163,7 @@ def _check_unchanged(drawn: DrawnRecipe, job: Job, work: Work) -> None:
             "a file that the recipe names has changed since the batch was started",
             where=str(work.loaded.path),
             expected=f"a drawn recipe of the key {job.key}",
-            hint="start the batch again with --resume: what has changed is made anew",
+            hint="start the batch again with `resume=True`: what has changed is made anew",
         )
 
 

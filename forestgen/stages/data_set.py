@@ -73,7 +73,7 @@ def check_stands(plan: Plan, loaded: LoadedRecipe, splits: Sequence[str]) -> Non
             where=plan.drawn.where("community", "model"),
             expected="one split, or a stand that is drawn for each image",
             got=f"placed, with the splits {', '.join(splits)}",
-            hint="--set 'dataset.splits={train: 1}'; merge data sets of several stands, each of its own split",
+            hint="`set='dataset.splits={train: 1}'`; merge data sets of several stands, each of its own split",
         )
 
 
@@ -94,5 +94,5 @@ def check_splits(loaded: LoadedRecipe, splits: Sequence[str]) -> None:
             where=loaded.sources.where(("same_stand",)),
             expected="by_split, a stand for each split; or false, a stand for each image",
             got=f"true, with the splits {', '.join(splits)}",
-            hint="or one split: --set 'dataset.splits={train: 1}'",
+            hint="or one split: `set='dataset.splits={train: 1}'`",
         )

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from forestgen.core.arguments import whole_of
 from forestgen.core.errors import RecipeError
 from forestgen.geometry.atlas import unwrap
 from forestgen.geometry.baking import bake
@@ -17,16 +18,18 @@ from forestgen.geometry.vectors import concatenate
 from forestgen.plants.bark.texture import SurfaceTexture
 
 FEWEST_TRIANGLES = 100
+_MOST_TRIANGLES = 10**9
 ATLAS_PX = 2048
 _NAME = "wood"
 
 
 def check_wood_triangles(number: int | None) -> None:
     """Raise `RecipeError` for a number that no trunk can be made of."""
-    if number is not None and number < FEWEST_TRIANGLES:
-        raise RecipeError(
-            "too few triangles", where="--wood-triangles", expected=f"at least {FEWEST_TRIANGLES}", got=str(number)
-        )
+    if number is None:
+        return
+    if whole_of(number, "wood_triangles", -_MOST_TRIANGLES, _MOST_TRIANGLES) < FEWEST_TRIANGLES:
+        expected = f"at least {FEWEST_TRIANGLES}"
+        raise RecipeError("too few triangles", where="wood_triangles", expected=expected, got=str(number))
 
 
 def with_light_wood(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import stat
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
@@ -14,15 +15,21 @@ from forestgen.dataset.files import output_error, write_bytes
 
 
 def check_writable(paths: Iterable[Path], *, overwrite: bool) -> None:
-    """Raise `OutputError` for a folder, for a file that may not be replaced, and where nobody may write."""
+    """Raise `OutputError` for a folder, for a file that may not be replaced, and where nobody may write.
+
+    Links, pipes and devices are never replaced.
+    """
     for path in paths:
         try:
             if path.is_dir():
                 raise OutputError(
                     "the output is a folder", where=str(path), expected="a file", hint="choose another name"
                 )
+            if os.path.lexists(path) and not stat.S_ISREG(path.lstat().st_mode):
+                expected, hint = "a new name, or a regular file: no link, pipe or device", "choose another name"
+                raise OutputError("the output is no regular file", where=str(path), expected=expected, hint=hint)
             if path.exists() and not overwrite:
-                raise OutputError("the file exists", where=str(path), hint="choose another name, or --overwrite")
+                raise OutputError("the file exists", where=str(path), hint="choose another name, or `overwrite=True`")
             folder = next(parent for parent in path.absolute().parents if parent.exists())
         except OSError as error:
             raise output_error(error, path) from error
@@ -86,6 +93,7 @@ class FileSet:
         self._clear()
 
     def _place(self, placed: list[Path]) -> None:
+        check_writable(self._hidden, overwrite=self._overwrite)  # another process may have written there meanwhile
         for path, hidden in self._hidden.items():
             new = not path.exists()
             try:

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.core.arguments import number_of, whole_of
 from forestgen.core.errors import RecipeError
 from forestgen.core.parts import Part
 from forestgen.core.progress import Progress
@@ -23,7 +24,7 @@ from forestgen.plants.bark.texture import texture_images
 from forestgen.plants.build import build_exemplar, size_m
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.plants.parameters import with_detail
-from forestgen.recipe.assets import SUFFIXES
+from forestgen.recipe.assets import SUFFIXES, find_asset
 from forestgen.recipe.load import DrawnRecipe, load_recipe_data
 from forestgen.recipe.species import TALLEST_M, Species
 from forestgen.scene.spec import Camera, Material
@@ -125,19 +126,21 @@ def _check(order: Order) -> None:
 
 def check_numbers(order: Order) -> None:
     """Raise `RecipeError` for numbers, a pace or a seed that are none."""
-    for option, number in (("--count", order.count), ("--frames", order.frames)):
-        if number is not None and not 1 <= number <= _MOST_FILES:
-            raise RecipeError("no such number", where=option, expected=f"1 to {_MOST_FILES}", got=str(number))
+    for option, number in (("count", order.count), ("frames", order.frames)):
+        if number is not None:
+            whole_of(number, option, 1, _MOST_FILES)
     if order.frames is not None and order.count > 1:
-        raise RecipeError("frames are of one plant", where="--frames", expected="--count or --frames, not both")
-    if not (math.isfinite(order.frames_per_s) and 0 < order.frames_per_s <= 1000):
+        raise RecipeError("frames are of one plant", where="frames", expected="`count` or `frames`, not both")
+    if not 0 < number_of(order.frames_per_s, "frames_per_s") <= 1000:
         got = f"{order.frames_per_s:g}"
-        raise RecipeError("no such pace", where="--frames-per-s", expected="above 0, at most 1000", got=got)
-    if order.seed + order.count > _MOST_SEEDS:
+        raise RecipeError("no such pace", where="frames_per_s", expected="above 0, at most 1000", got=got)
+    if whole_of(order.seed, "seed", 0, _MOST_SEEDS) + order.count > _MOST_SEEDS:
         expected = f"less than {_MOST_SEEDS - order.count + 1}"
-        raise RecipeError("no such seed", where="--seed", expected=expected, got=str(order.seed))
-    if order.detail not in (None, 0, 1, 2):
-        raise RecipeError("no such level of detail", where="--detail", expected="0, 1 or 2", got=str(order.detail))
+        raise RecipeError("no such seed", where="seed", expected=expected, got=str(order.seed))
+    if order.detail is not None:
+        whole_of(order.detail, "detail", 0, 2)
+    if order.height_m is not None:
+        number_of(order.height_m, "height_m")
     check_wood_triangles(order.wood_triangles)
     order.shot.check()
 
@@ -148,10 +151,10 @@ def check_formats(outputs: Sequence[Path]) -> None:
     for path in outputs:
         if path.suffix.lower() not in wanted:
             expected = ", ".join(wanted[:-1]) + f" or {wanted[-1]}"
-            raise RecipeError("unknown format", where="--out", expected=expected, got=f"{str(path)!r:.200}")
+            raise RecipeError("unknown format", where="out", expected=expected, got=f"{str(path)!r:.200}")
     if len(set(outputs)) < len(outputs):
         twice = next(path for path in outputs if list(outputs).count(path) > 1)
-        raise RecipeError("the same file twice", where="--out", got=str(twice))
+        raise RecipeError("the same file twice", where="out", got=str(twice))
 
 
 def name_of(species: str) -> str:
@@ -169,6 +172,8 @@ def drawn_of(species: str, seed: int) -> DrawnRecipe:
     path = Path(species)
     is_file = path.suffix in SUFFIXES["species"]
     source = f"./{path.name}" if is_file else species  # a file of the user's own may lie anywhere
+    if not is_file:
+        find_asset("species", species, where="species")
     alone = {"species": {name_of(species): {"from": source}}, "community": {"model": "multiset_lsystem"}}
     folder = path.parent if is_file else Path()
     return load_recipe_data({"forestgen": 1, "seed": seed, **alone}, "forestgen plant", folder).draw(0)
@@ -214,17 +219,17 @@ def radius_of_m(species: Species, height_m: float | None) -> float:
     tallest_m = min(_TALLEST * species.mature_height_m, TALLEST_M)  # a slip of the pen makes gigabytes of leaves
     if not (math.isfinite(height_m) and _SHORTEST_M <= height_m <= tallest_m):
         expected = f"{_SHORTEST_M:g} to {tallest_m:.3g} m; a mature plant has {species.mature_height_m:.3g} m"
-        raise RecipeError("no such plant", where="--height-m", expected=expected, got=f"{height_m:g}")
+        raise RecipeError("no such plant", where="height_m", expected=expected, got=f"{height_m:g}")
     law = species.allometry.height_m
     if law.exponent:
         return law.inverse(height_m)
     if not math.isclose(height_m, law.scale, rel_tol=0.01):
         raise RecipeError(
             "plants of this species are all of one height",
-            where="--height-m",
+            where="height_m",
             expected=f"{law.scale:g} m",
             got=f"{height_m:g} m",
-            hint="leave --height-m out",
+            hint="leave `height_m` out",
         )
     return mature_m
 

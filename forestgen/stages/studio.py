@@ -15,6 +15,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.core.arguments import listed, number_of, shown, whole_of
 from forestgen.core.errors import RecipeError
 from forestgen.core.frames import look_at
 from forestgen.core.progress import Progress
@@ -61,12 +62,17 @@ class Shot:
 
     def check(self) -> None:
         """Raise `RecipeError` for a picture or a view that is none."""
-        if not all(8 <= side <= 8192 for side in self.size_px):
-            got = f"{self.size_px[0]} {self.size_px[1]}"
-            raise RecipeError("no such picture", where="--size-px", expected="8 to 8192 pixels each", got=got)
-        if self.distance_m is not None and not 1e-3 <= self.distance_m <= 1e4:  # NaN is refused too
+        sides = listed(self.size_px, "size_px", "two numbers")
+        if len(sides) != 2 or not all(type(side) is int and 8 <= side <= 8192 for side in sides):
+            got = " ".join(map(shown, sides))
+            expected = "two whole numbers, 8 to 8192 pixels each"
+            raise RecipeError("no such picture", where="size_px", expected=expected, got=got)
+        whole_of(self.samples, "samples", 1, 65536)
+        if self.distance_m is not None and not 1e-3 <= number_of(self.distance_m, "distance_m") <= 1e4:
             got = f"{self.distance_m:g}"
-            raise RecipeError("no such distance", where="--distance-m", expected="0.001 to 10000 m", got=got)
+            raise RecipeError("no such distance", where="distance_m", expected="0.001 to 10000 m", got=got)
+        if self.look_at_m is not None:
+            number_of(self.look_at_m, "look_at_m")
 
 
 def photograph(
@@ -143,8 +149,8 @@ def _fitted(position: tuple[float, float, float], points: Floats, shot: Shot) ->
     if not np.all(way[:, 1] > 0.0):
         raise RecipeError(
             "the camera stands in the plant",
-            where="--distance-m",
-            expected=f"more than {-points[:, 1].min():.3g} m, or --look-at-m with it",
+            where="distance_m",
+            expected=f"more than {-points[:, 1].min():.3g} m, or `look_at_m` with it",
             got=f"{-position[1]:g}",
         )
     bearing = np.arctan2(way[:, 0], way[:, 1])
@@ -159,8 +165,8 @@ def _fitted(position: tuple[float, float, float], points: Floats, shot: Shot) ->
     if not (np.all(seen[:, 2] > 0.0) and widest < _WIDEST_DEG):
         raise RecipeError(
             "no lens holds the whole plant from there",
-            where="--distance-m",
-            expected="a larger distance, or --look-at-m with it",
+            where="distance_m",
+            expected="a larger distance, or `look_at_m` with it",
             got=f"{-position[1]:g}",
         )
     return Camera("plant", position, axes, shot.size_px, widest)
@@ -171,7 +177,7 @@ def _close(exemplar: Exemplar, shot: Shot) -> Camera:
     level = 0.6 * height if shot.look_at_m is None else shot.look_at_m
     if not 0 <= level <= height:
         raise RecipeError(
-            "the plant is not so tall", where="--look-at-m", expected=f"0 to {height:.4g} m", got=f"{level:g}"
+            "the plant is not so tall", where="look_at_m", expected=f"0 to {height:.4g} m", got=f"{level:g}"
         )
     target = _nearest_point(exemplar, level, size_of_m(exemplar))
     distance = shot.distance_m or (3.5 * shot.window_m if shot.window_m else 0.35 * size_of_m(exemplar))

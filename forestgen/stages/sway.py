@@ -24,10 +24,10 @@ def check_sways(species_name: str, parameters: Any) -> None:
     if parameters.generator != _SWAYING or parameters.variation is not None:
         raise RecipeError(
             "plants of this species cannot sway",
-            where="--frames",
+            where="frames",
             expected=f"a species of the generator {_SWAYING}, without variation",
             got=f"{species_name}, of the generator {parameters.generator}",
-            hint="`forestgen plant --list` shows generators; or leave --frames out",
+            hint="`forestgen plant --list` shows generators; or leave `frames` out",
         )
 
 

@@ -45,6 +45,15 @@ def sum_again(root: Path) -> None:
     (root / "SHA256SUMS").write_text("".join(f"{digest(root / name)}  {name}\n" for name in names))
 
 
+def column(root: Path, name: str, values: Any) -> None:
+    """Add a column to the index; `values` of each row."""
+    path = root / "index.parquet"
+    table = pq.read_table(path)
+    table = table.append_column(name, pa.array([values] * table.num_rows))
+    path.unlink()
+    pq.write_table(table, path)
+
+
 def written(path: Path, content: bytes) -> None:
     """Replace a file, which may be a link to one that others share."""
     path.unlink()

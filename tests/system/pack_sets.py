@@ -49,7 +49,8 @@ def many(root: Path, frame: Path, copies: int) -> Path:
         folder.mkdir(parents=True)
         for file in frame.iterdir():
             os.link(file, folder / file.name)
-        rows.append({"frame": folder.name, "split": "train", "image": number, "camera": "camera0"})
+        known = {"width_px": WIDTH, "height_px": HEIGHT, "channels": ["R", "G", "B"], "plants_in_view": 5}
+        rows.append({"frame": folder.name, "split": "train", "image": number, "camera": "camera0", **known})
     shutil.copy(frame.parent / "classes.json", split)
     write_index(root / "index.parquet", rows)
     _describe(root, {"train": tuple(range(copies))})
@@ -90,6 +91,10 @@ def _row(split: str, folder: Path, image: int) -> dict:
         "split": split,
         "image": image,
         "camera": "camera0",
+        "width_px": WIDTH,
+        "height_px": HEIGHT,
+        "channels": ["R", "G", "B"],
+        "plants_in_view": 4 + image,
         "sun_elevation_deg": 30.0 + image,
         "instance_pixels_histogram": [image, 2],
         "class_pixels": {CLASSES[number]: pixels for number, pixels in counts.items()},

@@ -40,7 +40,8 @@ def make(work: Work, job: Job, attempt: int) -> Outcome:
             said = {"bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}
             files[f"{job.split}/{frame}/{name}"] = said
         folder = f"{job.split}/{frame}"
-        rows.append({"frame": frame, "folder": folder, "split": job.split, "image": job.image, "camera": camera})
+        place = {"frame": frame, "folder": folder, "split": job.split, "image": job.image, "camera": camera}
+        rows.append({**place, "width_px": 8, "height_px": 8, "channels": ["R", "G", "B"], "plants_in_view": 0})
     for camera in TWO_CAMERAS:
         frame = f"{job.image:06d}-{camera}"
         work.place.put_folder(staging / frame, f"{job.split}/{frame}")

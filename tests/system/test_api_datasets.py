@@ -14,13 +14,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.tiers import slow_but
 from batch_pieces import RECIPE, shown
 from command_line import tree
 from PIL import Image
 
 import forestgen as fg
 from forestgen.runs.contract import HIDDEN
+from support.tiers import slow_but
 
 IMAGES = 3
 # A path of two frames beside a camera that stands, all channels that plants without modules have, and the denoiser.
@@ -170,7 +170,9 @@ def test_what_is_no_finished_data_set_is_refused(data_set: fg.Dataset, tmp_path:
     with pytest.raises(fg.DatasetError, match="the index cannot be read"):
         fg.Dataset(copy)
     (copy / "dataset.json").unlink()
-    for folder, got in ((copy, "not finished"), (tmp_path, "a folder of data sets"), (tmp_path / "none", "no such")):
+    with pytest.raises(fg.RecipeError, match="there is no such folder"):
+        fg.Dataset(tmp_path / "none")
+    for folder, got in ((copy, "not finished"), (tmp_path, "a folder of data sets")):
         if folder == tmp_path:
             (copy / "dataset.json").write_text("{}")
         with pytest.raises(fg.DatasetError) as refused:
@@ -316,7 +318,7 @@ def test_an_interrupted_render_goes_on(number: int, recipe: fg.Recipe, data_set:
     assert target.exists() == bool(done)
     assert len(list(target.glob("*/*/frame.exr"))) == 3 * done
     assert not list((target / HIDDEN / "staging").glob("*"))
-    with pytest.raises(fg.DatasetError, match="not finished" if done else "no such folder"):
+    with pytest.raises(fg.DatasetError if done else fg.RecipeError, match="not finished" if done else "no such folder"):
         fg.Dataset(target)
     run = recipe.render(target, count=IMAGES, resume=True, progress=False)
     assert (run.summary.already, run.summary.made) == (done, IMAGES - done)

@@ -301,7 +301,7 @@ def test_strange_views_and_skies_are_rendered(tmp_path: Path) -> None:
 
 
 PLANTS = {
-    ("nix",): (2, ["species.nix", "fireweed, ", "'nix'"]),
+    ("nix",): (2, ["SPECIES: nothing", "fireweed, ", "'nix'"]),
     ("sprouce",): (2, ["did you mean 'spruce'?"]),
     ("./nix.yaml",): (2, ["no such species file", "nix.yaml"]),
     ("poplar", "--height-m", "0"): (2, ["--height-m", "0.02 to 40.5 m", "a mature plant has 20.2 m", "0"]),
@@ -309,7 +309,7 @@ PLANTS = {
     ("poplar", "--height-m", "-3"): (2, ["--height-m", "-3"]),
     ("poplar", "--height-m", "nan"): (2, ["--height-m", "nan"]),
     ("poplar", "--height-m", "1e9"): (2, ["--height-m", "1e+09"]),
-    ("poplar", "--count", "0"): (2, ["--count", "1 to 9999", "0"]),
+    ("poplar", "--count", "0"): (2, ["--count", "1 to 9,999", "0"]),
     ("poplar", "--frames", "4"): (2, ["--frames", "cannot sway", "strands", "silhouette"]),
     ("beech", "--frames", "4", "--count", "2"): (2, ["--frames", "not both"]),
     ("beech", "--frames", "4", "--frames-per-s", "nan"): (2, ["--frames-per-s", "nan"]),

@@ -198,7 +198,7 @@ def test_a_batch_is_not_gone_on_with_unasked(tmp_path: Path, faults: Path) -> No
     path = recipe(tmp_path)
     serial(path, tmp_path / "data", 2, make)
     before = shown(tmp_path / "data")
-    with pytest.raises(OutputError, match="--resume"):
+    with pytest.raises(OutputError, match="`resume=True`"):
         serial(path, tmp_path / "data", 3, make)
     assert shown(tmp_path / "data") == before
 
@@ -255,7 +255,7 @@ def test_finished_images_are_thrown_away_only_if_asked(tmp_path: Path, faults: P
         with pytest.raises(RecipeError, match=problem) as refused:
             serial(path, target, count, make, *overrides, resume=True)
         assert reason in str(refused.value)
-        assert "--discard" in str(refused.value)
+        assert "`discard=True`" in str(refused.value)
         assert shown(target) == before
     assert serial(path, target, 6, make, resume=True).made == 0
     answer = run("batch", path, "--count", "2", "--out", target, "--resume")

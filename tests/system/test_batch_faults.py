@@ -197,7 +197,7 @@ def test_a_full_disk_stops_the_run_and_loses_nothing(tmp_path: Path, faults: Pat
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert "the run has stopped" in str(refused.value)
-    assert "--resume" in str(refused.value)
+    assert "`resume=True`" in str(refused.value)
     assert shown(target) == before
     events = log_of(target)
     assert [event["will_retry"] for event in events if event["event"] == "job_failed"] == [True, False]

@@ -12,7 +12,7 @@ from command_line import TINY, run
 
 from forestgen.atmosphere.grid import CloudGrid
 from forestgen.atmosphere.netcdf_file import write_netcdf
-from forestgen.cli.light import join_points, told
+from forestgen.cli.light import join_points
 from forestgen.core.errors import RecipeError
 from forestgen.core.parts import Part
 from forestgen.core.progress import Silent
@@ -23,6 +23,7 @@ from forestgen.render.irradiance import uniform
 from forestgen.scene.spec import Instances, Material, SceneSpec, Sky, Terrain
 from forestgen.stages import calibrate as stage
 from forestgen.stages.light import Quantity
+from forestgen.stages.light_text import told
 
 
 def level(half_m: float, z_m: float) -> Mesh:

@@ -167,8 +167,14 @@ def test_bad_arguments_are_refused(whole, tmp_path):
     run("merge", first, "--out", "s3://bucket/set").refused(2, "object store", "s3://bucket/set")
     (tmp_path / "full").mkdir()
     (tmp_path / "full/mine.txt").write_text("mine")
-    with pytest.raises(OutputError, match="new or empty folder"):
+    with pytest.raises(OutputError, match=r"(?s)is not empty and holds no forestgen output.*new or empty folder"):
         merge([first], tmp_path / "full")
+    with pytest.raises(OutputError, match="already holds a forestgen output"):
+        merge([first], piece(whole, tmp_path / "b", 1))
+    with pytest.raises(OutputError, match="the output is a file"):
+        merge([first], tmp_path / "full/mine.txt")
+    with pytest.raises(RecipeError, match="at least one"):
+        merge([], tmp_path / "c")
     with pytest.raises(OutputError, match="lies in a data set"):
         merge([first], first / "inside")
     assert not (tmp_path / "c").exists()

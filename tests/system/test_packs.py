@@ -267,7 +267,7 @@ def test_a_split_is_no_data_set_of_its_own(data_set, tmp_path):
     answer.refused(6, "this is no data set", "a part of a data set", f"name {data_set}")
     with pytest.raises(DatasetError, match="this is no data set") as refused:
         packed(data_set / "val", tmp_path / "pack")
-    assert refused.value.hint == f"name {data_set}, with --split val"
+    assert refused.value.hint == f"name {data_set}, with `splits='val'`"
     assert not (tmp_path / "pack").exists()
 
 
@@ -327,7 +327,7 @@ def test_refusals_say_what_would_do(copy, tmp_path):
     for size in ("0MB", "ten", "-5MB", "5XB", "1e9"):
         ask("--shard-size", size).refused(2, "this is no size", size)
     ask(folder=tmp_path).refused(6, "this is no data set", str(tmp_path))
-    ask(folder=tmp_path / "none").refused(6, "there is no such folder")
+    ask(folder=tmp_path / "none").refused(2, "there is no such folder")
     run("pack", copy, "--format", "webdataset", "--out", copy / "pack").refused(4, "inside the data set")
     for frame in (*frames(copy, "train").values(), *frames(copy, "val").values()):
         (frame / "depth.png").unlink()

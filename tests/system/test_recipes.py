@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from support.tiers import slow_but
 
 import forestgen
 from forestgen.core.progress import Silent
@@ -13,6 +12,7 @@ from forestgen.recipe.assets import find_asset, list_assets, recipes_dir
 from forestgen.recipe.load import load_recipe
 from forestgen.stages.community import final_population
 from forestgen.stages.plan import check_plan
+from support.tiers import slow_but
 
 SMALL = (
     "render.samples=1",
@@ -91,7 +91,9 @@ def _frames(folder: Path) -> dict[str, bytes]:
 REPRODUCTIONS = [name for name in list_assets("recipes") if name.startswith("reproductions/")]
 
 
-@pytest.mark.parametrize("name", slow_but(REPRODUCTIONS, "reproductions/kernels_fig5_4", "reproductions/size_hierarchy"))
+@pytest.mark.parametrize(
+    "name", slow_but(REPRODUCTIONS, "reproductions/kernels_fig5_4", "reproductions/size_hierarchy")
+)
 def test_reproduction_simulates(name: str) -> None:
     plan = check_plan(load_recipe(find_asset("recipes", name)), simulate_only=True)
     assert len(final_population(plan, Silent()))

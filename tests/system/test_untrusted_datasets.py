@@ -13,13 +13,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from support.tiers import sampled
 from batch_pieces import copied
 from command_line import Answer, run, tree
 from hostile_sets import MARK, OUTSIDE, WAYS, WHOLES, changed, outside, summed
 from pack_sets import batch
 
 from forestgen.dataset.index import read_index, write_index
+from support.tiers import sampled
 
 _LONGEST_S = 60.0  # of a command; a pipe that is waited for, or a device that is read to its end, takes for ever
 _opened: list[str] = []
@@ -56,7 +56,7 @@ def commands(name: str, root: Path, out: Path) -> list[list[str | Path]]:
         "verify": [["verify", root, "--workers", "1"]],
         "merge": [["merge", root, "--out", out / "merged"]],
         "linked merge": [["merge", root, "--link", "--out", out / "linked"]],
-        "report": [["report", root, "--out", out / "report.html"]],
+        "report": [["report", root, "--out", out / "report.html", "--overwrite"]],
         "pack": [
             ["pack", root, "--format", "webdataset", "--out", out / "shards", "--channels", "preview,annotations"],
             ["pack", root, "--format", "huggingface", "--out", out / "pack"],
@@ -207,7 +207,7 @@ def test_no_name_in_a_text_leads_out(name: str, whole: Path, tmp_path: Path, sec
 
 
 RESUMED = {
-    ".forestgen/lock": 4, ".forestgen/holder.json": 4, ".forestgen/jobs": 6, ".forestgen/staging": 6, ".forestgen": 6,
+    ".forestgen/lock": 4, ".forestgen/holder.json": 4, ".forestgen/jobs": 6, ".forestgen/staging": 4, ".forestgen": 6,
     "train": 4, "thumbnails": 4, "maps": 4, "run": 4, "run/log.jsonl": 4, "train/coco.json": 0,
 }  # fmt: skip
 

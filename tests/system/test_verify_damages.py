@@ -12,6 +12,7 @@ from batch_pieces import copied
 from command_line import run
 from dataset_breaks import (
     Harm,
+    column,
     content,
     cut,
     edit,
@@ -206,6 +207,8 @@ DAMAGES: dict[str, Damage] = {
     ),
     "a record": Damage(lambda r: record(r, 2, files={}), ".forestgen/jobs/000002-", None),
     "a record missing": Damage(lambda r: next((r / ".forestgen/jobs").glob("000001-*")).unlink(), "000001-near", None),
+    "a column of draws": Damage(lambda r: column(r, "draw.zz", 1.0), "draw.zz", "index"),
+    "a column": Damage(lambda r: column(r, "z\x1b[1m", {"a": 1}), r"z\x1b[1m", "index"),
 }
 
 

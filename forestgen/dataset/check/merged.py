@@ -15,7 +15,7 @@ from forestgen.core.errors import RecipeError
 from forestgen.dataset.check.files import read_json
 from forestgen.dataset.check.finding import Finding, UnreadableError
 from forestgen.dataset.check.recipe import categories, read_recipe
-from forestgen.dataset.safe_path import SafePath
+from forestgen.dataset.safe_path import SafePath, check_folder
 
 MANIFEST, COCO, PANOPTIC, TRANSFORMS, BOP = "manifest.json", "coco.json", "panoptic.json", "transforms.json", "bop"
 _BOP_FILES = (("camera", "scene_camera.json"), ("gt", "scene_gt.json"), ("info", "scene_gt_info.json"))
@@ -191,10 +191,7 @@ def folder_of(path: Any) -> str:
 
 def open_dataset(root: Path) -> Merged:
     """The folder of a data set; any other folder raises `RecipeError` with what it seems to be."""
-    if not root.exists():
-        raise RecipeError("there is no such folder", where=str(root), expected="the folder of a split")
-    if not root.is_dir():
-        raise RecipeError("this is a file", where=str(root), expected="the folder of a split")
+    check_folder(root, "the folder of a split")
     merged = Merged(root)
     try:
         frames = merged.frames

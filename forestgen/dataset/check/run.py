@@ -219,7 +219,7 @@ def _frame_results(tasks: Sequence[FrameTask], jobs: int, hashes: bool, most: fl
         for future in waiting:
             yield from future.result()
     except BrokenProcessPool as error:
-        hint = "free some memory, or --workers 1"
+        hint = "free some memory, or `workers=1`"
         raise ResourceError("a worker process died, most likely for want of memory", hint=hint) from error
     finally:
         pool.shutdown(wait=True, cancel_futures=True)

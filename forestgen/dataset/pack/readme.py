@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -57,12 +57,19 @@ def _yaml(content: Any) -> str:
     return stream.getvalue()
 
 
-def body(title: str, code: Sequence[str], splits: Mapping[str, Sequence[Shard]], classes: Mapping[str, Any]) -> str:
+def body(
+    title: str,
+    code: Sequence[str],
+    splits: Mapping[str, Sequence[Shard]],
+    classes: Mapping[str, Any],
+    channels: Collection[str],
+) -> str:
     """What people read.
 
     Parameters
     ----------
     code : lines that open the pack.
+    channels : names of those that it holds; others are not told of.
     """
     rows = [
         f"| {name} | {sum(one.frames for one in shards):,} | {len(shards):,} | "
@@ -72,6 +79,12 @@ def body(title: str, code: Sequence[str], splits: Mapping[str, Sequence[Shard]],
     semantic, categories = (
         ", ".join(f"{number} {markdown(name)}" for number, name in classes[key].items())
         for key in ("semantic", "categories")
+    )
+    told = (
+        ("semantic", f"- `semantic`, classes: {semantic}"),
+        ("instance", "- `instance`: plant_id = R + 256 G + 65536 B; 0 is no plant"),
+        ("annotations", f"- Categories of the plants: {categories}"),
+        ("depth", "- `depth`: steps of `depth_unit_m` along the camera's axis; 0 is sky, 65535 is beyond the range"),
     )
     lines = [
         f"# {title}",
@@ -84,10 +97,7 @@ def body(title: str, code: Sequence[str], splits: Mapping[str, Sequence[Shard]],
         "|---|---|---|---|",
         *rows,
         "",
-        f"- `semantic`, classes: {semantic}",
-        "- `instance`: plant_id = R + 256 G + 65536 B; 0 is no plant",
-        f"- Categories of the plants: {categories}",
-        "- `depth`: steps of `depth_unit_m` along the camera's axis; 0 is sky, 65535 is beyond the range",
+        *(text for channel, text in told if channel in channels),
         "",
     ]
     return "\n".join(lines)

@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Literal
 
+from forestgen.core.arguments import MOST_SEEDS, whole_of
 from forestgen.core.errors import DatasetError, OutputError, RecipeError
 from forestgen.core.figures import parse_bytes
 from forestgen.core.progress import Progress
@@ -50,13 +51,15 @@ def packing_of(
 
     Raises
     ------
-    RecipeError : no such format or size.
+    RecipeError : no such format, size or seed.
     """
+    if seed is not None:
+        whole_of(seed, "seed", 0, MOST_SEEDS)
     chosen = next((one for one in FORMATS if one == form), None)
     if chosen is None:
-        raise RecipeError("there is no such format", where="--format", expected=" or ".join(FORMATS), got=form)
+        raise RecipeError("there is no such format", where="format", expected=" or ".join(FORMATS), got=form)
     names = None if channels is None else tuple(channels)
-    return Packing(chosen, parse_bytes(shard_size, "--shard-size"), names, tuple(splits), seed)
+    return Packing(chosen, parse_bytes(shard_size, "shard_size"), names, tuple(splits), seed)
 
 
 @dataclass(frozen=True)
@@ -78,7 +81,7 @@ def pack(root: Path, target: Path, packing: Packing, *, overwrite: bool = False,
     Raises
     ------
     DatasetError : `root` is no data set, or a file of it is missing or damaged.
-    RecipeError : the data set has no such channel or split.
+    RecipeError : there is no such folder, or the data set has no such channel or split.
     OutputError : the pack cannot be written.
     """
     source = open_source(root, packing.splits)
@@ -146,7 +149,7 @@ def _split_names(source: Source, form: Format) -> dict[str, str]:
     if len(set(names.values())) < len(names):
         raise RecipeError(
             "two splits would have the same name, for hyphens become underscores",
-            where="--split",
+            where="splits",
             got=", ".join(names),
             hint="pack them one by one",
         )
@@ -176,13 +179,14 @@ def _write_rest(
     write_bytes(folder / CLASSES_FILE, read_file(source.splits[0].folder / CLASSES_FILE))
     code = opening_code(packing.format, "PATH", shards)
     of_card, chapter = card_of(source.root)
-    text = body("Packed for " + _LIBRARIES[packing.format], code, shards, source.classes) + chapter
+    title, names = "Packed for " + _LIBRARIES[packing.format], [channel.name for channel in channels]
+    text = body(title, code, shards, source.classes, names) + chapter
     head = front_matter(columns_of(source, channels), shards, of_card) if packing.format == "huggingface" else ""
     write_bytes(folder / "README.md", (head + text).encode())
     content = {
         "schema": _SCHEMA,
         "format": packing.format,
-        "channels": [channel.name for channel in channels],
+        "channels": names,
         "order_seed": packing.seed,
         "shard_bytes": packing.shard_bytes,
         "splits": {name: [asdict(one) for one in listed] for name, listed in shards.items()},

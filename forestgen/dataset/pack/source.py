@@ -10,9 +10,11 @@ from typing import Any
 
 from forestgen.core.errors import DatasetError, RecipeError
 from forestgen.dataset.index import INDEX_NAME, whole_index
+from forestgen.dataset.index_values import plain_rows
 from forestgen.dataset.legend import FILE_NAME as CLASSES_FILE
+from forestgen.dataset.legend import read_legend
 from forestgen.dataset.pack.channels import read_json
-from forestgen.dataset.safe_path import SafePath, unreadable
+from forestgen.dataset.safe_path import SafePath, check_folder
 
 LAST_FILE = "dataset.json"  # that a run writes
 
@@ -42,11 +44,7 @@ class Source:
 
     def row(self, frame: str) -> dict[str, Any]:
         """A frame's row of the index."""
-        try:
-            rows = self.index.slice(self.row_numbers[frame], 1).to_pylist(maps_as_pydicts="strict")
-        except (ValueError, KeyError) as error:  # a key twice, or a text that is no UTF-8
-            raise unreadable(self.root / INDEX_NAME, error) from error
-        return dict(rows[0])
+        return plain_rows(self.index.slice(self.row_numbers[frame], 1), self.root / INDEX_NAME)[0]
 
 
 def open_source(root: Path, splits: Sequence[str] = ()) -> Source:
@@ -60,22 +58,21 @@ def open_source(root: Path, splits: Sequence[str] = ()) -> Source:
     Raises
     ------
     DatasetError : the folder is no data set, is not finished, or is damaged.
-    RecipeError : the data set has no such split.
+    RecipeError : there is no such folder, or the data set has no such split.
     """
+    elsewhere = "packs are made of folders of this machine: copy the data set here first" if ":/" in str(root) else None
+    check_folder(root, "a folder that forestgen render, batch or merge made", elsewhere)
     if not os.path.lexists(root / INDEX_NAME) or not os.path.lexists(root / LAST_FILE):
         raise _no_data_set(root)
     return _opened(root, splits)
 
 
 def _no_data_set(root: Path) -> DatasetError:
-    if not root.is_dir():
-        hint = "packs are made of folders of this machine: copy the data set here first" if ":/" in str(root) else None
-        return DatasetError("there is no such folder", where=str(root), hint=hint)
     if (root / INDEX_NAME).exists() or (root / ".forestgen").is_dir():
         missing = LAST_FILE if (root / INDEX_NAME).is_file() else INDEX_NAME
-        hint = "the command that made it, with --resume, goes on with it"
+        hint: str | None = "the command that made it, with --resume, goes on with it"
         return DatasetError(f"the data set is not finished: it has no {missing} yet", where=str(root), hint=hint)
-    hint = f"name {root.parent}, with --split {root.name}" if (root.parent / LAST_FILE).is_file() else None
+    hint = f"name {root.parent}, with `splits='{root.name}'`" if (root.parent / LAST_FILE).is_file() else None
     expected = "a folder that forestgen render, batch or merge made"
     return DatasetError("this is no data set", where=str(root), expected=expected, hint=hint)
 
@@ -91,7 +88,7 @@ def _opened(root: Path, wanted: Sequence[str]) -> Source:
     for name in wanted:
         if name not in frames:
             raise RecipeError(
-                "the data set has no such split", where="--split", expected="of " + ", ".join(sorted(frames)), got=name
+                "the data set has no such split", where="splits", expected="of " + ", ".join(sorted(frames)), got=name
             )
     chosen = sorted(set(wanted) or frames, key=lambda name: (order.index(name) if name in order else len(order), name))
     splits = tuple(Split(name, SafePath(root, name), tuple(sorted(frames[name]))) for name in chosen)
@@ -102,18 +99,13 @@ def _opened(root: Path, wanted: Sequence[str]) -> Source:
 
 
 def _common_classes(splits: Sequence[Split]) -> dict[str, Any]:
-    classes = read_json(splits[0].folder / CLASSES_FILE)
-    for key in ("semantic", "categories"):
-        named = classes.get(key)
-        if not isinstance(named, dict) or not all(isinstance(name, str) for name in named.values()):
-            where, expected = str(splits[0].folder / CLASSES_FILE), f"{key}: a name for each number"
-            raise DatasetError("a file is not what its name says", where=where, expected=expected)
+    classes = read_legend(splits[0].folder)
     for split in splits[1:]:
         if read_json(split.folder / CLASSES_FILE) != classes:
             raise DatasetError(
                 "splits differ in the numbers of their classes",
                 where=str(split.folder / CLASSES_FILE),
                 expected=f"the same as in {splits[0].name}",
-                hint="pack them one by one, with --split",
+                hint="pack them one by one, with `splits`",
             )
     return classes

@@ -12,7 +12,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from forestgen.core.errors import DatasetError
-from forestgen.dataset.index import open_index
+from forestgen.dataset.index import open_table
 
 _NEEDED = ("frame", "split", "image")
 _NUMERIC = (pa.types.is_integer, pa.types.is_floating, pa.types.is_boolean)
@@ -77,10 +77,7 @@ def read_frames(path: Path) -> Frames:
     DatasetError : it cannot be read, or is no index of ours.
     """
     try:
-        with open_index(path, _NEEDED) as file:
-            frames = Frames(file.read())
-            for name in frames.names:
-                frames.values(name)  # all texts are UTF-8
+        frames = Frames(open_table(path, _NEEDED))
     except DatasetError as error:
         hint = "the command that made the data set, with --resume, writes it again"
         raise DatasetError(

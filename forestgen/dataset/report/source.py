@@ -14,7 +14,7 @@ from forestgen.dataset.png import class_palette
 from forestgen.dataset.report.frames import Frames, frames_of, read_frames
 from forestgen.dataset.report.run_log import RunLog, read_run
 from forestgen.dataset.report.told import Told, mapping, told_by_card
-from forestgen.dataset.safe_path import SafePath
+from forestgen.dataset.safe_path import SafePath, check_folder
 
 CARD_NAME, RUN_NAME = "dataset.json", "run"
 
@@ -50,10 +50,10 @@ def open_source(folder: Path) -> Source:
 
     Raises
     ------
+    RecipeError : there is no such folder.
     DatasetError : the folder holds none, or its index is damaged.
     """
-    if not folder.is_dir():
-        raise DatasetError("there is no such folder", where=str(folder), hint="name a data set's folder")
+    check_folder(folder, "a folder that forestgen render, batch or merge wrote")
     notes: list[str] = []
     card = _read_json(SafePath(folder, CARD_NAME), notes)
     if os.path.lexists(folder / INDEX_NAME):

@@ -162,7 +162,7 @@ class DaskEngine:
         return ResourceError(
             "the Dask scheduler is gone",
             where=str(self._address or self._client),
-            hint="see why it ended, start it again, then --resume: what was done is kept",
+            hint="see why it ended, start it again, then `resume=True`: what was done is kept",
         )
 
 
@@ -184,7 +184,7 @@ def _address_of(target: str | None) -> str:
     """The scheduler's address, read from its file if a file is named."""
     if target is None:
         raise ResourceError(
-            "the dask engine needs a scheduler", expected="--scheduler tcp://HOST:8786", hint=_START_ONE
+            "the dask engine needs a scheduler", expected="`scheduler='tcp://HOST:8786'`", hint=_START_ONE
         )
     scheme, separator, _ = target.partition("://")
     if separator and scheme not in _SCHEMES:

@@ -10,3 +10,19 @@ class Own(type(UNIFORM)):  # type: ignore[misc]
 
 
 MODEL = Own()
+
+
+class _Incomplete:
+    """Has all but one of a model's methods."""
+
+    Parameters = UNIFORM.Parameters
+    init = step = population = check_snapshot = remove = plant = expected_plants = why_barren = estimate_bytes = None
+
+
+class _Other(Own):
+    """Has parameters that are none."""
+
+    Parameters = dict
+
+
+INCOMPLETE, OTHER = _Incomplete(), _Other()

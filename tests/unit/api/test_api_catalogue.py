@@ -6,12 +6,16 @@ import json
 import sys
 import types
 from collections.abc import Iterator
+from pathlib import Path
 
+import numpy as np
 import own_parts
 import pytest
 from api_recipe import STAND
 
 import forestgen as fg
+from forestgen.api import catalogue
+from forestgen.api.parts import check_part
 from forestgen.community.registry import COMMUNITY_MODELS
 from forestgen.core import registry
 from forestgen.core.code_hash import code_hash
@@ -85,11 +89,69 @@ def test_what_workers_cannot_import_is_refused(monkeypatch: pytest.MonkeyPatch) 
 
 
 @pytest.mark.parametrize(
-    "path", ["own_parts", "own_parts:", "nix_of_nowhere:MODEL", "own_parts.sub:MODEL", ":X", "a b:c d"]
+    ("path", "problem", "part"),
+    [
+        ("own_parts", "no place of a part", "package.module:NAME"),
+        ("own_parts:", "no place of a part", "package.module:NAME"),
+        (":X", "no place of a part", "package.module:NAME"),
+        ("a b:c d", "no place of a part", "package.module:NAME"),
+        ("nix_of_nowhere:MODEL", "no module nix_of_nowhere", "sys.path"),
+        ("own_parts.sub:MODEL", "no module own_parts.sub", "sys.path"),
+        ("own_parts:NONE", "module own_parts has no NONE", "own_parts:NONE"),
+        ("broken_part:MODEL", "broken_part cannot be imported", "ZeroDivisionError"),
+    ],
 )
-def test_a_place_that_is_none_is_refused_at_once(path: str) -> None:
-    with pytest.raises(fg.RecipeError, match="no such place"):
+def test_a_place_that_is_none_is_refused_at_once(
+    path: str, problem: str, part: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "broken_part.py").write_text("1 / 0\n", encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(fg.RecipeError, match=problem) as caught:
         fg.register("community_model", "own", path)
+    assert part in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("kind", "part", "lacking"),
+    [
+        ("community_model", "os:path", "Parameters, check_snapshot"),
+        ("community_model", "own_parts:Own", "this is a class"),
+        ("community_model", "own_parts:INCOMPLETE", "has no resume"),
+        ("community_model", "own_parts:OTHER", "Parameters are none"),
+        ("environment", "own_parts:MODEL", "answer"),
+        ("plant_generator", "own_parts:MODEL", "grow"),
+    ],
+)
+def test_a_part_that_lacks_what_its_kind_has_is_refused(kind: str, part: str, lacking: str) -> None:
+    with pytest.raises(fg.RecipeError, match=lacking):
+        fg.register(kind, "own", part)
+    assert not registry.registrations()
+    fg.schema()
+
+
+@pytest.mark.parametrize("kind", ["community_model", "environment", "plant_generator"])
+def test_all_shipped_parts_pass_the_check(kind: str) -> None:
+    for name in catalogue._REGISTRIES[kind].ids():
+        check_part(kind, catalogue._REGISTRIES[kind].load(name))
+
+
+def test_the_example_of_the_manual_makes_a_stand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    page = Path(__file__).parents[3] / "docs" / "python.md"
+    text = page.read_text(encoding="utf-8").partition("# rows_model.py\n")[2].partition("```")[0]
+    (tmp_path / "rows_model.py").write_text(text, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    fg.register("community_model", "rows", "rows_model:MODEL")
+    settings = {"model": "rows", "spacing_m": 0.5, "plants": {"fireweed": {"count": 20}}}
+    stand = fg.load(STAND, set={"community": settings}).simulate(progress=False)
+    assert len(stand) == 20
+    offset = stand["y_m"] / 0.5
+    assert np.allclose(offset, np.round(offset))
+
+
+@pytest.mark.parametrize("name", ["palm", "fig_5_2", "koch"])
+def test_descriptions_are_whole_sentences(name: str) -> None:
+    (entry,) = fg.models(name, kind="lsystem")
+    assert entry.description.endswith(".")
 
 
 def test_models_of_a_kind_or_a_name() -> None:

@@ -88,11 +88,11 @@ def test_what_cannot_be_exported(plant: fg.Plant, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "place", "part"),
     [
-        ({"height_m": 99}, "--height-m", "a mature plant has"),
-        ({"height_m": float("nan")}, "--height-m", "nan"),
-        ({"seed": -1}, "seed", "at least 0"),
-        ({"detail": 7}, "--detail", "0, 1 or 2"),
-        ({"detail": -1}, "--detail", "0, 1 or 2"),
+        ({"height_m": 99}, "height_m", "a mature plant has"),
+        ({"height_m": float("nan")}, "height_m", "nan"),
+        ({"seed": -1}, "seed", "0 to"),
+        ({"detail": 7}, "detail", "0 to 2"),
+        ({"detail": -1}, "detail", "0 to 2"),
     ],
 )
 def test_a_plant_that_cannot_be(arguments: dict[str, float], place: str, part: str) -> None:

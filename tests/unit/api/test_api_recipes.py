@@ -29,6 +29,24 @@ def test_a_mapping_is_a_recipe_like_its_file(tmp_path: Path) -> None:
     assert repr(from_file) == f"<Recipe {path}: 2 images>"
 
 
+def test_a_text_is_a_recipe_and_its_errors_have_lines() -> None:
+    """Such as that of a frame's `recipe`."""
+    recipe = fg.load(STAND)
+    again = fg.load(recipe.yaml, set={"seed": 4})
+    assert (again.hash, again.seed) == (recipe.set({"seed": 4}).hash, 4)
+    assert again.set({"seed": 3}).hash == recipe.hash
+    for text, said in (
+        ("forestgen: 1\nsite: {size_m: [0, 80]}\n", "recipe text:2: site.size_m"),
+        ("forestgen: 1\nsite: {", "recipe text:2: not valid YAML"),
+        ("just a word\n", "recipe text:1: not a mapping"),
+        ("\n", "recipe text: the text says nothing"),
+        ("# x\n" * 300_000, "recipe text: the text is too large"),
+    ):
+        with pytest.raises(fg.RecipeError) as refused:
+            fg.load(text)
+        assert said in str(refused.value)
+
+
 def test_a_mapping_and_its_recipe_do_not_share_values() -> None:
     mapping = json.loads(json.dumps(STAND))
     recipe = fg.load(mapping)
@@ -147,3 +165,12 @@ def test_validate_counts_the_frames_of_paths_and_notes_what_is_odd() -> None:
 
 def test_the_quickstart_is_valid() -> None:
     assert fg.load(QUICKSTART).validate().species == ("fireweed", "poplar", "spruce")
+
+
+@pytest.mark.parametrize(
+    ("count", "first", "where"), [(1, 10**30, "first"), (1, 2**64, "first"), (2**64, 1, "count"), (10**30, 0, "count")]
+)
+def test_images_beyond_all_numbers_are_refused_at_once(count: int, first: int, where: str) -> None:
+    with pytest.raises(fg.RecipeError, match="numbers below 18446744073709551616") as refused:
+        fg.load(STAND).frames(count, first=first)
+    assert refused.value.where == where

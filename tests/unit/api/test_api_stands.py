@@ -39,6 +39,12 @@ def test_a_column_that_is_not_there_is_named_with_those_that_are(stand: fg.Stand
     assert caught.value.got == "'hight_m'"
 
 
+def test_a_column_of_the_history_file_is_led_to_its_name(stand: fg.Stand) -> None:
+    with pytest.raises(fg.RecipeError) as refused:
+        stand["species_name"]
+    assert refused.value.hint == "did you mean 'species'?"
+
+
 def test_the_table_has_the_columns(stand: fg.Stand) -> None:
     table = stand.table
     assert table.column_names == list(stand.columns)
@@ -92,5 +98,5 @@ def test_an_empty_stand_has_its_columns() -> None:
 
 
 def test_a_step_to_resume_from_needs_a_history() -> None:
-    with pytest.raises(fg.RecipeError, match="--resume"):
+    with pytest.raises(fg.RecipeError, match="`resume="):
         fg.load(STAND).simulate(from_step=3, progress=False)

@@ -8,16 +8,16 @@ from dataclasses import asdict
 
 import pytest
 
-from forestgen.cli.console import Printer, count, errors_for_people, seconds
-from forestgen.cli.render import _print_size_errors
+from forestgen.cli.console import errors_for_people
 from forestgen.core.errors import AssetError, ForestgenError, OutputError, RecipeError, RenderError, ResourceError
+from forestgen.core.figures import count, seconds
+from forestgen.runs.summary import _size_errors
 from forestgen.scene.exemplars import SizeError
 
 
-def test_a_width_that_no_plant_has_is_a_dash(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_width_that_no_plant_has_is_a_dash() -> None:
     errors = [asdict(SizeError("birch", 2, 1, 0.05, 0.1)), asdict(SizeError("snag", 3, 1, 0.2, None))]
-    _print_size_errors(errors, Printer())
-    birch, snag = (line.split() for line in capsys.readouterr().out.splitlines()[1:])
+    birch, snag = (line.split() for line in list(_size_errors(errors))[1:])
     assert birch[-4:] == ["5.0", "%", "10.0", "%"]
     assert snag[-3:] == ["20.0", "%", "-"]
 

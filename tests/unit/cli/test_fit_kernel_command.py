@@ -13,10 +13,11 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+import forestgen as fg
 from forestgen.cli import app
-from forestgen.cli.fit_kernel import _in_words
 from forestgen.community.fitting import fit as fitting
 from forestgen.community.fitting import founders, likeliest, matching
+from forestgen.community.fitting.fit_text import in_words
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.load import load_recipe
 
@@ -164,7 +165,7 @@ def test_a_window_that_nobody_stated_is_told_before_the_fit(points, tmp_path, mo
 )
 def test_the_verdict_in_words(held, own, says):
     fit = SimpleNamespace(checks=[()] * 20, held=held.__getitem__, own_held=lambda _: own)
-    verdict = _in_words(fit)
+    verdict = in_words(fit)
     assert says in verdict
     assert f"K (pairs) in {held['K']} of 20, " in verdict
     assert verdict.endswith(f"G (nearest neighbours) in {held['G']} of 20 fresh sets")
@@ -226,3 +227,14 @@ def test_help_loads_nothing_heavy():
     )
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert found.stdout.splitlines()[-1] == "[]"
+
+
+def test_a_fit_prints_the_same_from_python(quick, tmp_path):
+    target = tmp_path / "cells.yaml"
+    result = run(DATA / "cells.csv", "-o", target, "--species", "spruce")
+    fitted = fg.fit_kernel(DATA / "cells.csv", species="spruce", out=target, overwrite=True, progress=False)
+    assert str(fitted).splitlines()[1:] == result.stdout.splitlines()[1:]  # the first has the time
+    assert repr(fitted) == f"<FittedKernel: 42 plants, {target}>"
+    loose = fg.fit_kernel(DATA / "cells.csv", species="spruce", progress=False)
+    assert "more lines in recipe" in str(loose)
+    assert "files:" not in str(loose)

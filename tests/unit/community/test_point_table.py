@@ -116,7 +116,7 @@ def test_a_given_window_comes_before_that_of_the_file(table):
         ("x,y\n1,inf\n", ["trees.csv:2", "finite"]),
         ("x,y\n1,1e300\n", ["trees.csv:2", "finite"]),
         ("x,y\n1,2\n3,4\n1.0,2\n", ["trees.csv:4", "twice", "line 2"]),
-        ("x,y\n1,2\n1,4\n", ["one line", "--window"]),
+        ("x,y\n1,2\n1,4\n", ["one line", "`window` x0"]),
         (b"x,y\n1,2\n\x00\x01\n", ["trees.csv:3", "not a text file"]),
         (b"x,y\n1,2\n\xff,3\n", ["trees.csv:3", "0xff"]),
         (b"\x89PNG\r\n\x1a\n\x00\x00", ["trees.csv:1", "not a text file"]),
@@ -143,7 +143,7 @@ def test_files_that_cannot_be_read(tmp_path):
 
 @pytest.mark.parametrize("window", [(1, 0, 0, 1), (0, 1, 3, 3), (0, float("nan"), 0, 1)])
 def test_windows_that_are_refused_before_the_file_is_read(tmp_path, window):
-    with pytest.raises(RecipeError, match="--window"):
+    with pytest.raises(RecipeError, match="window"):
         read_points(tmp_path / "nowhere.csv", window)
 
 

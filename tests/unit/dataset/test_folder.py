@@ -112,7 +112,7 @@ def test_an_empty_folder_is_used(tmp_path):
 
 def test_a_previous_run_is_replaced_only_on_demand(tmp_path):
     make_run(tmp_path / "run")
-    with pytest.raises(OutputError, match="--overwrite"), OutputFolder(tmp_path / "run"):
+    with pytest.raises(OutputError, match="overwrite=True"), OutputFolder(tmp_path / "run"):
         pytest.fail("entered")
     with OutputFolder(tmp_path / "run", overwrite=True) as staging:
         write_bytes(staging / "new.txt", b"new")
@@ -239,14 +239,19 @@ def test_a_real_full_disk(tmp_path):
 
 def test_leftovers_of_dead_processes_go_and_others_stay(tmp_path, dead_pid):
     host, mine = module._host(), os.getpid()
-    dead = tmp_path / f".run.partial-{host}-{dead_pid}-00000000"
+    gone = [
+        tmp_path / f".run.partial-{host}-{dead_pid}-1-00000000",
+        tmp_path / f".run.partial-{host}-{mine}-1-00000000",  # another process had this one's id, as in a container
+        tmp_path / f".run.partial-{host}-{os.getppid()}-1-00000000",
+    ]
     kept = [
-        tmp_path / f".run.partial-{host}-{mine}-00000000",
-        tmp_path / f".run.partial-0000aaaa-{dead_pid}-00000000",
-        tmp_path / f".other.partial-{host}-{dead_pid}-00000000",
+        tmp_path / module.hidden_name(tmp_path / "run", "partial"),
+        tmp_path / f".run.partial-{host}-{os.getppid()}-{module._started(os.getppid())}-00000000",
+        tmp_path / f".run.partial-0000aaaa-{dead_pid}-1-00000000",
+        tmp_path / f".other.partial-{host}-{dead_pid}-1-00000000",
         tmp_path / ".run.notes",
     ]
-    for path in (dead, *kept):
+    for path in (*gone, *kept):
         path.mkdir()
     make_run(tmp_path / "run")
     assert {path.name for path in tmp_path.iterdir()} == {"run", *(path.name for path in kept)}
@@ -254,7 +259,7 @@ def test_leftovers_of_dead_processes_go_and_others_stay(tmp_path, dead_pid):
 
 def test_a_replacement_that_was_killed_halfway_is_undone(tmp_path, dead_pid):
     make_run(tmp_path / "run")
-    (tmp_path / "run").rename(tmp_path / f".run.replaced-{module._host()}-{dead_pid}-00000000")
+    (tmp_path / "run").rename(tmp_path / f".run.replaced-{module._host()}-{dead_pid}-1-00000000")
     with pytest.raises(OutputError, match="already holds"), OutputFolder(tmp_path / "run"):
         pytest.fail("entered")
     assert (tmp_path / "run" / "data.txt").read_bytes() == b"old"

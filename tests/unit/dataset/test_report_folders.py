@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import io
 import json
+import os
 import re
 import shutil
 
@@ -13,8 +14,9 @@ import pytest
 from PIL import Image
 from typer.testing import CliRunner
 
+from forestgen.api.datasets import write_report as write_page
 from forestgen.cli import app
-from forestgen.core.errors import DatasetError, OutputError
+from forestgen.core.errors import DatasetError, OutputError, RecipeError
 from forestgen.dataset import png
 from forestgen.dataset.index import INDEX_NAME, read_index, write_index
 from forestgen.dataset.report.frames import read_frames
@@ -226,8 +228,8 @@ def test_a_page_of_many_images_stays_small(tmp_path):
 
 
 def test_a_folder_that_is_none_of_ours(tmp_path):
-    for folder in (tmp_path, tmp_path / "nowhere"):
-        with pytest.raises(DatasetError) as caught:
+    for folder, error in ((tmp_path, DatasetError), (tmp_path / "nowhere", RecipeError)):
+        with pytest.raises(error) as caught:
             write_report(folder, tmp_path / "report.html")
         assert str(folder) in str(caught.value)
     assert list(tmp_path.iterdir()) == []
@@ -263,6 +265,33 @@ def test_a_page_that_cannot_be_written(tmp_path):
             write_report(tmp_path / "data", target)
         assert str(target) in str(caught.value)
     assert not any("report" in path.name for path in tmp_path.rglob("*"))
+
+
+def test_a_page_replaces_nothing_unasked(tmp_path):
+    """But the data set's own page; and what is no regular file stays whatever is asked for."""
+    write_data_set(tmp_path / "data", 1, run=False)
+    target = tmp_path / "page.html"
+    target.write_text("mine")
+    with pytest.raises(OutputError, match="the file exists") as caught:
+        write_page(tmp_path / "data", target)
+    assert "overwrite=True" in caught.value.hint
+    assert target.read_text() == "mine"
+    result = CliRunner().invoke(app, ["report", str(tmp_path / "data"), "-o", str(target)])
+    assert result.exit_code == 4
+    result = CliRunner().invoke(app, ["report", str(tmp_path / "data"), "-o", str(target), "--overwrite"])
+    assert result.exit_code == 0
+    (tmp_path / "link").symlink_to("data")
+    for own in (None, tmp_path / "data" / "report.html", tmp_path / "link" / "report.html"):
+        (tmp_path / "data" / "report.html").write_text("an older page")
+        write_page(tmp_path / "data", own)
+        assert (tmp_path / "data" / "report.html").read_bytes() == target.read_bytes()
+    (tmp_path / "data" / "report.html").unlink()
+    os.mkfifo(tmp_path / "data" / "report.html")
+    (tmp_path / "linked.html").symlink_to(target)
+    for strange in (None, tmp_path / "data" / "report.html", tmp_path / "linked.html"):
+        with pytest.raises(OutputError, match="no regular file"):
+            write_page(tmp_path / "data", strange, overwrite=True)
+    assert (tmp_path / "linked.html").is_symlink()
 
 
 def test_the_command(tmp_path):

@@ -220,6 +220,12 @@ def test_the_table_tells_what_and_how(expected: Callable[..., Estimate]) -> None
         assert word in text, text
 
 
+def test_one_frame_is_told_in_the_singular(recipe: Callable[..., LoadedRecipe], settings: DatasetSettings) -> None:
+    one = recipe("cameras=[{position_m: [5, -3, 1.6], look_at_m: [5, 5, 0.5], size_px: [32, 24]}]")
+    text = "\n".join(lines(estimate(one, settings, count=1, workers=1, threads=1, progress=Silent(), probe=False)))
+    assert "1; 1 frame, " in text
+
+
 def test_one_worker_that_does_not_fit_is_refused(expected: Callable[..., Estimate], tmp_path: Path) -> None:
     with pytest.raises(ResourceError, match=r"one worker[\s\S]*at most 8 GB[\s\S]*got"):
         check_fits(expected(probe(memory=9 * 10**9)), LocalPlace(tmp_path))
@@ -229,7 +235,7 @@ def test_one_worker_that_does_not_fit_is_refused(expected: Callable[..., Estimat
 def test_workers_that_were_asked_for_and_do_not_fit_are_refused(
     expected: Callable[..., Estimate], tmp_path: Path
 ) -> None:
-    with pytest.raises(ResourceError, match=r"--workers 8[\s\S]*--workers 2, or leave it out"):
+    with pytest.raises(ResourceError, match=r"workers=8[\s\S]*`workers=2`, or leave it out"):
         check_fits(expected(probe(memory=3 * 10**9), workers=8), LocalPlace(tmp_path))
     check_fits(expected(probe(memory=3 * 10**9)), LocalPlace(tmp_path))
 
@@ -239,7 +245,7 @@ def test_a_disk_that_is_too_small_is_refused(
 ) -> None:
     monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=90_000_000))
     place = LocalPlace(tmp_path / "not" / "yet", "not/yet")
-    with pytest.raises(OutputError, match=r"not/yet[\s\S]*at most 40 MB[\s\S]*about 100 MB[\s\S]*--count 40") as caught:
+    with pytest.raises(OutputError, match=r"not/yet[\s\S]*at most 40 MB[\s\S]*about 100 MB[\s\S]*`count=40`") as caught:
         check_fits(expected(probe()), place)
     assert caught.value.exit_code == 4  # the output cannot be written; 3 is for memory
     check_fits(expected(probe(disk=10**5)), place)

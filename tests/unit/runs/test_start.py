@@ -71,7 +71,7 @@ def failures(*kinds: FailureKind) -> tuple[Failed, ...]:
 
 @pytest.mark.parametrize(
     ("kinds", "hint"),
-    [(("recipe", "bug"), "fail again in the same way"), (("recipe", "time"), "--resume tries them again")],
+    [(("recipe", "bug"), "fail again in the same way"), (("recipe", "time"), "`resume=True` tries them again")],
 )
 def test_images_that_cannot_be_made_are_not_worth_another_run(kinds: tuple[FailureKind, ...], hint: str) -> None:
     with pytest.raises(DatasetError, match=r"2 of 5 images could not be made") as caught:
@@ -83,7 +83,7 @@ def test_images_that_cannot_be_made_are_not_worth_another_run(kinds: tuple[Failu
 def test_images_that_are_missing_for_another_reason_are_tried_again() -> None:
     with pytest.raises(DatasetError, match="1 of 5 images") as caught:
         start._check_complete(summary((), (4,)))
-    assert "--resume makes them again" in str(caught.value)
+    assert "`resume=True` makes them again" in str(caught.value)
     assert "image 4 is damaged" in str(caught.value)
     start._check_complete(summary((), ()))
 
@@ -96,19 +96,22 @@ def test_many_failures_are_counted() -> None:
 @pytest.mark.parametrize(
     ("options", "where", "said"),
     [
-        ({"count": 0}, "--count", "1 to 100,000,000"),
-        ({"count": 2.0}, "--count", "2.0"),
-        ({"count": True}, "--count", "True"),
-        ({"workers": 2000}, "--workers", "1 to 1,024"),
-        ({"threads": -1}, "--threads", "1 to 4,096"),
-        ({"retries": -1}, "--retries", "0 to 100"),
-        ({"engine": "slurm"}, "--engine", "local or dask"),
-        ({"discard": True}, "--discard", "belongs to --resume"),
-        ({"resume": True, "overwrite": True}, "--overwrite", "--resume goes on with"),
-        ({"scheduler": "tcp://x"}, "--engine", "--engine dask"),
-        ({"resources": {"GPU": 1.0}}, "--engine", "--engine dask"),
-        ({"engine": "dask", "workers": 2}, "--workers", "its own workers"),
-        ({"engine": "dask", "timeout": "3min"}, "--timeout", "of this machine"),
+        ({"count": 0}, "count", "1 to 100,000,000"),
+        ({"count": 2.0}, "count", "2.0"),
+        ({"count": True}, "count", "True"),
+        ({"workers": 2000}, "workers", "1 to 1,024"),
+        ({"threads": -1}, "threads", "1 to 4,096"),
+        ({"retries": -1}, "retries", "0 to 100"),
+        ({"retries": None}, "retries", "None"),
+        ({"retries": True}, "retries", "True"),
+        ({"timeout": True}, "timeout", "True"),
+        ({"engine": "slurm"}, "engine", "local or dask"),
+        ({"discard": True}, "discard", "belongs to `resume`"),
+        ({"resume": True, "overwrite": True}, "overwrite", "`resume` goes on with"),
+        ({"scheduler": "tcp://x"}, "engine", "`engine='dask'`"),
+        ({"resources": {"GPU": 1.0}}, "engine", "`engine='dask'`"),
+        ({"engine": "dask", "workers": 2}, "workers", "its own workers"),
+        ({"engine": "dask", "timeout": "3min"}, "timeout", "of this machine"),
     ],
 )
 def test_options_that_cannot_be(options: dict[str, Any], where: str, said: str) -> None:
@@ -134,26 +137,26 @@ def test_options_that_can() -> None:
     ],
 )  # fmt: skip
 def test_sizes(text: str | int, size: int) -> None:
-    assert parse_bytes(text, "--worker-memory") == size
+    assert parse_bytes(text, "worker_memory") == size
 
 
 @pytest.mark.parametrize("text", ["", "GB", "-1GB", "4XB", "0", "four", "1e9"])
 def test_what_is_no_size(text: str | int) -> None:
     with pytest.raises(RecipeError, match="no size") as caught:
-        parse_bytes(text, "--worker-memory")
-    assert caught.value.where == "--worker-memory"
+        parse_bytes(text, "worker_memory")
+    assert caught.value.where == "worker_memory"
 
 
 @pytest.mark.parametrize(("text", "seconds"), [("90s", 90.0), ("30 min", 1800.0), ("1.5h", 5400.0), (90, 90.0)])
 def test_durations(text: str | float, seconds: float) -> None:
-    assert seconds_of(text, "--timeout") == seconds
+    assert seconds_of(text, "timeout") == seconds
 
 
 @pytest.mark.parametrize("text", ["", "90", "0s", "-1h", "2 days", "min", 0, -3.0, float("nan"), float("inf")])
 def test_what_is_no_duration(text: str | float) -> None:
     with pytest.raises(RecipeError, match="30min") as caught:
-        seconds_of(text, "--timeout")
-    assert caught.value.where == "--timeout"
+        seconds_of(text, "timeout")
+    assert caught.value.where == "timeout"
 
 
 def begin(place: LocalPlace) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from pathlib import Path
 
 import numpy as np
@@ -139,6 +140,31 @@ def test_a_file_that_cannot_be_placed_takes_the_new_ones_along(tmp_path: Path) -
             files.write(tmp_path / "b", b"2")
             (tmp_path / "b").mkdir()
 
-    with pytest.raises(OutputError, match="cannot write"):
+    with pytest.raises(OutputError, match="the output is a folder"):
         fail()
     assert [path.name for path in tmp_path.iterdir()] == ["b"]
+
+
+@pytest.mark.parametrize("kind", ["a pipe", "a link", "a broken link", "a file that appeared"])
+def test_no_link_pipe_or_strange_file_is_replaced(tmp_path: Path, kind: str) -> None:
+    """Whether it was there before, or came while the plant grew; a regular file only where it may be replaced."""
+    (tmp_path / "mine").write_bytes(b"mine")
+    target = tmp_path / "target"
+    make = {
+        "a pipe": lambda: os.mkfifo(target),
+        "a link": lambda: target.symlink_to("mine"),
+        "a broken link": lambda: target.symlink_to("nowhere"),
+        "a file that appeared": lambda: target.write_bytes(b"theirs"),
+    }[kind]
+
+    def fail() -> None:
+        with FileSet(overwrite=kind != "a file that appeared") as files:
+            files.write(target, b"1")
+            make()
+
+    with pytest.raises(OutputError, match="the file exists" if "file" in kind else "no regular file"):
+        fail()
+    with pytest.raises(OutputError), FileSet(overwrite="file" not in kind) as files:
+        files.write(target, b"1")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["mine", "target"]
+    assert (tmp_path / "mine").read_bytes() == b"mine"

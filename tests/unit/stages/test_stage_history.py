@@ -129,7 +129,7 @@ def test_steps_that_are_never_reached_are_refused() -> None:
     plan = plan_of("community.steps=6")
     check_map_steps(plan, [0, 6])
     for step in (-1, 7):
-        with pytest.raises(RecipeError, match=rf"--map-step[\s\S]*0 to 6[\s\S]*{step}"):
+        with pytest.raises(RecipeError, match=rf"map_steps[\s\S]*0 to 6[\s\S]*{step}"):
             check_map_steps(plan, [step])
     with pytest.raises(RecipeError, match=r"3 to 6[\s\S]*2"):
         check_map_steps(plan, [2], first=3)

@@ -1,0 +1,114 @@
+"""What is no argument is refused at once, with the parameter's name as its place."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from api_recipe import STAND
+
+import forestgen as fg
+from forestgen.stages.studio import Shot
+
+Call = Callable[[Any], Any]
+
+
+@pytest.fixture(scope="module")
+def recipe() -> Any:
+    return fg.load(STAND)
+
+
+@pytest.mark.parametrize(
+    ("place", "call"),
+    [
+        ("out", lambda r: r.render("a\0")),
+        ("out", lambda r: r.render("/tmp/\ud800")),
+        ("out", lambda r: r.batch(None)),
+        ("resources", lambda r: r.batch("x", engine="dask", scheduler="tcp://x", resources="abc")),
+        ("progress", lambda r: r.batch("x", progress=1)),
+        ("progress", lambda r: r.simulate(progress="no")),
+        ("timeout", lambda r: r.batch("x", timeout=10**5000)),
+        ("worker_memory", lambda r: r.batch("x", worker_memory=10**5000)),
+        ("samples", lambda r: r.light([(1, 2, 3)], samples=600.5)),
+        ("out", lambda r: r.light([(1, 2, 3)], out="\0.csv")),
+        ("at", lambda r: r.light(5)),
+        ("map_steps", lambda r: r.simulate(map_steps=[1.5])),
+        ("count", lambda r: r.weather(1.5)),
+        ("width_px", lambda r: r.calibrate(width_px=64.5)),
+        ("ax", lambda r: r.simulate(progress=False).plot(ax=3)),
+        ("steps", lambda _: fg.derive("koch", 1.5)),
+        ("max_modules", lambda _: fg.derive("koch", 2, max_modules=10**12)),
+        ("max_modules", lambda _: fg.derive("koch", 2, max_modules=float("nan"))),  # type: ignore[arg-type]
+        ("file", lambda _: fg.derive("a" * 300)),
+        ("name", lambda _: fg.models(5)),  # type: ignore[arg-type]
+        ("height_m", lambda _: fg.plant("fireweed", height_m="1 m")),  # type: ignore[arg-type]
+        ("seed", lambda _: fg.plant("fireweed", seed=None)),  # type: ignore[arg-type]
+        ("species", lambda _: fg.plant("firewed")),
+        ("species", lambda _: fg.plant(None)),  # type: ignore[arg-type]
+        ("source", lambda _: fg.load(None)),  # type: ignore[arg-type]
+        ("set", lambda _: fg.load(STAND, set=5)),  # type: ignore[arg-type]
+        ("set: seed", lambda _: fg.load(STAND, set={"seed": 10**5000})),
+        ("allow_folders", lambda _: fg.load(STAND, allow_folders="/no/such")),
+        ("points", lambda _: fg.stats("\0")),
+        ("out", lambda _: fg.fit_kernel("x.csv", out="\0")),
+        ("window", lambda _: fg.stats("x.csv", window=(-1e308, 1e308, -1e308, 1e308))),
+        ("window", lambda _: fg.stats("x.csv", window=5)),  # type: ignore[arg-type]
+        ("folder", lambda _: fg.Dataset("a" * 300)),
+        ("folder", lambda _: fg.verify("a" * 300)),
+        ("sources", lambda _: fg.merge(5, "x")),  # type: ignore[arg-type]
+        ("samples", lambda _: Shot(samples=0).check()),
+        ("samples", lambda _: Shot(samples=float("nan")).check()),  # type: ignore[arg-type]
+        ("samples", lambda _: Shot(samples=10**9).check()),
+        ("size_px", lambda _: Shot((32,)).check()),  # type: ignore[arg-type]
+        ("size_px", lambda _: Shot((32.5, 32)).check()),  # type: ignore[arg-type]
+    ],
+)
+def test_a_wrong_argument_is_named(place: str, call: Call, recipe: Any) -> None:
+    with pytest.raises(fg.ForestgenError) as caught:
+        call(recipe)
+    assert caught.value.where == place
+    assert caught.value.__cause__ is None or not type(caught.value.__cause__).__module__.startswith("pydantic")
+
+
+def test_one_text_is_no_list_of_letters(recipe: Any) -> None:
+    with pytest.raises(fg.RecipeError, match="uff"):
+        recipe.light([(1, 2, 3)], normals="uff")
+    assert len(fg.load(STAND, set=None).data) == len(recipe.data)
+
+
+def test_a_map_is_drawn_into_given_axes(recipe: Any) -> None:
+    from matplotlib.figure import Figure
+
+    figure = Figure()
+    left, _ = figure.subplots(1, 2)
+    assert recipe.simulate(progress=False).plot(left) is figure
+    assert left.patches or left.collections
+
+
+def test_a_bad_value_shows_no_traceback_of_the_schema_library() -> None:
+    with pytest.raises(fg.RecipeError) as caught:
+        fg.load(STAND, set={"seed": -1})
+    assert caught.value.__cause__ is None
+    assert caught.value.__suppress_context__
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "hint"),
+    [
+        ("site.size_m", ["30 m", "30 m"], "30: the unit is in the key's name, metres"),
+        ("sky.sun.elevation_deg", "0.7 rad", "the number alone: the unit is in the key's name, degrees"),
+        ("cameras.0.size_px", "160x96", "[width, height]"),
+        ("cameras.0.size_px", 160, "[width, height]"),
+        ("site.terrain", "rollin", "did you mean 'rolling'?"),
+        ("sky.clouds", "cumulous", "did you mean 'cumulus'?"),
+    ],
+)
+def test_hints_at_units_and_choices(key: str, value: Any, hint: str) -> None:
+    with pytest.raises(fg.RecipeError) as caught:
+        fg.load(STAND, set={key: value})
+    assert hint in str(caught.value)
+
+
+def test_dir_lists_what_is_offered() -> None:
+    assert sorted(dir(fg)) == sorted(fg.__all__)
