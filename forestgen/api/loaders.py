@@ -16,7 +16,7 @@ from forestgen.dataset.safe_path import SafePath, unreadable
 from forestgen.recipe.suggestions import did_you_mean
 
 if TYPE_CHECKING:
-    from forestgen.api.datasets import Dataset
+    from forestgen.dataset.frame import Frame
 
 PICTURES = ("preview", "semantic", "instance")
 _ARRAYS = (
@@ -26,7 +26,7 @@ _ARRAYS = (
 Transform = Callable[[dict[str, Any]], Any]
 
 
-def torch_frames(frames: Dataset, channels: Sequence[str], transform: Transform | None) -> Any:
+def torch_frames(frames: Sequence[Frame], channels: Sequence[str], transform: Transform | None) -> Any:
     """See `Dataset.as_torch`. The class is made here, as PyTorch may be missing or slow to load."""
     for name in channels:
         if name not in _ARRAYS:

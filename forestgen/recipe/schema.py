@@ -19,8 +19,8 @@ from pydantic import (
     model_validator,
 )
 
-from forestgen.recipe.camera_checks import check_cameras, check_motion
-from forestgen.recipe.cameras import Camera, default_view
+from forestgen.recipe.camera_keys import default_view
+from forestgen.recipe.cameras import Camera, check_cameras, check_motion
 from forestgen.recipe.classes import MOST_CLASSES, NO_SPECIES, check_classes
 from forestgen.recipe.dataset import Dataset
 from forestgen.recipe.fields import (

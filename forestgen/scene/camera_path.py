@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from forestgen.core.frames import look_at
 from forestgen.core.spectrum import Band
+from forestgen.recipe.camera_keys import SensorFile
 from forestgen.recipe.cameras import Camera as CameraSection
-from forestgen.recipe.cameras import SensorFile
 from forestgen.recipe.rigs import Orbit, Stereo, Walk
 from forestgen.scene.exposure import exposure_of
 from forestgen.scene.rigs import poses_of

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.errors import RecipeError
-from forestgen.recipe.cameras import DIRECTIONS, Camera
+from forestgen.recipe.camera_keys import DIRECTIONS
+from forestgen.recipe.cameras import Camera
 from forestgen.recipe.rigs import DroneGrid, Orbit, Walk
 from forestgen.scene.terrain import HeightField
 from forestgen.scene.trunks import Trunks

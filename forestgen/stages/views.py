@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from forestgen.community.branch_modules.parameters import Obstacle
 from forestgen.core.errors import RecipeError
 from forestgen.core.spectrum import Band
+from forestgen.recipe.camera_keys import SensorFile
 from forestgen.recipe.cameras import Camera as CameraSection
-from forestgen.recipe.cameras import SensorFile
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.spectra import bands_of, load_bands
 from forestgen.scene.camera_path import expand

@@ -14,8 +14,8 @@ from forestgen.core.progress import Silent
 from forestgen.core.timing import Timings
 from forestgen.labels.motion import motion_px
 from forestgen.recipe.assets import recipes_dir
+from forestgen.recipe.camera_keys import CameraPath
 from forestgen.recipe.cameras import Camera as CameraSection
-from forestgen.recipe.cameras import CameraPath
 from forestgen.recipe.load import load_recipe
 from forestgen.render.frame import Surface
 from forestgen.scene.camera_path import place_cameras
