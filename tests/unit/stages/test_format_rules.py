@@ -62,7 +62,6 @@ def test_a_drawn_camera_says_from_what_it_was_drawn(tmp_path: Path) -> None:
 
 
 def test_formats_and_other_sections_are_told_together(tmp_path: Path) -> None:
-    found = errors_of(
-        tmp_path, ("[amodal]", "[]"), ("[coco]", "[coco, bop, nerfstudio]"), ("count: 2", "count: -2"),
-    )  # fmt: skip
+    changes = (("[amodal]", "[]"), ("[coco]", "[coco, bop, nerfstudio]"), ("count: 2", "count: -2"))
+    found = errors_of(tmp_path, *changes)
     assert {str(one.where).rpartition(": ")[2] for one in found} == {"labels.channels", "community.plants.birch.count"}
