@@ -17,12 +17,18 @@ from forestgen.core.errors import RecipeError
 from forestgen.core.registry import Registry
 from forestgen.plants.registry import GENERATORS
 from forestgen.recipe.assets import find_asset, list_assets
+from forestgen.recipe.registries import DATASET_FORMATS
 from forestgen.recipe.suggestions import did_you_mean
 
 if TYPE_CHECKING:
     from forestgen.api.diagnosis import Diagnosis
 
-_REGISTRIES = {"community_model": COMMUNITY_MODELS, "environment": ENVIRONMENTS, "plant_generator": GENERATORS}
+_REGISTRIES = {
+    "community_model": COMMUNITY_MODELS,
+    "environment": ENVIRONMENTS,
+    "plant_generator": GENERATORS,
+    "dataset_format": DATASET_FORMATS,
+}
 _WITHOUT_COMMENT = {  # files of a format that has none
     "fig_5_2": "A bush of one rule, of Rhodes University's forest: its Fig. 5.2, in the format .sys.",
 }
@@ -33,7 +39,7 @@ _ASSETS = {"species": "species", "lsystems": "lsystem", "recipes": "recipe"}  # 
 class Entry:
     """Something that recipes can name."""
 
-    kind: str  # community_model, environment, plant_generator, species, lsystem or recipe
+    kind: str  # community_model, environment, plant_generator, dataset_format, species, lsystem or recipe
     name: str
     description: str
     path: Path | None = field(default=None)  # of a file
@@ -52,7 +58,7 @@ class Entry:
 
 
 def models(name: str | None = None, *, kind: str | None = None) -> list[Entry]:
-    """Community models, environments and generators, species, L-systems and recipes.
+    """Community models, environments, generators and data set formats, species, L-systems and recipes.
 
     Parameters
     ----------
@@ -150,7 +156,7 @@ def register(kind: str, name: str, part: object, description: str = "") -> None:
 
     Parameters
     ----------
-    kind : community_model, environment or plant_generator.
+    kind : community_model, environment, plant_generator or dataset_format.
     name : that recipes use.
     part : the object, defined at the top of a module; or its place, ``"package.module:NAME"``.
     description : one line for `models`; by default the first line of the object's documentation.

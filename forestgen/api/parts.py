@@ -12,14 +12,16 @@ from forestgen.community.environments.contract import Environment
 from forestgen.community.model import CommunityModel, CommunityParameters
 from forestgen.core.arguments import shown
 from forestgen.core.errors import RecipeError
+from forestgen.dataset.formats.format import DatasetFormat
 from forestgen.plants.parameters import Generator, PlantParameters
 
 _PLACE = re.compile(r"([^\W\d]\w*(?:\.[^\W\d]\w*)*):([^\W\d]\w*)")
-#: Of each kind its contract and the class of its `Parameters`.
-_CONTRACTS: dict[str, tuple[type, type[BaseModel]]] = {
+#: Of each kind its contract and the class of its `Parameters`, if it has some.
+_CONTRACTS: dict[str, tuple[type, type[BaseModel] | None]] = {
     "community_model": (CommunityModel, CommunityParameters),
     "environment": (Environment, BaseModel),
     "plant_generator": (Generator, PlantParameters),
+    "dataset_format": (DatasetFormat, None),
 }
 
 
@@ -78,6 +80,8 @@ def check_part(kind: str, part: object) -> None:
     if missing:
         problem = f"this is no {kind.replace('_', ' ')}: it has no {', '.join(missing)}"
         raise RecipeError(problem, where="part", expected=f"what {wanted} asks for", got=shown(part))
+    if parameters is None:
+        return
     given = getattr(part, "Parameters")  # noqa: B009 - its type is not known
     if not (isinstance(given, type) and issubclass(given, parameters)):
         expected = f"a class based on {parameters.__module__}.{parameters.__name__}"

@@ -16,6 +16,7 @@ _TITLES = {
     "community_model": "community models",
     "environment": "environments",
     "plant_generator": "plant generators",
+    "dataset_format": "data set formats",
     "species": "species",
     "lsystem": "lsystems",
     "recipe": "recipes",
@@ -48,7 +49,7 @@ def models(
         Optional[str],  # noqa: UP045 - typer reads annotations at run time
         typer.Argument(
             metavar="NAME",
-            help="Show the manual page of this model or generator, or this species' or recipe's file.",
+            help="Show the manual page of this model, generator or format, or this species' or recipe's file.",
             show_default=False,
         ),
     ] = None,
@@ -57,13 +58,13 @@ def models(
         typer.Option(
             "--kind",
             metavar="KIND",
-            help="Only these: community_model, environment, plant_generator, species, lsystem, recipe.",
+            help="Only these: community_model, environment, plant_generator, dataset_format, species, lsystem, recipe.",
             show_default=False,
         ),
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """List models, generators, species and recipes."""
+    """List models, generators, data set formats, species and recipes."""
     from forestgen import models as list_models
     from forestgen.recipe.assets import recipes_dir, scenes_dir
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import difflib
 import importlib
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -58,6 +58,10 @@ class Registry:
         self._entries = dict(entries)
         self._entries |= {one.name: (one.path, one.description) for one in _registered if one.kind == kind}
         _registries[kind] = self
+
+    def __iter__(self) -> Iterator[str]:
+        """Ids in the order in which they were entered."""
+        return iter(tuple(self._entries))
 
     def ids(self) -> list[str]:
         return sorted(self._entries)

@@ -10,6 +10,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from forestgen.dataset.formats.format import load_formats
 from forestgen.dataset.settings import DatasetSettings
 
 CARD_NAME = "README.md"
@@ -66,6 +67,7 @@ def card_text(description: Mapping[str, Any], counts: CardCounts, settings: Data
             ],
             draws=_draws(description["recipes"]),
             sizes=sorted(counts.sizes_px.items()),
+            of_formats=[text for one in load_formats(settings.formats) if (text := one.card())],
             missing=sum(last - first + 1 for one in description["recipes"] for first, last in one["missing"]),
         )
     )

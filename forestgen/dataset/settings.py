@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from forestgen.labels.classes import ClassMap
 from forestgen.recipe.dataset import View
+from forestgen.recipe.registries import DEFAULT_FORMATS
 from forestgen.recipe.schema import Recipe
 
 DRAW = "draw."  # begins the index's columns of what the recipe's distributions gave, as draw.sky.turbidity
@@ -19,7 +20,7 @@ class DatasetSettings:
     class_names: tuple[str, ...]  # semantic class number -> name; 0 nothing, 1 ground
     category_names: tuple[str, ...]  # of instances, in the order of their numbers
     species_category: tuple[int, ...]  # index into category_names of each species
-    formats: tuple[str, ...] = ("coco",)  # modules of forestgen.dataset.formats
+    formats: tuple[str, ...] = DEFAULT_FORMATS  # names in recipe/registries.py
     view: View = "filmic"  # view transform of the previews
     description: str = "forestgen dataset"
     contributor: str = ""

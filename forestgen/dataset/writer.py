@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import cast
 
 from forestgen.dataset import png
 from forestgen.dataset.camera import write_camera
 from forestgen.dataset.canopy import write_canopy
 from forestgen.dataset.exr import write_exr
 from forestgen.dataset.files import make_folder, write_bytes
-from forestgen.dataset.formats import Format
+from forestgen.dataset.formats.format import load_formats
 from forestgen.dataset.legend import write_legend
 from forestgen.dataset.raw import raw_image, write_raw
 from forestgen.dataset.settings import DatasetSettings
@@ -23,9 +21,6 @@ from forestgen.labels.labelled import LabelledFrame
 # Uncompressed, so never too few: 60 EXR channels of 4 bytes, three RGB pictures, a mask and a raw image a pixel.
 _BYTES_PER_PIXEL = 60 * 4 + 3 * 3 + 1 + 3 * 2
 _BYTES_PER_CHANNEL = 3 * 4 + 2  # of light, beyond the third: mean, variance, denoised copy, raw
-# What a format adds, shards and the files that are made of them.
-_FORMAT_BYTES_PER_PIXEL = {"panoptic": 6, "yolo": 6, "bop": 7, "depth_png": 2, "cryptomatte": 48 * 4, "points": 93}
-_FORMAT_BYTES_PER_PLANT = {"coco": 3000, "panoptic": 400, "yolo": 2000, "bop": 6000}
 _BYTES_PER_PLANT = 500  # a row of plants.parquet
 _BYTES_PER_FRAME = 1 << 18  # headers, and what is small
 
@@ -38,8 +33,8 @@ def frame_folder_name(image: int, camera_name: str) -> str:
 def frame_bytes(size_px: tuple[int, int], plants: int, formats: Sequence[str] = (), channels: int = 3) -> int:
     """Disk space to set aside for one frame of so many channels of light: an upper estimate, in bytes."""
     light = max(0, channels - 3) * _BYTES_PER_CHANNEL
-    pixel = _BYTES_PER_PIXEL + light + sum(_FORMAT_BYTES_PER_PIXEL.get(name, 0) for name in formats)
-    plant = _BYTES_PER_PLANT + sum(_FORMAT_BYTES_PER_PLANT.get(name, 0) for name in formats)
+    pixel = _BYTES_PER_PIXEL + light + sum(one.bytes_per_pixel for one in load_formats(formats))
+    plant = _BYTES_PER_PLANT + sum(one.bytes_per_plant for one in load_formats(formats))
     return size_px[0] * size_px[1] * pixel + plants * plant + _BYTES_PER_FRAME
 
 
@@ -79,18 +74,13 @@ def write_frame(
     write_camera(folder / "camera.json", camera)
     write_canopy(folder, labelled.frame)
     write_bytes(folder / "recipe.yaml", recipe_yaml.encode())
-    for name in settings.formats:
-        _format(name).write_frame(folder, labelled, settings)
+    for one in load_formats(settings.formats):
+        one.write_frame(folder, labelled, settings)
 
 
 def write_dataset(root: Path, folders: Iterable[Path | str], settings: DatasetSettings) -> None:
     """Write classes.json, and join the shards of all frames; `folders` are the frames' or their names, in any order."""
     known = list(folders)
     write_legend(root, settings, png.class_palette(len(settings.class_names)))
-    for name in settings.formats:
-        _format(name).merge(root, known, settings)
-
-
-def _format(name: str) -> Format:
-    """The module of a format."""
-    return cast(Format, importlib.import_module(f"forestgen.dataset.formats.{name}"))
+    for one in load_formats(settings.formats):
+        one.merge(root, known, settings)

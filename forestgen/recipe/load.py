@@ -28,7 +28,7 @@ from forestgen.recipe.distributions import Distribution, Scalar
 from forestgen.recipe.draws import Draws, find_written, mentions, put
 from forestgen.recipe.hashing import recipe_hash
 from forestgen.recipe.map_files import embed_maps
-from forestgen.recipe.messages import Explainer
+from forestgen.recipe.messages import Explainer, distribution_of, show
 from forestgen.recipe.reading import check_version, make_draws, splits_of, suggest_shipped, whole_number
 from forestgen.recipe.schema import SCHEMA_VERSION, Recipe
 from forestgen.recipe.sources import Keys, Place, SourceMap, copied
@@ -74,6 +74,11 @@ class DrawnRecipe:
     def where(self, *keys: str | int) -> str:
         """``file:line: a.b.c`` of a key, for messages; a key not written lies at its nearest ancestor."""
         return self.sources.where(keys)
+
+    def drawn_from(self, got: str, *keys: str | int) -> str:
+        """What the value at `keys` is, for messages: `got`, and the distribution that it was drawn from."""
+        written = distribution_of(keys, self.written)
+        return got if written is None else f"{got}, from {show(written)}"
 
     def parse(self, model: type[ModelT], data: Mapping[str, Any], keys: Keys) -> ModelT:
         """A model's or generator's own keys, validated.

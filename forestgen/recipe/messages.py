@@ -100,6 +100,12 @@ def _yaml(value: object, depth: int) -> str:
     return repr(value)[:200]
 
 
+def distribution_of(keys: Keys, written: Mapping[Keys, Any]) -> Any:
+    """The distribution, as written, that the value at `keys` was drawn from; None: it was not drawn."""
+    found = (written.get(keys[:n]) for n in range(len(keys), 0, -1))
+    return next((one for one in found if one is not None), None)
+
+
 @dataclass(frozen=True)
 class _Finding:
     where: str
@@ -175,11 +181,9 @@ class Explainer:
 
     def _at(self, keys: Keys, problem: str, expected: str | None, got: str | None, hint: str | None = None) -> _Finding:
         full = self.prefix + keys
-        for n in range(len(full), 0, -1):
-            written = (self.written or {}).get(full[:n])
-            if written is not None:
-                got, hint = f"{got}, from {show(written)}", hint or _bound_hint(written, expected or "")
-                break
+        written = distribution_of(full, self.written or {})
+        if written is not None:
+            got, hint = f"{got}, from {show(written)}", hint or _bound_hint(written, expected or "")
         return _Finding(self.sources.where(full), problem, expected, got, hint)
 
     def _missing(self, keys: Keys) -> _Finding:

@@ -47,8 +47,6 @@ from forestgen.recipe.terrain import Terrain
 from forestgen.recipe.wet_soil import WetSoil
 
 SCHEMA_VERSION = 1
-# Kinds of cameras that a format has words for; the others have them for all.
-_KINDS_OF_FORMATS = {"bop": ("perspective",), "nerfstudio": ("perspective", "fisheye", "panorama")}
 Extent = Annotated[Positive, Field(le=5000)]
 
 
@@ -235,28 +233,6 @@ class Recipe(Section):
             for i, camera in enumerate(cameras)
         ]
         return {**data, "cameras": filled}
-
-    @model_validator(mode="after")
-    def _formats_have_their_channels(self) -> Self:
-        if "bop" in self.dataset.formats and "amodal" not in self.labels.channels:
-            raise mistake(
-                "amodal among labels.channels",
-                problem="BOP's visible fractions need amodal masks",
-                got=", ".join(self.labels.channels) or "none",
-                hint="labels: {channels: [..., amodal]}, or leave bop out of dataset.formats",
-                at=("labels", "channels"),
-            )
-        for name, kinds in _KINDS_OF_FORMATS.items():
-            wrong = [index for index, camera in enumerate(self.cameras) if camera.kind not in kinds]
-            if name in self.dataset.formats and wrong:
-                raise mistake(
-                    f"a kind that the format {name} can hold: {', '.join(kinds)}",
-                    problem=f"{name} has no such camera",
-                    got=self.cameras[wrong[0]].kind,
-                    hint=f"leave {name} out of dataset.formats, or the camera out of this recipe",
-                    at=("cameras", wrong[0], "kind"),
-                )
-        return self
 
     @model_validator(mode="after")
     def _dated_sun_has_a_place(self) -> Self:

@@ -9,7 +9,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import PurePosixPath
-from typing import Annotated, Any, get_args, get_type_hints
+from typing import Annotated, Any, get_type_hints
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 
@@ -18,7 +18,8 @@ from forestgen.dataset.manifest import package_versions
 from forestgen.dataset.safe_path import load_json
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.dataset.thumbnails import FOLDER_NAME as THUMBNAILS
-from forestgen.recipe.dataset import Format, SplitName
+from forestgen.recipe.dataset import SplitName
+from forestgen.recipe.registries import DATASET_FORMATS
 from forestgen.runs.keys import versions_hash
 from forestgen.runs.ledger import FileSum, Ledger
 
@@ -272,7 +273,7 @@ _SettingsSaid = create_model("_SettingsSaid", __base__=_Part, **_SETTINGS)
 def _check_settings(settings: DatasetSettings) -> None:
     """Refuse settings of wrong types, or that contradict each other, with a `ValueError`."""
     _SettingsSaid.model_validate(asdict(settings))
-    unknown = set(settings.formats) - set(get_args(Format))
+    unknown = set(settings.formats) - set(DATASET_FORMATS)
     if unknown or len(settings.species_category) != len(settings.species_names):
         raise ValueError(f"settings: no such format {unknown}" if unknown else "settings: not a category a species")
     if not all(0 <= number < len(settings.category_names) for number in settings.species_category):

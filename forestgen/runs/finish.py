@@ -24,7 +24,7 @@ from forestgen.dataset.card import CARD_NAME, CardCounts, card_text
 from forestgen.dataset.checksums import SUMS_NAME, file_sum, write_sums
 from forestgen.dataset.files import disk_errors
 from forestgen.dataset.foreign import tool_of
-from forestgen.dataset.formats import yolo
+from forestgen.dataset.formats.format import load_formats
 from forestgen.dataset.index import INDEX_NAME, DrawTypes, write_index
 from forestgen.dataset.maps import write_map
 from forestgen.dataset.safe_path import SafePath
@@ -34,6 +34,7 @@ from forestgen.recipe.hashing import recipe_hash
 from forestgen.recipe.load import LoadedRecipe, yaml_text
 from forestgen.recipe.map_files import is_map_file
 from forestgen.recipe.paths import MAPS
+from forestgen.recipe.registries import DATASET_FORMATS
 from forestgen.recipe.sources import dotted
 from forestgen.runs.contract import Job, JobRecord, Place
 from forestgen.runs.description import (
@@ -120,9 +121,10 @@ def write_data_set(
     for split in ledger.splits:
         write_split(place, split, ledger, settings, parts, dict(made_with[0]))
     kept = {path: content for number, part in enumerate(parts, start=1) for path, content in part.kept_as(number)}
-    if "yolo" in settings.formats:
-        kept |= yolo.whole_files(list(ledger.splits), settings)
-    for path in set(yolo.WHOLE_NAMES.values()) - kept.keys():
+    for one in load_formats(settings.formats):
+        kept |= one.split_files(list(ledger.splits), settings)
+    known = {path for one in load_formats(DATASET_FORMATS) for path in one.split_file_names}
+    for path in known - kept.keys():
         place.remove(path)
     for path, content in kept.items():
         _enter(ledger, path, content)

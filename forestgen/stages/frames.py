@@ -12,9 +12,8 @@ from forestgen.atmosphere.optical_depth import cloud_opacity
 from forestgen.core.progress import Progress
 from forestgen.core.randomness import child_seed
 from forestgen.core.timing import Timings
-from forestgen.dataset.formats import panoptic
+from forestgen.dataset.formats.format import load_formats
 from forestgen.labels.branches import branch_labels
-from forestgen.labels.masks import instance_mask
 from forestgen.labels.motion import motion_px
 from forestgen.recipe.schema import Recipe
 from forestgen.render.amodal import trace_amodal
@@ -57,8 +56,8 @@ def render_frame(
         identity, surface = trace_identity(
             tracer, camera, samples=recipe.labels.samples, timer=timings, advance=advance
         )
-    if "panoptic" in recipe.dataset.formats and identity.plant_id.max(initial=0) > panoptic.MOST_PLANT_ID:
-        panoptic.require_fitting(instance_mask(identity.plant_id), camera.name)  # before the light, which takes long
+    for one in load_formats(recipe.dataset.formats):
+        one.check_ids(identity.plant_id, camera.name)  # before the light, which takes long
     channels = recipe.labels.channels
     return Frame(
         camera=camera,

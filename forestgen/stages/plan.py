@@ -23,6 +23,7 @@ from forestgen.core.error_list import ErrorList
 from forestgen.core.errors import RecipeError, ResourceError
 from forestgen.core.figures import show_bytes
 from forestgen.core.memory import free_bytes
+from forestgen.dataset.formats.format import load_format
 from forestgen.plants.bark.texture import with_bark_tiles
 from forestgen.plants.parameters import PlantParameters
 from forestgen.plants.registry import GENERATORS
@@ -126,6 +127,11 @@ def collect_plan(drawn: DrawnRecipe, errors: ErrorList, stand_ins: frozenset[str
     for check, sections in _CHECKS_OF_THE_VIEW:
         if not sections & stand_ins:
             errors.attempt(check, drawn)
+    if not {"cameras", "labels", "dataset"} & stand_ins:
+        for index, name in enumerate(drawn.recipe.dataset.formats):
+            found = errors.attempt(load_format, name, where=drawn.where("dataset", "formats", index))
+            if found is not None:
+                errors.attempt(found.check, drawn)
     if "community" in stand_ins:
         return None
     where = drawn.where("community", "model")

@@ -16,6 +16,7 @@ from label_breaks import exr
 from forestgen.dataset.check import check_dataset
 from forestgen.dataset.exr import read_exr
 from forestgen.recipe.load import load_recipe
+from forestgen.stages.plan import check_plan
 
 RECIPE = """\
 forestgen: 1
@@ -147,5 +148,5 @@ def test_formats_without_words_for_a_camera_are_refused_before_rendering(name, k
     path = tmp_path / "recipe.yaml"
     path.write_text(recipe_of(RECIPE).replace("points]", f"points, {name}]"), encoding="utf-8")
     with pytest.raises(RecipeError, match=f"{name} has no such camera") as caught:
-        load_recipe(path)
+        check_plan(load_recipe(path))
     assert kind in str(caught.value)

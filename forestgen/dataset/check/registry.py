@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 from forestgen.dataset.check import (
     amodal,
-    bop,
     branches,
-    cameras,
-    coco,
     coverage,
-    cryptomatte,
-    depth_png,
     geometry,
     keypoints,
     legend,
@@ -19,20 +16,19 @@ from forestgen.dataset.check import (
     manifest,
     masks,
     motion,
-    panoptic,
     plants,
-    points,
-    yolo,
 )
 from forestgen.dataset.check.check import DatasetCheck, FrameCheck, always
 from forestgen.dataset.check.frame_data import CAMERA, EXR, INSTANCE, PLANTS, SEMANTIC
-from forestgen.dataset.check.merged import BOP, COCO, MANIFEST, PANOPTIC, TRANSFORMS
+from forestgen.dataset.check.merged import MANIFEST
+from forestgen.dataset.formats.format import load_formats
+from forestgen.recipe.registries import DATASET_FORMATS
 
 FIRST = FrameCheck("files", "all files are there and readable", "", always, manifest.files)
 HASHES = FrameCheck("hashes", "files are those that manifest.json lists", "", always, manifest.frame_hashes)
 SHARED_HASHES = DatasetCheck("shared hashes", HASHES.holds, "", always, manifest.shared_hashes)
 
-FRAME_CHECKS = (
+_FRAME_CHECKS = (
     FrameCheck("camera", "one camera in all files", CAMERA, always, geometry.camera),
     FrameCheck("ids", "plants of the image are in the table", PLANTS, always, masks.ids),
     FrameCheck("instance", "instance.png is frame.exr's mask", INSTANCE, masks.holds_png, masks.instance_png),
@@ -59,36 +55,23 @@ FRAME_CHECKS = (
     FrameCheck("raw", "numbers are the radiance's and noise", light_files.RAW, light_files.has_raw, light_files.raw),
     FrameCheck("light", "sun, albedo, clouds within bounds", EXR, light.has_light, light.surfaces),
     FrameCheck("motion", "vectors land on the same plant", EXR, motion.has_motion, motion.motion),
-    FrameCheck("depth.png", "within half a step", depth_png.PICTURE, depth_png.has_depth_png, depth_png.depth_png),
-    FrameCheck(
-        "cryptomatte",
-        "names, plants, shares are frame.exr's",
-        cryptomatte.FILE,
-        cryptomatte.has_cryptomatte,
-        cryptomatte.cryptomatte,
-    ),
-    FrameCheck("points.ply", "points are the pixels'", points.PLY, points.has_ply, points.ply),
-    FrameCheck("points.laz", "points are points.ply's", points.LAZ, points.has_laz, points.laz),
-    FrameCheck("coco", "annotations are the mask's plants", COCO, coco.has_share, coco.plants, True),
-    FrameCheck("coco stems", "stem masks are the trunks", COCO, coco.has_share, coco.stems, True),
-    FrameCheck("coco amodal", "amodal masks hold visible ones", COCO, coco.has_amodal, coco.amodal, True),
-    FrameCheck("coco keypoints", "keypoints are plants.parquet's", COCO, coco.has_points, coco.points, True),
-    FrameCheck("coco measures", "numbers are plants.parquet's", COCO, coco.has_share, coco.measures, True),
-    FrameCheck("coco shard", "annotations.json is coco.json's share", coco.SHARD, coco.has_shard, coco.shard),
-    FrameCheck("panoptic", "segments cover the image", PANOPTIC, panoptic.has_share, panoptic.segments, True),
-    FrameCheck("panoptic.png", "it is panoptic/'s", "panoptic.png", panoptic.has_own_picture, panoptic.own_picture),
-    FrameCheck("yolo boxes", "boxes are the masks'", "yolo", yolo.has_boxes, yolo.boxes, True),
-    FrameCheck("yolo outlines", "rings fill to the masks", "yolo", yolo.has_outlines, yolo.outlines, True),
-    FrameCheck("transforms", "cameras are camera.json's", TRANSFORMS, cameras.has_share, cameras.transforms, True),
-    FrameCheck("bop", "counts and masks are the plants'", BOP, bop.has_share, bop.plants, True),
 )
 
-DATASET_CHECKS = (
+_DATASET_CHECKS = (
     DatasetCheck("manifest", "lists the frames and their files", MANIFEST, always, manifest.listing),
     DatasetCheck("classes.json", "names follow from the recipe", legend.FILE, legend.has_legend, legend.legend),
-    DatasetCheck("coco files", "images, ids, categories, licences", COCO, coco.has_coco, coco.structure),
-    DatasetCheck("panoptic files", "images and ids", PANOPTIC, panoptic.has_panoptic, panoptic.structure),
-    DatasetCheck("yolo files", "images, labels, names of classes", "yolo", yolo.has_yolo, yolo.structure),
-    DatasetCheck("transforms files", "each frame once", TRANSFORMS, cameras.has_transforms, cameras.structure),
-    DatasetCheck("bop files", "each frame in a scene", BOP, bop.has_bop, bop.structure),
 )
+
+
+def frame_checks() -> Iterator[FrameCheck]:
+    """Those of a frame's own labels, then those of each registered format."""
+    yield from _FRAME_CHECKS
+    for one in load_formats(DATASET_FORMATS):
+        yield from one.frame_checks()
+
+
+def dataset_checks() -> Iterator[DatasetCheck]:
+    """Those of the manifest and the classes, then those of each registered format."""
+    yield from _DATASET_CHECKS
+    for one in load_formats(DATASET_FORMATS):
+        yield from one.dataset_checks()

@@ -21,11 +21,12 @@ from typing import Any
 from forestgen.core.errors import ResourceError
 from forestgen.core.processes import without_main
 from forestgen.core.progress import Progress
+from forestgen.core.registry import Registration, register_again, registrations
 from forestgen.dataset.check.check import DatasetCheck, FrameCheck
 from forestgen.dataset.check.finding import MISUNDERSTOOD, Finding, UnreadableError, misunderstood
 from forestgen.dataset.check.frame_data import FrameData, FrameTask
 from forestgen.dataset.check.merged import Merged, open_dataset
-from forestgen.dataset.check.registry import DATASET_CHECKS, FIRST, FRAME_CHECKS, HASHES, SHARED_HASHES
+from forestgen.dataset.check.registry import FIRST, HASHES, SHARED_HASHES, dataset_checks, frame_checks
 from forestgen.dataset.check.sequences import UNKNOWN, following_frames
 
 _FRAMES_A_TASK = 4  # in a row, so that a sequence's next frame is read once
@@ -88,7 +89,7 @@ def check_dataset(
     start = perf_counter()
     merged = open_dataset(root)
     tasks = _tasks(merged)
-    checks = (FIRST, *FRAME_CHECKS, *((HASHES,) if hashes else ()))
+    checks = (FIRST, *frame_checks(), *((HASHES,) if hashes else ()))
     ran: Counter[str] = Counter()
     failed: Counter[str] = Counter()
     found: Counter[str] = Counter()
@@ -111,7 +112,7 @@ def check_dataset(
         CheckResult(one.name, one.holds, ran[one.name], ran[one.name] - failed[one.name], found[one.name])
         for one in checks
     ]
-    for check in (*DATASET_CHECKS, *((SHARED_HASHES,) if hashes else ())):
+    for check in (*dataset_checks(), *((SHARED_HASHES,) if hashes else ())):
         if len(findings) >= limit or not check.applies(merged):
             continue
         own, count = _found_by(check, merged, "")
@@ -128,7 +129,7 @@ def check_frame(data: FrameData, hashes: bool, most: float) -> FrameResult:
     ran: list[str] = []
     findings: list[Finding] = []
     found: Counter[str] = Counter()
-    for check in (FIRST, *FRAME_CHECKS, *((HASHES,) if hashes and data.task.listed else ())):
+    for check in (FIRST, *frame_checks(), *((HASHES,) if hashes and data.task.listed else ())):
         if len(findings) >= most:
             break
         if not _applies(check, data):
@@ -208,7 +209,7 @@ def _frame_results(tasks: Sequence[FrameTask], jobs: int, hashes: bool, most: fl
             yield from _frames(chunk, hashes, most)
         return
     # A process of its own start, not a copy of this one, which has threads and handlers of signals.
-    pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_quiet)
+    pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_begin, initargs=(registrations(),))
     try:
         waiting: list[Future[list[FrameResult]]] = []
         for chunk in chunks:
@@ -248,8 +249,9 @@ def _frames(tasks: Sequence[FrameTask], hashes: bool, most: float) -> Iterator[F
             return
 
 
-def _quiet() -> None:
-    """Ctrl-C ends the parent, which ends its workers."""
+def _begin(registered: tuple[Registration, ...]) -> None:
+    """Know the parent's formats. Ctrl-C ends the parent, which ends its workers."""
+    register_again(registered)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 

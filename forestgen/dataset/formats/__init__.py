@@ -1,31 +1,20 @@
-"""Formats for those who train and measure: a module each, with the two functions of `Format`.
+"""Formats for those who train and measure: a module each, with a class of `DatasetFormat` and its only object, FORMAT.
+
+A format is added by such a module and a line of `forestgen.recipe.registries`, or from another package:
+
+    from forestgen.dataset.formats.format import DatasetFormat
+
+    class Voc(DatasetFormat):
+        name = "voc"
+
+        def write_frame(self, folder, labelled, settings):
+            write_shard(folder / "voc.json", {"image": list(labelled.frame.camera.size_px)})
+
+    FORMAT = Voc()
+
+    fg.register("dataset_format", "voc", "my_package.voc:FORMAT")
 
 ``write_frame`` writes the frame's own share into its folder, the shard. ``merge`` reads the shards of all frames, in
 the order of their names, and writes the data set's files once. So many workers may write frames, and nobody rewrites a
-file as images come.
+file as images come. `shards.py` has what most formats need for both.
 """
-
-from __future__ import annotations
-
-from collections.abc import Iterable
-from pathlib import Path
-from typing import Protocol
-
-from forestgen.dataset.settings import DatasetSettings
-from forestgen.labels.labelled import LabelledFrame
-
-
-class Format(Protocol):
-    """What a module of this package offers."""
-
-    def write_frame(self, folder: Path, labelled: LabelledFrame, settings: DatasetSettings) -> None:
-        """Write the frame's share into its folder; what cannot be written raises `OutputError`."""
-
-    def merge(self, root: Path, folders: Iterable[Path | str], settings: DatasetSettings) -> None:
-        """Write the files over all frames; a share that is missing or damaged raises `OutputError`.
-
-        Parameters
-        ----------
-        root : the data set's folder.
-        folders : the frames' folders or their names, in any order.
-        """

@@ -33,10 +33,10 @@ Hodan et al. 2018, "BOP: Benchmark for 6D Object Pose Estimation", ECCV; bop_too
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from itertools import groupby
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +45,7 @@ from forestgen.core.errors import OutputError
 from forestgen.dataset.camera import camera_from_world, intrinsics
 from forestgen.dataset.files import make_folder
 from forestgen.dataset.formats.depth_png import BEYOND, encode_depth
+from forestgen.dataset.formats.format import DatasetFormat
 from forestgen.dataset.formats.shards import (
     in_order,
     json_text,
@@ -59,8 +60,12 @@ from forestgen.labels.amodal import AmodalMasks
 from forestgen.labels.labelled import LabelledFrame
 from forestgen.labels.masks import rows_of
 
+if TYPE_CHECKING:
+    from forestgen.dataset.check.check import DatasetCheck, FrameCheck
+
 FOLDER_NAME, SPLIT_NAME, SHARD_NAME = "bop", "train_pbr", "shard.json"
 SCENE_FILES = ("scene_camera", "scene_gt", "scene_gt_info")
+NEEDS_AMODAL = "BOP's visible fractions need amodal masks"
 MASK_FOLDERS = ("mask", "mask_visib")
 _FAST = 1  # of zlib: two pictures a plant, of almost nothing but zeros
 
@@ -68,61 +73,85 @@ _RECORDS = list[dict[str, Any]]
 _SHARD: dict[str, type] = {"scene_camera": dict, "scene_gt": _RECORDS, "scene_gt_info": _RECORDS}
 
 
-def write_frame(folder: Path, labelled: LabelledFrame, settings: DatasetSettings) -> None:
-    """Write the frame's poses and pictures into its folder.
+class Bop(DatasetFormat):
+    """Poses, visible fractions and masks of each plant."""
 
-    Raises
-    ------
-    OutputError
-        When there are no amodal masks, before anything is written, or when a file cannot be written.
-    """
-    amodal = labelled.amodal
-    if amodal is None:
-        raise OutputError(
-            "BOP's visible fractions need amodal masks",
-            where=str(folder / FOLDER_NAME),
-            hint="add amodal to labels.channels, or leave bop out of dataset.formats",
+    name = "bop"
+    bytes_per_pixel, bytes_per_plant = 7, 6000
+    projections = ("perspective",)
+    label_channels: Mapping[str, str] = {"amodal": NEEDS_AMODAL}
+
+    def write_frame(self, folder: Path, labelled: LabelledFrame, settings: DatasetSettings) -> None:
+        """Write the frame's poses and pictures into its folder.
+
+        Raises
+        ------
+        OutputError
+            When there are no amodal masks, before anything is written, or when a file cannot be written.
+        """
+        amodal = labelled.amodal
+        if amodal is None:
+            raise OutputError(
+                NEEDS_AMODAL,
+                where=str(folder / FOLDER_NAME),
+                hint="add amodal to labels.channels, or leave bop out of dataset.formats",
+            )
+        home = folder / FOLDER_NAME
+        for name in MASK_FOLDERS:
+            make_folder(home / name)
+        steps = encode_depth(labelled.frame.surface.depth_m, settings.depth_unit_m)
+        steps[steps == BEYOND] = 0
+        write_grey(home / "depth.png", steps)
+
+        rows = np.flatnonzero(labelled.views.visible.has_box)
+        plants = labelled.population.plant_id[rows]
+        info = []
+        for number, (row, own) in enumerate(zip(rows, rows_of(plants, amodal.plant_id), strict=True)):
+            whole = _whole_mask(amodal, int(own), steps.shape)
+            seen = labelled.pixels.instance == labelled.population.plant_id[row]
+            for name, mask in zip(MASK_FOLDERS, (whole, seen), strict=True):
+                write_grey(home / name / f"{number:06d}.png", mask.astype(np.uint8) * np.uint8(255), _FAST)
+            info.append(
+                {
+                    "bbox_obj": amodal.box_px[own].tolist(),
+                    "bbox_visib": labelled.views.visible.box_px[row].tolist(),
+                    "px_count_all": int(amodal.pixels[own]),
+                    "px_count_valid": int((whole & (steps > 0)).sum()),
+                    "px_count_visib": int(labelled.views.visible.visible_pixels[row]),
+                    "visib_fract": float(labelled.views.visible.visible_pixels[row] / amodal.pixels[own]),
+                }
+            )
+        camera = _camera_entry(labelled, settings.depth_unit_m)
+        write_shard(
+            home / SHARD_NAME, {"scene_camera": camera, "scene_gt": _poses(labelled, rows), "scene_gt_info": info}
         )
-    home = folder / FOLDER_NAME
-    for name in MASK_FOLDERS:
-        make_folder(home / name)
-    steps = encode_depth(labelled.frame.surface.depth_m, settings.depth_unit_m)
-    steps[steps == BEYOND] = 0
-    write_grey(home / "depth.png", steps)
 
-    rows = np.flatnonzero(labelled.views.visible.has_box)
-    plants = labelled.population.plant_id[rows]
-    info = []
-    for number, (row, own) in enumerate(zip(rows, rows_of(plants, amodal.plant_id), strict=True)):
-        whole = _whole_mask(amodal, int(own), steps.shape)
-        seen = labelled.pixels.instance == labelled.population.plant_id[row]
-        for name, mask in zip(MASK_FOLDERS, (whole, seen), strict=True):
-            write_grey(home / name / f"{number:06d}.png", mask.astype(np.uint8) * np.uint8(255), _FAST)
-        info.append(
-            {
-                "bbox_obj": amodal.box_px[own].tolist(),
-                "bbox_visib": labelled.views.visible.box_px[row].tolist(),
-                "px_count_all": int(amodal.pixels[own]),
-                "px_count_valid": int((whole & (steps > 0)).sum()),
-                "px_count_visib": int(labelled.views.visible.visible_pixels[row]),
-                "visib_fract": float(labelled.views.visible.visible_pixels[row] / amodal.pixels[own]),
-            }
-        )
-    camera = _camera_entry(labelled, settings.depth_unit_m)
-    write_shard(home / SHARD_NAME, {"scene_camera": camera, "scene_gt": _poses(labelled, rows), "scene_gt_info": info})
+    def merge(self, root: Path, folders: Iterable[Path | str], settings: DatasetSettings) -> None:
+        """Write the scenes' files over all frames, and place the frames' pictures.
+
+        Raises
+        ------
+        OutputError
+            When a frame's file is missing or damaged, or cannot be placed.
+        """
+        scenes = groupby(in_order(folders), key=lambda folder: folder.partition("-")[0])
+        for number, (_, members) in enumerate(scenes):
+            _merge_scene(root, root / FOLDER_NAME / SPLIT_NAME / f"{number:06d}", list(members))
+
+    def frame_checks(self) -> tuple[FrameCheck, ...]:
+        from forestgen.dataset.check import bop
+        from forestgen.dataset.check.check import FrameCheck
+
+        return (FrameCheck("bop", "counts and masks are the plants'", FOLDER_NAME, bop.has_share, bop.plants, True),)
+
+    def dataset_checks(self) -> tuple[DatasetCheck, ...]:
+        from forestgen.dataset.check import bop
+        from forestgen.dataset.check.check import DatasetCheck
+
+        return (DatasetCheck("bop files", "each frame in a scene", FOLDER_NAME, bop.has_bop, bop.structure),)
 
 
-def merge(root: Path, folders: Iterable[Path | str], settings: DatasetSettings) -> None:
-    """Write the scenes' files over all frames, and place the frames' pictures.
-
-    Raises
-    ------
-    OutputError
-        When a frame's file is missing or damaged, or cannot be placed.
-    """
-    scenes = groupby(in_order(folders), key=lambda folder: folder.partition("-")[0])
-    for number, (_, members) in enumerate(scenes):
-        _merge_scene(root, root / FOLDER_NAME / SPLIT_NAME / f"{number:06d}", list(members))
+FORMAT = Bop()
 
 
 def _merge_scene(root: Path, scene: Path, folders: list[str]) -> None:

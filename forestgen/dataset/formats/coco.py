@@ -38,12 +38,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.parts import Part
+from forestgen.dataset.formats.format import DatasetFormat
 from forestgen.dataset.formats.rle import encode_amodal, encode_masks
 from forestgen.dataset.formats.shards import (
     JsonList,
@@ -61,6 +62,9 @@ from forestgen.labels.labelled import LabelledFrame
 from forestgen.labels.masks import rows_of
 from forestgen.labels.plants_table import KEYPOINTS
 
+if TYPE_CHECKING:
+    from forestgen.dataset.check.check import DatasetCheck, FrameCheck
+
 SHARD_NAME = "annotations.json"
 FILE_NAME = "coco.json"
 SKELETON = ((1, 3), (3, 2))  # COCO counts keypoints from 1
@@ -68,38 +72,73 @@ SKELETON = ((1, 3), (3, 2))  # COCO counts keypoints from 1
 _SHARD: dict[str, type] = {"annotations": list[dict[str, Any]], "image": dict}
 
 
-def write_frame(folder: Path, labelled: LabelledFrame, settings: DatasetSettings) -> None:
-    """Write the frame's annotations into its folder; a failure raises `OutputError`."""
-    width, height = labelled.frame.camera.size_px
-    shard = {
-        "annotations": frame_annotations(labelled),
-        "image": {"height": int(height), "width": int(width)},
-        **numbering(settings),
-    }
-    write_shard(folder / SHARD_NAME, shard)
+class Coco(DatasetFormat):
+    """COCO instances of all frames."""
+
+    name = "coco"
+    bytes_per_plant = 3000
+
+    def write_frame(self, folder: Path, labelled: LabelledFrame, settings: DatasetSettings) -> None:
+        """Write the frame's annotations into its folder; a failure raises `OutputError`."""
+        width, height = labelled.frame.camera.size_px
+        shard = {
+            "annotations": frame_annotations(labelled),
+            "image": {"height": int(height), "width": int(width)},
+            **numbering(settings),
+        }
+        write_shard(folder / SHARD_NAME, shard)
+
+    def merge(self, root: Path, folders: Iterable[Path | str], settings: DatasetSettings) -> None:
+        """Write coco.json over all frames.
+
+        Raises
+        ------
+        OutputError
+            When a shard is missing or damaged, when frames differ in species or classes, or the file cannot be written.
+        """
+        images: list[dict[str, Any]] = []
+        annotation_id = 0
+        with whole_file(root / FILE_NAME) as stream:
+            stream.write('{"annotations":')
+            annotations = JsonList(stream)
+            for image_id, folder in enumerate(in_order(folders), start=1):
+                shard = read_frame(root / folder / SHARD_NAME, _SHARD, settings)
+                images.append({**shard["image"], **image_entry(folder, image_id, settings)})
+                for one in shard["annotations"]:
+                    annotation_id += 1
+                    annotations.add({**one, "id": annotation_id, "image_id": image_id})
+            annotations.close()
+            write_rest(stream, _categories(settings.category_names), images, settings)
+
+    def frame_checks(self) -> tuple[FrameCheck, ...]:
+        from forestgen.dataset.check import coco
+        from forestgen.dataset.check.check import FrameCheck
+        from forestgen.dataset.check.merged import COCO
+
+        return (
+            FrameCheck("coco", "annotations are the mask's plants", COCO, coco.has_share, coco.plants, True),
+            FrameCheck("coco stems", "stem masks are the trunks", COCO, coco.has_share, coco.stems, True),
+            FrameCheck("coco amodal", "amodal masks hold visible ones", COCO, coco.has_amodal, coco.amodal, True),
+            FrameCheck("coco keypoints", "keypoints are plants.parquet's", COCO, coco.has_points, coco.points, True),
+            FrameCheck("coco measures", "numbers are plants.parquet's", COCO, coco.has_share, coco.measures, True),
+            FrameCheck("coco shard", "annotations.json is coco.json's share", coco.SHARD, coco.has_shard, coco.shard),
+        )
+
+    def dataset_checks(self) -> tuple[DatasetCheck, ...]:
+        from forestgen.dataset.check import coco
+        from forestgen.dataset.check.check import DatasetCheck
+        from forestgen.dataset.check.merged import COCO
+
+        return (DatasetCheck("coco files", "images, ids, categories, licences", COCO, coco.has_coco, coco.structure),)
+
+    def card(self) -> str:
+        return (
+            "`SPLIT/coco.json` opens in pycocotools and in every loader of COCO; paths in it are relative to the "
+            "split's folder."
+        )
 
 
-def merge(root: Path, folders: Iterable[Path | str], settings: DatasetSettings) -> None:
-    """Write coco.json over all frames.
-
-    Raises
-    ------
-    OutputError
-        When a shard is missing or damaged, when frames differ in species or classes, or the file cannot be written.
-    """
-    images: list[dict[str, Any]] = []
-    annotation_id = 0
-    with whole_file(root / FILE_NAME) as stream:
-        stream.write('{"annotations":')
-        annotations = JsonList(stream)
-        for image_id, folder in enumerate(in_order(folders), start=1):
-            shard = read_frame(root / folder / SHARD_NAME, _SHARD, settings)
-            images.append({**shard["image"], **image_entry(folder, image_id, settings)})
-            for one in shard["annotations"]:
-                annotation_id += 1
-                annotations.add({**one, "id": annotation_id, "image_id": image_id})
-        annotations.close()
-        write_rest(stream, _categories(settings.category_names), images, settings)
+FORMAT = Coco()
 
 
 def write_rest(

@@ -36,9 +36,10 @@ Psyop, "Cryptomatte specification", version 1.2.0: layer naming, metadata, ID ge
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,9 +47,13 @@ from numpy.typing import NDArray
 from forestgen.core.errors import OutputError
 from forestgen.core.parts import Part
 from forestgen.dataset.exr import Channels, write_parts
+from forestgen.dataset.formats.format import DatasetFormat
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.labels.labelled import LabelledFrame
 from forestgen.labels.masks import coverage_ranks, rows_of
+
+if TYPE_CHECKING:
+    from forestgen.dataset.check.check import FrameCheck
 
 FILE_NAME = "cryptomatte.exr"
 RANKS = 8
@@ -67,13 +72,32 @@ class CryptoLayer:
     ids: NDArray[np.uint32]  # (names,) the bits of the standard's floats
 
 
-def write_frame(folder: Path, labelled: LabelledFrame, settings: DatasetSettings) -> None:
-    """Write the frame's cryptomatte.exr into its folder; species that share an id raise `OutputError`."""
-    write_cryptomatte(folder / FILE_NAME, labelled)
+class Cryptomatte(DatasetFormat):
+    """Coverage by name, for compositing programs."""
+
+    name = "cryptomatte"
+    bytes_per_pixel = 48 * 4
+
+    def write_frame(self, folder: Path, labelled: LabelledFrame, settings: DatasetSettings) -> None:
+        """Write the frame's cryptomatte.exr into its folder; species that share an id raise `OutputError`."""
+        write_cryptomatte(folder / FILE_NAME, labelled)
+
+    def frame_checks(self) -> tuple[FrameCheck, ...]:
+        from forestgen.dataset.check import cryptomatte
+        from forestgen.dataset.check.check import FrameCheck
+
+        return (
+            FrameCheck(
+                "cryptomatte",
+                "names, plants, shares are frame.exr's",
+                FILE_NAME,
+                cryptomatte.has_cryptomatte,
+                cryptomatte.cryptomatte,
+            ),
+        )
 
 
-def merge(root: Path, folders: Iterable[Path | str], settings: DatasetSettings) -> None:
-    """Nothing: each frame's file is complete."""
+FORMAT = Cryptomatte()
 
 
 def write_cryptomatte(path: Path, labelled: LabelledFrame) -> None:

@@ -15,37 +15,58 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.dataset.formats.format import DatasetFormat
 from forestgen.dataset.formats.shards import in_order, read_shard, write_shard
 from forestgen.dataset.png import write_grey
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.labels.labelled import LabelledFrame
 
+if TYPE_CHECKING:
+    from forestgen.dataset.check.check import FrameCheck
+
 PICTURE_NAME, SCALE_NAME = "depth.png", "depth.json"
 NO_DEPTH, MOST_STEPS, BEYOND = 0, 65_534, 65_535
 
 
-def write_frame(folder: Path, labelled: LabelledFrame, settings: DatasetSettings) -> None:
-    """Write the frame's depth and its scale into its folder; a failure raises `OutputError`."""
-    unit_m = settings.depth_unit_m
-    write_grey(folder / PICTURE_NAME, encode_depth(labelled.frame.surface.depth_m, unit_m))
-    scale = {"beyond": BEYOND, "farthest_m": MOST_STEPS * unit_m, "no_depth": NO_DEPTH, "unit_m": unit_m}
-    write_shard(folder / SCALE_NAME, scale)
+class DepthPng(DatasetFormat):
+    """16-bit depth along the camera's axis."""
+
+    name = "depth_png"
+    bytes_per_pixel = 2
+
+    def write_frame(self, folder: Path, labelled: LabelledFrame, settings: DatasetSettings) -> None:
+        """Write the frame's depth and its scale into its folder; a failure raises `OutputError`."""
+        unit_m = settings.depth_unit_m
+        write_grey(folder / PICTURE_NAME, encode_depth(labelled.frame.surface.depth_m, unit_m))
+        scale = {"beyond": BEYOND, "farthest_m": MOST_STEPS * unit_m, "no_depth": NO_DEPTH, "unit_m": unit_m}
+        write_shard(folder / SCALE_NAME, scale)
+
+    def merge(self, root: Path, folders: Iterable[Path | str], settings: DatasetSettings) -> None:
+        """Check that every frame has its depth; there is no file over all frames.
+
+        Raises
+        ------
+        OutputError
+            When a frame's scale is missing or damaged.
+        """
+        for folder in in_order(folders):
+            read_shard(root / folder / SCALE_NAME, {"unit_m": float})
+
+    def frame_checks(self) -> tuple[FrameCheck, ...]:
+        from forestgen.dataset.check import depth_png
+        from forestgen.dataset.check.check import FrameCheck
+
+        return (
+            FrameCheck("depth.png", "within half a step", PICTURE_NAME, depth_png.has_depth_png, depth_png.depth_png),
+        )
 
 
-def merge(root: Path, folders: Iterable[Path | str], settings: DatasetSettings) -> None:
-    """Check that every frame has its depth; there is no file over all frames.
-
-    Raises
-    ------
-    OutputError
-        When a frame's scale is missing or damaged.
-    """
-    for folder in in_order(folders):
-        read_shard(root / folder / SCALE_NAME, {"unit_m": float})
+FORMAT = DepthPng()
 
 
 def encode_depth(depth_m: NDArray[np.float32], unit_m: float) -> NDArray[np.uint16]:

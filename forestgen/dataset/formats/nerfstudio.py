@@ -32,15 +32,19 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from forestgen.core.errors import OutputError
 from forestgen.dataset.files import write_json
+from forestgen.dataset.formats.depth_png import FORMAT as DEPTH
+from forestgen.dataset.formats.format import DatasetFormat
 from forestgen.dataset.formats.shards import damaged, in_order, read_shard
 from forestgen.dataset.settings import DatasetSettings
-from forestgen.labels.labelled import LabelledFrame
+
+if TYPE_CHECKING:
+    from forestgen.dataset.check.check import DatasetCheck, FrameCheck
 
 CAMERA_NAME = "camera.json"
 DEPTH_NAME = "depth.png"
@@ -51,29 +55,54 @@ _DISTORTION = {"pinhole": ("k1", "k2", "p1", "p2"), "fisheye": ("k1", "k2", "k3"
 _SHARD: dict[str, type] = {"model": str, "size_px": list[int], "world_from_camera": list[list[Any]]}
 
 
-def write_frame(folder: Path, labelled: LabelledFrame, settings: DatasetSettings) -> None:
-    """Nothing: every frame has its camera.json."""
+class Nerfstudio(DatasetFormat):
+    """Cameras for radiance fields and splats."""
+
+    name = "nerfstudio"
+    projections = ("perspective", "fisheye", "panorama")
+
+    def merge(self, root: Path, folders: Iterable[Path | str], settings: DatasetSettings) -> None:
+        """Write the transforms of each image.
+
+        Raises
+        ------
+        OutputError
+            When a camera.json is missing or damaged, or a file cannot be written.
+        """
+        images: dict[str, list[str]] = {}
+        for folder in in_order(folders):
+            images.setdefault(folder.partition("-")[0], []).append(folder)
+        for image, own in images.items():
+            models: dict[str, list[str]] = {}
+            for folder in own:
+                models.setdefault(_camera(root, folder)["model"], []).append(folder)
+            first = "transforms" if len(images) == 1 else f"transforms-{image}"
+            for number, (model, folders_of_model) in enumerate(models.items()):
+                name = f"{first}.json" if number == 0 else f"{first}-{model}.json"
+                write_json(root / name, _transforms(root, model, folders_of_model, settings))
+
+    def frame_checks(self) -> tuple[FrameCheck, ...]:
+        from forestgen.dataset.check import cameras
+        from forestgen.dataset.check.check import FrameCheck
+        from forestgen.dataset.check.merged import TRANSFORMS
+
+        return (
+            FrameCheck(
+                "transforms", "cameras are camera.json's", TRANSFORMS, cameras.has_share, cameras.transforms, True
+            ),
+        )
+
+    def dataset_checks(self) -> tuple[DatasetCheck, ...]:
+        from forestgen.dataset.check import cameras
+        from forestgen.dataset.check.check import DatasetCheck
+        from forestgen.dataset.check.merged import TRANSFORMS
+
+        return (
+            DatasetCheck("transforms files", "each frame once", TRANSFORMS, cameras.has_transforms, cameras.structure),
+        )
 
 
-def merge(root: Path, folders: Iterable[Path | str], settings: DatasetSettings) -> None:
-    """Write the transforms of each image.
-
-    Raises
-    ------
-    OutputError
-        When a camera.json is missing or damaged, or a file cannot be written.
-    """
-    images: dict[str, list[str]] = {}
-    for folder in in_order(folders):
-        images.setdefault(folder.partition("-")[0], []).append(folder)
-    for image, own in images.items():
-        models: dict[str, list[str]] = {}
-        for folder in own:
-            models.setdefault(_camera(root, folder)["model"], []).append(folder)
-        first = "transforms" if len(images) == 1 else f"transforms-{image}"
-        for number, (model, folders_of_model) in enumerate(models.items()):
-            name = f"{first}.json" if number == 0 else f"{first}-{model}.json"
-            write_json(root / name, _transforms(root, model, folders_of_model, settings))
+FORMAT = Nerfstudio()
 
 
 def _camera(root: Path, folder: str) -> dict[str, Any]:
@@ -94,7 +123,7 @@ def _transforms(root: Path, model: str, folders: Sequence[str], settings: Datase
         "camera_model": MODELS[model],
         "frames": [_checked_frame(root, folder, settings) for folder in folders],
     }
-    if "depth_png" in settings.formats:
+    if DEPTH.name in settings.formats:
         content["depth_unit_scale_factor"] = settings.depth_unit_m
     return content
 
@@ -126,7 +155,7 @@ def _frame(root: Path, folder: str, settings: DatasetSettings) -> dict[str, Any]
         "h": height,
         **dict.fromkeys(_DISTORTION[camera["model"]], 0.0),
     }
-    if "depth_png" in settings.formats:
+    if DEPTH.name in settings.formats:
         frame["depth_file_path"] = f"{folder}/{DEPTH_NAME}"
     if camera.get("sequence") is not None:
         frame["time"] = camera["time_s"]

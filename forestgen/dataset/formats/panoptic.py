@@ -25,7 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +34,7 @@ from forestgen.core.errors import OutputError
 from forestgen.core.parts import Part
 from forestgen.dataset import png
 from forestgen.dataset.formats.coco import image_entry, write_rest
+from forestgen.dataset.formats.format import DatasetFormat
 from forestgen.dataset.formats.shards import (
     JsonList,
     in_order,
@@ -45,6 +46,10 @@ from forestgen.dataset.formats.shards import (
 )
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.labels.labelled import LabelledFrame
+from forestgen.labels.masks import instance_mask
+
+if TYPE_CHECKING:
+    from forestgen.dataset.check.check import DatasetCheck, FrameCheck
 
 SHARD_NAME, PICTURE_NAME = "panoptic.json", "panoptic.png"
 FILE_NAME, FOLDER_NAME = "panoptic.json", "panoptic"
@@ -55,7 +60,81 @@ MOST_PLANT_ID = png.MAX_PNG_ID - 2
 _SHARD: dict[str, type] = {"segments_info": list[dict[str, Any]], "image": dict}
 
 
-def require_fitting(instance: NDArray[np.uint32], where: str) -> None:
+class Panoptic(DatasetFormat):
+    """COCO panoptic: plants, ground and sky."""
+
+    name = "panoptic"
+    bytes_per_pixel, bytes_per_plant = 6, 400
+
+    def write_frame(self, folder: Path, labelled: LabelledFrame, settings: DatasetSettings) -> None:
+        """Write the frame's picture and segments into its folder.
+
+        Raises
+        ------
+        OutputError
+            When a plant's id does not fit, before anything is written, or when a file cannot be written.
+        """
+        instance = labelled.pixels.instance
+        _require_fitting(instance, str(folder / PICTURE_NAME))
+        segments = segment_ids(instance, labelled.pixels.part)
+        width, height = labelled.frame.camera.size_px
+        shard = {
+            "image": {"height": int(height), "width": int(width)},
+            "segments_info": segments_info(segments, labelled),
+            **numbering(settings),
+        }
+        png.write_instance(folder / PICTURE_NAME, segments)
+        write_shard(folder / SHARD_NAME, shard)
+
+    def merge(self, root: Path, folders: Iterable[Path | str], settings: DatasetSettings) -> None:
+        """Write panoptic.json over all frames, and place their pictures beside it.
+
+        Raises
+        ------
+        OutputError
+            When a shard is missing or damaged, frames differ in species or classes, or a file cannot be written.
+        """
+        images: list[dict[str, Any]] = []
+        with whole_file(root / FILE_NAME) as stream:
+            stream.write('{"annotations":')
+            annotations = JsonList(stream)
+            for image_id, folder in enumerate(in_order(folders), start=1):
+                shard = read_frame(root / folder / SHARD_NAME, _SHARD, settings)
+                images.append({**shard["image"], **image_entry(folder, image_id, settings)})
+                name = f"{folder}.png"
+                annotations.add({"file_name": name, "image_id": image_id, "segments_info": shard["segments_info"]})
+                place(root / folder / PICTURE_NAME, root / FOLDER_NAME / name)
+            annotations.close()
+            write_rest(stream, categories(settings.category_names), images, settings)
+
+    def check_ids(self, plant_id: NDArray[np.uint32], where: str) -> None:
+        if plant_id.max(initial=0) > MOST_PLANT_ID:
+            _require_fitting(instance_mask(plant_id), where)
+
+    def frame_checks(self) -> tuple[FrameCheck, ...]:
+        from forestgen.dataset.check import panoptic
+        from forestgen.dataset.check.check import FrameCheck
+        from forestgen.dataset.check.merged import PANOPTIC
+
+        return (
+            FrameCheck("panoptic", "segments cover the image", PANOPTIC, panoptic.has_share, panoptic.segments, True),
+            FrameCheck(
+                "panoptic.png", "it is panoptic/'s", PICTURE_NAME, panoptic.has_own_picture, panoptic.own_picture
+            ),
+        )
+
+    def dataset_checks(self) -> tuple[DatasetCheck, ...]:
+        from forestgen.dataset.check import panoptic
+        from forestgen.dataset.check.check import DatasetCheck
+        from forestgen.dataset.check.merged import PANOPTIC
+
+        return (DatasetCheck("panoptic files", "images and ids", PANOPTIC, panoptic.has_panoptic, panoptic.structure),)
+
+
+FORMAT = Panoptic()
+
+
+def _require_fitting(instance: NDArray[np.uint32], where: str) -> None:
     """Raise `OutputError` if an (H, W) mask of plants has an id that the pictures cannot hold."""
     largest = int(instance.max(initial=0))
     if largest > MOST_PLANT_ID:
@@ -66,49 +145,6 @@ def require_fitting(instance: NDArray[np.uint32], where: str) -> None:
             got=str(largest),
             hint="leave panoptic out of dataset.formats: coco.json and frame.exr hold ids of 32 bits",
         )
-
-
-def write_frame(folder: Path, labelled: LabelledFrame, settings: DatasetSettings) -> None:
-    """Write the frame's picture and segments into its folder.
-
-    Raises
-    ------
-    OutputError
-        When a plant's id does not fit, before anything is written, or when a file cannot be written.
-    """
-    instance = labelled.pixels.instance
-    require_fitting(instance, str(folder / PICTURE_NAME))
-    segments = segment_ids(instance, labelled.pixels.part)
-    width, height = labelled.frame.camera.size_px
-    shard = {
-        "image": {"height": int(height), "width": int(width)},
-        "segments_info": segments_info(segments, labelled),
-        **numbering(settings),
-    }
-    png.write_instance(folder / PICTURE_NAME, segments)
-    write_shard(folder / SHARD_NAME, shard)
-
-
-def merge(root: Path, folders: Iterable[Path | str], settings: DatasetSettings) -> None:
-    """Write panoptic.json over all frames, and place their pictures beside it.
-
-    Raises
-    ------
-    OutputError
-        When a shard is missing or damaged, when frames differ in species or classes, or when a file cannot be written.
-    """
-    images: list[dict[str, Any]] = []
-    with whole_file(root / FILE_NAME) as stream:
-        stream.write('{"annotations":')
-        annotations = JsonList(stream)
-        for image_id, folder in enumerate(in_order(folders), start=1):
-            shard = read_frame(root / folder / SHARD_NAME, _SHARD, settings)
-            images.append({**shard["image"], **image_entry(folder, image_id, settings)})
-            name = f"{folder}.png"
-            annotations.add({"file_name": name, "image_id": image_id, "segments_info": shard["segments_info"]})
-            place(root / folder / PICTURE_NAME, root / FOLDER_NAME / name)
-        annotations.close()
-        write_rest(stream, categories(settings.category_names), images, settings)
 
 
 def segment_ids(instance: NDArray[np.uint32], part: NDArray[np.uint8]) -> NDArray[np.uint32]:

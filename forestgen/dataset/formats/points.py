@@ -35,21 +35,24 @@ ICSM, "LiDAR acquisition specifications and tender template", 2010, table of cla
 from __future__ import annotations
 
 import io
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.parts import Part
 from forestgen.dataset.files import write_bytes
+from forestgen.dataset.formats.format import DatasetFormat
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.dataset.tonemap import preview_of
 from forestgen.labels.labelled import LabelledFrame
 from forestgen.labels.masks import rows_of
 from forestgen.recipe.dataset import View
+
+if TYPE_CHECKING:
+    from forestgen.dataset.check.check import FrameCheck
 
 PLY_NAME, LAZ_NAME = "points.ply", "points.laz"
 FINEST_STEP_M = 1e-4
@@ -80,15 +83,29 @@ class Points:
     time_s: float
 
 
-def write_frame(folder: Path, labelled: LabelledFrame, settings: DatasetSettings) -> None:
-    """Write a frame's points; a failure raises `OutputError`."""
-    points = frame_points(labelled, settings.point_stride, settings.view)
-    write_bytes(folder / PLY_NAME, ply_bytes(points))
-    write_bytes(folder / LAZ_NAME, laz_bytes(points))
+class PointClouds(DatasetFormat):
+    """The surfaces that pixels see as PLY and LAZ."""
+
+    name = "points"
+    bytes_per_pixel = 93
+
+    def write_frame(self, folder: Path, labelled: LabelledFrame, settings: DatasetSettings) -> None:
+        """Write a frame's points; a failure raises `OutputError`."""
+        points = frame_points(labelled, settings.point_stride, settings.view)
+        write_bytes(folder / PLY_NAME, ply_bytes(points))
+        write_bytes(folder / LAZ_NAME, laz_bytes(points))
+
+    def frame_checks(self) -> tuple[FrameCheck, ...]:
+        from forestgen.dataset.check import points
+        from forestgen.dataset.check.check import FrameCheck
+
+        return (
+            FrameCheck("points.ply", "points are the pixels'", PLY_NAME, points.has_ply, points.ply),
+            FrameCheck("points.laz", "points are points.ply's", LAZ_NAME, points.has_laz, points.laz),
+        )
 
 
-def merge(root: Path, folders: Iterable[Path | str], settings: DatasetSettings) -> None:
-    """Nothing: each frame has its own points."""
+FORMAT = PointClouds()
 
 
 def frame_points(labelled: LabelledFrame, stride: int, view: View = "filmic") -> Points:

@@ -29,61 +29,91 @@ Files in the frame's folder: ``yolo_segmentation.txt`` and ``yolo_boxes.txt``; m
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from forestgen.dataset.files import make_folder, write_bytes
 from forestgen.dataset.formats.contours import polygons
+from forestgen.dataset.formats.format import DatasetFormat
 from forestgen.dataset.formats.shards import damaged, in_order, place, read_bytes
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.labels.labelled import LabelledFrame
 
+if TYPE_CHECKING:
+    from forestgen.dataset.check.check import DatasetCheck, FrameCheck
+
 FOLDER_NAME = "yolo"
 TASKS = ("segmentation", "boxes")
-WHOLE_NAMES = {task: f"yolo_{task}.yaml" for task in TASKS}  # of a data set of several splits
+_SPLIT_FILES = {task: f"yolo_{task}.yaml" for task in TASKS}
 _DIGITS = 7
 _WITHIN_PIXEL = 0.4  # below 0.5, so that rounding gives the pixel; near it, for its centre is meant
 _FEWEST_CORNERS = 3
 
 
-def write_frame(folder: Path, labelled: LabelledFrame, settings: DatasetSettings) -> None:
-    """Write the frame's lines of both tasks into its folder; a failure raises `OutputError`."""
-    for task, lines in zip(TASKS, (outline_lines(labelled), box_lines(labelled)), strict=True):
-        write_bytes(folder / f"yolo_{task}.txt", "".join(line + "\n" for line in lines).encode())
+class Yolo(DatasetFormat):
+    """Outlines and boxes for YOLO trainers."""
+
+    name = "yolo"
+    bytes_per_pixel, bytes_per_plant = 6, 2000
+    split_file_names = tuple(_SPLIT_FILES.values())
+
+    def write_frame(self, folder: Path, labelled: LabelledFrame, settings: DatasetSettings) -> None:
+        """Write the frame's lines of both tasks into its folder; a failure raises `OutputError`."""
+        for task, lines in zip(TASKS, (outline_lines(labelled), box_lines(labelled)), strict=True):
+            write_bytes(folder / f"yolo_{task}.txt", "".join(line + "\n" for line in lines).encode())
+
+    def merge(self, root: Path, folders: Iterable[Path | str], settings: DatasetSettings) -> None:
+        """Place images and labels of all frames where trainers look for them, and write data.yaml.
+
+        Raises
+        ------
+        OutputError
+            When a frame's file is missing or cut short, or cannot be placed.
+        """
+        frames = in_order(folders)
+        for task in TASKS:
+            home = root / FOLDER_NAME / task
+            make_folder(home / "images")
+            make_folder(home / "labels")
+            for folder in frames:
+                shard = root / folder / f"yolo_{task}.txt"
+                _check_whole(shard)
+                place(shard, home / "labels" / f"{folder}.txt")
+                place(root / folder / "preview.png", home / "images" / f"{folder}.png")
+            write_bytes(home / "data.yaml", f"train: images\nval: images\n{_names(settings)}".encode())
+
+    def split_files(self, splits: Sequence[str], settings: DatasetSettings) -> dict[str, bytes]:
+        """Each task's yaml, with the images of each split; none without a val."""
+        if not {"train", "val"} <= set(splits):
+            return {}
+        files = {}
+        for task in TASKS:
+            images = "".join(f"{json.dumps(split)}: {split}/{FOLDER_NAME}/{task}/images\n" for split in splits)
+            files[_SPLIT_FILES[task]] = (images + _names(settings)).encode()
+        return files
+
+    def frame_checks(self) -> tuple[FrameCheck, ...]:
+        from forestgen.dataset.check import yolo
+        from forestgen.dataset.check.check import FrameCheck
+
+        return (
+            FrameCheck("yolo boxes", "boxes are the masks'", FOLDER_NAME, yolo.has_boxes, yolo.boxes, True),
+            FrameCheck("yolo outlines", "rings fill to the masks", FOLDER_NAME, yolo.has_outlines, yolo.outlines, True),
+        )
+
+    def dataset_checks(self) -> tuple[DatasetCheck, ...]:
+        from forestgen.dataset.check import yolo
+        from forestgen.dataset.check.check import DatasetCheck
+
+        return (
+            DatasetCheck("yolo files", "images, labels, names of classes", FOLDER_NAME, yolo.has_yolo, yolo.structure),
+        )
 
 
-def merge(root: Path, folders: Iterable[Path | str], settings: DatasetSettings) -> None:
-    """Place images and labels of all frames where trainers look for them, and write data.yaml.
-
-    Raises
-    ------
-    OutputError
-        When a frame's file is missing or cut short, or cannot be placed.
-    """
-    frames = in_order(folders)
-    for task in TASKS:
-        home = root / FOLDER_NAME / task
-        make_folder(home / "images")
-        make_folder(home / "labels")
-        for folder in frames:
-            shard = root / folder / f"yolo_{task}.txt"
-            _check_whole(shard)
-            place(shard, home / "labels" / f"{folder}.txt")
-            place(root / folder / "preview.png", home / "images" / f"{folder}.png")
-        write_bytes(home / "data.yaml", f"train: images\nval: images\n{_names(settings)}".encode())
-
-
-def whole_files(splits: Collection[str], settings: DatasetSettings) -> dict[str, bytes]:
-    """Files of a data set of several splits: each task's yaml, with the images of each split; none without a val."""
-    if not {"train", "val"} <= set(splits):
-        return {}
-    files = {}
-    for task in TASKS:
-        images = "".join(f"{json.dumps(split)}: {split}/{FOLDER_NAME}/{task}/images\n" for split in splits)
-        files[WHOLE_NAMES[task]] = (images + _names(settings)).encode()
-    return files
+FORMAT = Yolo()
 
 
 def _names(settings: DatasetSettings) -> str:

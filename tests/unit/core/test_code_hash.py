@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import subprocess
 import sys
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -140,11 +141,24 @@ def test_the_package_itself_imports_nothing() -> None:
 
 
 def imports_of(path: Path, root: Path) -> set[Path]:
-    """Files of forestgen's modules that a file imports, at its top or inside functions."""
+    """Files of forestgen's modules that a file imports, at its top or inside functions.
+
+    But for those of the checks of a format, which `verify` calls and no worker, and for those of types alone.
+    """
     found = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.ImportFrom) and node.module and node.module.partition(".")[0] == "forestgen":
+    for node in imports_in(ast.parse(path.read_text(encoding="utf-8"))):
+        if node.module and node.module.partition(".")[0] == "forestgen":
             for name in (node.module, *(f"{node.module}.{one.name}" for one in node.names)):
                 place = root.joinpath(*name.split(".")[1:])
                 found |= {one for one in (place.with_suffix(".py"), place / "__init__.py") if one.exists()}
     return found
+
+
+def imports_in(node: ast.AST) -> Iterator[ast.ImportFrom]:
+    for inner in ast.iter_child_nodes(node):
+        of_types = isinstance(inner, ast.If) and ast.unparse(inner.test) == "TYPE_CHECKING"
+        of_checks = isinstance(inner, ast.FunctionDef) and inner.name in ("frame_checks", "dataset_checks")
+        if isinstance(inner, ast.ImportFrom):
+            yield inner
+        elif not of_types and not of_checks:
+            yield from imports_in(inner)

@@ -65,11 +65,11 @@ def written(module, root, frames, settings=SETTINGS):
         folder.mkdir(parents=True, exist_ok=True)
         width, height = labelled.frame.camera.size_px
         write_rgb(folder / "preview.png", np.full((height, width, 3), 90, np.uint8))
-        module.write_frame(folder, labelled, settings)
+        module.FORMAT.write_frame(folder, labelled, settings)
 
     with ThreadPoolExecutor(2) as pool:
         list(pool.map(work, frames.items()))
-    module.merge(root, list(frames), settings)
+    module.FORMAT.merge(root, list(frames), settings)
     return root
 
 

@@ -148,13 +148,13 @@ def test_awkward_masks(tmp_path):
 
 def test_without_amodal_masks_it_is_refused(tmp_path):
     with pytest.raises(OutputError, match="amodal"):
-        bop.write_frame(tmp_path, replace(FRAMES["000001-a"], amodal=None), SETTINGS)
+        bop.FORMAT.write_frame(tmp_path, replace(FRAMES["000001-a"], amodal=None), SETTINGS)
     assert not list(tmp_path.iterdir())
 
 
 def test_equal_input_equal_bytes(tmp_path, dataset):
     first = all_bytes(dataset)
-    bop.merge(dataset, list(FRAMES), SETTINGS)
+    bop.FORMAT.merge(dataset, list(FRAMES), SETTINGS)
     assert all_bytes(dataset) == first
     assert all_bytes(written(bop, tmp_path, dict(reversed(FRAMES.items())))) == first
 
@@ -163,7 +163,7 @@ def test_missing_and_damaged_shards(tmp_path):
     written(bop, tmp_path, {"a": drawn([[1]]), "b": drawn([[1]])})
     (tmp_path / "b" / "bop" / "mask" / "000000.png").unlink()
     with pytest.raises(OutputError, match=r"b/bop/mask/000000\.png"):
-        bop.merge(tmp_path, ["a", "b"], SETTINGS)
+        bop.FORMAT.merge(tmp_path, ["a", "b"], SETTINGS)
     (tmp_path / "b" / "bop" / "shard.json").write_text('{"scene_gt": 3}')
     with pytest.raises(OutputError, match="not of this format"):
-        bop.merge(tmp_path, ["a", "b"], SETTINGS)
+        bop.FORMAT.merge(tmp_path, ["a", "b"], SETTINGS)

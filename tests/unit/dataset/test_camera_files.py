@@ -68,7 +68,7 @@ def test_transforms_project_surfaces_to_pixel_centres(tmp_path):
     cameras = [make_camera("a"), turned]
     settings = replace(SETTINGS, formats=("nerfstudio", "depth_png"), depth_unit_m=0.02)
     folders = frames_on_disk(tmp_path, cameras)
-    nerfstudio.merge(tmp_path, folders[::-1], settings)
+    nerfstudio.FORMAT.merge(tmp_path, folders[::-1], settings)
     read = json.loads((tmp_path / "transforms.json").read_text())
     assert read["camera_model"] == "OPENCV"
     assert read["depth_unit_scale_factor"] == 0.02
@@ -93,7 +93,7 @@ def test_each_image_is_a_scene_of_its_own(tmp_path):
         *frames_on_disk(tmp_path, [make_camera("a"), make_camera("b")], 3),
         *frames_on_disk(tmp_path, [make_camera("a")], 12),
     ]
-    nerfstudio.merge(tmp_path, folders, SETTINGS)
+    nerfstudio.FORMAT.merge(tmp_path, folders, SETTINGS)
     names = {path.name for path in tmp_path.glob("*.json")}
     assert names == {"transforms-000003.json", "transforms-000012.json"}
     read = json.loads((tmp_path / "transforms-000003.json").read_text())
@@ -101,7 +101,7 @@ def test_each_image_is_a_scene_of_its_own(tmp_path):
     assert "depth_unit_scale_factor" not in read
     assert not any("depth_file_path" in frame for frame in read["frames"])
     first = (tmp_path / "transforms-000003.json").read_bytes()
-    nerfstudio.merge(tmp_path, folders[::-1], SETTINGS)
+    nerfstudio.FORMAT.merge(tmp_path, folders[::-1], SETTINGS)
     assert (tmp_path / "transforms-000003.json").read_bytes() == first
 
 
@@ -109,10 +109,10 @@ def test_a_missing_or_damaged_camera_is_an_output_error(tmp_path):
     folders = frames_on_disk(tmp_path, [make_camera("a"), make_camera("b")])
     (folders[1] / "camera.json").write_text('{"K": 3}')
     with pytest.raises(OutputError, match="not of this format"):
-        nerfstudio.merge(tmp_path, folders, SETTINGS)
+        nerfstudio.FORMAT.merge(tmp_path, folders, SETTINGS)
     shutil.rmtree(folders[0])
     with pytest.raises(OutputError, match="lacks"):
-        nerfstudio.merge(tmp_path, folders, SETTINGS)
+        nerfstudio.FORMAT.merge(tmp_path, folders, SETTINGS)
 
 
 def test_a_missing_folder_is_an_output_error(tmp_path):
@@ -176,7 +176,7 @@ def test_nerfstudio_has_a_file_for_each_model_and_its_rays_are_ours(tmp_path):
     place = (3.0, 4.0, 5.0)
     cameras = [replace(camera_of(kind, (40, 30), place, (8.0, 20.0, 3.0)), name=kind) for kind in kinds]
     folders = frames_on_disk(tmp_path, cameras)
-    nerfstudio.merge(tmp_path, folders, SETTINGS)
+    nerfstudio.FORMAT.merge(tmp_path, folders, SETTINGS)
     names = {"perspective": "-pinhole", "fisheye": "", "panorama": "-equirectangular"}
     for camera in cameras:  # by their folders' names, the fisheye is the first
         content = json.loads((tmp_path / f"transforms{names[camera.name]}.json").read_text())
@@ -187,4 +187,4 @@ def test_nerfstudio_has_a_file_for_each_model_and_its_rays_are_ours(tmp_path):
             np.testing.assert_allclose(got, rays.direction[row, column], atol=1e-9)
     parallel = frames_on_disk(tmp_path / "o", [camera_of("orthographic", (40, 30), place)])
     with pytest.raises(OutputError, match="no orthographic cameras"):
-        nerfstudio.merge(tmp_path / "o", parallel, SETTINGS)
+        nerfstudio.FORMAT.merge(tmp_path / "o", parallel, SETTINGS)

@@ -68,7 +68,7 @@ def test_frames_of_other_classes_are_not_merged(tmp_path):
         written(module, tmp_path, {"x": drawn(MASK, classes=one)}, settings_of(one))
         for settings in (settings_of(other), SETTINGS):
             with pytest.raises(OutputError, match=r"share their labels\.classes"):
-                module.merge(tmp_path, ["x"], settings)
+                module.FORMAT.merge(tmp_path, ["x"], settings)
 
 
 def test_a_class_a_species_changes_nothing(tmp_path):

@@ -194,7 +194,7 @@ def test_without_amodal_masks_their_fields_are_absent(tmp_path):
 
 def test_equal_input_equal_bytes(tmp_path, dataset):
     first = all_bytes(dataset[1])
-    coco.merge(dataset[1], [dataset[1] / name for name in reversed(FRAMES)], LICENSED)
+    coco.FORMAT.merge(dataset[1], [dataset[1] / name for name in reversed(FRAMES)], LICENSED)
     assert all_bytes(dataset[1]) == first
     assert all_bytes(written(coco, tmp_path, dict(reversed(FRAMES.items())), LICENSED)) == first
 
@@ -226,7 +226,7 @@ def test_cocoeval_of_the_truth_against_itself_is_1(dataset, kind):
 
 
 def test_no_frames(tmp_path):
-    coco.merge(tmp_path, [], SETTINGS)
+    coco.FORMAT.merge(tmp_path, [], SETTINGS)
     content = json.loads((tmp_path / "coco.json").read_text())
     assert content["images"] == content["annotations"] == []
     assert [one["name"] for one in content["categories"]] == list(SPECIES)
@@ -248,7 +248,7 @@ def test_damaged_shards_are_named_and_nothing_is_left(tmp_path, damage, words):
     (tmp_path / "coco.json").unlink()
     damage(tmp_path / "b" / "annotations.json")
     with pytest.raises(OutputError, match=words) as caught:
-        coco.merge(tmp_path, ["a", "b"], SETTINGS)
+        coco.FORMAT.merge(tmp_path, ["a", "b"], SETTINGS)
     assert str(tmp_path / "b" / "annotations.json") in str(caught.value)
     assert {path.name for path in tmp_path.iterdir()} == {"a", "b"}
 
@@ -261,7 +261,7 @@ def test_a_merge_holds_one_frame_in_memory(tmp_path):
         (tmp_path / f"{i:06d}-a").mkdir()
         (tmp_path / f"{i:06d}-a" / "annotations.json").write_text(json.dumps({**shard, "species": list(SPECIES)}))
     tracemalloc.start()
-    coco.merge(tmp_path, [f"{i:06d}-a" for i in range(30)], SETTINGS)
+    coco.FORMAT.merge(tmp_path, [f"{i:06d}-a" for i in range(30)], SETTINGS)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert (tmp_path / "coco.json").stat().st_size > 5e6

@@ -212,8 +212,8 @@ def test_sky_alone(tmp_path):
 def test_the_format_writes_the_same_bytes_each_time(tmp_path, shot):
     for name in ("a", "b"):
         (tmp_path / name).mkdir()
-        cryptomatte.write_frame(tmp_path / name, shot.labelled, SETTINGS)
-    cryptomatte.merge(tmp_path, [tmp_path / "a", tmp_path / "b"], SETTINGS)
+        cryptomatte.FORMAT.write_frame(tmp_path / name, shot.labelled, SETTINGS)
+    cryptomatte.FORMAT.merge(tmp_path, [tmp_path / "a", tmp_path / "b"], SETTINGS)
     assert (tmp_path / "a" / "cryptomatte.exr").read_bytes() == (tmp_path / "b" / "cryptomatte.exr").read_bytes()
     assert {path.name for path in tmp_path.iterdir()} == {"a", "b"}
 

@@ -54,8 +54,8 @@ def test_frames_of_two_workers_and_merges(tmp_path):
     frames = {name: make_shot(range(1, 5), seed=i).labelled for i, name in enumerate(("b", "a"))}
     first = all_bytes(written(depth_png, tmp_path / "x", frames))
     assert first == all_bytes(written(depth_png, tmp_path / "y", dict(reversed(frames.items()))))
-    depth_png.merge(tmp_path / "x", ["a", "b"], SETTINGS)
+    depth_png.FORMAT.merge(tmp_path / "x", ["a", "b"], SETTINGS)
     assert all_bytes(tmp_path / "x") == first
     (tmp_path / "x" / "b" / "depth.json").write_text("{")
     with pytest.raises(OutputError, match=r"b/depth\.json"):
-        depth_png.merge(tmp_path / "x", ["a", "b"], SETTINGS)
+        depth_png.FORMAT.merge(tmp_path / "x", ["a", "b"], SETTINGS)

@@ -123,14 +123,14 @@ def test_awkward_masks(tmp_path):
 @pytest.mark.parametrize("plant", [panoptic.GROUND_ID, panoptic.SKY_ID, 2**24, 2**32 - 1])
 def test_ids_that_do_not_fit_are_refused_before_anything_is_written(tmp_path, plant):
     with pytest.raises(OutputError, match=str(plant)):
-        panoptic.write_frame(tmp_path, drawn([[0, plant]]), SETTINGS)
+        panoptic.FORMAT.write_frame(tmp_path, drawn([[0, plant]]), SETTINGS)
     assert not list(tmp_path.iterdir())
-    panoptic.write_frame(tmp_path, drawn([[0, 5]], unseen=[plant]), SETTINGS)  # only what is seen counts
+    panoptic.FORMAT.write_frame(tmp_path, drawn([[0, 5]], unseen=[plant]), SETTINGS)  # only what is seen counts
 
 
 def test_equal_input_equal_bytes(tmp_path, dataset):
     first = all_bytes(dataset[1])
-    panoptic.merge(dataset[1], list(FRAMES), LICENSED)
+    panoptic.FORMAT.merge(dataset[1], list(FRAMES), LICENSED)
     assert all_bytes(dataset[1]) == first
     assert all_bytes(written(panoptic, tmp_path, dict(reversed(FRAMES.items())), LICENSED)) == first
 
@@ -140,8 +140,8 @@ def test_missing_and_damaged_shards(tmp_path):
     (tmp_path / "panoptic.json").unlink()
     (tmp_path / "b" / "panoptic.png").unlink()
     with pytest.raises(OutputError, match=r"b/panoptic\.png: a frame lacks a file"):
-        panoptic.merge(tmp_path, ["a", "b"], SETTINGS)
+        panoptic.FORMAT.merge(tmp_path, ["a", "b"], SETTINGS)
     (tmp_path / "b" / "panoptic.json").write_text('{"image"')
     with pytest.raises(OutputError, match=r"b/panoptic\.json.*cut short"):
-        panoptic.merge(tmp_path, ["a", "b"], SETTINGS)
+        panoptic.FORMAT.merge(tmp_path, ["a", "b"], SETTINGS)
     assert not (tmp_path / "panoptic.json").exists()

@@ -28,7 +28,7 @@ def placed(labelled, offset_m=(0.0, 0.0, 0.0), spread_m=50.0):
 
 def write(folder, labelled, **settings):
     folder.mkdir(exist_ok=True)
-    points.write_frame(folder, labelled, replace(SETTINGS, **settings))
+    points.FORMAT.write_frame(folder, labelled, replace(SETTINGS, **settings))
     return folder / "points.ply", folder / "points.laz"
 
 
@@ -134,7 +134,7 @@ def test_sky_alone_gives_valid_empty_files(tmp_path):
 def test_equal_input_gives_equal_bytes_without_a_date(tmp_path, shot):
     labelled = placed(shot.labelled)
     first, second = write(tmp_path / "a", labelled), write(tmp_path / "b", labelled)
-    points.merge(tmp_path, [tmp_path / "a", tmp_path / "b"], SETTINGS)
+    points.FORMAT.merge(tmp_path, [tmp_path / "a", tmp_path / "b"], SETTINGS)
     assert {path.name for path in tmp_path.iterdir()} == {"a", "b"}
     for one, other in zip(first, second, strict=True):
         assert one.read_bytes() == other.read_bytes()

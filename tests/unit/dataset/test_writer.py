@@ -6,7 +6,6 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import get_args
 
 import numpy as np
 import pyarrow as pa
@@ -20,7 +19,7 @@ from forestgen.dataset.exr import read_exr
 from forestgen.dataset.files import write_bytes, write_json
 from forestgen.dataset.tables import write_plants
 from forestgen.dataset.writer import frame_bytes, frame_folder_name, write_dataset, write_frame
-from forestgen.recipe.dataset import Format
+from forestgen.recipe.registries import DATASET_FORMATS
 
 FILES = {
     "camera.json", "frame.exr", "instance.png", "overlay.png", "plants.parquet", "preview.png", "recipe.yaml",
@@ -54,7 +53,7 @@ def test_equal_input_gives_equal_bytes(tmp_path):
     assert first == second
 
 
-@pytest.mark.parametrize("name", ["", *get_args(Format)])
+@pytest.mark.parametrize("name", ["", *DATASET_FORMATS])
 def test_the_estimate_of_disk_space_holds(tmp_path, name):
     """Everything is noise here, which nothing compresses."""
     shot = make_shot(range(1, 40))

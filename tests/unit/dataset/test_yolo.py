@@ -109,14 +109,14 @@ def test_names_that_yaml_would_take_for_something_else(tmp_path):
     from dataclasses import replace
 
     names = ("no", "1e3", "007", "a-b_c")
-    yolo.merge(tmp_path, [], replace(SETTINGS, category_names=names))
+    yolo.FORMAT.merge(tmp_path, [], replace(SETTINGS, category_names=names))
     data = YAML(typ="safe").load(tmp_path / "yolo" / "boxes" / "data.yaml")
     assert data["names"] == dict(enumerate(names))
 
 
 def test_equal_input_equal_bytes(tmp_path, dataset):
     first = all_bytes(dataset)
-    yolo.merge(dataset, list(reversed(FRAMES)), SETTINGS)
+    yolo.FORMAT.merge(dataset, list(reversed(FRAMES)), SETTINGS)
     assert all_bytes(dataset) == first
     assert all_bytes(written(yolo, tmp_path, dict(reversed(FRAMES.items())))) == first
 
@@ -126,10 +126,10 @@ def test_missing_and_damaged_shards(tmp_path):
     shard = tmp_path / "b" / "yolo_boxes.txt"
     shard.write_bytes(shard.read_bytes()[:-3])
     with pytest.raises(OutputError, match=r"b/yolo_boxes\.txt.*cut short"):
-        yolo.merge(tmp_path, ["a", "b"], SETTINGS)
+        yolo.FORMAT.merge(tmp_path, ["a", "b"], SETTINGS)
     shard.unlink()
     with pytest.raises(OutputError, match=r"b/yolo_boxes\.txt.*lacks"):
-        yolo.merge(tmp_path, ["a", "b"], SETTINGS)
+        yolo.FORMAT.merge(tmp_path, ["a", "b"], SETTINGS)
     (tmp_path / "b" / "preview.png").unlink()
     with pytest.raises(OutputError, match=r"b/preview\.png.*lacks a file"):
-        yolo.merge(tmp_path, ["a", "b"], SETTINGS)
+        yolo.FORMAT.merge(tmp_path, ["a", "b"], SETTINGS)

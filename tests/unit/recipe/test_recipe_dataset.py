@@ -1,11 +1,15 @@
 from __future__ import annotations
 
+import json
+
 import pytest
 from pydantic import ValidationError
 
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.dataset import Dataset
+from forestgen.recipe.json_schema import recipe_json_schema
 from forestgen.recipe.load import load_recipe
+from forestgen.recipe.registries import DATASET_FORMATS
 
 
 def test_all_formats_and_a_licence():
@@ -18,7 +22,8 @@ def test_all_formats_and_a_licence():
     ("section", "words"),
     [
         ({"formats": ("coco", "yolo", "coco")}, "each format once"),
-        ({"formats": ("voc",)}, "'coco'"),
+        ({"formats": ("voc",)}, "unknown data set format: expected one of bop, coco, "),
+        ({"formats": (7,)}, "valid string"),
         ({"licence": {"name": ""}}, "at least 1"),
         ({"licence": {"url": "https://x.org"}}, "name"),
         ({"depth_unit_m": 0.0}, "greater than 0"),
@@ -31,16 +36,21 @@ def test_mistakes(section, words):
         Dataset(**section)
 
 
-def test_bop_without_amodal_names_the_channels(tmp_path):
-    (tmp_path / "r.yaml").write_text(
-        "forestgen: 1\nspecies: {birch: }\ncommunity: {model: uniform, count: 2}\n"
-        "labels: {channels: [sun, cloud]}\ndataset: {formats: [bop]}\n"
+def test_an_unknown_format_has_its_line_and_what_was_meant(tmp_path):
+    recipe = tmp_path / "stand.yaml"
+    recipe.write_text(
+        "forestgen: 1\nspecies: {birch: }\ncommunity: {model: placed}\ndataset:\n  formats: [coco, panoptics]\n"
     )
-    with pytest.raises(RecipeError, match="amodal masks") as caught:
-        load_recipe(tmp_path / "r.yaml").check()
-    assert "r.yaml:4" in str(caught.value.where)
-    assert caught.value.got == "sun, cloud"
-    assert "leave bop out" in str(caught.value.hint)
+    with pytest.raises(RecipeError, match="unknown data set format") as refused:
+        load_recipe(recipe)
+    error = refused.value
+    assert "stand.yaml:5: dataset.formats.1" in str(error.where)
+    assert (error.got, error.hint) == ("'panoptics'", "did you mean 'panoptic'?")
+
+
+def test_the_json_schema_names_the_formats():
+    places = recipe_json_schema()["$defs"]["Dataset"]["properties"]["formats"]
+    assert all(f'"{name}"' in json.dumps(places) for name in DATASET_FORMATS)
 
 
 @pytest.mark.parametrize("name", ["ground", "Sky", "nothing"])

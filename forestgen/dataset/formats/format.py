@@ -1,0 +1,137 @@
+"""What a data set format is, and how one is found by its name."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.core.errors import RecipeError
+from forestgen.dataset.settings import DatasetSettings
+from forestgen.labels.labelled import LabelledFrame
+from forestgen.recipe.load import DrawnRecipe
+from forestgen.recipe.registries import DATASET_FORMATS
+
+if TYPE_CHECKING:
+    from forestgen.dataset.check.check import DatasetCheck, FrameCheck
+
+
+class DatasetFormat:
+    """A format: what it writes, what it needs, how it is checked. Each method does nothing unless it is overridden.
+
+    A format has no state. It is used in many processes, which find it by its name in the registry.
+    """
+
+    name: str  # that recipes use: the registry's
+    bytes_per_pixel: int = 0  # upper estimate of what a frame's files and its share of the merged ones take on the disk
+    bytes_per_plant: int = 0  # of each plant in view, the same
+    projections: tuple[str, ...] | None = None  # kinds of cameras that it has words for; None: all
+    label_channels: Mapping[str, str] = {}  # of labels.channels, those that it needs -> why
+    split_file_names: tuple[str, ...] = ()  # all names that `split_files` may have
+
+    def check(self, drawn: DrawnRecipe) -> None:
+        """Refuse a recipe that the format cannot hold, before anything is simulated.
+
+        Raises
+        ------
+        RecipeError : with the key's place; a label channel is missing, or a camera is of none of the `projections`.
+        """
+        recipe = drawn.recipe
+        for channel, why in self.label_channels.items():
+            if channel not in recipe.labels.channels:
+                keys = ("labels", "channels")
+                raise RecipeError(
+                    why,
+                    where=drawn.where(*keys),
+                    expected=f"{channel} among labels.channels",
+                    got=drawn.drawn_from(", ".join(recipe.labels.channels) or "none", *keys),
+                    hint=f"labels: {{channels: [..., {channel}]}}, or leave {self.name} out of dataset.formats",
+                )
+        for index, camera in enumerate(recipe.cameras):
+            if self.projections is not None and camera.kind not in self.projections:
+                raise RecipeError(
+                    f"{self.name} has no such camera",
+                    where=drawn.where("cameras", index, "kind"),
+                    expected=f"a kind that the format {self.name} can hold: {', '.join(self.projections)}",
+                    got=drawn.drawn_from(camera.kind, "cameras", index, "kind"),
+                    hint=f"leave {self.name} out of dataset.formats, or the camera out of this recipe",
+                )
+
+    def check_ids(self, plant_id: NDArray[np.uint32], where: str) -> None:
+        """Refuse plant ids that the format cannot hold, before the light is traced.
+
+        Parameters
+        ----------
+        plant_id : (H, W, S) of each sample of each pixel; 0: no plant.
+        where : name of the camera, for the error.
+
+        Raises
+        ------
+        OutputError : an id that would be written does not fit.
+        """
+
+    def write_frame(self, folder: Path, labelled: LabelledFrame, settings: DatasetSettings) -> None:
+        """Write the frame's share, the shard, into its folder, where no other format has a file of the same name.
+
+        Raises
+        ------
+        OutputError : what cannot be written, or cannot be held.
+        """
+
+    def merge(self, root: Path, folders: Iterable[Path | str], settings: DatasetSettings) -> None:
+        """Write a split's files over all of its frames, and place frames' pictures elsewhere (`shards.place`).
+
+        Of a frame's files, those that end in .json or .txt may be read; all others may be placed only, for frames of
+        an object store stay there.
+
+        Parameters
+        ----------
+        root : the split's folder.
+        folders : the frames' folders or their names, in any order.
+
+        Raises
+        ------
+        OutputError : a share is missing or damaged, or a file cannot be written.
+        """
+
+    def split_files(self, splits: Sequence[str], settings: DatasetSettings) -> dict[str, bytes]:
+        """Files beside the splits' folders, name -> content, of a data set of these splits."""
+        return {}
+
+    def frame_checks(self) -> tuple[FrameCheck, ...]:
+        """What `forestgen verify` checks of each frame that has the format's files; import their modules in here."""
+        return ()
+
+    def dataset_checks(self) -> tuple[DatasetCheck, ...]:
+        """What `forestgen verify` checks of a split's merged files."""
+        return ()
+
+    def card(self) -> str:
+        """How to open the format, in Markdown on one line, for the data card; empty: nothing is said."""
+        return ""
+
+
+def load_format(name: str, *, where: str | None = None) -> DatasetFormat:
+    """The format of a name.
+
+    Raises
+    ------
+    RecipeError : there is none, or what is registered under the name is no format of this name.
+    """
+    found = DATASET_FORMATS.load(name, where=where)
+    if not isinstance(found, DatasetFormat) or getattr(found, "name", None) != name:
+        raise RecipeError(
+            "what is registered under this name is no data set format of this name",
+            where=where,
+            expected=f"a DatasetFormat whose name is {name!r}",
+            got=f"{found!r:.100}",
+        )
+    return found
+
+
+def load_formats(names: Iterable[str]) -> Iterator[DatasetFormat]:
+    """The formats of several names, in their order."""
+    return map(load_format, names)

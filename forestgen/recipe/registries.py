@@ -1,0 +1,22 @@
+"""Data set formats, by the name that a recipe uses: the recipe's schema needs their names, not their code."""
+
+from __future__ import annotations
+
+from forestgen.core.registry import Registry
+
+DEFAULT_FORMATS = ("coco",)
+
+# In the order in which their checks run.
+DATASET_FORMATS = Registry(
+    "data set format",
+    {
+        "depth_png": ("forestgen.dataset.formats.depth_png:FORMAT", "16-bit depth along the camera's axis"),
+        "cryptomatte": ("forestgen.dataset.formats.cryptomatte:FORMAT", "coverage by name, for compositing programs"),
+        "points": ("forestgen.dataset.formats.points:FORMAT", "the surfaces that pixels see as PLY and LAZ"),
+        "coco": ("forestgen.dataset.formats.coco:FORMAT", "COCO instances with amodal masks and keypoints"),
+        "panoptic": ("forestgen.dataset.formats.panoptic:FORMAT", "COCO panoptic: plants, ground and sky"),
+        "yolo": ("forestgen.dataset.formats.yolo:FORMAT", "outlines and boxes for YOLO trainers"),
+        "nerfstudio": ("forestgen.dataset.formats.nerfstudio:FORMAT", "cameras for radiance fields and splats"),
+        "bop": ("forestgen.dataset.formats.bop:FORMAT", "poses, visible fractions and masks of each plant"),
+    },
+)

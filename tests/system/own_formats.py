@@ -1,0 +1,62 @@
+"""A data set format of another package, as a user would write one: the sizes of frames."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+
+from forestgen.dataset.check.check import DatasetCheck, FrameCheck
+from forestgen.dataset.check.files import read_json
+from forestgen.dataset.check.finding import Finding
+from forestgen.dataset.check.frame_data import FrameData
+from forestgen.dataset.check.merged import Merged
+from forestgen.dataset.formats.format import DatasetFormat
+from forestgen.dataset.formats.shards import in_order, json_text, read_shard, whole_file, write_shard
+from forestgen.dataset.settings import DatasetSettings
+from forestgen.labels.labelled import LabelledFrame
+
+SHARD, WHOLE = "size.json", "sizes.json"
+
+
+class Sizes(DatasetFormat):
+    """Width and height of each frame."""
+
+    name = "sizes"
+    bytes_per_plant = 1
+    projections = ("perspective",)
+    split_file_names = ("sizes.txt", "sizes_of_test.txt")
+
+    def write_frame(self, folder: Path, labelled: LabelledFrame, settings: DatasetSettings) -> None:
+        write_shard(folder / SHARD, {"size_px": list(labelled.frame.camera.size_px)})
+
+    def merge(self, root: Path, folders: Iterable[Path | str], settings: DatasetSettings) -> None:
+        sizes = {name: read_shard(root / name / SHARD, {"size_px": list})["size_px"] for name in in_order(folders)}
+        with whole_file(root / WHOLE) as stream:
+            stream.write(json_text(sizes))
+
+    def split_files(self, splits: Sequence[str], settings: DatasetSettings) -> dict[str, bytes]:
+        return {"sizes.txt": "".join(f"{split}/{WHOLE}\n" for split in splits).encode()}
+
+    def frame_checks(self) -> tuple[FrameCheck, ...]:
+        return (FrameCheck("size", "it is the picture's", SHARD, lambda frame: frame.has(SHARD), _size),)
+
+    def dataset_checks(self) -> tuple[DatasetCheck, ...]:
+        return (DatasetCheck("sizes", "each frame has one", WHOLE, lambda merged: merged.has(WHOLE), _sizes),)
+
+    def card(self) -> str:
+        return "`SPLIT/sizes.json` has the sizes of frames."
+
+
+def _size(frame: FrameData) -> Iterator[Finding]:
+    said = read_json(frame.task.root, frame.file(SHARD))["size_px"]
+    if tuple(said) != frame.camera.size_px:
+        yield Finding(frame.file(SHARD), "another size", str(frame.camera.size_px), str(said))
+
+
+def _sizes(merged: Merged) -> Iterator[Finding]:
+    if list(read_json(merged.root, WHOLE)) != list(merged.frames):
+        yield Finding(WHOLE, "other frames")
+
+
+FORMAT = Sizes()
+NO_FORMAT = object()
