@@ -45,7 +45,11 @@ settings.load_profile("forestgen")
 
 @pytest.hookimpl(tryfirst=True)  # before those marked slow are left out
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Of a product of parameters, cases that have each value once run by default; the others are slow."""
+    """Of a product of parameters, cases that have each value once run by default; the others are slow.
+
+    Files that need many compiled kernels come last: processes that need one at the same time would each compile it.
+    """
+    items.sort(key=lambda item: item.nodeid.startswith("tests/system/"))
     seen: dict[str, set[tuple[int, str]]] = {}
     for item in items:
         ids = getattr(getattr(item, "callspec", None), "_idlist", ())  # one for each `parametrize`

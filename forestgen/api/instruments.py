@@ -154,7 +154,8 @@ def point_of(values: Sequence[float | str]) -> Point:
     try:
         x, y, z = (float(one) for one in values)
     except (TypeError, ValueError, OverflowError):
-        got = " ".join(map(shown, values)) if isinstance(values, list | tuple) else shown(values)
+        several = values if isinstance(values, list | tuple) else [values]
+        got = " ".join(f"{one:.100}" if isinstance(one, str) else shown(one) for one in several)
         raise RecipeError(
             "this is no point", where="at", expected="three numbers, metres, such as 30 40 1.5", got=got
         ) from None

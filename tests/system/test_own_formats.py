@@ -60,10 +60,14 @@ def test_its_own_rule_refuses_a_camera(tmp_path: Path) -> None:
     assert refused.value.got == "panorama"
 
 
-@pytest.mark.parametrize("name", ["sizes", "lengths"])
-def test_what_is_no_format_of_its_name_is_refused_with_its_place(name: str, tmp_path: Path) -> None:
-    fg.register("dataset_format", name, "own_formats:" + ("NO_FORMAT" if name == "sizes" else "FORMAT"))
-    loaded = fg.load(recipe(tmp_path, OWN.replace("sizes", name)))
+def test_what_is_no_format_is_not_registered() -> None:
+    with pytest.raises(fg.RecipeError, match="this is no dataset format: it has no "):
+        fg.register("dataset_format", "sizes", "own_formats:NO_FORMAT")
+
+
+def test_what_is_no_format_of_its_name_is_refused_with_its_place(tmp_path: Path) -> None:
+    fg.register("dataset_format", "lengths", "own_formats:FORMAT")
+    loaded = fg.load(recipe(tmp_path, OWN.replace("sizes", "lengths")))
     with pytest.raises(fg.RecipeError, match="no data set format of this name") as refused:
         loaded.validate()
     assert "fireweed.yaml:13: dataset.formats.1" in str(refused.value.where)

@@ -12,6 +12,8 @@ from forestgen.recipe.registries import DATASET_FORMATS
 
 REGISTRY = "recipe/registries.py"
 OTHER_MEANINGS = {  # file -> names that are no format's in it
+    "api/instruments.py": {"points"},  # what a list holds, for its error
+    "api/points.py": {"points"},  # a parameter
     "community/fitting/recipe_text.py": {"points"},  # a key of community model strauss
     "dataset/check/merged.py": {"bop"},  # a folder, whose files the checks read by their names
     "lsystem/parsing.py": {"points"},  # a rule of the grammar

@@ -52,5 +52,5 @@ def test_names_that_cannot_be_seen_are_refused(name):
 
 def test_a_packs_readme_shows_names_as_they_are():
     names = {"0": "nothing", "1": "<b>bold</b> | *x*"}
-    text = body("title", ["code"], {}, {"semantic": names, "categories": names})
+    text = body("title", ["code"], {}, {"semantic": names, "categories": names}, ["semantic"])
     assert r"0 nothing, 1 \<b\>bold\</b\> \| \*x\*" in text
