@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ast
-from pathlib import Path
+from functools import cache
 
 import pytest
 
@@ -22,15 +22,21 @@ OTHER_MEANINGS = {  # file -> names that are no format's in it
 }
 
 
-def texts_of(path: Path) -> set[str]:
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    return {node.value for node in ast.walk(tree) if isinstance(node, ast.Constant) and isinstance(node.value, str)}
+@cache
+def texts() -> dict[str, set[str]]:
+    """File of the package -> its literal texts."""
+    found = {}
+    for path in PACKAGE.rglob("*.py"):
+        nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        values = (node.value for node in nodes if isinstance(node, ast.Constant))
+        found[path.relative_to(PACKAGE).as_posix()] = {value for value in values if isinstance(value, str)}
+    return found
 
 
 @pytest.mark.parametrize("name", list(DATASET_FORMATS))
 def test_only_a_formats_own_module_names_it(name: str) -> None:
     known = {REGISTRY, f"dataset/formats/{name}.py"}
     known |= {file for file, names in OTHER_MEANINGS.items() if name in names}
-    found = {path.relative_to(PACKAGE).as_posix() for path in PACKAGE.rglob("*.py") if name in texts_of(path)}
+    found = {file for file, own in texts().items() if name in own}
     assert found - known == set(), f"ask forestgen.dataset.formats.format for {name!r} instead of naming it"
     assert {file for file, names in OTHER_MEANINGS.items() if name in names} <= found, "an exception without a cause"
