@@ -82,7 +82,8 @@ def _simulate(given: dict[str, Any]) -> Any:
     recipe = _loaded(given)
     lists = {name: given.pop(name) or () for name in ("map_steps", "graphs")}
     del given["quiet"], given["verbose"]
-    return recipe.simulate(given.pop("out"), progress=False, **given, **lists)
+    out = given.pop("out") or f"outputs/{recipe.name}-community"  # Python writes nothing unless it is given a folder
+    return recipe.simulate(out, progress=False, **given, **lists)
 
 
 def _weather(given: dict[str, Any]) -> Any:

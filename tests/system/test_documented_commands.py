@@ -10,6 +10,8 @@ from pathlib import Path
 import pytest
 from command_line import run, tiny
 from documented import PAGES, ROOT, TUTORIALS, documented, in_python, parsed, python_blocks
+from test_recipes import COARSE
+from test_recipes import SMALL as COARSE_OF_ALL
 
 import forestgen as fg
 
@@ -65,6 +67,9 @@ def small(command: str, folder: Path) -> str:
         words[words.index("--count") + 1] = "2"
     if "--first" in words:
         words[words.index("--first") + 1] = str(min(2, given["first"]))
+    if name == "simulate" and given["recipe"].parent.name == "ecoclimates":
+        coarse = (*COARSE_OF_ALL, *COARSE[f"ecoclimates/{given['recipe'].stem}"])
+        words += [word for one in coarse for word in ("--set", one)]
     if name == "simulate" and "recipes/branch_modules.yaml" in words:
         words[-1] = "community.steps=24" if "community.steps=40" in words else words[-1]
         words += [] if "community.steps=24" in words else ["--set", "community.steps=20"]
