@@ -69,7 +69,8 @@ def small(command: str, folder: Path) -> str:
         words[words.index("--first") + 1] = str(min(2, given["first"]))
     if name == "simulate" and given["recipe"].parent.name == "ecoclimates":
         coarse = (*COARSE_OF_ALL, *COARSE[f"ecoclimates/{given['recipe'].stem}"])
-        words += [word for one in coarse for word in ("--set", one)]
+        plain = [one.replace(", ", ",") for one in (*coarse, "site.terrain=flat") if ": " not in one]
+        words += [word for one in plain for word in ("--set", one)]
     if name == "simulate" and "recipes/branch_modules.yaml" in words:
         words[-1] = "community.steps=24" if "community.steps=40" in words else words[-1]
         words += [] if "community.steps=24" in words else ["--set", "community.steps=20"]
