@@ -53,8 +53,10 @@ _BYTES_PER_TRIANGLE = 200  # mesh, the scene with its tree, normals' table
 _BYTES_PER_OWN_TRIANGLE = 300
 # More of the same under clouds, by render.clouds: exact ones have scenes of their own.
 _BYTES_PER_TRIANGLE_UNDER_CLOUDS = {"farfield": 0, "exact": 160, "auto": 160}
-# Of a mature plant, over its height times its width squared: poplar 280, spruce 310, oak 200; and of a herb in all.
+# Of a mature plant, over its height times its width squared: poplar 280, spruce 310; of wide crowns fewer: beech 73,
+# maple 47, oak 60, which have 264,000, 265,000 and 436,000 in all at 24 m; and of a herb in all.
 _TRIANGLES_PER_M3, _TRIANGLES_OF_A_HERB = 320, 20_000
+_TRIANGLES_OF_A_WIDE_CROWN, _TRIANGLES_PER_M3_OF_IT = 230_000, 40
 _DETAIL_OF_ALL_LEVELS = 2.0  # a size at every level of detail, against one with all detail
 _BYTES_PER_PLANT = 7_000  # an instance in the scene; 500,000 of benchmarks/labels.py take 4 kB each
 _BYTES_PER_PLANT_UNDER_CLOUDS = {"farfield": 0, "exact": 27_000, "auto": 27_000}
@@ -342,7 +344,11 @@ def _exemplar_triangles(plan: Plan) -> int:
         for name, species in plan.drawn.species.items()
         if name not in plan.module_parameters and not is_built(species)
     ]
-    return int(each * sum(_TRIANGLES_OF_A_HERB + _TRIANGLES_PER_M3 * box_m3 for box_m3 in boxes_m3))
+    plants = (
+        min(_TRIANGLES_PER_M3 * box_m3, _TRIANGLES_OF_A_WIDE_CROWN + _TRIANGLES_PER_M3_OF_IT * box_m3)
+        for box_m3 in boxes_m3
+    )
+    return int(each * sum(_TRIANGLES_OF_A_HERB + triangles for triangles in plants))
 
 
 def _check_traits(plan: Plan) -> None:

@@ -121,6 +121,7 @@ _CALLS: dict[str, Callable[[dict[str, Any]], Any]] = {
     "plant": _plant,
     "merge": lambda given: fg.merge(given["sources"], given["out"], link=given["link"], progress=False),
     "report": lambda given: fg.Dataset(given["folder"]).report(given["out"]),
+    "doctor": lambda given: fg.doctor(),
     "verify": lambda given: fg.verify(
         given["folder"], rerender=given["rerender"], seed=given["seed"], hashes=given["hashes"], progress=False
     ),
