@@ -237,7 +237,7 @@ class Dataset(Sequence[Frame]):
             return RecipeError("the data set has no such split", expected=expected, got=shown(name), hint=hint)
         share, total = declared[name], sum(declared.values())
         part = f"about {100 * share / total:.2g} % of the images are for it; " if share > 0 and total > 0 else ""
-        hint = f"{part}make more, with --resume"
+        hint = f"{part}make more, with `resume=True`"
         problem = "the data set has no such split yet: its recipe declares it, but no image of it is there"
         return RecipeError(problem, expected=expected, got=shown(name), hint=hint)
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from forestgen.core.figures import show_bytes
+from forestgen.core.figures import count, show_bytes
 from forestgen.recipe.load import LoadedRecipe
 from forestgen.recipe.sources import dotted
 from forestgen.stages.module_checks import notes_on_houses
@@ -57,7 +57,7 @@ class Validation:
     def _rows(self) -> Iterator[tuple[str, str]]:
         yield (
             "makes",
-            f"{_count(self.frames, 'frame')}: {_count(self.images, 'image')} x " + _count(len(self.cameras), "camera"),
+            f"{count(self.frames, 'frame')}: {count(self.images, 'image')} x " + count(len(self.cameras), "camera"),
         )
         for camera in self.cameras[:_MOST_CAMERAS]:
             along = f", {camera.frames} images" if camera.frames > 1 else ""
@@ -65,7 +65,7 @@ class Validation:
         if len(self.cameras) > _MOST_CAMERAS:
             yield "", "..."
         yield "site", f"{self.site_size_m[0]:g} x {self.site_size_m[1]:g} m, {self.terrain}"
-        yield "community", f"{self.community}, {_count(self.steps, 'step')}"
+        yield "community", f"{self.community}, {count(self.steps, 'step')}"
         yield "species", ", ".join(self.species)
         yield "drawn", ", ".join(self.drawn) or "nothing but the random numbers"
         if self.sampling is not None:
@@ -108,7 +108,3 @@ def _notes(plan: Plan) -> Iterator[str]:
     for name in views_below_ground(plan):
         yield f"the camera {name} stands below the ground"
     yield from notes_on_houses(plan.drawn, plan.model_parameters)
-
-
-def _count(number: int, one: str) -> str:
-    return f"{number:,} {one}{'' if number == 1 else 's'}"

@@ -194,7 +194,7 @@ def read_description(content: bytes | None, where: str) -> dict[str, Any]:
     ------
     DatasetError : there is none, or it is damaged.
     """
-    hint = "the command that made the data set writes it at its end; with --resume it goes on"
+    hint = "the command that made the data set writes it at its end; with `resume=True` it goes on"
     if content is None:
         raise DatasetError("this is no finished data set", where=where, expected=DATASET_NAME, got="none", hint=hint)
     try:

@@ -211,7 +211,7 @@ def _drop_absent(place: Place, ledger: Ledger) -> list[str]:
     """Forget images that have lost a file, and their records, so that the next run makes them again."""
     notes = []
     for image, path in ledger.absent():
-        notes.append(f"image {image} counts as missing: {path} is not there as it was written; --resume makes it again")
+        notes.append(f"image {image} counts as missing: {path} is not as it was written; a resumed run makes it again")
         place.remove(record_path(ledger.key_of(image)))
         ledger.drop_image(image)
     return notes

@@ -239,7 +239,7 @@ def _records(pieces: Sequence[Piece]) -> Iterator[tuple[Piece | None, JobRecord]
                 where=str(piece.root / JOBS),
                 expected=f"{piece.said['images']} records",
                 got=f"{count}" + (f"; {notes[0]}" if notes else ""),
-                hint=f"forestgen verify {piece.root}; the command that made it, with --resume, makes images again",
+                hint=f"forestgen verify {piece.root}; the command that made it, with `resume=True`, makes images again",
             )
 
 

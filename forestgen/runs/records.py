@@ -21,7 +21,7 @@ _ENDING = ".json"
 _SUM = b',"sha256":"'
 _SHA256 = re.compile(r"[0-9a-f]{64}")
 _READERS = 8
-_AGAIN = "the command that made the data set, with --resume, makes the image again"
+_AGAIN = "the command that made the data set, with `resume=True`, makes the image again"
 
 
 def record_path(key: str) -> str:

@@ -179,7 +179,7 @@ class DryRun:
     """What a batch would take, and what it would remove."""
 
     estimate: Estimate
-    discarded: int  # finished images that --resume --discard would remove
+    discarded: int  # finished images that `resume` with `discard` would remove
     reasons: str  # why, for people
 
     def __str__(self) -> str:
@@ -195,7 +195,7 @@ class DryRun:
         yield from lines(self.estimate)
         if self.discarded:
             number = count(self.discarded, "finished image")
-            yield f"--resume --discard would remove {number}: {self.reasons}"
+            yield f"resuming with discard would remove {number}: {self.reasons}"
         yield "nothing was made"
 
 

@@ -154,7 +154,7 @@ def open_data_set(root: Path) -> dict[str, Any]:
     """
     refuse_address(root)
     previous = previous_beside(root)
-    beside = None if previous is None else f"{previous} has the data set that was there: --resume puts it back"
+    beside = None if previous is None else f"{previous} has the data set that was there: `resume=True` puts it back"
     check_folder(root, "a folder that forestgen render or batch made", beside)
     content, hint = root / DATASET_NAME, None
     if os.path.lexists(content):
@@ -168,7 +168,7 @@ def open_data_set(root: Path) -> dict[str, Any]:
         got = "a split without its data set, or the output of forestgen simulate or calibrate"
         hint = f"name the folder that has {DATASET_NAME}"
     elif (root / BATCH).is_file() or (root / JOBS).is_dir():
-        got, hint = "a data set that is not finished", "the command that began it, with --resume"
+        got, hint = "a data set that is not finished", "the command that began it, with `resume=True`"
     else:
         inside = sorted(path.parent.name for path in root.glob(f"*/{DATASET_NAME}"))
         got = f"a folder of data sets, such as {inside[0]}" if inside else "no forestgen output"

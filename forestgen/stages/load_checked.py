@@ -65,12 +65,12 @@ def _check_keys(loading: Loading) -> None:
     from forestgen.community.model import CommunityParameters
 
     name = _model_of(loading)
-    known = name is not None and name in COMMUNITY_MODELS.ids()
+    known = name if name in COMMUNITY_MODELS.ids() else None
     if not isinstance(loading.community, Mapping) or (known and "community" not in loading.stand_ins):
         return
     section, sources = dict(loading.community), loading.sources
     section.pop("model", None)
-    parameters = COMMUNITY_MODELS.load(name).Parameters if known and name else CommunityParameters
+    parameters = COMMUNITY_MODELS.load(known).Parameters if known else CommunityParameters
     left_out = {_second(place) for place in loading.errors.places}
     left_out |= {str(keys[1]) for keys in find_written({"community": section}) if len(keys) > 1}
     data = {

@@ -36,9 +36,10 @@ Lin et al. 2014, "Microsoft COCO: Common Objects in Context"; the data format pa
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+import itertools
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -96,19 +97,15 @@ class Coco(DatasetFormat):
         OutputError
             When a shard is missing or damaged, when frames differ in species or classes, or the file cannot be written.
         """
-        images: list[dict[str, Any]] = []
-        annotation_id = 0
-        with whole_file(root / FILE_NAME) as stream:
-            stream.write('{"annotations":')
-            annotations = JsonList(stream)
-            for image_id, folder in enumerate(in_order(folders), start=1):
-                shard = read_frame(root / folder / SHARD_NAME, _SHARD, settings)
-                images.append({**shard["image"], **image_entry(folder, image_id, settings)})
-                for one in shard["annotations"]:
-                    annotation_id += 1
-                    annotations.add({**one, "id": annotation_id, "image_id": image_id})
-            annotations.close()
-            write_rest(stream, _categories(settings.category_names), images, settings)
+        shards = ((folder, read_frame(root / folder / SHARD_NAME, _SHARD, settings)) for folder in in_order(folders))
+        numbers = itertools.count(1)
+        write_merged(
+            root / FILE_NAME,
+            shards,
+            lambda _, shard: [{**one, "id": next(numbers)} for one in shard["annotations"]],
+            _categories(settings.category_names),
+            settings,
+        )
 
     def frame_checks(self) -> tuple[FrameCheck, ...]:
         from forestgen.dataset.check import coco
@@ -141,18 +138,37 @@ class Coco(DatasetFormat):
 FORMAT = Coco()
 
 
-def write_rest(
-    stream: IO[str], categories: list[dict[str, Any]], images: list[dict[str, Any]], settings: DatasetSettings
+def write_merged(
+    path: Path,
+    shards: Iterable[tuple[str, Mapping[str, Any]]],
+    annotations_of: Callable[[str, Mapping[str, Any]], Iterable[Mapping[str, Any]]],
+    categories: list[dict[str, Any]],
+    settings: DatasetSettings,
 ) -> None:
-    """What follows a file's annotations, to its end: categories, images, `info` and `licenses`."""
-    stream.write(',\n"categories":' + json_text(categories) + ',\n"images":')
-    listed = JsonList(stream)
-    for image in images:
-        listed.add(image)
-    listed.close()
-    for key, value in head(settings).items():
-        stream.write(f",\n{json_text(key)}:{json_text(value)}")
-    stream.write("}\n")
+    """Write a COCO file over all frames.
+
+    Parameters
+    ----------
+    shards : each frame's folder and share, in the order of the images.
+    annotations_of : the annotations of such a frame, without their `image_id`.
+    """
+    images = []
+    with whole_file(path) as stream:
+        stream.write('{"annotations":')
+        annotations = JsonList(stream)
+        for image_id, (folder, shard) in enumerate(shards, start=1):
+            images.append({**shard["image"], **image_entry(folder, image_id, settings)})
+            for one in annotations_of(folder, shard):
+                annotations.add({**one, "image_id": image_id})
+        annotations.close()
+        stream.write(',\n"categories":' + json_text(categories) + ',\n"images":')
+        listed = JsonList(stream)
+        for image in images:
+            listed.add(image)
+        listed.close()
+        for key, value in head(settings).items():
+            stream.write(f",\n{json_text(key)}:{json_text(value)}")
+        stream.write("}\n")
 
 
 def head(settings: DatasetSettings) -> dict[str, Any]:

@@ -23,7 +23,7 @@ Kirillov et al. 2019, "Panoptic Segmentation", CVPR; the panoptic data format of
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -33,15 +33,13 @@ from numpy.typing import NDArray
 from forestgen.core.errors import OutputError
 from forestgen.core.parts import Part
 from forestgen.dataset import png
-from forestgen.dataset.formats.coco import image_entry, write_rest
+from forestgen.dataset.formats.coco import write_merged
 from forestgen.dataset.formats.format import DatasetFormat
 from forestgen.dataset.formats.shards import (
-    JsonList,
     in_order,
     numbering,
     place,
     read_frame,
-    whole_file,
     write_shard,
 )
 from forestgen.dataset.settings import DatasetSettings
@@ -94,18 +92,14 @@ class Panoptic(DatasetFormat):
         OutputError
             When a shard is missing or damaged, frames differ in species or classes, or a file cannot be written.
         """
-        images: list[dict[str, Any]] = []
-        with whole_file(root / FILE_NAME) as stream:
-            stream.write('{"annotations":')
-            annotations = JsonList(stream)
-            for image_id, folder in enumerate(in_order(folders), start=1):
-                shard = read_frame(root / folder / SHARD_NAME, _SHARD, settings)
-                images.append({**shard["image"], **image_entry(folder, image_id, settings)})
-                name = f"{folder}.png"
-                annotations.add({"file_name": name, "image_id": image_id, "segments_info": shard["segments_info"]})
-                place(root / folder / PICTURE_NAME, root / FOLDER_NAME / name)
-            annotations.close()
-            write_rest(stream, categories(settings.category_names), images, settings)
+
+        def annotations_of(folder: str, shard: Mapping[str, Any]) -> list[dict[str, Any]]:
+            name = f"{folder}.png"
+            place(root / folder / PICTURE_NAME, root / FOLDER_NAME / name)
+            return [{"file_name": name, "segments_info": shard["segments_info"]}]
+
+        shards = ((folder, read_frame(root / folder / SHARD_NAME, _SHARD, settings)) for folder in in_order(folders))
+        write_merged(root / FILE_NAME, shards, annotations_of, categories(settings.category_names), settings)
 
     def check_ids(self, plant_id: NDArray[np.uint32], where: str) -> None:
         if plant_id.max(initial=0) > MOST_PLANT_ID:

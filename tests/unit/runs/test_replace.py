@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -22,25 +20,9 @@ from forestgen.runs.replace import previous_beside, replacing, restore_previous
 from forestgen.runs.strays import strays
 from forestgen.runs.summary import RunSummary
 from forestgen.runs.verify import open_data_set
+from support.displays import RecordingDisplay
 
 KEY = "000000-" + "0" * 40
-
-
-class Told:
-    """A display that remembers what it was told."""
-
-    def __init__(self) -> None:
-        self.said: list[str] = []
-
-    @contextmanager
-    def stage(self, title: str, total: int) -> Iterator[Any]:
-        yield lambda steps: None
-
-    def say(self, text: str) -> None:
-        self.said.append(text)
-
-    def show(self, meter: object) -> None:
-        pass
 
 
 def data_set(root: Path, text: str = "old") -> LocalPlace:
@@ -206,7 +188,7 @@ def test_a_folder_of_something_else_is_not_replaced_by_what_was_left(tmp_path: P
 
 @pytest.mark.parametrize("begin", [start.render, start.batch])
 def test_every_run_finds_what_a_killed_one_has_left(tmp_path: Path, begin: Callable[..., RunSummary]) -> None:
-    root, told = tmp_path / "set", Told()
+    root, told = tmp_path / "set", RecordingDisplay()
     data_set(root)
     left = tmp_path / hidden.hidden_name(root, "previous").replace(f"-{hidden._started(hidden.os.getpid())}-", "-1-")
     root.rename(left)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -14,28 +12,11 @@ from forestgen.core.figures import parse_bytes
 from forestgen.runs import start
 from forestgen.runs.contract import Failed, FailureKind, Job
 from forestgen.runs.discards import Standing
-from forestgen.runs.meter import Meter
 from forestgen.runs.places import LocalPlace
 from forestgen.runs.replace import leaving_no_empty
 from forestgen.runs.start import RunOptions, seconds_of
 from forestgen.runs.summary import RunSummary
-
-
-class Told:
-    """A display that remembers what it was told."""
-
-    def __init__(self) -> None:
-        self.said: list[str] = []
-
-    @contextmanager
-    def stage(self, title: str, total: int) -> Iterator[Any]:
-        yield lambda steps: None
-
-    def say(self, text: str) -> None:
-        self.said.append(text)
-
-    def show(self, meter: Meter) -> None:
-        pass
+from support.displays import RecordingDisplay
 
 
 @pytest.mark.parametrize(("count", "probe", "said"), [(1000, False, True), (10, False, False), (10, True, True)])
@@ -45,7 +26,7 @@ def test_measuring_takes_a_minute_and_is_announced(
     given: dict[str, Any] = {}
     monkeypatch.setattr(start, "estimate", lambda *_, **named: given.update(named))
     nothing: Any = None
-    told, prepared = Told(), start._Prepared(nothing, count, nothing, Standing(0, 0, frozenset()))
+    told, prepared = RecordingDisplay(), start._Prepared(nothing, count, nothing, Standing(0, 0, frozenset()))
     start._expected(nothing, prepared, RunOptions(), told, probe=probe)
     assert ("making some images to measure them" in "".join(told.said)) == said
     assert (given["workers"], given["threads"]) == (None, None)  # the estimate shares the cores out
@@ -57,7 +38,7 @@ def test_finished_images_are_not_estimated(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr(start, "estimate", lambda *_, **named: given.update(named))
     nothing: Any = None
     prepared = start._Prepared(nothing, 1000, nothing, Standing(960, 0, frozenset()))
-    start._expected(nothing, prepared, RunOptions(workers=3, threads=2), Told(), probe=False)
+    start._expected(nothing, prepared, RunOptions(workers=3, threads=2), RecordingDisplay(), probe=False)
     assert (given["count"], given["workers"], given["threads"]) == (40, 3, 2)
 
 
