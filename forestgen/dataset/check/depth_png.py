@@ -23,12 +23,14 @@ def has_depth_png(frame: FrameData) -> bool:
 def depth_png(frame: FrameData) -> Iterator[Finding]:
     """Steps times unit_m is the depth within half a step."""
     unit_m = float(read_json(frame.task.root, frame.file(SCALE))["unit_m"])
-    if not unit_m > 0:
-        yield frame.finding(SCALE, "unit_m is no length", expected="metres, more than 0", got=str(unit_m))
+    if not 0 < unit_m < np.inf:
+        yield frame.finding(SCALE, "unit_m is no length", expected="metres, more than 0 and finite", got=str(unit_m))
         return
     got = frame.picture(PICTURE).astype(np.float64)
-    steps = frame.exr["depth"]["Z"].astype(np.float64) / unit_m
-    sky = np.isinf(steps)
+    depth_m = frame.exr["depth"]["Z"].astype(np.float64)
+    with np.errstate(over="ignore"):  # a depth in steps of almost nothing lies beyond the format
+        steps = depth_m / unit_m
+    sky = np.isinf(depth_m)
     yield from wrong_pixels(frame, PICTURE, (got == 0) != sky, "0 is the sky's alone", "0 for the sky", got)
     beyond = ~sky & (steps > _MOST + _HALF)
     wrong = beyond & (got != _BEYOND)
