@@ -365,7 +365,7 @@ def _markdown(manual: str) -> str:
 
 
 def _table(definition: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
-    rows = ["| key | type | default | |", "|---|---|---|---|"]
+    rows = ["| key | type | default | meaning |", "|---|---|---|---|"]
     required = set(definition.get("required", ()))
     for key, value in definition.get("properties", {}).items():
         default = "required" if key in required else _code(value.get("default"), definitions, value)
