@@ -10,11 +10,10 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from forestgen.api.parts import check_part, part_at
 from forestgen.community.registry import COMMUNITY_MODELS, ENVIRONMENTS
 from forestgen.core.arguments import shown, text_of
 from forestgen.core.errors import RecipeError
-from forestgen.core.registry import Registry
+from forestgen.core.registry import Registry, part_at
 from forestgen.plants.registry import GENERATORS
 from forestgen.recipe.assets import find_asset, list_assets
 from forestgen.recipe.registries import DATASET_FORMATS
@@ -23,11 +22,8 @@ from forestgen.recipe.suggestions import did_you_mean
 if TYPE_CHECKING:
     from forestgen.api.diagnosis import Diagnosis
 
-_REGISTRIES = {
-    "community_model": COMMUNITY_MODELS,
-    "environment": ENVIRONMENTS,
-    "plant_generator": GENERATORS,
-    "dataset_format": DATASET_FORMATS,
+_REGISTRIES: dict[str, Registry] = {
+    one.kind: one for one in (COMMUNITY_MODELS, ENVIRONMENTS, GENERATORS, DATASET_FORMATS)
 }
 _WITHOUT_COMMENT = {  # files of a format that has none
     "fig_5_2": "A bush of one rule, of Rhodes University's forest: its Fig. 5.2, in the format .sys.",
@@ -39,7 +35,7 @@ _ASSETS = {"species": "species", "lsystems": "lsystem", "recipes": "recipe"}  # 
 class Entry:
     """Something that recipes can name."""
 
-    kind: str  # community_model, environment, plant_generator, dataset_format, species, lsystem or recipe
+    kind: str  # of part, such as community_model; or species, lsystem, recipe
     name: str
     description: str
     path: Path | None = field(default=None)  # of a file
@@ -49,7 +45,7 @@ class Entry:
         """Its manual page, or its file."""
         if self.path is not None:
             return f"{self.path}\n\n{self.path.read_text(encoding='utf-8').rstrip()}"
-        module = sys.modules[type(_REGISTRIES[self.kind].load(self.name)).__module__]
+        module = sys.modules[type(_REGISTRIES[self.kind].part(self.name)).__module__]
         return inspect.cleandoc(module.__doc__ or f"{self.name} has no manual page")
 
     def as_dict(self) -> dict[str, Any]:
@@ -58,7 +54,7 @@ class Entry:
 
 
 def models(name: str | None = None, *, kind: str | None = None) -> list[Entry]:
-    """Community models, environments, generators and data set formats, species, L-systems and recipes.
+    """Parts of all kinds, those of installed packages among them; species, L-systems and recipes.
 
     Parameters
     ----------
@@ -141,7 +137,7 @@ def schema() -> dict[str, Any]:
     from forestgen.recipe.json_schema import recipe_json_schema
 
     def parameters(registry: Registry, discriminator: str) -> dict[str, dict[str, object]]:
-        found = {name: registry.load(name).Parameters.model_json_schema() for name in registry.ids()}
+        found = {name: one.Parameters.model_json_schema() for name, one in registry.parts()}
         for one in found.values():
             one.get("properties", {}).pop(discriminator, None)
         return found
@@ -156,7 +152,7 @@ def register(kind: str, name: str, part: object, description: str = "") -> None:
 
     Parameters
     ----------
-    kind : community_model, environment, plant_generator or dataset_format.
+    kind : of part, such as community_model; an unknown one raises an error that lists them.
     name : that recipes use.
     part : the object, defined at the top of a module; or its place, ``"package.module:NAME"``.
     description : one line for `models`; by default the first line of the object's documentation.
@@ -179,7 +175,7 @@ def register(kind: str, name: str, part: object, description: str = "") -> None:
     is_path = isinstance(part, str)
     found = part_at(part) if isinstance(part, str) else part
     path = part if isinstance(part, str) else _path_of(part)
-    check_part(kind, found)
+    _REGISTRIES[kind].check_part(name, found)
     text = text_of(description, "description") or ("" if is_path else (inspect.getdoc(part) or "").partition("\n")[0])
     _REGISTRIES[kind].register(name, path, text)
 

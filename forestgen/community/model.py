@@ -104,7 +104,7 @@ def _models_with(key: str) -> list[str]:
     """Names of the community models whose parameters have this key."""
     from forestgen.community.registry import COMMUNITY_MODELS  # imports all models: only for a mistake
 
-    return [name for name in COMMUNITY_MODELS.ids() if key in COMMUNITY_MODELS.load(name).Parameters.model_fields]
+    return sorted(name for name, one in COMMUNITY_MODELS.parts() if key in one.Parameters.model_fields)
 
 
 class CommunityModel(Protocol[P, S]):

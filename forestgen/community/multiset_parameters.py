@@ -55,7 +55,7 @@ class EnvironmentChoice(BaseModel):
 
     def check(self) -> None:
         """Raise a mistake unless there is such an environment, and its own keys are right."""
-        if self.model not in ENVIRONMENTS.ids():
+        if self.model not in ENVIRONMENTS:
             raise mistake(
                 "one of " + ", ".join(ENVIRONMENTS.ids()),
                 problem="no such environment",
@@ -112,7 +112,7 @@ class MultisetParameters(CommunityParameters):
         program = data.get("program")
         name = program.get("name") if isinstance(program, Mapping) else program
         stem = str(name).removesuffix(".lsys")
-        return {**data, "environment": stem} if stem in ENVIRONMENTS.ids() else data
+        return {**data, "environment": stem} if stem in ENVIRONMENTS else data
 
     @model_validator(mode="after")
     def _fits_program_and_environment(self) -> Self:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from forestgen.core.registry import Registry
 
 COMMUNITY_MODELS = Registry(
-    "community model",
+    "community_model",
     {
         "branch_modules": (
             "forestgen.community.models.branch_modules:MODEL",
@@ -64,6 +64,7 @@ COMMUNITY_MODELS = Registry(
             "independent random positions",
         ),
     },
+    contract="forestgen.community.model:CommunityModel",
 )
 
 ENVIRONMENTS = Registry(
@@ -86,4 +87,5 @@ ENVIRONMENTS = Registry(
             "size relative to the mean and plot crowding; positions do not matter (Aikman and Watkinson 1980)",
         ),
     },
+    contract="forestgen.community.environments.contract:Environment",
 )

@@ -8,7 +8,7 @@ DEFAULT_FORMATS = ("coco",)
 
 # In the order in which their checks run.
 DATASET_FORMATS = Registry(
-    "data set format",
+    "dataset_format",
     {
         "depth_png": ("forestgen.dataset.formats.depth_png:FORMAT", "16-bit depth along the camera's axis"),
         "cryptomatte": ("forestgen.dataset.formats.cryptomatte:FORMAT", "coverage by name, for compositing programs"),
@@ -19,4 +19,5 @@ DATASET_FORMATS = Registry(
         "nerfstudio": ("forestgen.dataset.formats.nerfstudio:FORMAT", "cameras for radiance fields and splats"),
         "bop": ("forestgen.dataset.formats.bop:FORMAT", "poses, visible fractions and masks of each plant"),
     },
+    contract="forestgen.dataset.formats.format:DatasetFormat",
 )

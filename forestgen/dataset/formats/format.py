@@ -114,24 +114,11 @@ class DatasetFormat:
         return ""
 
 
-def load_format(name: str, *, where: str | None = None) -> DatasetFormat:
-    """The format of a name.
-
-    Raises
-    ------
-    RecipeError : there is none, or what is registered under the name is no format of this name.
-    """
-    found = DATASET_FORMATS.load(name, where=where)
-    if not isinstance(found, DatasetFormat) or getattr(found, "name", None) != name:
-        raise RecipeError(
-            "what is registered under this name is no data set format of this name",
-            where=where,
-            expected=f"a DatasetFormat whose name is {name!r}",
-            got=f"{found!r:.100}",
-        )
-    return found
-
-
 def load_formats(names: Iterable[str]) -> Iterator[DatasetFormat]:
     """The formats of several names, in their order."""
-    return map(load_format, names)
+    return map(DATASET_FORMATS.load, names)
+
+
+def known_formats() -> Iterator[DatasetFormat]:
+    """All formats, without other packages' that are broken."""
+    return (one for _, one in DATASET_FORMATS.parts())

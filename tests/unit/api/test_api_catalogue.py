@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import sys
 import types
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -15,20 +14,10 @@ from api_recipe import STAND
 
 import forestgen as fg
 from forestgen.api import catalogue
-from forestgen.api.parts import check_part
-from forestgen.community.registry import COMMUNITY_MODELS
 from forestgen.core import registry
 from forestgen.core.code_hash import code_hash
 
-
-@pytest.fixture(autouse=True)
-def _as_before() -> Iterator[None]:
-    """What a test registers is forgotten."""
-    entries, registered = dict(COMMUNITY_MODELS._entries), list(registry._registered)
-    yield
-    COMMUNITY_MODELS._entries.clear()
-    COMMUNITY_MODELS._entries.update(entries)
-    registry._registered[:] = registered
+pytestmark = pytest.mark.usefixtures("registries_as_before")
 
 
 @pytest.mark.parametrize("part", [own_parts.MODEL, "own_parts:MODEL"])
@@ -129,10 +118,10 @@ def test_a_part_that_lacks_what_its_kind_has_is_refused(kind: str, part: str, la
     fg.schema()
 
 
-@pytest.mark.parametrize("kind", ["community_model", "environment", "plant_generator"])
+@pytest.mark.parametrize("kind", list(catalogue._REGISTRIES))
 def test_all_shipped_parts_pass_the_check(kind: str) -> None:
     for name in catalogue._REGISTRIES[kind].ids():
-        check_part(kind, catalogue._REGISTRIES[kind].load(name))
+        catalogue._REGISTRIES[kind].check_part(name, catalogue._REGISTRIES[kind].load(name))
 
 
 def test_the_example_of_the_manual_makes_a_stand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
