@@ -16,14 +16,18 @@ from forestgen.core.errors import RecipeError
 from forestgen.core.registry import Registry, part_at
 from forestgen.plants.registry import GENERATORS
 from forestgen.recipe.assets import find_asset, list_assets
-from forestgen.recipe.registries import DATASET_FORMATS
+from forestgen.recipe.registries import DATASET_FORMATS, PACKS
 from forestgen.recipe.suggestions import did_you_mean
 
 if TYPE_CHECKING:
     from forestgen.api.diagnosis import Diagnosis
 
 _REGISTRIES: dict[str, Registry] = {
-    one.kind: one for one in (COMMUNITY_MODELS, ENVIRONMENTS, GENERATORS, DATASET_FORMATS)
+    "community_model": COMMUNITY_MODELS,
+    "environment": ENVIRONMENTS,
+    "plant_generator": GENERATORS,
+    "dataset_format": DATASET_FORMATS,
+    "pack": PACKS,
 }
 _WITHOUT_COMMENT = {  # files of a format that has none
     "fig_5_2": "A bush of one rule, of Rhodes University's forest: its Fig. 5.2, in the format .sys.",

@@ -11,7 +11,7 @@ from pydantic import BaseModel, BeforeValidator, Field, ValidationError, WithJso
 from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.model import CommunityParameters, Site
 from forestgen.community.plant_words import Form, form_of
-from forestgen.community.registry import ENVIRONMENTS
+from forestgen.community.registry import DEFAULT_ENVIRONMENT, ENVIRONMENTS
 from forestgen.core.errors import LsystemError
 from forestgen.lsystem.compiler import Value, compile_listing, settable, with_values
 from forestgen.lsystem.parsing import parse_text
@@ -51,7 +51,7 @@ class EnvironmentChoice(BaseModel):
 
     model_config = {"extra": "allow", "frozen": True}
 
-    model: Text = Field("domination", description="id of the environment")
+    model: Text = Field(DEFAULT_ENVIRONMENT, description="id of the environment")
 
     def check(self) -> None:
         """Raise a mistake unless there is such an environment, and its own keys are right."""
@@ -94,9 +94,9 @@ class MultisetParameters(CommunityParameters):
     environment: Annotated[
         EnvironmentChoice,
         BeforeValidator(_environment),
-        WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "object"}], "default": "domination"}),
+        WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "object"}], "default": DEFAULT_ENVIRONMENT}),
     ] = Field(
-        EnvironmentChoice(model="domination"),
+        EnvironmentChoice(model=DEFAULT_ENVIRONMENT),
         description="competition model: an environment's id, or {model: id, ...}",
     )
     most_plants: int = Field(

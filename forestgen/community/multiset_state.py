@@ -85,7 +85,7 @@ def answered(state: State) -> State:
     circles = Circles(
         position_m=values[:, :2],
         radius_m=values[:, RADIUS],
-        height_m=_heights(state, values) if parameters.environment.model != "domination" else values[:, RADIUS],
+        height_m=_heights(state, values) if environment.needs_heights else values[:, RADIUS],
         plant_id=state.derivation.multiset.word_id[plants.word],
         species=values[:, SPECIES].astype(np.uint16),
     )

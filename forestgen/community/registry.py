@@ -67,6 +67,7 @@ COMMUNITY_MODELS = Registry(
     contract="forestgen.community.model:CommunityModel",
 )
 
+DEFAULT_ENVIRONMENT = "domination"
 ENVIRONMENTS = Registry(
     "environment",
     {

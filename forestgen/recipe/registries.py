@@ -1,4 +1,4 @@
-"""Data set formats, by the name that a recipe uses: the recipe's schema needs their names, not their code."""
+"""Data set formats and packs by name: the recipe's schema needs the formats' names, not their code."""
 
 from __future__ import annotations
 
@@ -20,4 +20,13 @@ DATASET_FORMATS = Registry(
         "bop": ("forestgen.dataset.formats.bop:FORMAT", "poses, visible fractions and masks of each plant"),
     },
     contract="forestgen.dataset.formats.format:DatasetFormat",
+)
+
+PACKS = Registry(
+    "pack",
+    {
+        "webdataset": ("forestgen.dataset.pack.webdataset:PACK", "tar files, in which files of one stem are a frame"),
+        "huggingface": ("forestgen.dataset.pack.huggingface:PACK", "Parquet files for datasets.load_dataset"),
+    },
+    contract="forestgen.dataset.pack.pack:Pack",
 )

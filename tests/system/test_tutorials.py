@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 from documented import ROOT, TUTORIALS, commands_of
+
 from support.plugin import PLUGIN, install_plugin
 
 _BLOCK = re.compile(r'^```(\w+)(?: title="([^"]+)")?\n(.*?)^```$', re.MULTILINE | re.DOTALL)

@@ -7,11 +7,14 @@ from functools import cache
 
 import pytest
 
+from forestgen.community.registry import ENVIRONMENTS
 from forestgen.core.code_hash import PACKAGE
-from forestgen.recipe.registries import DATASET_FORMATS
+from forestgen.core.registry import Registry
+from forestgen.recipe.registries import DATASET_FORMATS, PACKS
 
-REGISTRY = "recipe/registries.py"
-OTHER_MEANINGS = {  # file -> names that are no format's in it
+REGISTRIES = (DATASET_FORMATS, PACKS, ENVIRONMENTS)
+REGISTRY_FILES = {"recipe/registries.py", "community/registry.py"}
+OTHER_MEANINGS = {  # file -> names that are no part's in it
     "api/instruments.py": {"points"},  # what a list holds, for its error
     "api/points.py": {"points"},  # a parameter
     "community/fitting/recipe_text.py": {"points"},  # a key of community model strauss
@@ -33,10 +36,19 @@ def texts() -> dict[str, set[str]]:
     return found
 
 
-@pytest.mark.parametrize("name", list(DATASET_FORMATS))
-def test_only_a_formats_own_module_names_it(name: str) -> None:
-    known = {REGISTRY, f"dataset/formats/{name}.py"}
+def own_module(registry: Registry, name: str) -> str:
+    """The part's file in the package."""
+    return registry._entries[name][0].partition(":")[0].replace(".", "/").removeprefix("forestgen/") + ".py"
+
+
+@pytest.mark.parametrize(
+    ("registry", "name"),
+    [(one, name) for one in REGISTRIES for name in one],
+    ids=lambda value: getattr(value, "kind", value),
+)
+def test_only_a_parts_own_module_names_it(registry: Registry, name: str) -> None:
+    known = {*REGISTRY_FILES, own_module(registry, name)}
     known |= {file for file, names in OTHER_MEANINGS.items() if name in names}
     found = {file for file, own in texts().items() if name in own}
-    assert found - known == set(), f"ask forestgen.dataset.formats.format for {name!r} instead of naming it"
+    assert found - known == set(), f"ask the part for what it can do instead of naming {name!r}"
     assert {file for file, names in OTHER_MEANINGS.items() if name in names} <= found, "an exception without a cause"

@@ -49,6 +49,7 @@ class AikmanWatkinson:
     """The environment; see the module's page."""
 
     Parameters = AikmanWatkinsonParameters
+    needs_heights = True
     bytes_per_circle = 48
 
     def answer(

@@ -57,6 +57,7 @@ class Environment(Protocol[P]):
     """
 
     Parameters: type[P]
+    needs_heights: bool  # whether its answer depends on `Circles.height_m`
     bytes_per_circle: int  # peak memory of `answer`, its result counted, a circle; in large ordinary stands
 
     def answer(

@@ -175,6 +175,7 @@ class Domination:
     """The environment; see the module's page."""
 
     Parameters = DominationParameters
+    needs_heights = False
     bytes_per_circle = BYTES_PER_CIRCLE
 
     def answer(

@@ -223,6 +223,7 @@ class FirbankWatkinson:
     """The environment; see the module's page."""
 
     Parameters = FirbankWatkinsonParameters
+    needs_heights = True
     bytes_per_circle = 92
 
     def answer(

@@ -96,6 +96,7 @@ class LepsKindlmann:
     """The environment; see the module's page."""
 
     Parameters = LepsKindlmannParameters
+    needs_heights = True
     bytes_per_circle = 64
 
     def answer(
