@@ -49,7 +49,7 @@ class AikmanWatkinson:
     """The environment; see the module's page."""
 
     Parameters = AikmanWatkinsonParameters
-    needs_heights = True
+    needs_heights = False
     bytes_per_circle = 48
 
     def answer(
