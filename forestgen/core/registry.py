@@ -12,7 +12,7 @@ import importlib
 import importlib.util
 import re
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from typing import Any, get_args, get_type_hints
@@ -135,6 +135,11 @@ class Registry:
         if name not in self._entries:
             self.register(name, *self._entry(name))
         return part
+
+    def load_all(self, names: Collection[str]) -> list[Any]:
+        """The parts of several names, in the registry's order."""
+        found = {name: self.load(name) for name in names}
+        return [found[name] for name in self._entries if name in found]
 
     def part(self, name: str, *, where: str | None = None) -> Any:
         """The part to look at: as `load`, but it does not count as used."""

@@ -1,8 +1,13 @@
-"""Data set formats and packs by name: the recipe's schema needs the formats' names, not their code."""
+"""Parts of data sets by name: the recipe's schema needs their names, not their code."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
+from forestgen.core.errors import RecipeError
 from forestgen.core.registry import Registry
+from forestgen.recipe.fields import mistake
 
 DEFAULT_FORMATS = ("coco",)
 
@@ -30,3 +35,48 @@ PACKS = Registry(
     },
     contract="forestgen.dataset.pack.pack:Pack",
 )
+
+DEFAULT_CHANNELS = ("coverage", "surface", "albedo", "sun", "cloud", "motion", "boundaries", "amodal")
+
+# In the order in which they are made and written.
+LABEL_CHANNELS = Registry(
+    "label_channel",
+    {
+        "coverage": ("forestgen.labels.channels.coverage:CHANNEL", "the ids that cover most of a pixel, their shares"),
+        "surface": ("forestgen.labels.channels.surface:CHANNEL", "positions, normals, triangles at pixels' centres"),
+        "albedo": ("forestgen.labels.channels.albedo:CHANNEL", "reflectance and transmittance of surfaces"),
+        "sun": ("forestgen.labels.channels.sun:CHANNEL", "shadows: where the sun is visible"),
+        "cloud": ("forestgen.labels.channels.cloud:CHANNEL", "opacity of clouds"),
+        "motion": ("forestgen.labels.channels.motion:CHANNEL", "pixels to the next frame of a sequence"),
+        "boundaries": ("forestgen.labels.channels.boundaries:CHANNEL", "occlusion boundaries"),
+        "amodal": ("forestgen.labels.channels.amodal:CHANNEL", "masks of plants as if nothing stood before them"),
+        "module": ("forestgen.labels.channels.module:CHANNEL", "branch modules and their segments"),
+    },
+    contract="forestgen.labels.channels.channel:LabelChannel",
+)
+
+
+def known_in(registry: Registry) -> Callable[[str], str]:
+    """A validator that refuses names of no part."""
+
+    def check(name: str) -> str:
+        try:
+            registry.check(name)
+        except RecipeError as error:
+            raise mistake(error.expected or "", problem=error.problem, got=error.got, hint=error.hint) from error
+        return name
+
+    return check
+
+
+def names_of(registry: Registry) -> Callable[[dict[str, Any]], None]:
+    """For a name's JSON Schema: adds the parts that there are when it is made."""
+    return lambda schema: schema.update(enum=registry.ids())
+
+
+def each_once(names: tuple[str, ...]) -> tuple[str, ...]:
+    """A validator that refuses a part that is named twice."""
+    for index, name in enumerate(names):
+        if name in names[:index]:
+            raise mistake("each one once", problem="a part named twice", got=name, at=(index,))
+    return names

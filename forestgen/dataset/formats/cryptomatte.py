@@ -46,9 +46,10 @@ from numpy.typing import NDArray
 
 from forestgen.core.errors import OutputError
 from forestgen.core.parts import Part
-from forestgen.dataset.exr import Channels, write_parts
+from forestgen.dataset.exr import write_parts
 from forestgen.dataset.formats.format import DatasetFormat
 from forestgen.dataset.settings import DatasetSettings
+from forestgen.labels.channels.channel import Layers
 from forestgen.labels.labelled import LabelledFrame
 from forestgen.labels.masks import coverage_ranks, rows_of
 
@@ -102,7 +103,7 @@ FORMAT = Cryptomatte()
 
 def write_cryptomatte(path: Path, labelled: LabelledFrame) -> None:
     """Write a frame's layers; species that share an id raise `OutputError`."""
-    channels: Channels = {}
+    channels: Layers = {}
     header: dict[str, str] = {}
     for layer in crypto_layers(labelled):
         channels |= _channels(layer)
@@ -191,10 +192,10 @@ def _ranks(codes: NDArray[np.uint32]) -> tuple[NDArray[np.uint32], NDArray[np.fl
     return ranked, np.where(ranked == 0, np.float32(0.0), coverage)
 
 
-def _channels(layer: CryptoLayer) -> Channels:
+def _channels(layer: CryptoLayer) -> Layers:
     bits = np.concatenate([np.zeros(1, dtype=np.uint32), layer.ids])[layer.code]
     ids = bits.view(np.float32)
-    channels: Channels = {}
+    channels: Layers = {}
     for rank in range(RANKS):
         level, (id_channel, coverage_channel) = f"{layer.name}{rank // 2:02d}", ("RG", "BA")[rank % 2]
         channels[f"{level}.{id_channel}"] = np.ascontiguousarray(ids[..., rank])

@@ -21,7 +21,7 @@ def test_all_formats_and_a_licence():
 @pytest.mark.parametrize(
     ("section", "words"),
     [
-        ({"formats": ("coco", "yolo", "coco")}, "each format once"),
+        ({"formats": ("coco", "yolo", "coco")}, "each one once"),
         ({"formats": ("voc",)}, "unknown dataset format: expected one of bop, coco, "),
         ({"formats": (7,)}, "valid string"),
         ({"licence": {"name": ""}}, "at least 1"),
