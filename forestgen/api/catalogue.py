@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from forestgen.community.registry import COMMUNITY_MODELS, ENVIRONMENTS
+from forestgen.community.registry import COMMUNITY_MODELS, COMPETITION_MODELS
 from forestgen.core.arguments import shown, text_of
 from forestgen.core.errors import RecipeError
 from forestgen.core.registry import Registry, part_at
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 _REGISTRIES: dict[str, Registry] = {
     "community_model": COMMUNITY_MODELS,
-    "environment": ENVIRONMENTS,
+    "competition_model": COMPETITION_MODELS,
     "plant_generator": GENERATORS,
     "dataset_format": DATASET_FORMATS,
     "pack": PACKS,

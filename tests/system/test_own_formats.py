@@ -1,4 +1,4 @@
-"""A format that another package registers is written, merged, checked and refused like those that come along."""
+"""Formats, label channels and packs that another package registers are used like those that come along."""
 
 from __future__ import annotations
 
@@ -36,6 +36,25 @@ def test_a_registered_format_is_used_like_a_shipped_one(tmp_path: Path) -> None:
     report = check_dataset(root / "val", jobs=2, hashes=False, most=None)
     assert [(one.check, one.image, one.got) for one in report.findings] == [("size", "000001-right", "[1, 1]")]
     assert {"size", "sizes"} <= {one.name for one in report.check_results if one.images}
+
+
+def test_a_registered_label_channel_and_pack_are_used_like_shipped_ones(tmp_path: Path) -> None:
+    fg.register("label_channel", "triangles", "own_formats:CHANNEL", "triangles of exemplars")
+    fg.register("pack", "names", "own_formats:PACK")
+    text = OWN.replace("[coco, sizes]", "[]").replace(
+        "labels: {samples: 1}", "labels: {samples: 1, channels: [triangles]}"
+    )
+    run = fg.load(recipe(tmp_path, text)).batch(tmp_path / "set", 2, workers=2, threads=1, progress=False)
+    data_set = fg.Dataset(run.target)
+    counts = data_set["000000-left"].channel("triangles", "count")
+    assert set(data_set["000000-left"].parts) == {"radiance", "radiance.variance", "depth", "triangles", "identity"}
+    plants = data_set["000000-left"].instance > 0
+    assert counts[plants].max() > 0
+    assert (counts > 0).sum() < counts.size
+    packed = data_set.pack(tmp_path / "pack", "names", channels="semantic", by_name=True, progress=False)
+    assert packed.channels == ("semantic",)
+    assert (tmp_path / "pack" / "val.txt").read_text() == "000001-left semantic\n000001-right semantic\n"
+    assert 'Path("PATH/train.txt")' in (tmp_path / "pack" / "README.md").read_text()
 
 
 def test_its_own_rule_refuses_a_camera(tmp_path: Path) -> None:

@@ -7,12 +7,12 @@ from functools import cache
 
 import pytest
 
-from forestgen.community.registry import ENVIRONMENTS
+from forestgen.community.registry import COMPETITION_MODELS
 from forestgen.core.code_hash import PACKAGE
 from forestgen.core.registry import Registry
 from forestgen.recipe.registries import DATASET_FORMATS, LABEL_CHANNELS, PACKS
 
-REGISTRIES = (DATASET_FORMATS, PACKS, ENVIRONMENTS, LABEL_CHANNELS)
+REGISTRIES = (DATASET_FORMATS, PACKS, COMPETITION_MODELS, LABEL_CHANNELS)
 # Where names of a kind are looked for, if they are common words.
 FOLDERS = {"label_channel": ("labels/", "dataset/", "stages/", "pipeline.py")}
 REGISTRY_FILES = {"recipe/registries.py", "community/registry.py"}

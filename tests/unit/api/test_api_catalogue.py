@@ -60,7 +60,7 @@ def test_what_is_no_name(name: str) -> None:
 
 
 def test_an_unknown_kind_lists_the_known_ones() -> None:
-    with pytest.raises(fg.RecipeError, match="community_model, environment, plant_generator") as caught:
+    with pytest.raises(fg.RecipeError, match="community_model, competition_model, plant_generator") as caught:
         fg.register("comunity_model", "own", own_parts.MODEL)
     assert caught.value.hint == "did you mean 'community_model'?"
 
@@ -107,7 +107,7 @@ def test_a_place_that_is_none_is_refused_at_once(
         ("community_model", "own_parts:Own", "this is a class"),
         ("community_model", "own_parts:INCOMPLETE", "has no resume"),
         ("community_model", "own_parts:OTHER", "Parameters are none"),
-        ("environment", "own_parts:MODEL", "answer"),
+        ("competition_model", "own_parts:MODEL", "answer"),
         ("plant_generator", "own_parts:MODEL", "grow"),
     ],
 )
@@ -144,7 +144,7 @@ def test_descriptions_are_whole_sentences(name: str) -> None:
 
 
 def test_models_of_a_kind_or_a_name() -> None:
-    assert {one.kind for one in fg.models(kind="environment")} == {"environment"}
+    assert {one.kind for one in fg.models(kind="competition_model")} == {"competition_model"}
     names = {one.name for one in fg.models()}
     assert {"uniform", "silhouette", "spruce", "koch", "quickstart"} <= names
     (spruce,) = fg.models("spruce", kind="species")

@@ -49,7 +49,7 @@ BROKEN = {
     ("community_model", "torn"): "torn_parts:MODEL",
     ("plant_generator", "torn"): "torn_parts.absent:GENERATOR",
     ("dataset_format", "torn"): "no_such_module:FORMAT",
-    ("environment", "torn"): "no place",
+    ("competition_model", "torn"): "no place",
 }
 
 

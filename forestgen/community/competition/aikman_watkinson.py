@@ -33,7 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from forestgen.community.environments.contract import Circles
+from forestgen.community.competition.contract import Circles
 
 
 class AikmanWatkinsonParameters(BaseModel):
@@ -46,7 +46,7 @@ class AikmanWatkinsonParameters(BaseModel):
 
 
 class AikmanWatkinson:
-    """The environment; see the module's page."""
+    """The competition model; see the module's page."""
 
     Parameters = AikmanWatkinsonParameters
     needs_heights = False
@@ -73,4 +73,4 @@ class AikmanWatkinson:
         return answer
 
 
-ENVIRONMENT = AikmanWatkinson()
+MODEL = AikmanWatkinson()
