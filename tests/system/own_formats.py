@@ -65,14 +65,14 @@ def _sizes(merged: Merged) -> Iterator[Finding]:
         yield Finding(WHOLE, "other frames")
 
 
-class Exemplars(LabelChannel):
+class Triangles(LabelChannel):
     """How many triangles the exemplar at each pixel's centre has."""
 
     name = "triangles"
     units: Mapping[str, str] = {"triangles": "triangles"}
 
     def add(self, frame: Frame, view: ChannelView) -> Frame:
-        count = np.array([0, *(one.triangle_count for one in view.tracer.spec.exemplars)], dtype=np.uint32)
+        count = np.array([0, *(one.triangles for one in view.tracer.spec.exemplars)], dtype=np.uint32)
         return replace(frame, own={**frame.own, self.name: count[frame.surface.exemplar]})
 
     def parts(self, labelled: LabelledFrame) -> dict[str, Layers]:
@@ -94,5 +94,5 @@ class Names(Pack):
 
 
 FORMAT = Sizes()
-CHANNEL, PACK = Exemplars(), Names()
+CHANNEL, PACK = Triangles(), Names()
 NO_FORMAT = object()
