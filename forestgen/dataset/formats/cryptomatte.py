@@ -39,7 +39,6 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,9 +51,6 @@ from forestgen.dataset.settings import DatasetSettings
 from forestgen.labels.channels.channel import Layers
 from forestgen.labels.labelled import LabelledFrame
 from forestgen.labels.masks import coverage_ranks, rows_of
-
-if TYPE_CHECKING:
-    from forestgen.dataset.check.check import FrameCheck
 
 FILE_NAME = "cryptomatte.exr"
 RANKS = 8
@@ -77,25 +73,12 @@ class Cryptomatte(DatasetFormat):
     """Coverage by name, for compositing programs."""
 
     name = "cryptomatte"
+    check_module = "forestgen.dataset.check.cryptomatte"
     bytes_per_pixel = 48 * 4
 
     def write_frame(self, folder: Path, labelled: LabelledFrame, settings: DatasetSettings) -> None:
         """Write the frame's cryptomatte.exr into its folder; species that share an id raise `OutputError`."""
         write_cryptomatte(folder / FILE_NAME, labelled)
-
-    def frame_checks(self) -> tuple[FrameCheck, ...]:
-        from forestgen.dataset.check import cryptomatte
-        from forestgen.dataset.check.check import FrameCheck
-
-        return (
-            FrameCheck(
-                "cryptomatte",
-                "names, plants, shares are frame.exr's",
-                FILE_NAME,
-                cryptomatte.has_cryptomatte,
-                cryptomatte.cryptomatte,
-            ),
-        )
 
 
 FORMAT = Cryptomatte()

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,7 @@ class DatasetFormat:
     bytes_per_plant: int = 0  # of each plant in view, the same
     projections: tuple[str, ...] | None = None  # kinds of cameras that it has words for; None: all
     label_channels: Mapping[str, str] = {}  # of labels.channels, those that it needs -> why
+    check_module: str | None = None  # with FRAME_CHECKS and DATASET_CHECKS, imported when a data set is verified
     split_file_names: tuple[str, ...] = ()  # all names that `split_files` may have
 
     def check(self, drawn: DrawnRecipe) -> None:
@@ -102,12 +104,15 @@ class DatasetFormat:
         return {}
 
     def frame_checks(self) -> tuple[FrameCheck, ...]:
-        """What `forestgen verify` checks of each frame that has the format's files; import their modules in here."""
-        return ()
+        """What `forestgen verify` checks of each frame that has the format's files."""
+        return self._checks("FRAME_CHECKS")
 
     def dataset_checks(self) -> tuple[DatasetCheck, ...]:
         """What `forestgen verify` checks of a split's merged files."""
-        return ()
+        return self._checks("DATASET_CHECKS")
+
+    def _checks(self, name: str) -> tuple[Any, ...]:
+        return () if self.check_module is None else getattr(import_module(self.check_module), name, ())
 
     def card(self) -> str:
         """How to open the format, in Markdown on one line, for the data card; empty: nothing is said."""
