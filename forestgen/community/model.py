@@ -20,8 +20,6 @@ from forestgen.recipe.messages import show
 from forestgen.recipe.sources import Keys
 
 GroundHeight = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
-P = TypeVar("P", bound="CommunityParameters")
-S = TypeVar("S")
 
 
 @dataclass(frozen=True)
@@ -105,6 +103,10 @@ def _models_with(key: str) -> list[str]:
     from forestgen.community.registry import COMMUNITY_MODELS  # imports all models: only for a mistake
 
     return sorted(name for name, one in COMMUNITY_MODELS.parts() if key in one.Parameters.model_fields)
+
+
+P = TypeVar("P", bound=CommunityParameters)
+S = TypeVar("S")
 
 
 class CommunityModel(Protocol[P, S]):
