@@ -70,11 +70,8 @@ def models(name: str | None = None, *, kind: str | None = None) -> list[Entry]:
     ------
     RecipeError : there is no such name or kind.
     """
-    kinds = (*_REGISTRIES, *_ASSETS.values())
-    if kind is not None and text_of(kind, "kind") not in kinds:
-        hint = did_you_mean(kind, kinds)
-        expected = "one of " + ", ".join(kinds)
-        raise RecipeError("no such kind", where="kind", expected=expected, got=repr(kind), hint=hint)
+    if kind is not None:
+        _check_kind(kind, (*_REGISTRIES, *_ASSETS.values()))
     found = [one for one in _entries() if kind in (None, one.kind)]
     named = [one for one in found if name is None or one.name == text_of(name, "name")]
     if name is not None and not named:
@@ -167,15 +164,7 @@ def register(kind: str, name: str, part: object, description: str = "") -> None:
     RecipeError : no such kind, the name is taken, the object cannot be found again in its module, or lacks what a
         part of its kind must have.
     """
-    if text_of(kind, "kind") not in _REGISTRIES:
-        hint = did_you_mean(kind, list(_REGISTRIES))
-        raise RecipeError(
-            "no such kind of part",
-            where="kind",
-            expected="one of " + ", ".join(_REGISTRIES),
-            got=shown(kind),
-            hint=hint,
-        )
+    _check_kind(kind, tuple(_REGISTRIES))
     text_of(name, "name")
     is_path = isinstance(part, str)
     found = part_at(part) if isinstance(part, str) else part
@@ -183,6 +172,12 @@ def register(kind: str, name: str, part: object, description: str = "") -> None:
     _REGISTRIES[kind].check_part(name, found)
     text = text_of(description, "description") or ("" if is_path else (inspect.getdoc(part) or "").partition("\n")[0])
     _REGISTRIES[kind].register(name, path, text)
+
+
+def _check_kind(kind: str, known: tuple[str, ...]) -> None:
+    if text_of(kind, "kind") not in known:
+        expected, hint = "one of " + ", ".join(known), did_you_mean(kind, known)
+        raise RecipeError("no such kind", where="kind", expected=expected, got=shown(kind), hint=hint)
 
 
 def _path_of(part: object) -> str:
