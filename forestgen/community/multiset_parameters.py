@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import Annotated, Any, Self
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, Field, ValidationError, WithJsonSchema, model_validator
+from pydantic import BaseModel, BeforeValidator, Field, ValidationError, WithJsonSchema, model_validator
 
 from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.model import CommunityParameters, Site
@@ -18,8 +18,7 @@ from forestgen.lsystem.parsing import parse_text
 from forestgen.lsystem.program import Program
 from forestgen.lsystem.syntax import Listing
 from forestgen.recipe.assets import find_asset
-from forestgen.recipe.fields import Section, Text, mistake
-from forestgen.recipe.registries import known_in
+from forestgen.recipe.fields import Section, Text, mistake, part_name
 
 OF_SPECIES = (
     "growth_m_per_yr", "max_radius_m", "shade_tolerance", "old_age_survival", "seedlings_per_ha_per_yr",
@@ -52,7 +51,7 @@ class EnvironmentChoice(BaseModel):
 
     model_config = {"extra": "allow", "frozen": True}
 
-    model: Annotated[Text, AfterValidator(known_in(COMPETITION_MODELS))] = Field(
+    model: Annotated[Text, *part_name(COMPETITION_MODELS)] = Field(
         DEFAULT_COMPETITION_MODEL, description="id of the competition model"
     )
 

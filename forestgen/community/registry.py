@@ -5,7 +5,7 @@ from __future__ import annotations
 from forestgen.core.registry import Registry
 
 COMMUNITY_MODELS = Registry(
-    "community_model",
+    "community model",
     {
         "branch_modules": (
             "forestgen.community.models.branch_modules:MODEL",
@@ -69,7 +69,7 @@ COMMUNITY_MODELS = Registry(
 
 DEFAULT_COMPETITION_MODEL = "domination"
 COMPETITION_MODELS = Registry(
-    "competition_model",
+    "competition model",
     {
         "domination": (
             "forestgen.community.competition.domination:MODEL",

@@ -1,8 +1,9 @@
 """Names of interchangeable parts, each a lazy dotted path: a listing imports nothing heavy.
 
-Other packages add parts in two ways: `Registry.register`, and entry points of the group ``forestgen.KIND``, which are
-read only when parts are listed or a name is not among those known. Worker processes get the parts in use by
-`registrations`, and what is kept on disk depends on their code too (`forestgen.core.code_hash`).
+Other packages add parts in two ways: `Registry.register`, and entry points of groups such as
+``forestgen.community_model``, which are read only when parts are listed or a name is not among those known. Worker
+processes get the parts in use by `registrations`, and what is kept on disk depends on their code too
+(`forestgen.core.code_hash`).
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ _registries: dict[str, Registry] = {}  # by kind
 class Registration:
     """A part of another package."""
 
-    kind: str
+    kind: str  # of the registry
     name: str
     path: str  # module:attribute
     description: str
@@ -55,7 +56,7 @@ class Registry:
 
     Parameters
     ----------
-    kind : what the entries are, such as ``community_model``.
+    kind : what the entries are, for messages, such as "community model".
     entries : id -> (dotted path, one line of description).
     contract : ``module:class`` whose attributes each part has; the annotation of its `Parameters`, if it has some,
         names their base class.
@@ -70,7 +71,7 @@ class Registry:
         contract: str,
         instead: Mapping[str, str] | None = None,
     ) -> None:
-        self.kind, self.title = kind, kind.replace("_", " ")
+        self.kind = kind
         self._contract, self._instead = contract, dict(instead or {})
         self._shipped = frozenset(entries)
         self._entries = dict(entries)
@@ -105,9 +106,9 @@ class Registry:
         """
         if not _NAME.fullmatch(name):
             expected = "letters, digits and underscores, a letter first"
-            raise RecipeError(f"no name for a {self.title}", expected=expected, got=repr(name))
+            raise RecipeError(f"no name for a {self.kind}", expected=expected, got=repr(name))
         if self._entries.setdefault(name, (path, description))[0] != path or name in self._shipped:
-            raise RecipeError(f"there is a {self.title} of this name already", expected="another name", got=repr(name))
+            raise RecipeError(f"there is a {self.kind} of this name already", expected="another name", got=repr(name))
         entry = Registration(self.kind, name, *self._entries[name])
         if entry not in _registered:
             _registered.append(entry)
@@ -117,7 +118,7 @@ class Registry:
         if name not in self:
             near = difflib.get_close_matches(name, known := self.ids(), n=1)
             raise RecipeError(
-                f"unknown {self.title}",
+                f"unknown {self.kind}",
                 where=where,
                 expected="one of " + ", ".join(known),
                 got=repr(name),
@@ -136,6 +137,11 @@ class Registry:
             self.register(name, *self._entry(name))
         return part
 
+    def use(self, name: str, *, where: str | None = None) -> None:
+        """Before work begins: import another package's part, as `load` does, but no shipped one, which is sound."""
+        if name not in self._shipped:
+            self.load(name, where=where)
+
     def load_all(self, names: Collection[str]) -> list[Any]:
         """The parts of several names, in the registry's order."""
         found = {name: self.load(name) for name in names}
@@ -152,7 +158,7 @@ class Registry:
             found = part_at(path)
             self.check_part(name, found)
         except RecipeError as error:
-            problem = f"{self.title} {name}{f' ({description})' if description else ''}: {error.problem}"
+            problem = f"{self.kind} {name}{f' ({description})' if description else ''}: {error.problem}"
             raise RecipeError(problem, where=where, expected=error.expected, got=error.got, hint=error.hint) from error
         return found
 
@@ -175,7 +181,7 @@ class Registry:
         names = sorted(one for one in own if not one.startswith("_"))
         missing = [one for one in names if not (hasattr(part, one) or hasattr(part, self._instead.get(one, one)))]
         if missing:
-            problem, expected = f"this is no {self.title}: it has no {', '.join(missing)}", f"what {self._contract} has"
+            problem, expected = f"this is no {self.kind}: it has no {', '.join(missing)}", f"what {self._contract} has"
             raise RecipeError(problem, where="part", expected=expected, got=shown(part))
         if "name" in own and (other := getattr(part, "name")) != name:  # noqa: B009 - its type is not known
             raise RecipeError("it has another name", where="part", expected=repr(name), got=shown(other))
@@ -193,7 +199,7 @@ class Registry:
     def _installed(self) -> dict[str, tuple[str, str]]:
         """Entries of the entry points of installed packages whose names are not taken."""
         found: dict[str, tuple[str, str]] = {}
-        for name, path, package in _entry_points(f"forestgen.{self.kind}", tuple(sys.path)):
+        for name, path, package in _entry_points(f"forestgen.{self.kind.replace(' ', '_')}", tuple(sys.path)):
             if name in found:  # no place: whoever uses it is told
                 found[name] = ("", f"{found[name][1]}, and of {package}")
             elif _NAME.fullmatch(name) and name not in self._entries:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from forestgen.core.registry import Registry
 
 GENERATORS = Registry(
-    "plant_generator",
+    "plant generator",
     {
         "silhouette": (
             "forestgen.plants.generators.silhouette:GENERATOR",

@@ -6,15 +6,15 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field
 
-from forestgen.recipe.fields import Positive, Section, Text, Whole
-from forestgen.recipe.registries import DATASET_FORMATS, DEFAULT_FORMATS, each_once, known_in, names_of
+from forestgen.recipe.fields import Positive, Section, Text, Whole, part_name
+from forestgen.recipe.registries import DATASET_FORMATS, DEFAULT_FORMATS, each_once
 
 View = Literal["filmic", "srgb", "acescct"]
 DEFAULT_SPLITS = {"train": 8.0, "val": 1.0, "test": 1.0}
 SplitName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_-]{0,31}$")]
 
 
-Format = Annotated[Text, AfterValidator(known_in(DATASET_FORMATS)), Field(json_schema_extra=names_of(DATASET_FORMATS))]
+Format = Annotated[Text, *part_name(DATASET_FORMATS)]
 
 
 class Licence(Section):

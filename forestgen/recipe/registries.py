@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
-
-from forestgen.core.errors import RecipeError
 from forestgen.core.registry import Registry
 from forestgen.recipe.fields import mistake
 
@@ -13,7 +9,7 @@ DEFAULT_FORMATS = ("coco",)
 
 # In the order in which their checks run.
 DATASET_FORMATS = Registry(
-    "dataset_format",
+    "dataset format",
     {
         "depth_png": ("forestgen.dataset.formats.depth_png:FORMAT", "16-bit depth along the camera's axis"),
         "cryptomatte": ("forestgen.dataset.formats.cryptomatte:FORMAT", "coverage by name, for compositing programs"),
@@ -40,7 +36,7 @@ DEFAULT_CHANNELS = ("coverage", "surface", "albedo", "sun", "cloud", "motion", "
 
 # In the order in which they are made and written.
 LABEL_CHANNELS = Registry(
-    "label_channel",
+    "label channel",
     {
         "coverage": ("forestgen.labels.channels.coverage:CHANNEL", "the ids that cover most of a pixel, their shares"),
         "surface": ("forestgen.labels.channels.surface:CHANNEL", "positions, normals, triangles at pixels' centres"),
@@ -54,24 +50,6 @@ LABEL_CHANNELS = Registry(
     },
     contract="forestgen.labels.channels.channel:LabelChannel",
 )
-
-
-def known_in(registry: Registry) -> Callable[[str], str]:
-    """A validator that refuses names of no part."""
-
-    def check(name: str) -> str:
-        try:
-            registry.check(name)
-        except RecipeError as error:
-            raise mistake(error.expected or "", problem=error.problem, got=error.got, hint=error.hint) from error
-        return name
-
-    return check
-
-
-def names_of(registry: Registry) -> Callable[[dict[str, Any]], None]:
-    """For a name's JSON Schema: adds the parts that there are when it is made."""
-    return lambda schema: schema.update(enum=registry.ids())
 
 
 def each_once(names: tuple[str, ...]) -> tuple[str, ...]:

@@ -37,10 +37,11 @@ from forestgen.recipe.fields import (
     Text,
     Whole,
     mistake,
+    part_name,
     spelled_out,
 )
 from forestgen.recipe.plants import Plants
-from forestgen.recipe.registries import DEFAULT_CHANNELS, LABEL_CHANNELS, each_once, known_in, names_of
+from forestgen.recipe.registries import DEFAULT_CHANNELS, LABEL_CHANNELS, each_once
 from forestgen.recipe.render import Render
 from forestgen.recipe.sampling import Sampling
 from forestgen.recipe.sky import SkySection
@@ -130,7 +131,7 @@ class Community(OpenSection):
     model: Annotated[Text, Field(min_length=1, max_length=100, description="Id of the community model.")]
 
 
-Channel = Annotated[Text, AfterValidator(known_in(LABEL_CHANNELS)), Field(json_schema_extra=names_of(LABEL_CHANNELS))]
+Channel = Annotated[Text, *part_name(LABEL_CHANNELS)]
 
 
 class Labels(Section):

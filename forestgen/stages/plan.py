@@ -27,7 +27,7 @@ from forestgen.plants.bark.texture import with_bark_tiles
 from forestgen.plants.parameters import PlantParameters
 from forestgen.plants.registry import GENERATORS
 from forestgen.recipe.load import DrawnRecipe, LoadedRecipe
-from forestgen.recipe.registries import DATASET_FORMATS
+from forestgen.recipe.registries import DATASET_FORMATS, LABEL_CHANNELS
 from forestgen.recipe.sources import Keys
 from forestgen.recipe.species import Plant, Species
 from forestgen.recipe.suggestions import did_you_mean
@@ -134,6 +134,8 @@ def collect_plan(drawn: DrawnRecipe, errors: ErrorList, stand_ins: frozenset[str
             found = errors.attempt(DATASET_FORMATS.load, name, where=drawn.where("dataset", "formats", index))
             if found is not None:
                 errors.attempt(found.check, drawn)
+        for index, name in enumerate(drawn.recipe.labels.channels):
+            errors.attempt(LABEL_CHANNELS.use, name, where=drawn.where("labels", "channels", index))
     if "community" in stand_ins:
         return None
     where = drawn.where("community", "model")

@@ -14,7 +14,7 @@ from forestgen.recipe.registries import DATASET_FORMATS, LABEL_CHANNELS, PACKS
 
 REGISTRIES = (DATASET_FORMATS, PACKS, COMPETITION_MODELS, LABEL_CHANNELS)
 # Where names of a kind are looked for, if they are common words.
-FOLDERS = {"label_channel": ("labels/", "dataset/", "stages/", "pipeline.py")}
+FOLDERS = {"label channel": ("labels/", "dataset/", "stages/", "pipeline.py")}
 REGISTRY_FILES = {"recipe/registries.py", "community/registry.py"}
 OTHER_MEANINGS = {  # file -> names that are no part's in it
     "api/instruments.py": {"points"},  # what a list holds, for its error

@@ -42,7 +42,7 @@ def test_a_part_of_an_installed_package_is_used_without_registering(
     assert not registry.registrations()  # who only looks does not use it
     assert len(fg.load(STAND, set={"community.model": "meadow"}).simulate(progress=False)) == 42
     (sent,) = registry.registrations()
-    assert (sent.kind, sent.name, sent.path) == ("community_model", "meadow", "meadow_model:MODEL")
+    assert (sent.kind, sent.name, sent.path) == ("community model", "meadow", "meadow_model:MODEL")
 
 
 BROKEN = {
@@ -50,6 +50,7 @@ BROKEN = {
     ("plant_generator", "torn"): "torn_parts.absent:GENERATOR",
     ("dataset_format", "torn"): "no_such_module:FORMAT",
     ("competition_model", "torn"): "no place",
+    ("label_channel", "torn"): "torn_parts:CHANNEL",
 }
 
 
@@ -59,6 +60,9 @@ def test_a_broken_package_is_named_to_those_who_use_it_alone(tmp_path: Path, mon
     with pytest.raises(fg.RecipeError, match=r"community model torn \(of the package torn 1\.0\)") as caught:
         fg.load(STAND, set={"community.model": "torn"}).validate()
     assert "ZeroDivisionError" in str(caught.value.got)
+    with pytest.raises(fg.RecipeError, match="label channel torn") as caught:
+        fg.load(STAND, set={"labels.channels": ["torn"]}).validate()
+    assert "labels.channels.0" in str(caught.value.where)
     for kind, name in BROKEN:
         (entry,) = fg.models(name, kind=kind)
         with pytest.raises(fg.RecipeError, match=r"torn \(of the package torn 1\.0\)"):
