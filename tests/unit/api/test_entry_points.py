@@ -14,7 +14,17 @@ import forestgen as fg
 from forestgen.core import registry
 from forestgen.dataset.formats.format import known_formats
 
-MODEL = '"""Plants of a package."""\n\nfrom forestgen.community.models.uniform import Uniform\n\nMODEL = Uniform()\n'
+MODEL = '''"""Plants of a package."""
+
+from forestgen.community.models.uniform import Uniform
+
+
+class Meadow(Uniform):
+    """Plants."""
+
+
+MODEL = Meadow()
+'''
 pytestmark = pytest.mark.usefixtures("registries_as_before")
 
 
