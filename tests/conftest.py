@@ -87,7 +87,9 @@ def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 @pytest.fixture
 def registries_as_before() -> Iterator[None]:
     """What a test registers or uses of other packages is forgotten."""
-    entries = {one: dict(one._entries) for one in registry._registries.values()}
+    from forestgen.api.catalogue import _REGISTRIES
+
+    entries = {one: dict(one._entries) for one in _REGISTRIES.values()}
     registered = list(registry._registered)
     yield
     for one, before in entries.items():
