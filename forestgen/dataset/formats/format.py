@@ -105,13 +105,15 @@ class DatasetFormat:
 
     def frame_checks(self) -> tuple[FrameCheck, ...]:
         """What `forestgen verify` checks of each frame that has the format's files."""
-        return self._checks("FRAME_CHECKS")
+        checks: tuple[FrameCheck, ...] = self._checks("FRAME_CHECKS")
+        return checks
 
     def dataset_checks(self) -> tuple[DatasetCheck, ...]:
         """What `forestgen verify` checks of a split's merged files."""
-        return self._checks("DATASET_CHECKS")
+        checks: tuple[DatasetCheck, ...] = self._checks("DATASET_CHECKS")
+        return checks
 
-    def _checks(self, name: str) -> tuple[Any, ...]:
+    def _checks(self, name: str) -> Any:
         return () if self.check_module is None else getattr(import_module(self.check_module), name, ())
 
     def card(self) -> str:
