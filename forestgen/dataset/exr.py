@@ -171,7 +171,7 @@ def frame_parts(labelled: LabelledFrame) -> dict[str, Layers]:
         **radiance_channels(labelled.frame.radiance),
         "depth": layer("Z", surface.depth_m) | layer("distance", surface.distance_m),
     }
-    numbers = {"plant_id": labels.instance, "part": labels.part, "semantic": labels.semantic}
+    numbers: Layers = {"plant_id": labels.instance, "part": labels.part, "semantic": labels.semantic}
     last = {"identity": {key: one for name, values in numbers.items() for key, one in layer(name, values).items()}}
     for one in LABEL_CHANNELS.load_all(labelled.channels):
         for part, found in one.parts(labelled).items():

@@ -53,8 +53,9 @@ class LabelChannel:
 def layers(names: Sequence[str], values: NDArray[Any] | None) -> Layers:
     """(H, W, C) -> a channel each; None -> none."""
     found: Layers = {}
-    for i, name in enumerate(() if values is None else names):
-        found |= layer(name, values[..., i])
+    if values is not None:
+        for i, name in enumerate(names):
+            found |= layer(name, values[..., i])
     return found
 
 
