@@ -1,7 +1,7 @@
 """Speed and memory of the competition models: `uv run python benchmarks/competition.py`.
 
 Prints the grid's domination against all pairs (alternately, medians); its time and memory a circle from 10,000 to
-1,000,000 circles, in stands of several kinds; the other environments at 100,000 circles; and first calls with an empty
+1,000,000 circles, in stands of several kinds; the other models at 100,000 circles; and first calls with an empty
 Numba cache, each in a fresh process.
 """
 
