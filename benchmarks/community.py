@@ -17,8 +17,8 @@ from time import perf_counter
 
 import numpy as np
 
+from forestgen.community.competition import domination
 from forestgen.community.ecology import SpeciesEcology
-from forestgen.community.environments import domination
 from forestgen.community.model import Site, simulate
 from forestgen.community.models.multiset_lsystem import MODEL
 

@@ -29,9 +29,9 @@ from forestgen.community.population import Population
 from forestgen.core.progress import Silent
 from forestgen.core.timing import Timings
 from forestgen.labels.amodal import amodal_masks
-from forestgen.labels.boundaries import occlusion_boundaries
+from forestgen.labels.channels.boundaries import occlusion_boundaries
+from forestgen.labels.channels.motion import motion_px
 from forestgen.labels.classes import ClassMap
-from forestgen.labels.motion import motion_px
 from forestgen.labels.pixels import PixelLabels, pixel_labels
 from forestgen.labels.plants_table import plant_views
 from forestgen.render.amodal import trace_amodal

@@ -18,7 +18,7 @@ from typing import Any
 
 import generate_reference
 
-from forestgen.community.registry import COMMUNITY_MODELS, ENVIRONMENTS
+from forestgen.community.registry import COMMUNITY_MODELS, COMPETITION_MODELS
 from forestgen.core.registry import Registry
 from forestgen.plants.parameters import PlantParameters
 from forestgen.plants.registry import GENERATORS
@@ -79,7 +79,7 @@ def pages() -> dict[Path, str]:
     made[DOCS / "reference" / "api.md"] = f"{_NOTICE}\n{generate_reference.api_page()}"
     made[DOCS / "reference" / "community_models.md"] = f"{_NOTICE}\n{generate_reference.parts_page()}"
     made[DOCS / "reference" / "command_line.md"] = f"{_NOTICE}\n{generate_reference.command_line_page()}"
-    for registry in (COMMUNITY_MODELS, ENVIRONMENTS, GENERATORS):
+    for registry in (COMMUNITY_MODELS, COMPETITION_MODELS, GENERATORS):
         for name in registry.ids():
             made[DOCS / "models" / page_name(registry, name)] = model_page(registry, name)
     return made

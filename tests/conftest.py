@@ -28,6 +28,7 @@ if sys.dont_write_bytecode and "PYTEST_XDIST_WORKER" not in os.environ:
 import pytest
 from hypothesis import settings
 
+from forestgen.core import registry
 from forestgen.core.disk_cache import ENVIRONMENT
 
 for _number, _handler in (
@@ -81,3 +82,16 @@ def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         del os.environ[ENVIRONMENT]
     else:
         os.environ[ENVIRONMENT] = before
+
+
+@pytest.fixture
+def registries_as_before() -> Iterator[None]:
+    """What a test registers or uses of other packages is forgotten."""
+    from forestgen.api.catalogue import _REGISTRIES
+
+    entries = {one: dict(one._entries) for one in _REGISTRIES.values()}
+    registered = list(registry._registered)
+    yield
+    for one, before in entries.items():
+        one._entries = before
+    registry._registered[:] = registered

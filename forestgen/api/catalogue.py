@@ -10,24 +10,25 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from forestgen.api.parts import check_part, part_at
-from forestgen.community.registry import COMMUNITY_MODELS, ENVIRONMENTS
+from forestgen.community.registry import COMMUNITY_MODELS, COMPETITION_MODELS
 from forestgen.core.arguments import shown, text_of
 from forestgen.core.errors import RecipeError
-from forestgen.core.registry import Registry
+from forestgen.core.registry import Registry, part_at
 from forestgen.plants.registry import GENERATORS
 from forestgen.recipe.assets import find_asset, list_assets
-from forestgen.recipe.registries import DATASET_FORMATS
+from forestgen.recipe.registries import DATASET_FORMATS, LABEL_CHANNELS, PACKS
 from forestgen.recipe.suggestions import did_you_mean
 
 if TYPE_CHECKING:
     from forestgen.api.diagnosis import Diagnosis
 
-_REGISTRIES = {
+_REGISTRIES: dict[str, Registry] = {
     "community_model": COMMUNITY_MODELS,
-    "environment": ENVIRONMENTS,
+    "competition_model": COMPETITION_MODELS,
     "plant_generator": GENERATORS,
     "dataset_format": DATASET_FORMATS,
+    "pack": PACKS,
+    "label_channel": LABEL_CHANNELS,
 }
 _WITHOUT_COMMENT = {  # files of a format that has none
     "fig_5_2": "A bush of one rule, of Rhodes University's forest: its Fig. 5.2, in the format .sys.",
@@ -39,7 +40,7 @@ _ASSETS = {"species": "species", "lsystems": "lsystem", "recipes": "recipe"}  # 
 class Entry:
     """Something that recipes can name."""
 
-    kind: str  # community_model, environment, plant_generator, dataset_format, species, lsystem or recipe
+    kind: str  # of part, such as community_model; or species, lsystem, recipe
     name: str
     description: str
     path: Path | None = field(default=None)  # of a file
@@ -49,7 +50,7 @@ class Entry:
         """Its manual page, or its file."""
         if self.path is not None:
             return f"{self.path}\n\n{self.path.read_text(encoding='utf-8').rstrip()}"
-        module = sys.modules[type(_REGISTRIES[self.kind].load(self.name)).__module__]
+        module = sys.modules[type(_REGISTRIES[self.kind].part(self.name)).__module__]
         return inspect.cleandoc(module.__doc__ or f"{self.name} has no manual page")
 
     def as_dict(self) -> dict[str, Any]:
@@ -58,7 +59,7 @@ class Entry:
 
 
 def models(name: str | None = None, *, kind: str | None = None) -> list[Entry]:
-    """Community models, environments, generators and data set formats, species, L-systems and recipes.
+    """Parts of all kinds, those of installed packages among them; species, L-systems and recipes.
 
     Parameters
     ----------
@@ -69,11 +70,8 @@ def models(name: str | None = None, *, kind: str | None = None) -> list[Entry]:
     ------
     RecipeError : there is no such name or kind.
     """
-    kinds = (*_REGISTRIES, *_ASSETS.values())
-    if kind is not None and text_of(kind, "kind") not in kinds:
-        hint = did_you_mean(kind, kinds)
-        expected = "one of " + ", ".join(kinds)
-        raise RecipeError("no such kind", where="kind", expected=expected, got=repr(kind), hint=hint)
+    if kind is not None:
+        _check_kind(kind, (*_REGISTRIES, *_ASSETS.values()))
     found = [one for one in _entries() if kind in (None, one.kind)]
     named = [one for one in found if name is None or one.name == text_of(name, "name")]
     if name is not None and not named:
@@ -141,7 +139,7 @@ def schema() -> dict[str, Any]:
     from forestgen.recipe.json_schema import recipe_json_schema
 
     def parameters(registry: Registry, discriminator: str) -> dict[str, dict[str, object]]:
-        found = {name: registry.load(name).Parameters.model_json_schema() for name in registry.ids()}
+        found = {name: one.Parameters.model_json_schema() for name, one in registry.parts()}
         for one in found.values():
             one.get("properties", {}).pop(discriminator, None)
         return found
@@ -156,7 +154,7 @@ def register(kind: str, name: str, part: object, description: str = "") -> None:
 
     Parameters
     ----------
-    kind : community_model, environment, plant_generator or dataset_format.
+    kind : of part, such as community_model; an unknown one raises an error that lists them.
     name : that recipes use.
     part : the object, defined at the top of a module; or its place, ``"package.module:NAME"``.
     description : one line for `models`; by default the first line of the object's documentation.
@@ -166,22 +164,20 @@ def register(kind: str, name: str, part: object, description: str = "") -> None:
     RecipeError : no such kind, the name is taken, the object cannot be found again in its module, or lacks what a
         part of its kind must have.
     """
-    if text_of(kind, "kind") not in _REGISTRIES:
-        hint = did_you_mean(kind, list(_REGISTRIES))
-        raise RecipeError(
-            "no such kind of part",
-            where="kind",
-            expected="one of " + ", ".join(_REGISTRIES),
-            got=shown(kind),
-            hint=hint,
-        )
+    _check_kind(kind, tuple(_REGISTRIES))
     text_of(name, "name")
     is_path = isinstance(part, str)
     found = part_at(part) if isinstance(part, str) else part
     path = part if isinstance(part, str) else _path_of(part)
-    check_part(kind, found)
+    _REGISTRIES[kind].check_part(name, found)
     text = text_of(description, "description") or ("" if is_path else (inspect.getdoc(part) or "").partition("\n")[0])
     _REGISTRIES[kind].register(name, path, text)
+
+
+def _check_kind(kind: str, known: tuple[str, ...]) -> None:
+    if text_of(kind, "kind") not in known:
+        expected, hint = "one of " + ", ".join(known), did_you_mean(kind, known)
+        raise RecipeError("no such kind", where="kind", expected=expected, got=shown(kind), hint=hint)
 
 
 def _path_of(part: object) -> str:

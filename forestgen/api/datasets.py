@@ -177,10 +177,11 @@ class Dataset(Sequence[Frame]):
         overwrite: bool = False,
         progress: bool | Progress | None = None,
     ) -> Packed:
-        """Write shards for a loader: webdataset (tar files) or huggingface (Parquet).
+        """Write shards for a training program's loader.
 
         Parameters
         ----------
+        format : webdataset (tar files), huggingface (Parquet), or a pack of another package.
         shard_size : bytes, or a text such as 500MB; no file is larger.
         channels : what goes in; by default preview, semantic, instance, and depth and annotations if there are any.
         splits : by default all.

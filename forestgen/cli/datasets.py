@@ -47,7 +47,7 @@ def pack(
     folder: DatasetPath,
     form: Annotated[
         str,
-        typer.Option("--format", metavar="webdataset|huggingface", help="What the loader reads.", show_default=False),
+        typer.Option("--format", metavar="NAME", help="webdataset, huggingface, or another pack.", show_default=False),
     ],
     out: Annotated[Path, typer.Option("--out", "-o", metavar="DIR", help="Folder for the pack.", show_default=False)],
     shard_size: Annotated[

@@ -20,8 +20,6 @@ from forestgen.recipe.messages import show
 from forestgen.recipe.sources import Keys
 
 GroundHeight = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
-P = TypeVar("P", bound="CommunityParameters")
-S = TypeVar("S")
 
 
 @dataclass(frozen=True)
@@ -104,7 +102,11 @@ def _models_with(key: str) -> list[str]:
     """Names of the community models whose parameters have this key."""
     from forestgen.community.registry import COMMUNITY_MODELS  # imports all models: only for a mistake
 
-    return [name for name in COMMUNITY_MODELS.ids() if key in COMMUNITY_MODELS.load(name).Parameters.model_fields]
+    return sorted(name for name, one in COMMUNITY_MODELS.parts() if key in one.Parameters.model_fields)
+
+
+P = TypeVar("P", bound=CommunityParameters)
+S = TypeVar("S")
 
 
 class CommunityModel(Protocol[P, S]):

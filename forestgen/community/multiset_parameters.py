@@ -11,14 +11,14 @@ from pydantic import BaseModel, BeforeValidator, Field, ValidationError, WithJso
 from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.model import CommunityParameters, Site
 from forestgen.community.plant_words import Form, form_of
-from forestgen.community.registry import ENVIRONMENTS
+from forestgen.community.registry import COMPETITION_MODELS, DEFAULT_COMPETITION_MODEL
 from forestgen.core.errors import LsystemError
 from forestgen.lsystem.compiler import Value, compile_listing, settable, with_values
 from forestgen.lsystem.parsing import parse_text
 from forestgen.lsystem.program import Program
 from forestgen.lsystem.syntax import Listing
 from forestgen.recipe.assets import find_asset
-from forestgen.recipe.fields import Section, Text, mistake
+from forestgen.recipe.fields import Section, Text, mistake, part_name
 
 OF_SPECIES = (
     "growth_m_per_yr", "max_radius_m", "shade_tolerance", "old_age_survival", "seedlings_per_ha_per_yr",
@@ -47,21 +47,16 @@ def _environment(value: Any) -> Any:
 
 
 class EnvironmentChoice(BaseModel):
-    """An environment, and its own keys."""
+    """A competition model, and its own keys."""
 
     model_config = {"extra": "allow", "frozen": True}
 
-    model: Text = Field("domination", description="id of the environment")
+    model: Annotated[Text, *part_name(COMPETITION_MODELS)] = Field(
+        DEFAULT_COMPETITION_MODEL, description="id of the competition model"
+    )
 
     def check(self) -> None:
-        """Raise a mistake unless there is such an environment, and its own keys are right."""
-        if self.model not in ENVIRONMENTS.ids():
-            raise mistake(
-                "one of " + ", ".join(ENVIRONMENTS.ids()),
-                problem="no such environment",
-                got=self.model,
-                at=("environment", "model"),
-            )
+        """Raise a mistake unless its own keys are right."""
         try:
             self.parameters()
         except ValidationError as failure:
@@ -70,8 +65,8 @@ class EnvironmentChoice(BaseModel):
             raise mistake(expected, got=repr(first["input"]), at=("environment", *first["loc"])) from failure
 
     def parameters(self) -> Any:
-        """The environment's own parameters."""
-        return ENVIRONMENTS.load(self.model).Parameters.model_validate(self.model_extra or {})
+        """The competition model's own parameters."""
+        return COMPETITION_MODELS.load(self.model).Parameters.model_validate(self.model_extra or {})
 
 
 _PROGRAM_SCHEMA: dict[str, Any] = {
@@ -94,10 +89,10 @@ class MultisetParameters(CommunityParameters):
     environment: Annotated[
         EnvironmentChoice,
         BeforeValidator(_environment),
-        WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "object"}], "default": "domination"}),
+        WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "object"}], "default": DEFAULT_COMPETITION_MODEL}),
     ] = Field(
-        EnvironmentChoice(model="domination"),
-        description="competition model: an environment's id, or {model: id, ...}",
+        EnvironmentChoice(model=DEFAULT_COMPETITION_MODEL),
+        description="competition model: its id, or {model: id, ...}",
     )
     most_plants: int = Field(
         5_000_000, ge=1, le=500_000_000, description="stop with a message where the community grows beyond this"
@@ -112,7 +107,7 @@ class MultisetParameters(CommunityParameters):
         program = data.get("program")
         name = program.get("name") if isinstance(program, Mapping) else program
         stem = str(name).removesuffix(".lsys")
-        return {**data, "environment": stem} if stem in ENVIRONMENTS.ids() else data
+        return {**data, "environment": stem} if stem in COMPETITION_MODELS else data
 
     @model_validator(mode="after")
     def _fits_program_and_environment(self) -> Self:

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.community.arrivals import of_species
+from forestgen.community.competition.contract import Circles
 from forestgen.community.ecology import SpeciesEcology
-from forestgen.community.environments.contract import Circles
 from forestgen.community.model import Site
 from forestgen.community.multiset_parameters import MultisetParameters
 from forestgen.community.plant_words import (
@@ -27,7 +27,7 @@ from forestgen.community.plant_words import (
     word_of,
 )
 from forestgen.community.population import Population, Status
-from forestgen.community.registry import ENVIRONMENTS
+from forestgen.community.registry import COMPETITION_MODELS
 from forestgen.community.snapshot_checks import ImpossibleValueError, Limits, arrival_limits, check_columns
 from forestgen.core.errors import LsystemError, ResourceError
 from forestgen.lsystem.derivation import Derivation
@@ -81,11 +81,11 @@ def answered(state: State) -> State:
             keep[plants.word[outside]] = False
             words = take_words(state.derivation.multiset, keep)
             return answered(replace(state, derivation=replace(state.derivation, multiset=words)))
-    environment = ENVIRONMENTS.load(parameters.environment.model)
+    environment = COMPETITION_MODELS.load(parameters.environment.model)
     circles = Circles(
         position_m=values[:, :2],
         radius_m=values[:, RADIUS],
-        height_m=_heights(state, values) if parameters.environment.model != "domination" else values[:, RADIUS],
+        height_m=_heights(state, values) if environment.needs_heights else values[:, RADIUS],
         plant_id=state.derivation.multiset.word_id[plants.word],
         species=values[:, SPECIES].astype(np.uint16),
     )

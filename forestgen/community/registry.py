@@ -1,4 +1,4 @@
-"""The community models and their environments, by the name that a recipe uses."""
+"""Community models and competition models, by the name that a recipe uses."""
 
 from __future__ import annotations
 
@@ -64,26 +64,29 @@ COMMUNITY_MODELS = Registry(
             "independent random positions",
         ),
     },
+    contract="forestgen.community.model:CommunityModel",
 )
 
-ENVIRONMENTS = Registry(
-    "environment",
+DEFAULT_COMPETITION_MODEL = "domination"
+COMPETITION_MODELS = Registry(
+    "competition model",
     {
         "domination": (
-            "forestgen.community.environments.domination:ENVIRONMENT",
+            "forestgen.community.competition.domination:MODEL",
             "of two circles that intersect, the smaller gets nothing (Deussen et al. 1998, Lane 2002)",
         ),
         "firbank_watkinson": (
-            "forestgen.community.environments.firbank_watkinson:ENVIRONMENT",
+            "forestgen.community.competition.firbank_watkinson:MODEL",
             "zones of influence: shared ground is divided by height (Firbank and Watkinson 1985)",
         ),
         "leps_kindlmann": (
-            "forestgen.community.environments.leps_kindlmann:ENVIRONMENT",
+            "forestgen.community.competition.leps_kindlmann:MODEL",
             "areas of overlap, weighted by the ratio of heights (Lepš and Kindlmann 1987)",
         ),
         "aikman_watkinson": (
-            "forestgen.community.environments.aikman_watkinson:ENVIRONMENT",
+            "forestgen.community.competition.aikman_watkinson:MODEL",
             "size relative to the mean and plot crowding; positions do not matter (Aikman and Watkinson 1980)",
         ),
     },
+    contract="forestgen.community.competition.contract:CompetitionModel",
 )

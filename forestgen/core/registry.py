@@ -1,21 +1,28 @@
 """Names of interchangeable parts, each a lazy dotted path: a listing imports nothing heavy.
 
-`register` adds parts of other packages. Worker processes get what was registered by `registrations`, and what is kept
-on disk depends on the code of registered parts too (`forestgen.core.code_hash`).
+Other packages add parts in two ways: `Registry.register`, and entry points of groups such as
+``forestgen.community_model``, which are read only when parts are listed or a name is not among those known. Worker
+processes get the parts in use by `registrations`, and what is kept on disk depends on their code too
+(`forestgen.core.code_hash`).
 """
 
 from __future__ import annotations
 
 import difflib
 import importlib
+import importlib.util
 import re
-from collections.abc import Iterable, Iterator, Mapping
+import sys
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from functools import cache
+from typing import Any, get_args, get_type_hints
 
+from forestgen.core.arguments import shown
 from forestgen.core.errors import RecipeError
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,63}")
+_PLACE = re.compile(r"([^\W\d]\w*(?:\.[^\W\d]\w*)*):([^\W\d]\w*)")
 _registered: list[Registration] = []
 _registries: dict[str, Registry] = {}  # by kind
 
@@ -24,14 +31,14 @@ _registries: dict[str, Registry] = {}  # by kind
 class Registration:
     """A part of another package."""
 
-    kind: str  # name of the registry
+    kind: str  # of the registry
     name: str
     path: str  # module:attribute
     description: str
 
 
 def registrations() -> tuple[Registration, ...]:
-    """All that `Registry.register` was called for in this process."""
+    """All parts of other packages that this process registered or used."""
     return tuple(_registered)
 
 
@@ -51,23 +58,38 @@ class Registry:
     ----------
     kind : what the entries are, for messages, such as "community model".
     entries : id -> (dotted path, one line of description).
+    contract : ``module:class`` whose attributes each part has; the annotation of its `Parameters`, if it has some,
+        names their base class.
+    instead : attribute of the contract -> another one that a part may have in its place.
     """
 
-    def __init__(self, kind: str, entries: Mapping[str, tuple[str, str]]) -> None:
+    def __init__(
+        self,
+        kind: str,
+        entries: Mapping[str, tuple[str, str]],
+        *,
+        contract: str,
+        instead: Mapping[str, str] | None = None,
+    ) -> None:
         self.kind = kind
+        self._contract, self._instead = contract, dict(instead or {})
+        self._shipped = frozenset(entries)
         self._entries = dict(entries)
         self._entries |= {one.name: (one.path, one.description) for one in _registered if one.kind == kind}
         _registries[kind] = self
 
     def __iter__(self) -> Iterator[str]:
-        """Ids in the order in which they were entered."""
-        return iter(tuple(self._entries))
+        """Ids in the order in which they were entered, then those of entry points."""
+        return iter((*self._entries, *self._installed()))
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._entries or name in self._installed()
 
     def ids(self) -> list[str]:
-        return sorted(self._entries)
+        return sorted(self)
 
     def describe(self, name: str) -> str:
-        return self._entries[name][1]
+        return self._entry(name)[1]
 
     def register(self, name: str, path: str, description: str) -> None:
         """Add a part.
@@ -82,31 +104,153 @@ class Registry:
         ------
         RecipeError : the name is taken, or no name.
         """
-        entry = Registration(self.kind, name, path, description)
-        if entry in _registered:
-            return
         if not _NAME.fullmatch(name):
             expected = "letters, digits and underscores, a letter first"
             raise RecipeError(f"no name for a {self.kind}", expected=expected, got=repr(name))
-        if name in self._entries:
+        if self._entries.setdefault(name, (path, description))[0] != path or name in self._shipped:
             raise RecipeError(f"there is a {self.kind} of this name already", expected="another name", got=repr(name))
-        self._entries[name] = (path, description)
-        _registered.append(entry)
-
-    def load(self, name: str, *, where: str | None = None) -> Any:
-        """The object behind `name`; an unknown name raises `RecipeError` that lists the valid ones."""
-        self.check(name, where=where)
-        module, _, attribute = self._entries[name][0].partition(":")
-        return getattr(importlib.import_module(module), attribute)
+        entry = Registration(self.kind, name, *self._entries[name])
+        if entry not in _registered:
+            _registered.append(entry)
 
     def check(self, name: str, *, where: str | None = None) -> None:
-        """Raise `RecipeError` for an unknown name; imports nothing."""
-        if name not in self._entries:
-            near = difflib.get_close_matches(name, self._entries, n=1)
+        """Raise `RecipeError` that lists the valid names for an unknown one; imports no part."""
+        if name not in self:
+            near = difflib.get_close_matches(name, known := self.ids(), n=1)
             raise RecipeError(
                 f"unknown {self.kind}",
                 where=where,
-                expected="one of " + ", ".join(self.ids()),
+                expected="one of " + ", ".join(known),
                 got=repr(name),
                 hint=f"did you mean {near[0]!r}?" if near else None,
             )
+
+    def load(self, name: str, *, where: str | None = None) -> Any:
+        """The part to use, which counts among `registrations` if it is another package's.
+
+        Raises
+        ------
+        RecipeError : unknown name; or another package's part cannot be imported, or lacks what its kind must have.
+        """
+        part = self.part(name, where=where)
+        if name not in self._entries:
+            self.register(name, *self._entry(name))
+        return part
+
+    def use(self, name: str, *, where: str | None = None) -> None:
+        """Before work begins: import another package's part, as `load` does, but no shipped one, which is sound."""
+        if name not in self._shipped:
+            self.load(name, where=where)
+
+    def load_all(self, names: Collection[str]) -> list[Any]:
+        """The parts of several names, in the registry's order."""
+        found = {name: self.load(name) for name in names}
+        return [found[name] for name in self._entries if name in found]
+
+    def part(self, name: str, *, where: str | None = None) -> Any:
+        """The part to look at: as `load`, but it does not count as used."""
+        self.check(name, where=where)
+        path, description = self._entry(name)
+        if name in self._shipped:
+            module, _, attribute = path.partition(":")
+            return getattr(importlib.import_module(module), attribute)
+        try:
+            found = part_at(path)
+            self.check_part(name, found)
+        except RecipeError as error:
+            problem = f"{self.kind} {name}{f' ({description})' if description else ''}: {error.problem}"
+            raise RecipeError(problem, where=where, expected=error.expected, got=error.got, hint=error.hint) from error
+        return found
+
+    def parts(self) -> Iterator[tuple[str, Any]]:
+        """Each id and its part, to look at, without other packages' parts that are broken."""
+        for name in self:
+            try:
+                found = self.part(name)
+            except RecipeError:
+                continue
+            yield name, found
+
+    def check_part(self, name: str, part: object) -> None:
+        """Raise `RecipeError` for an object that lacks what parts of this kind have."""
+        contract = part_at(self._contract)
+        if isinstance(part, type):
+            hint = f"an object of it: MODEL = {part.__name__}(), at the top of its module"
+            raise RecipeError("this is a class", where="part", expected="an object", got=shown(part), hint=hint)
+        own = {**getattr(contract, "__annotations__", {}), **vars(contract)}
+        names = sorted(one for one in own if not one.startswith("_"))
+        missing = [one for one in names if not (hasattr(part, one) or hasattr(part, self._instead.get(one, one)))]
+        if missing:
+            problem, expected = f"this is no {self.kind}: it has no {', '.join(missing)}", f"what {self._contract} has"
+            raise RecipeError(problem, where="part", expected=expected, got=shown(part))
+        if "name" in own and (other := getattr(part, "name")) != name:  # noqa: B009 - its type is not known
+            raise RecipeError("it has another name", where="part", expected=repr(name), got=shown(other))
+        if "Parameters" in own:
+            (base,) = get_args(get_type_hints(contract)["Parameters"])
+            base = getattr(base, "__bound__", base)  # of a type variable
+            given = getattr(part, "Parameters")  # noqa: B009
+            if not (isinstance(given, type) and issubclass(given, base)):
+                expected = f"a class based on {base.__module__}.{base.__name__}"
+                raise RecipeError("its Parameters are none", where="part", expected=expected, got=shown(given))
+
+    def _entry(self, name: str) -> tuple[str, str]:
+        return self._entries.get(name) or self._installed()[name]
+
+    def _installed(self) -> dict[str, tuple[str, str]]:
+        """Entries of the entry points of installed packages whose names are not taken."""
+        found: dict[str, tuple[str, str]] = {}
+        for name, path, package in _entry_points(f"forestgen.{self.kind.replace(' ', '_')}", tuple(sys.path)):
+            if name in found:  # no place: whoever uses it is told
+                found[name] = ("", f"{found[name][1]}, and of {package}")
+            elif _NAME.fullmatch(name) and name not in self._entries:
+                found[name] = (path, f"of the package {package}")
+        return found
+
+
+@cache
+def _entry_points(group: str, paths: tuple[str, ...]) -> list[tuple[str, str, str]]:
+    """(name, place, package and version) of all entry points of a group, sorted; `paths` are where packages lie."""
+    from importlib.metadata import entry_points
+
+    points = entry_points(group=group)
+    return sorted((one.name, one.value, f"{one.dist.name} {one.dist.version}") for one in points if one.dist)
+
+
+def part_at(path: str) -> Any:
+    """The object at ``package.module:NAME``.
+
+    Raises
+    ------
+    RecipeError : this is no such place, there is no such module, it has no such name, or it cannot be imported.
+    """
+    match = _PLACE.fullmatch(path)
+    if match is None:
+        raise _error("this is no place of a part", path)
+    module, name = match.groups()
+    try:
+        there = importlib.util.find_spec(module) is not None
+    except ModuleNotFoundError as error:
+        if error.name is None or not module.startswith(error.name):
+            raise _failed(path, module, error) from error
+        there = False
+    except Exception as error:  # of a package above it, which is a stranger's code
+        raise _failed(path, module, error) from error
+    if not there:
+        hint = "install its package, or add its folder to sys.path and, for worker processes, to PYTHONPATH"
+        raise _error(f"there is no module {module}", path, hint)
+    try:
+        found = importlib.import_module(module)
+    except Exception as error:
+        raise _failed(path, module, error) from error
+    if not hasattr(found, name):
+        raise _error(f"the module {module} has no {name}", path)
+    return getattr(found, name)
+
+
+def _error(problem: str, path: str, hint: str | None = None) -> RecipeError:
+    return RecipeError(problem, where="part", expected="'package.module:NAME'", got=shown(path), hint=hint)
+
+
+def _failed(path: str, module: str, error: Exception) -> RecipeError:
+    said = " ".join(f"{type(error).__name__}: {error}".split())[:300]
+    return RecipeError(f"the module {module} cannot be imported", where="part", expected=f"{path!r:.200}", got=said)

@@ -32,7 +32,7 @@
 centre. The camera's axes are OpenCV's: x right, y down, z forward. Depth and distance are infinite for the sky. Parts
 that the recipe's labels.channels leaves out are absent, and so is the motion of a still camera.
 
-Channels have bare names: programs that know layers, as Blender, put the part's name before them (normal.camera.X).
+Layers have bare names: programs that know layers, as Blender, put the part's name before them (normal.camera.X).
 Integers are for readers that keep them; programs for pictures turn them into floats, which hold ids up to 2^24 only:
 cryptomatte.exr is made for those. Equal input gives equal bytes: no date, no host name.
 
@@ -58,26 +58,21 @@ radiance, its variance and the denoised copy take 36, what is in the camera's ax
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from forestgen.core.errors import OutputError
 from forestgen.dataset.camera import camera_model, exr_attributes
 from forestgen.dataset.legend import classes_text, parts_text
 from forestgen.dataset.light_parts import light_attributes, own_attributes, radiance_channels
+from forestgen.labels.channels.channel import Layers, layer
 from forestgen.labels.labelled import LabelledFrame
-from forestgen.labels.masks import CoverageRanks
-from forestgen.render.frame import Branches, Surface
-from forestgen.scene.projection import centre_rays
+from forestgen.recipe.registries import LABEL_CHANNELS
 from forestgen.scene.spec import Camera
 
-Channels = dict[str, NDArray[Any]]
-
-STORED_RANKS = 8
 # x, y of red, green, blue and white (D65): ITU-R BT.709-6, table 1, item 1.3 and 1.4
 REC709_CHROMATICITIES = (0.640, 0.330, 0.300, 0.600, 0.150, 0.060, 0.3127, 0.3290)
 
@@ -93,13 +88,15 @@ def write_exr(path: Path, labelled: LabelledFrame, attributes: Mapping[str, str]
     """
     parts, radiance = frame_parts(labelled), labelled.frame.radiance
     names = {"classes": classes_text(labelled.classes.names), "parts": parts_text()}
-    header = _header(labelled.frame.camera, {**names, **light_attributes(radiance, parts), **attributes})
+    units = {part: unit for one in LABEL_CHANNELS.load_all(labelled.channels) for part, unit in one.units.items()}
+    light = light_attributes(radiance, {part: units.get(part) for part in parts})
+    header = _header(labelled.frame.camera, {**names, **light, **attributes})
     write_parts(path, parts, header, own_attributes(radiance))
 
 
 def write_parts(
     path: Path,
-    parts: Mapping[str, Channels],
+    parts: Mapping[str, Layers],
     header: Mapping[str, Any],
     own: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> None:
@@ -134,7 +131,7 @@ def write_parts(
         ) from error
 
 
-def read_exr(path: Path) -> dict[str, Channels]:
+def read_exr(path: Path) -> dict[str, Layers]:
     """Pixels of an OpenEXR file: part name -> channel name -> (H, W) array in the type it was stored in."""
     return {
         part.name(): {name: np.asarray(channel.pixels) for name, channel in part.channels.items()}
@@ -167,96 +164,17 @@ def _header(camera: Camera, attributes: Mapping[str, str]) -> dict[str, Any]:
     }
 
 
-def frame_parts(labelled: LabelledFrame) -> dict[str, Channels]:
+def frame_parts(labelled: LabelledFrame) -> dict[str, Layers]:
     """Part -> channel -> (H, W) array, float32 or uint32, as the table above has them."""
-    frame, labels = labelled.frame, labelled.pixels
-    wanted = labelled.channels
-    parts = {
-        **radiance_channels(frame.radiance),
-        "depth": _single("Z", frame.surface.depth_m) | _single("distance", frame.surface.distance_m),
-        **(_surface_parts(frame.surface, frame.camera) if "surface" in wanted else {}),
-        "albedo": _split("RGB", frame.surface.albedo if "albedo" in wanted else None),
-        "sun": _single("visible", frame.surface.sun_visible if "sun" in wanted else None),
-        "cloud": _single("opacity", frame.cloud_opacity if "cloud" in wanted else None),
-        "motion": _split(("forward.u", "forward.v"), frame.motion_px if "motion" in wanted else None),
-        "boundary": _single("occluding", labelled.boundaries),
-        "module": _branch_channels(frame.branches if "module" in wanted else None),
-        "identity": {
-            **_single("plant_id", labels.instance),
-            **_single("part", labels.part),
-            **_single("semantic", labels.semantic),
-            **(_centre_channels(frame.surface) if "surface" in wanted else {}),
-        },
-        "coverage": _rank_channels(labels.ranks) if "coverage" in wanted else {},
+    surface, labels = labelled.frame.surface, labelled.pixels
+    first = {
+        **radiance_channels(labelled.frame.radiance),
+        "depth": layer("Z", surface.depth_m) | layer("distance", surface.distance_m),
     }
-    return {name: channels for name, channels in parts.items() if channels}
-
-
-def _surface_parts(surface: Surface, camera: Camera) -> dict[str, Channels]:
-    rotation = camera.world_from_camera
-    return {
-        "normal": _split("XYZ", surface.normal),
-        "normal.camera": _split("XYZ", _turned(surface.normal, rotation)),
-        "normal.shading": _split("XYZ", surface.shading_normal),
-        "normal.shading.camera": _split("XYZ", _turned(surface.shading_normal, rotation)),
-        "position": _split("XYZ", surface.position_m),
-        "position.camera": _split("XYZ", camera_position_m(surface.depth_m, camera)),
-    }
-
-
-def _centre_channels(surface: Surface) -> Channels:
-    return {
-        **_single("centre.plant_id", surface.plant_id),
-        **_single("centre.part", surface.part),
-        **_single("centre.exemplar", surface.exemplar),
-        **_single("centre.face", surface.face),
-    }
-
-
-def _branch_channels(branches: Branches | None) -> Channels:
-    if branches is None:
-        return {}
-    return {
-        **_single("number", branches.module),
-        **_single("node", branches.node),
-        **_single("own", branches.is_own),
-    }
-
-
-def _rank_channels(ranks: CoverageRanks) -> Channels:
-    channels: Channels = {}
-    for rank in range(min(STORED_RANKS, ranks.plant_id.shape[-1])):
-        channels |= _single(f"rank{rank}.id", ranks.plant_id[..., rank])
-        channels |= _single(f"rank{rank}.coverage", ranks.coverage[..., rank])
-    return channels
-
-
-def camera_position_m(depth_m: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
-    """(H, W, 3) in the camera's axes, of pixel centres: exact far from the world's origin too; NaN for the sky."""
-    depth = np.where(np.isfinite(depth_m), depth_m, np.nan).astype(np.float64)
-    if camera.projection != "perspective":
-        rays = centre_rays(camera)
-        return (rays.origin_m + rays.direction * depth[..., None]).astype(np.float32)
-    x, y = camera.pixel_slopes
-    return np.stack([depth * x, depth * y[:, None], depth], axis=-1).astype(np.float32)
-
-
-def _turned(vectors: NDArray[np.float32], world_from_camera: NDArray[np.float64]) -> NDArray[np.float32]:
-    return (vectors @ world_from_camera).astype(np.float32)
-
-
-def _split(names: Sequence[str], values: NDArray[Any] | None) -> Channels:
-    """(H, W, C) -> a channel each; None -> none."""
-    channels: Channels = {}
-    if values is not None:
-        for i, name in enumerate(names):
-            channels |= _single(name, values[..., i])
-    return channels
-
-
-def _single(name: str, values: NDArray[Any] | None) -> Channels:
-    """(H, W) -> contiguous, float32 or uint32, as OpenEXR has them; None -> none."""
-    if values is None:
-        return {}
-    kind = np.float32 if np.issubdtype(values.dtype, np.floating) else np.uint32
-    return {name: np.ascontiguousarray(values, dtype=kind)}
+    numbers: Layers = {"plant_id": labels.instance, "part": labels.part, "semantic": labels.semantic}
+    last = {"identity": {key: one for name, values in numbers.items() for key, one in layer(name, values).items()}}
+    for one in LABEL_CHANNELS.load_all(labelled.channels):
+        for part, found in one.parts(labelled).items():
+            into = last if one.of_all_samples or part in last else first
+            into[part] = into.get(part, {}) | found
+    return {name: found for name, found in {**first, **last}.items() if found}

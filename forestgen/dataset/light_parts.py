@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -17,18 +17,6 @@ from forestgen.render.frame import Radiance
 COLOUR_UNIT = "cd/m2, linear Rec. 709 (D65)"
 BAND_UNIT = "W m-2 sr-1 nm-1"
 _BIASED = "radiance.denoised"
-_GEOMETRY_UNITS = {
-    "depth": "m",
-    "position": "m, world",
-    "position.camera": "m, camera's axes",
-    "normal": "1, world",
-    "normal.camera": "1, camera's axes",
-    "normal.shading": "1, world",
-    "normal.shading.camera": "1, camera's axes",
-    "albedo": "1, linear Rec. 709 (D65)",
-    "cloud": "1",
-    "motion": "px",
-}
 
 
 def radiance_channels(radiance: Radiance) -> dict[str, dict[str, NDArray[Any]]]:
@@ -45,11 +33,16 @@ def radiance_channels(radiance: Radiance) -> dict[str, dict[str, NDArray[Any]]]:
     }
 
 
-def light_attributes(radiance: Radiance, parts: Collection[str]) -> dict[str, str]:
-    """Attributes of all parts' headers, which go under ``forestgen/``: units of `parts`, colour or bands, bias."""
+def light_attributes(radiance: Radiance, units: Mapping[str, str | None]) -> dict[str, str]:
+    """Attributes of all parts' headers, which go under ``forestgen/``: units, colour or bands, bias.
+
+    Parameters
+    ----------
+    units : of each part of the file that is neither radiance nor depth; None: it has none.
+    """
     unit = BAND_UNIT if radiance.bands else COLOUR_UNIT
-    units = {"radiance": unit, _BIASED: unit, "radiance.variance": f"({unit.partition(',')[0]})^2", **_GEOMETRY_UNITS}
-    attributes = {f"units.{part}": units[part] for part in parts if part in units}
+    own = {"radiance": unit, _BIASED: unit, "radiance.variance": f"({unit.partition(',')[0]})^2", "depth": "m"}
+    attributes = {f"units.{part}": found for part, one in units.items() if (found := own.get(part, one)) is not None}
     attributes |= {"samples": str(radiance.samples), "picture": picture_light(radiance)[1]}
     if radiance.replicates:
         attributes["replicates"] = str(radiance.replicates)

@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 
 from forestgen.community.population import Population
 from forestgen.labels.amodal import AmodalMasks, amodal_masks
-from forestgen.labels.boundaries import occlusion_boundaries
 from forestgen.labels.classes import ClassMap
 from forestgen.labels.pixels import PixelLabels, pixel_labels
 from forestgen.labels.plants_table import PlantViews, plant_views
-from forestgen.recipe.schema import CHANNELS
+from forestgen.recipe.registries import DEFAULT_CHANNELS
 from forestgen.render.frame import Frame
 from forestgen.scene.plant_measures import PlantMeasures
 
@@ -31,8 +30,7 @@ class LabelledFrame:
     views: PlantViews
     measures: PlantMeasures
     amodal: AmodalMasks | None
-    boundaries: NDArray[np.bool_] | None = None  # (H, W) see labels/boundaries.py; None: not asked for
-    channels: frozenset[str] = frozenset(CHANNELS)  # of the recipe's labels.channels: what files should hold
+    channels: frozenset[str] = frozenset(DEFAULT_CHANNELS)  # of the recipe's labels.channels: what files should hold
 
     @property
     def category(self) -> NDArray[np.intp]:
@@ -45,7 +43,7 @@ def label_frame(
     population: Population,
     classes: ClassMap,
     measures: PlantMeasures,
-    channels: Collection[str] = CHANNELS,
+    channels: Collection[str] = DEFAULT_CHANNELS,
 ) -> LabelledFrame:
     """Make all labels of a frame.
 
@@ -54,7 +52,7 @@ def label_frame(
     frame : what the camera saw of `population`.
     population : the plants of the scene; `classes` knows their species.
     measures : of the same plants, in the same order.
-    channels : what to make and to write, names as in the recipe's labels.channels.
+    channels : what to write, names as in the recipe's labels.channels.
 
     Raises
     ------
@@ -76,6 +74,5 @@ def label_frame(
         views=plant_views(frame, population.plant_id, pixels, measures, amodal),
         measures=measures,
         amodal=amodal,
-        boundaries=occlusion_boundaries(frame.surface, frame.camera) if "boundaries" in channels else None,
         channels=frozenset(channels),
     )

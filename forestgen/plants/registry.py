@@ -36,4 +36,6 @@ GENERATORS = Registry(
             "twigs and leaves on the branches that the community model branch_modules grew (Makowski 2023)",
         ),
     },
+    contract="forestgen.plants.parameters:Generator",
+    instead={"grow": "build"},  # what is built is no plant, and does not grow
 )

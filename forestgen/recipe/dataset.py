@@ -2,33 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-from pydantic import AfterValidator, Field, field_validator
+from pydantic import AfterValidator, Field
 
-from forestgen.core.errors import RecipeError
-from forestgen.recipe.fields import Positive, Section, Text, Whole, mistake
-from forestgen.recipe.registries import DATASET_FORMATS, DEFAULT_FORMATS
+from forestgen.recipe.fields import Positive, Section, Text, Whole, part_name
+from forestgen.recipe.registries import DATASET_FORMATS, DEFAULT_FORMATS, each_once
 
 View = Literal["filmic", "srgb", "acescct"]
 DEFAULT_SPLITS = {"train": 8.0, "val": 1.0, "test": 1.0}
 SplitName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_-]{0,31}$")]
 
 
-def _known_format(name: str) -> str:
-    try:
-        DATASET_FORMATS.check(name)
-    except RecipeError as error:
-        raise mistake(error.expected or "", problem=error.problem, got=error.got, hint=error.hint) from error
-    return name
-
-
-def _add_names(schema: dict[str, Any]) -> None:
-    """To the JSON Schema of a format's name, those that are registered when it is made."""
-    schema["enum"] = DATASET_FORMATS.ids()
-
-
-Format = Annotated[Text, AfterValidator(_known_format), Field(json_schema_extra=_add_names)]
+Format = Annotated[Text, *part_name(DATASET_FORMATS)]
 
 
 class Licence(Section):
@@ -43,6 +29,7 @@ class Dataset(Section):
 
     formats: Annotated[
         tuple[Format, ...],
+        AfterValidator(each_once),
         Field(description="What `forestgen models --kind dataset_format` lists, each once."),
     ] = DEFAULT_FORMATS
     view: Annotated[
@@ -70,11 +57,3 @@ class Dataset(Section):
     point_stride: Annotated[
         Whole, Field(ge=1, le=1000, description="n: every n-th pixel of every n-th row is a point.")
     ] = 1
-
-    @field_validator("formats")
-    @classmethod
-    def _each_once(cls, value: tuple[Format, ...]) -> tuple[Format, ...]:
-        for index, name in enumerate(value):
-            if name in value[:index]:
-                raise mistake("each format once", problem="a format named twice", got=name, at=(index,))
-        return value

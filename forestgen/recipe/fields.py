@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Annotated, Any
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, Strict
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, Strict
+from pydantic.fields import FieldInfo
 from pydantic_core import PydanticCustomError
+
+from forestgen.core.errors import RecipeError
+from forestgen.core.registry import Registry
 
 NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"
 _CONTROL = r"\x00-\x1F\x7F-\x9F\u2028\u2029"
@@ -27,6 +32,26 @@ class OpenSection(BaseModel):
     def parameters(self) -> dict[str, Any]:
         """The keys beyond the section's own, as the recipe gives them."""
         return dict(self.model_extra or {})
+
+
+def part_name(registry: Registry) -> tuple[AfterValidator, FieldInfo]:
+    """Validator and JSON Schema of a registered part's name, for ``Annotated[Text, *part_name(...)]``."""
+
+    def known(name: str) -> str:
+        try:
+            registry.check(name)
+        except RecipeError as error:
+            raise mistake(error.expected or "", problem=error.problem, got=error.got, hint=error.hint) from error
+        return name
+
+    return AfterValidator(known), Field(json_schema_extra=partial(_add_names, registry=registry))
+
+
+def _add_names(schema: dict[str, Any], registry: Registry) -> None:
+    """To the JSON Schema of a part's name, the parts that are registered when it is made."""
+    schema["enum"] = registry.ids()
+    about = "; ".join(f"{name}: {registry.describe(name)}" for name in registry)
+    schema["description"] = f"{schema.get('description', 'The part.')} {about}."
 
 
 def mistake(

@@ -1,14 +1,15 @@
-"""Data set formats, by the name that a recipe uses: the recipe's schema needs their names, not their code."""
+"""Parts of data sets by name: the recipe's schema needs their names, not their code."""
 
 from __future__ import annotations
 
 from forestgen.core.registry import Registry
+from forestgen.recipe.fields import mistake
 
 DEFAULT_FORMATS = ("coco",)
 
 # In the order in which their checks run.
 DATASET_FORMATS = Registry(
-    "data set format",
+    "dataset format",
     {
         "depth_png": ("forestgen.dataset.formats.depth_png:FORMAT", "16-bit depth along the camera's axis"),
         "cryptomatte": ("forestgen.dataset.formats.cryptomatte:FORMAT", "coverage by name, for compositing programs"),
@@ -19,4 +20,41 @@ DATASET_FORMATS = Registry(
         "nerfstudio": ("forestgen.dataset.formats.nerfstudio:FORMAT", "cameras for radiance fields and splats"),
         "bop": ("forestgen.dataset.formats.bop:FORMAT", "poses, visible fractions and masks of each plant"),
     },
+    contract="forestgen.dataset.formats.format:DatasetFormat",
 )
+
+PACKS = Registry(
+    "pack",
+    {
+        "webdataset": ("forestgen.dataset.pack.webdataset:PACK", "tar files, in which files of one stem are a frame"),
+        "huggingface": ("forestgen.dataset.pack.huggingface:PACK", "Parquet files for datasets.load_dataset"),
+    },
+    contract="forestgen.dataset.pack.pack:Pack",
+)
+
+DEFAULT_CHANNELS = ("coverage", "surface", "albedo", "sun", "cloud", "motion", "boundaries", "amodal")
+
+# In the order in which they are made and written.
+LABEL_CHANNELS = Registry(
+    "label channel",
+    {
+        "coverage": ("forestgen.labels.channels.coverage:CHANNEL", "the ids that cover most of a pixel, their shares"),
+        "surface": ("forestgen.labels.channels.surface:CHANNEL", "positions, normals, triangles at pixels' centres"),
+        "albedo": ("forestgen.labels.channels.albedo:CHANNEL", "reflectance and transmittance of surfaces"),
+        "sun": ("forestgen.labels.channels.sun:CHANNEL", "shadows: where the sun is visible"),
+        "cloud": ("forestgen.labels.channels.cloud:CHANNEL", "opacity of clouds"),
+        "motion": ("forestgen.labels.channels.motion:CHANNEL", "pixels to the next frame of a sequence"),
+        "boundaries": ("forestgen.labels.channels.boundaries:CHANNEL", "occlusion boundaries"),
+        "amodal": ("forestgen.labels.channels.amodal:CHANNEL", "masks of plants as if nothing stood before them"),
+        "module": ("forestgen.labels.channels.module:CHANNEL", "branch modules and their segments"),
+    },
+    contract="forestgen.labels.channels.channel:LabelChannel",
+)
+
+
+def each_once(names: tuple[str, ...]) -> tuple[str, ...]:
+    """A validator that refuses a part that is named twice."""
+    for index, name in enumerate(names):
+        if name in names[:index]:
+            raise mistake("each one once", problem="a part named twice", got=name, at=(index,))
+    return names

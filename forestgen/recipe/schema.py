@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal, Self, get_args
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import (
+    AfterValidator,
     BeforeValidator,
     Field,
     SerializerFunctionWrapHandler,
@@ -36,9 +37,11 @@ from forestgen.recipe.fields import (
     Text,
     Whole,
     mistake,
+    part_name,
     spelled_out,
 )
 from forestgen.recipe.plants import Plants
+from forestgen.recipe.registries import DEFAULT_CHANNELS, LABEL_CHANNELS, each_once
 from forestgen.recipe.render import Render
 from forestgen.recipe.sampling import Sampling
 from forestgen.recipe.sky import SkySection
@@ -128,8 +131,7 @@ class Community(OpenSection):
     model: Annotated[Text, Field(min_length=1, max_length=100, description="Id of the community model.")]
 
 
-Channel = Literal["coverage", "surface", "albedo", "sun", "cloud", "motion", "boundaries", "amodal", "module"]
-CHANNELS: tuple[Channel, ...] = tuple(one for one in get_args(Channel) if one != "module")  # if none are named
+Channel = Annotated[Text, *part_name(LABEL_CHANNELS)]
 
 
 class Labels(Section):
@@ -140,12 +142,13 @@ class Labels(Section):
     ] = 16
     channels: Annotated[
         tuple[Channel, ...],
+        AfterValidator(each_once),
         Field(
             description="Labels besides the masks: coverage ranks, surface (position, normals), albedo, sun (shadows), "
             "cloud opacity, motion, occlusion boundaries, amodal masks; and module, not among those made by default: "
             "branch modules and their segments."
         ),
-    ] = CHANNELS
+    ] = DEFAULT_CHANNELS
     classes: Annotated[
         dict[Label, tuple[Name, ...]] | None,
         Field(
@@ -154,14 +157,6 @@ class Labels(Section):
             "are the species that no class names. A name may have blanks. Default: each species is a class.",
         ),
     ] = None
-
-    @field_validator("channels")
-    @classmethod
-    def _each_once(cls, value: tuple[Channel, ...]) -> tuple[Channel, ...]:
-        for index, channel in enumerate(value):
-            if channel in value[:index]:
-                raise mistake("each channel once", problem="a channel named twice", got=channel, at=(index,))
-        return value
 
     @field_validator("samples")
     @classmethod

@@ -273,7 +273,7 @@ _SettingsSaid = create_model("_SettingsSaid", __base__=_Part, **_SETTINGS)
 def _check_settings(settings: DatasetSettings) -> None:
     """Refuse settings of wrong types, or that contradict each other, with a `ValueError`."""
     _SettingsSaid.model_validate(asdict(settings))
-    unknown = set(settings.formats) - set(DATASET_FORMATS)
+    unknown = {name for name in settings.formats if name not in DATASET_FORMATS}
     if unknown or len(settings.species_category) != len(settings.species_names):
         raise ValueError(f"settings: no such format {unknown}" if unknown else "settings: not a category a species")
     if not all(0 <= number < len(settings.category_names) for number in settings.species_category):

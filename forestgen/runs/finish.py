@@ -24,7 +24,7 @@ from forestgen.dataset.card import CARD_NAME, CardCounts, card_text
 from forestgen.dataset.checksums import SUMS_NAME, file_sum, write_sums
 from forestgen.dataset.files import disk_errors
 from forestgen.dataset.foreign import tool_of
-from forestgen.dataset.formats.format import load_formats
+from forestgen.dataset.formats.format import known_formats, load_formats
 from forestgen.dataset.index import INDEX_NAME, DrawTypes, write_index
 from forestgen.dataset.maps import write_map
 from forestgen.dataset.safe_path import SafePath
@@ -34,7 +34,6 @@ from forestgen.recipe.hashing import recipe_hash
 from forestgen.recipe.load import LoadedRecipe, yaml_text
 from forestgen.recipe.map_files import is_map_file
 from forestgen.recipe.paths import MAPS
-from forestgen.recipe.registries import DATASET_FORMATS
 from forestgen.recipe.sources import dotted
 from forestgen.runs.contract import Job, JobRecord, Place
 from forestgen.runs.description import (
@@ -123,7 +122,7 @@ def write_data_set(
     kept = {path: content for number, part in enumerate(parts, start=1) for path, content in part.kept_as(number)}
     for one in load_formats(settings.formats):
         kept |= one.split_files(list(ledger.splits), settings)
-    known = {path for one in load_formats(DATASET_FORMATS) for path in one.split_file_names}
+    known = {path for one in known_formats() for path in one.split_file_names}
     for path in known - kept.keys():
         place.remove(path)
     for path, content in kept.items():

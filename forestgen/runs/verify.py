@@ -39,13 +39,14 @@ from forestgen.core.arguments import MOST_SEEDS, whole_of
 from forestgen.core.errors import DatasetError, ForestgenError, RecipeError
 from forestgen.core.progress import Progress, Silent
 from forestgen.dataset.check import MOST_NAMED, CheckResult, Finding, check_dataset
+from forestgen.dataset.formats.format import load_formats
 from forestgen.dataset.index import INDEX_NAME, read_index
 from forestgen.dataset.manifest import is_run_folder
 from forestgen.dataset.safe_path import SafePath, check_folder, unreadable
 from forestgen.dataset.thumbnails import thumbnail_name
 from forestgen.runs import verify_files as files
 from forestgen.runs.contract import JobRecord
-from forestgen.runs.description import DATASET_NAME, read_description
+from forestgen.runs.description import DATASET_NAME, read_description, settings_of
 from forestgen.runs.folder import BATCH
 from forestgen.runs.ledger import Ledger
 from forestgen.runs.places import LocalPlace
@@ -127,6 +128,7 @@ def verify(
         for name, holds, looked_at, found in check_frames(root, said, workers, verifier.progress):
             verifier.run(name, holds, looked_at, found)
         if labels:
+            list(load_formats(settings_of(said).formats))  # its own cannot be left out: a broken one is an error
             _check_labels(verifier)
         if rerender:
             holds = "images rendered again have the same bytes"

@@ -7,8 +7,6 @@ from typing import Any, NamedTuple
 
 from forestgen.recipe.messages import show
 
-_LONGEST = 120  # characters of a shown value
-
 
 class Difference(NamedTuple):
     """A key whose values differ; None where one side lacks it."""
@@ -43,19 +41,8 @@ def _are_alike(before: Any, now: Any) -> bool:
 
 
 def shown(value: Any) -> str:
-    """A value as YAML would have it; of a long mapping as many keys as fit, each whole."""
-    if value is None:
-        return "(none)"
-    plain = _without_nothing(value)
-    if not isinstance(plain, Mapping):
-        return show(plain)
-    parts: list[str] = []
-    for key, one in plain.items():
-        part = f"{key}: {shown(one)}"
-        if parts and sum(map(len, parts)) + len(part) > _LONGEST:
-            return f"{{{', '.join(parts)}, and {len(plain) - len(parts)} more}}"
-        parts.append(part)
-    return f"{{{', '.join(parts)}}}"
+    """A value as YAML would have it, without keys that say nothing."""
+    return "(none)" if value is None else show(_without_nothing(value))
 
 
 def _without_nothing(value: Any) -> Any:

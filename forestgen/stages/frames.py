@@ -5,20 +5,17 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from forestgen.atmosphere.haze import KOSCHMIEDER
-from forestgen.atmosphere.optical_depth import cloud_opacity
 from forestgen.core.progress import Progress
 from forestgen.core.randomness import child_seed
 from forestgen.core.timing import Timings
 from forestgen.dataset.formats.format import load_formats
-from forestgen.labels.branches import branch_labels
-from forestgen.labels.motion import motion_px
+from forestgen.labels.channels.channel import ChannelView
+from forestgen.recipe.registries import LABEL_CHANNELS
 from forestgen.recipe.schema import Recipe
-from forestgen.render.amodal import trace_amodal
 from forestgen.render.denoise import denoise, denoise_bands
-from forestgen.render.frame import Amodal, Frame, Identity, Radiance, Surface
+from forestgen.render.frame import Frame, Radiance, Surface
 from forestgen.render.haze import through_haze
 from forestgen.render.identity import SceneTracer, trace_guides, trace_identity
 from forestgen.render.noise import Until
@@ -26,7 +23,6 @@ from forestgen.render.radiance import render_radiance
 from forestgen.render.shot import Shot
 from forestgen.render.transport import cloud_transport_of
 from forestgen.render.unfinished import unfinished
-from forestgen.scene.projection import world_rays
 from forestgen.scene.spec import Camera, SceneSpec
 
 View = tuple[Camera, SceneSpec]
@@ -58,17 +54,12 @@ def render_frame(
         )
     for one in load_formats(recipe.dataset.formats):
         one.check_ids(identity.plant_id, camera.name)  # before the light, which takes long
-    channels = recipe.labels.channels
-    return Frame(
-        camera=camera,
-        radiance=_radiance(tracer, camera, recipe, seed, surface, progress, timings, key),
-        identity=identity,
-        surface=surface,
-        amodal=_amodal(tracer, camera, identity, progress, timings) if "amodal" in channels else None,
-        cloud_opacity=_cloud_opacity(tracer.spec, camera, surface, timings) if "cloud" in channels else None,
-        branches=branch_labels(surface, tracer.spec.exemplars) if "module" in channels else None,
-        motion_px=_motion(tracer.spec, camera, surface, following, timings) if "motion" in channels else None,
-    )
+    radiance = _radiance(tracer, camera, recipe, seed, surface, progress, timings, key)
+    frame = Frame(camera=camera, radiance=radiance, identity=identity, surface=surface)
+    view = ChannelView(tracer, following, progress, timings)
+    for one in LABEL_CHANNELS.load_all(recipe.labels.channels):
+        frame = one.add(frame, view)
+    return frame
 
 
 def _radiance(
@@ -132,35 +123,3 @@ def haze_notes(spec: SceneSpec, surface: Surface, name: str) -> list[str]:
         f"{name}: its far plants stand behind {100 * (1 - np.exp(-depth)):.0f}% of haze, which is meant to be thin; "
         "sky.clouds: fog scatters light as often as that takes"
     ]
-
-
-def _amodal(tracer: SceneTracer, camera: Camera, identity: Identity, progress: Progress, timings: Timings) -> Amodal:
-    """Of the plants that a sample saw."""
-    plants = np.unique(identity.plant_id)
-    plants = plants[plants != 0]
-    samples = identity.plant_id.shape[2]
-    with progress.stage(f"amodal {camera.name}", len(plants)) as advance:
-        return trace_amodal(tracer, camera, plants, samples=samples, timer=timings, advance=advance)
-
-
-def _cloud_opacity(spec: SceneSpec, camera: Camera, surface: Surface, timings: Timings) -> NDArray[np.float32]:
-    """0 everywhere under a clear sky."""
-    if spec.clouds is None:
-        return np.zeros(surface.distance_m.shape, dtype=np.float32)
-    with timings("cloud opacity"):
-        rays = world_rays(camera)
-        return cloud_opacity(
-            spec.clouds, rays.origin_m, rays.direction, np.where(rays.valid, surface.distance_m, np.float32(0))
-        )
-
-
-def _motion(
-    spec: SceneSpec, camera: Camera, surface: Surface, following: View | None, timings: Timings
-) -> NDArray[np.float32] | None:
-    """NaN in a sequence's last frame; None for a still camera."""
-    if camera.sequence is None:
-        return None
-    if following is None:
-        return np.full((*surface.distance_m.shape, 2), np.nan, dtype=np.float32)
-    with timings("motion"):
-        return motion_px(camera, surface, spec.instances, following[0], following[1].instances)

@@ -65,7 +65,7 @@ def _check_keys(loading: Loading) -> None:
     from forestgen.community.model import CommunityParameters
 
     name = _model_of(loading)
-    known = name if name in COMMUNITY_MODELS.ids() else None
+    known = name if name in COMMUNITY_MODELS else None
     if not isinstance(loading.community, Mapping) or (known and "community" not in loading.stand_ins):
         return
     section, sources = dict(loading.community), loading.sources

@@ -169,7 +169,7 @@ def _check_obstacle(drawn: DrawnRecipe, index: int, obstacle: Obstacle) -> None:
 def is_built(species: Species) -> bool:
     """Whether a species is no plant but a building, of the size that an obstacle gives it."""
     generator = species.plant.generator
-    return generator in GENERATORS.ids() and hasattr(GENERATORS.load(generator), "build")
+    return generator in GENERATORS and hasattr(GENERATORS.load(generator), "build")
 
 
 def _point(xy_m: np.ndarray[tuple[int], np.dtype[np.float64]]) -> str:

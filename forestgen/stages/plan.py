@@ -23,11 +23,11 @@ from forestgen.core.error_list import ErrorList
 from forestgen.core.errors import RecipeError, ResourceError
 from forestgen.core.figures import show_bytes
 from forestgen.core.memory import free_bytes
-from forestgen.dataset.formats.format import load_format
 from forestgen.plants.bark.texture import with_bark_tiles
 from forestgen.plants.parameters import PlantParameters
 from forestgen.plants.registry import GENERATORS
 from forestgen.recipe.load import DrawnRecipe, LoadedRecipe
+from forestgen.recipe.registries import DATASET_FORMATS, LABEL_CHANNELS
 from forestgen.recipe.sources import Keys
 from forestgen.recipe.species import Plant, Species
 from forestgen.recipe.suggestions import did_you_mean
@@ -131,9 +131,11 @@ def collect_plan(drawn: DrawnRecipe, errors: ErrorList, stand_ins: frozenset[str
             errors.attempt(check, drawn)
     if not {"cameras", "labels", "dataset"} & stand_ins:
         for index, name in enumerate(drawn.recipe.dataset.formats):
-            found = errors.attempt(load_format, name, where=drawn.where("dataset", "formats", index))
+            found = errors.attempt(DATASET_FORMATS.load, name, where=drawn.where("dataset", "formats", index))
             if found is not None:
                 errors.attempt(found.check, drawn)
+        for index, name in enumerate(drawn.recipe.labels.channels):
+            errors.attempt(LABEL_CHANNELS.use, name, where=drawn.where("labels", "channels", index))
     if "community" in stand_ins:
         return None
     where = drawn.where("community", "model")

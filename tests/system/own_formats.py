@@ -1,9 +1,12 @@
-"""A data set format of another package, as a user would write one: the sizes of frames."""
+"""Parts of another package, as a user would write them: a data set format, a label channel and a pack."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
+
+import numpy as np
 
 from forestgen.dataset.check.check import DatasetCheck, FrameCheck
 from forestgen.dataset.check.files import read_json
@@ -12,8 +15,12 @@ from forestgen.dataset.check.frame_data import FrameData
 from forestgen.dataset.check.merged import Merged
 from forestgen.dataset.formats.format import DatasetFormat
 from forestgen.dataset.formats.shards import in_order, json_text, read_shard, whole_file, write_shard
+from forestgen.dataset.pack.pack import Contents, Pack
+from forestgen.dataset.pack.samples import Sample, Shard
 from forestgen.dataset.settings import DatasetSettings
+from forestgen.labels.channels.channel import ChannelView, LabelChannel, Layers, layer
 from forestgen.labels.labelled import LabelledFrame
+from forestgen.render.frame import Frame
 
 SHARD, WHOLE = "size.json", "sizes.json"
 
@@ -58,5 +65,34 @@ def _sizes(merged: Merged) -> Iterator[Finding]:
         yield Finding(WHOLE, "other frames")
 
 
+class Triangles(LabelChannel):
+    """How many triangles the exemplar at each pixel's centre has."""
+
+    name = "triangles"
+    units: Mapping[str, str] = {"triangles": "triangles"}
+
+    def add(self, frame: Frame, view: ChannelView) -> Frame:
+        count = np.array([0, *(one.triangles for one in view.tracer.spec.exemplars)], dtype=np.uint32)
+        return replace(frame, own={**frame.own, self.name: count[frame.surface.exemplar]})
+
+    def parts(self, labelled: LabelledFrame) -> dict[str, Layers]:
+        return {"triangles": layer("count", labelled.frame.own[self.name])}
+
+
+class Names(Pack):
+    """Lists of frames."""
+
+    title, frame_bytes = "readers of lists", 100
+
+    def write_split(self, folder: Path, split: str, samples: Iterator[Sample], contents: Contents) -> list[Shard]:
+        text = "".join(f"{one.name} {','.join(one.contents)}\n" for one in samples)
+        (folder / f"{split}.txt").write_text(text)
+        return [Shard(f"{split}.txt", text.count("\n"), len(text))]
+
+    def opening_code(self, target: str, split: str, shards: Sequence[Shard]) -> tuple[str, str]:
+        return "from pathlib import Path", f'{split} = Path("{target}/{shards[0].name}").read_text()'
+
+
 FORMAT = Sizes()
+CHANNEL, PACK = Triangles(), Names()
 NO_FORMAT = object()

@@ -12,7 +12,7 @@ from forestgen.community.population import Population
 from forestgen.core.frames import look_at
 from forestgen.core.progress import Silent
 from forestgen.core.timing import Timings
-from forestgen.labels.motion import motion_px
+from forestgen.labels.channels.motion import motion_px
 from forestgen.recipe.assets import recipes_dir
 from forestgen.recipe.camera_keys import CameraPath
 from forestgen.recipe.cameras import Camera as CameraSection

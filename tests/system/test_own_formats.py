@@ -1,31 +1,21 @@
-"""A format that another package registers is written, merged, checked and refused like those that come along."""
+"""Formats, label channels and packs that another package registers are used like those that come along."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from batch_runs import RECIPE, recipe
 
 import forestgen as fg
-from forestgen.core import registry
 from forestgen.dataset.check import check_dataset
-from forestgen.dataset.formats.format import load_format
 from forestgen.recipe.registries import DATASET_FORMATS
 
 OWN = RECIPE.replace("formats: []", "formats: [coco, sizes]").replace("train: 2", "train: 1")
 
 
-@pytest.fixture(autouse=True)
-def _as_before() -> Iterator[None]:
-    """What a test registers is forgotten."""
-    entries, registered = dict(DATASET_FORMATS._entries), list(registry._registered)
-    yield
-    DATASET_FORMATS._entries.clear()
-    DATASET_FORMATS._entries.update(entries)
-    registry._registered[:] = registered
+pytestmark = pytest.mark.usefixtures("registries_as_before")
 
 
 def test_a_registered_format_is_used_like_a_shipped_one(tmp_path: Path) -> None:
@@ -48,6 +38,25 @@ def test_a_registered_format_is_used_like_a_shipped_one(tmp_path: Path) -> None:
     assert {"size", "sizes"} <= {one.name for one in report.check_results if one.images}
 
 
+def test_a_registered_label_channel_and_pack_are_used_like_shipped_ones(tmp_path: Path) -> None:
+    fg.register("label_channel", "triangles", "own_formats:CHANNEL", "triangles of exemplars")
+    fg.register("pack", "names", "own_formats:PACK")
+    text = OWN.replace("[coco, sizes]", "[]").replace(
+        "labels: {samples: 1}", "labels: {samples: 1, channels: [triangles]}"
+    )
+    run = fg.load(recipe(tmp_path, text)).batch(tmp_path / "set", 2, workers=2, threads=1, progress=False)
+    data_set = fg.Dataset(run.target)
+    counts = data_set["000000-left"].channel("triangles", "count")
+    assert set(data_set["000000-left"].parts) == {"radiance", "radiance.variance", "depth", "triangles", "identity"}
+    plants = data_set["000000-left"].instance > 0
+    assert counts[plants].max() > 0
+    assert (counts > 0).sum() < counts.size
+    packed = data_set.pack(tmp_path / "pack", "names", channels="semantic", by_name=True, progress=False)
+    assert packed.channels == ("semantic",)
+    assert (tmp_path / "pack" / "val.txt").read_text() == "000001-left semantic\n000001-right semantic\n"
+    assert 'Path("PATH/train.txt")' in (tmp_path / "pack" / "README.md").read_text()
+
+
 def test_its_own_rule_refuses_a_camera(tmp_path: Path) -> None:
     fg.register("dataset_format", "sizes", "own_formats:FORMAT")
     text = OWN.replace("size_px: [16, 16]", "size_px: [16, 16], kind: panorama").replace(
@@ -65,17 +74,15 @@ def test_what_is_no_format_is_not_registered() -> None:
         fg.register("dataset_format", "sizes", "own_formats:NO_FORMAT")
 
 
-def test_what_is_no_format_of_its_name_is_refused_with_its_place(tmp_path: Path) -> None:
-    fg.register("dataset_format", "lengths", "own_formats:FORMAT")
-    loaded = fg.load(recipe(tmp_path, OWN.replace("sizes", "lengths")))
-    with pytest.raises(fg.RecipeError, match="no data set format of this name") as refused:
-        loaded.validate()
-    assert "fireweed.yaml:13: dataset.formats.1" in str(refused.value.where)
+def test_a_format_of_another_name_is_not_registered() -> None:
+    with pytest.raises(fg.RecipeError, match="it has another name") as refused:
+        fg.register("dataset_format", "lengths", "own_formats:FORMAT")
+    assert refused.value.got == "'sizes'"
 
 
 @pytest.mark.parametrize("name", list(DATASET_FORMATS))
 def test_shipped_formats_have_the_names_they_are_registered_under(name: str) -> None:
-    found = load_format(name)
+    found = DATASET_FORMATS.load(name)
     assert found.frame_checks()
     (entry,) = fg.models(name, kind="dataset_format")
     assert len(entry.page) > 200  # its module's manual

@@ -13,6 +13,8 @@ from pathlib import Path
 import pytest
 from documented import ROOT, TUTORIALS, commands_of
 
+from support.plugin import PLUGIN, install_plugin
+
 _BLOCK = re.compile(r'^```(\w+)(?: title="([^"]+)")?\n(.*?)^```$', re.MULTILINE | re.DOTALL)
 _PRINTED = {  # among what the code of each page prints
     "detector_data_set": "4 frames in ('train', 'val')",
@@ -20,7 +22,6 @@ _PRINTED = {  # among what the code of each page prints
     "plugin": "expected  a number of at least 0.5",
     "remote_sensing_bands": "NDVI 0.35",
 }
-PLUGIN = ROOT / "examples" / "plugin"
 
 
 def blocks(page: Path) -> list[tuple[str, str, str]]:
@@ -31,7 +32,7 @@ def blocks(page: Path) -> list[tuple[str, str, str]]:
 @pytest.mark.slow
 @pytest.mark.parametrize("page", TUTORIALS, ids=lambda page: page.stem)
 def test_a_tutorial_works_from_its_first_block_to_its_last(page: Path, tmp_path: Path) -> None:
-    environment = {**os.environ, "PYTHONPATH": str(PLUGIN), "MPLBACKEND": "agg"}
+    environment = {**os.environ, "PYTHONPATH": str(install_plugin(tmp_path)), "MPLBACKEND": "agg"}
     (tmp_path / "examples").symlink_to(ROOT / "examples")
     programs: list[str] = []  # a block that imports begins one; others go on in it, as the cells of a notebook do
     for language, title, text in blocks(page):

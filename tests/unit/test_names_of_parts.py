@@ -7,14 +7,31 @@ from functools import cache
 
 import pytest
 
+from forestgen.community.registry import COMPETITION_MODELS
 from forestgen.core.code_hash import PACKAGE
-from forestgen.recipe.registries import DATASET_FORMATS
+from forestgen.core.registry import Registry
+from forestgen.recipe.registries import DATASET_FORMATS, LABEL_CHANNELS, PACKS
 
-REGISTRY = "recipe/registries.py"
-OTHER_MEANINGS = {  # file -> names that are no format's in it
+REGISTRIES = (DATASET_FORMATS, PACKS, COMPETITION_MODELS, LABEL_CHANNELS)
+# Where names of a kind are looked for, if they are common words.
+FOLDERS = {"label channel": ("labels/", "dataset/", "stages/", "pipeline.py")}
+REGISTRY_FILES = {"recipe/registries.py", "community/registry.py"}
+OTHER_MEANINGS = {  # file -> names that are no part's in it
     "api/instruments.py": {"points"},  # what a list holds, for its error
     "api/points.py": {"points"},  # a parameter
     "community/fitting/recipe_text.py": {"points"},  # a key of community model strauss
+    "dataset/check/branches.py": {"module"},  # a part of frame.exr
+    "dataset/check/coverage.py": {"coverage"},  # the same
+    "dataset/check/frame_data.py": {"coverage"},  # the same
+    "dataset/check/light.py": {"albedo", "cloud", "sun"},  # the same
+    "dataset/check/motion.py": {"motion"},  # the same
+    "dataset/check/registry.py": {"amodal", "coverage", "motion"},  # names of checks
+    "dataset/formats/bop.py": {"amodal"},  # a channel that it needs
+    "dataset/frame.py": {"albedo", "cloud", "motion", "sun"},  # parts of frame.exr
+    "dataset/pack/channels.py": {"albedo", "motion"},  # the same
+    "dataset/report/scene_sections.py": {"sun"},  # a key of the recipe
+    "stages/light_text.py": {"sun"},  # a column
+    "stages/sky.py": {"sun"},  # a key of the recipe
     "dataset/check/merged.py": {"bop"},  # a folder, whose files the checks read by their names
     "lsystem/parsing.py": {"points"},  # a rule of the grammar
     "lsystem/statement_reader.py": {"points"},  # the same
@@ -33,10 +50,20 @@ def texts() -> dict[str, set[str]]:
     return found
 
 
-@pytest.mark.parametrize("name", list(DATASET_FORMATS))
-def test_only_a_formats_own_module_names_it(name: str) -> None:
-    known = {REGISTRY, f"dataset/formats/{name}.py"}
-    known |= {file for file, names in OTHER_MEANINGS.items() if name in names}
-    found = {file for file, own in texts().items() if name in own}
-    assert found - known == set(), f"ask forestgen.dataset.formats.format for {name!r} instead of naming it"
-    assert {file for file, names in OTHER_MEANINGS.items() if name in names} <= found, "an exception without a cause"
+def own_module(registry: Registry, name: str) -> str:
+    """The part's file in the package."""
+    return registry._entries[name][0].partition(":")[0].replace(".", "/").removeprefix("forestgen/") + ".py"
+
+
+@pytest.mark.parametrize(
+    ("registry", "name"),
+    [(one, name) for one in REGISTRIES for name in one],
+    ids=lambda value: getattr(value, "kind", value),
+)
+def test_only_a_parts_own_module_names_it(registry: Registry, name: str) -> None:
+    known = {file for file, names in OTHER_MEANINGS.items() if name in names}
+    folders = FOLDERS.get(registry.kind, "")
+    found = {file for file, own in texts().items() if name in own and file.startswith(folders)} - REGISTRY_FILES
+    own = {own_module(registry, name), f"dataset/check/{name}.py"}  # where a format's checks have their names
+    assert found - known <= own, f"ask the part for what it can do instead of naming {name!r}"
+    assert known <= found, "an exception without a cause"

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.community.environments import grid
+from forestgen.community.competition import grid
 from forestgen.community.placement.kernels import KernelTable
 from forestgen.core.compiled import compiled
 from forestgen.core.threads import over_ranges

@@ -74,9 +74,9 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from forestgen.community.arrivals import new_ids, of_species, refuse_overflow, seedlings, seedlings_per_step
+from forestgen.community.competition import grid
 from forestgen.community.disturbance import Planting, planted
 from forestgen.community.ecology import SpeciesEcology
-from forestgen.community.environments import grid
 from forestgen.community.model import CommunityParameters, Site
 from forestgen.community.population import Population, Status
 from forestgen.community.snapshot_checks import Limits, arrival_limits, check_columns, check_radii

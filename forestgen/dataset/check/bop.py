@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from forestgen.dataset.check.check import DatasetCheck, FrameCheck
 from forestgen.dataset.check.files import read_picture
 from forestgen.dataset.check.finding import Finding, numbers
 from forestgen.dataset.check.frame_data import FrameData
@@ -105,3 +106,7 @@ def _mask(frame: FrameData, file: str, folder: str, row: int) -> Iterator[Findin
         if expected != got:
             problem = "the mask has another area than amodal_pixels"
             yield Finding(file, problem, str(expected), str(got), frame.name, plant)
+
+
+FRAME_CHECKS = (FrameCheck("bop", "counts and masks are the plants'", BOP, has_share, plants, True),)
+DATASET_CHECKS = (DatasetCheck("bop files", "each frame in a scene", BOP, has_bop, structure),)

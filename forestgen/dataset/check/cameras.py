@@ -8,6 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from forestgen.dataset.check.camera_file import PANORAMA
+from forestgen.dataset.check.check import DatasetCheck, FrameCheck
 from forestgen.dataset.check.finding import Finding, number, numbers
 from forestgen.dataset.check.frame_data import FrameData
 from forestgen.dataset.check.merged import TRANSFORMS, Merged, folder_of
@@ -57,3 +58,7 @@ def transforms(frame: FrameData) -> Iterator[Finding]:
     ):
         if not abs(float(share[key]) - float(value)) <= _TOLERANCE * max(1.0, abs(float(value))):
             yield Finding(file, f"{key} is not camera.json's", number(value), number(share[key]), frame.name)
+
+
+FRAME_CHECKS = (FrameCheck("transforms", "cameras are camera.json's", TRANSFORMS, has_share, transforms, True),)
+DATASET_CHECKS = (DatasetCheck("transforms files", "each frame once", TRANSFORMS, has_transforms, structure),)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.parts import Part
+from forestgen.dataset.check.check import DatasetCheck, FrameCheck
 from forestgen.dataset.check.files import read_json
 from forestgen.dataset.check.finding import MISUNDERSTOOD, Finding, misunderstood, number
 from forestgen.dataset.check.frame_data import FrameData
@@ -244,3 +245,14 @@ def has_amodal(frame: FrameData) -> bool:
 
 def _finding(frame: FrameData, problem: str, expected: object, got: object, plant: int | None = None) -> Finding:
     return Finding(COCO, problem, expected=str(expected), got=str(got), image=frame.name, plant_id=plant)
+
+
+FRAME_CHECKS = (
+    FrameCheck("coco", "annotations are the mask's plants", COCO, has_share, plants, True),
+    FrameCheck("coco stems", "stem masks are the trunks", COCO, has_share, stems, True),
+    FrameCheck("coco amodal", "amodal masks hold visible ones", COCO, has_amodal, amodal, True),
+    FrameCheck("coco keypoints", "keypoints are plants.parquet's", COCO, has_points, points, True),
+    FrameCheck("coco measures", "numbers are plants.parquet's", COCO, has_share, measures, True),
+    FrameCheck("coco shard", "annotations.json is coco.json's share", SHARD, has_shard, shard),
+)
+DATASET_CHECKS = (DatasetCheck("coco files", "images, ids, categories, licences", COCO, has_coco, structure),)

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.dataset.check.check import FrameCheck
 from forestgen.dataset.check.coverage import has_coverage
 from forestgen.dataset.check.files import read_exr
 from forestgen.dataset.check.finding import Finding, numbers
@@ -153,3 +154,6 @@ def _without_background(
     next_ids, next_share = (np.pad(ranks[:, 1:], ((0, 0), (0, 1))) for ranks in (ids, share))
     plants = np.where(behind, next_ids, ids).astype(np.int64)
     return plants, np.where(plants != 0, np.where(behind, next_share, share), np.float32(0.0))
+
+
+FRAME_CHECKS = (FrameCheck("cryptomatte", "names, plants, shares are frame.exr's", FILE, has_cryptomatte, cryptomatte),)

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from forestgen.dataset.check.check import FrameCheck
 from forestgen.dataset.check.files import read_json
 from forestgen.dataset.check.finding import Finding
 from forestgen.dataset.check.frame_data import FrameData
@@ -38,3 +39,6 @@ def depth_png(frame: FrameData) -> Iterator[Finding]:
     near = ~sky & (steps <= _MOST)
     wrong = near & ~(np.abs(got - np.maximum(steps, 1.0)) <= _HALF)
     yield from wrong_pixels(frame, PICTURE, wrong, "the depth is not frame.exr's, in steps", steps, got)
+
+
+FRAME_CHECKS = (FrameCheck("depth.png", "within half a step", PICTURE, has_depth_png, depth_png),)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from forestgen.core.parts import Part
+from forestgen.dataset.check.check import DatasetCheck, FrameCheck
 from forestgen.dataset.check.files import read_picture
 from forestgen.dataset.check.finding import Finding
 from forestgen.dataset.check.frame_data import FrameData, extents_of
@@ -118,3 +119,10 @@ def _finding(
     plant = segment if segment not in (_SKY_ID, _GROUND_ID) else None
     name = {_SKY_ID: " (sky)", _GROUND_ID: " (ground)"}.get(segment or 0, "")
     return Finding(file, problem + name, str(expected), str(got), frame.name, plant)
+
+
+FRAME_CHECKS = (
+    FrameCheck("panoptic", "segments cover the image", PANOPTIC, has_share, segments, True),
+    FrameCheck("panoptic.png", "it is panoptic/'s", "panoptic.png", has_own_picture, own_picture),
+)
+DATASET_CHECKS = (DatasetCheck("panoptic files", "images and ids", PANOPTIC, has_panoptic, structure),)

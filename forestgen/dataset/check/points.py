@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.dataset.check.check import FrameCheck
 from forestgen.dataset.check.files import read_bytes, unreadable
 from forestgen.dataset.check.finding import Finding, UnreadableError, numbers
 from forestgen.dataset.check.frame_data import FrameData
@@ -151,3 +152,9 @@ def _finding(
         plant_id=int(found["plant_id"][at]) or None,
         pixel=(int(found["column"][at]), int(found["row"][at])),
     )
+
+
+FRAME_CHECKS = (
+    FrameCheck("points.ply", "points are the pixels'", PLY, has_ply, ply),
+    FrameCheck("points.laz", "points are points.ply's", LAZ, has_laz, laz),
+)

@@ -21,8 +21,7 @@ from forestgen.dataset.check import (
 from forestgen.dataset.check.check import DatasetCheck, FrameCheck, always
 from forestgen.dataset.check.frame_data import CAMERA, EXR, INSTANCE, PLANTS, SEMANTIC
 from forestgen.dataset.check.merged import MANIFEST
-from forestgen.dataset.formats.format import load_formats
-from forestgen.recipe.registries import DATASET_FORMATS
+from forestgen.dataset.formats.format import known_formats
 
 FIRST = FrameCheck("files", "all files are there and readable", "", always, manifest.files)
 HASHES = FrameCheck("hashes", "files are those that manifest.json lists", "", always, manifest.frame_hashes)
@@ -66,12 +65,12 @@ _DATASET_CHECKS = (
 def frame_checks() -> Iterator[FrameCheck]:
     """Those of a frame's own labels, then those of each registered format."""
     yield from _FRAME_CHECKS
-    for one in load_formats(DATASET_FORMATS):
+    for one in known_formats():
         yield from one.frame_checks()
 
 
 def dataset_checks() -> Iterator[DatasetCheck]:
     """Those of the manifest and the classes, then those of each registered format."""
     yield from _DATASET_CHECKS
-    for one in load_formats(DATASET_FORMATS):
+    for one in known_formats():
         yield from one.dataset_checks()

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.dataset.check.check import DatasetCheck, FrameCheck
 from forestgen.dataset.check.files import read_text, read_yaml
 from forestgen.dataset.check.finding import Finding, numbers
 from forestgen.dataset.check.frame_data import FrameData
@@ -203,3 +204,10 @@ def _file(frame: FrameData, task: str) -> str:
 def _finding(frame: FrameData, file: str, row: int, problem: str, expected: str, got: str) -> Finding:
     plant = int(frame.extents.plant_id[row]) if row < len(frame.extents.plant_id) else None
     return Finding(file, problem, expected, got, frame.name, plant)
+
+
+FRAME_CHECKS = (
+    FrameCheck("yolo boxes", "boxes are the masks'", "yolo", has_boxes, boxes, True),
+    FrameCheck("yolo outlines", "rings fill to the masks", "yolo", has_outlines, outlines, True),
+)
+DATASET_CHECKS = (DatasetCheck("yolo files", "images, labels, names of classes", "yolo", has_yolo, structure),)

@@ -36,7 +36,7 @@ import contextlib
 from collections.abc import Iterable, Mapping
 from itertools import groupby
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,9 +60,6 @@ from forestgen.labels.amodal import AmodalMasks
 from forestgen.labels.labelled import LabelledFrame
 from forestgen.labels.masks import rows_of
 
-if TYPE_CHECKING:
-    from forestgen.dataset.check.check import DatasetCheck, FrameCheck
-
 FOLDER_NAME, SPLIT_NAME, SHARD_NAME = "bop", "train_pbr", "shard.json"
 SCENE_FILES = ("scene_camera", "scene_gt", "scene_gt_info")
 NEEDS_AMODAL = "BOP's visible fractions need amodal masks"
@@ -77,6 +74,7 @@ class Bop(DatasetFormat):
     """Poses, visible fractions and masks of each plant."""
 
     name = "bop"
+    check_module = "forestgen.dataset.check.bop"
     bytes_per_pixel, bytes_per_plant = 7, 6000
     projections = ("perspective",)
     label_channels: Mapping[str, str] = {"amodal": NEEDS_AMODAL}
@@ -137,18 +135,6 @@ class Bop(DatasetFormat):
         scenes = groupby(in_order(folders), key=lambda folder: folder.partition("-")[0])
         for number, (_, members) in enumerate(scenes):
             _merge_scene(root, root / FOLDER_NAME / SPLIT_NAME / f"{number:06d}", list(members))
-
-    def frame_checks(self) -> tuple[FrameCheck, ...]:
-        from forestgen.dataset.check import bop
-        from forestgen.dataset.check.check import FrameCheck
-
-        return (FrameCheck("bop", "counts and masks are the plants'", FOLDER_NAME, bop.has_share, bop.plants, True),)
-
-    def dataset_checks(self) -> tuple[DatasetCheck, ...]:
-        from forestgen.dataset.check import bop
-        from forestgen.dataset.check.check import DatasetCheck
-
-        return (DatasetCheck("bop files", "each frame in a scene", FOLDER_NAME, bop.has_bop, bop.structure),)
 
 
 FORMAT = Bop()

@@ -39,7 +39,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,9 +63,6 @@ from forestgen.labels.labelled import LabelledFrame
 from forestgen.labels.masks import rows_of
 from forestgen.labels.plants_table import KEYPOINTS
 
-if TYPE_CHECKING:
-    from forestgen.dataset.check.check import DatasetCheck, FrameCheck
-
 SHARD_NAME = "annotations.json"
 FILE_NAME = "coco.json"
 SKELETON = ((1, 3), (3, 2))  # COCO counts keypoints from 1
@@ -77,6 +74,7 @@ class Coco(DatasetFormat):
     """COCO instances of all frames."""
 
     name = "coco"
+    check_module = "forestgen.dataset.check.coco"
     bytes_per_plant = 3000
 
     def write_frame(self, folder: Path, labelled: LabelledFrame, settings: DatasetSettings) -> None:
@@ -106,27 +104,6 @@ class Coco(DatasetFormat):
             _categories(settings.category_names),
             settings,
         )
-
-    def frame_checks(self) -> tuple[FrameCheck, ...]:
-        from forestgen.dataset.check import coco
-        from forestgen.dataset.check.check import FrameCheck
-        from forestgen.dataset.check.merged import COCO
-
-        return (
-            FrameCheck("coco", "annotations are the mask's plants", COCO, coco.has_share, coco.plants, True),
-            FrameCheck("coco stems", "stem masks are the trunks", COCO, coco.has_share, coco.stems, True),
-            FrameCheck("coco amodal", "amodal masks hold visible ones", COCO, coco.has_amodal, coco.amodal, True),
-            FrameCheck("coco keypoints", "keypoints are plants.parquet's", COCO, coco.has_points, coco.points, True),
-            FrameCheck("coco measures", "numbers are plants.parquet's", COCO, coco.has_share, coco.measures, True),
-            FrameCheck("coco shard", "annotations.json is coco.json's share", coco.SHARD, coco.has_shard, coco.shard),
-        )
-
-    def dataset_checks(self) -> tuple[DatasetCheck, ...]:
-        from forestgen.dataset.check import coco
-        from forestgen.dataset.check.check import DatasetCheck
-        from forestgen.dataset.check.merged import COCO
-
-        return (DatasetCheck("coco files", "images, ids, categories, licences", COCO, coco.has_coco, coco.structure),)
 
     def card(self) -> str:
         return (

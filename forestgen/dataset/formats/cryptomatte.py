@@ -39,21 +39,18 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.errors import OutputError
 from forestgen.core.parts import Part
-from forestgen.dataset.exr import Channels, write_parts
+from forestgen.dataset.exr import write_parts
 from forestgen.dataset.formats.format import DatasetFormat
 from forestgen.dataset.settings import DatasetSettings
+from forestgen.labels.channels.channel import Layers
 from forestgen.labels.labelled import LabelledFrame
 from forestgen.labels.masks import coverage_ranks, rows_of
-
-if TYPE_CHECKING:
-    from forestgen.dataset.check.check import FrameCheck
 
 FILE_NAME = "cryptomatte.exr"
 RANKS = 8
@@ -76,25 +73,12 @@ class Cryptomatte(DatasetFormat):
     """Coverage by name, for compositing programs."""
 
     name = "cryptomatte"
+    check_module = "forestgen.dataset.check.cryptomatte"
     bytes_per_pixel = 48 * 4
 
     def write_frame(self, folder: Path, labelled: LabelledFrame, settings: DatasetSettings) -> None:
         """Write the frame's cryptomatte.exr into its folder; species that share an id raise `OutputError`."""
         write_cryptomatte(folder / FILE_NAME, labelled)
-
-    def frame_checks(self) -> tuple[FrameCheck, ...]:
-        from forestgen.dataset.check import cryptomatte
-        from forestgen.dataset.check.check import FrameCheck
-
-        return (
-            FrameCheck(
-                "cryptomatte",
-                "names, plants, shares are frame.exr's",
-                FILE_NAME,
-                cryptomatte.has_cryptomatte,
-                cryptomatte.cryptomatte,
-            ),
-        )
 
 
 FORMAT = Cryptomatte()
@@ -102,7 +86,7 @@ FORMAT = Cryptomatte()
 
 def write_cryptomatte(path: Path, labelled: LabelledFrame) -> None:
     """Write a frame's layers; species that share an id raise `OutputError`."""
-    channels: Channels = {}
+    channels: Layers = {}
     header: dict[str, str] = {}
     for layer in crypto_layers(labelled):
         channels |= _channels(layer)
@@ -191,10 +175,10 @@ def _ranks(codes: NDArray[np.uint32]) -> tuple[NDArray[np.uint32], NDArray[np.fl
     return ranked, np.where(ranked == 0, np.float32(0.0), coverage)
 
 
-def _channels(layer: CryptoLayer) -> Channels:
+def _channels(layer: CryptoLayer) -> Layers:
     bits = np.concatenate([np.zeros(1, dtype=np.uint32), layer.ids])[layer.code]
     ids = bits.view(np.float32)
-    channels: Channels = {}
+    channels: Layers = {}
     for rank in range(RANKS):
         level, (id_channel, coverage_channel) = f"{layer.name}{rank // 2:02d}", ("RG", "BA")[rank % 2]
         channels[f"{level}.{id_channel}"] = np.ascontiguousarray(ids[..., rank])

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,9 +25,6 @@ from forestgen.dataset.png import write_grey
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.labels.labelled import LabelledFrame
 
-if TYPE_CHECKING:
-    from forestgen.dataset.check.check import FrameCheck
-
 PICTURE_NAME, SCALE_NAME = "depth.png", "depth.json"
 NO_DEPTH, MOST_STEPS, BEYOND = 0, 65_534, 65_535
 
@@ -37,6 +33,7 @@ class DepthPng(DatasetFormat):
     """16-bit depth along the camera's axis."""
 
     name = "depth_png"
+    check_module = "forestgen.dataset.check.depth_png"
     bytes_per_pixel = 2
 
     def write_frame(self, folder: Path, labelled: LabelledFrame, settings: DatasetSettings) -> None:
@@ -56,14 +53,6 @@ class DepthPng(DatasetFormat):
         """
         for folder in in_order(folders):
             read_shard(root / folder / SCALE_NAME, {"unit_m": float})
-
-    def frame_checks(self) -> tuple[FrameCheck, ...]:
-        from forestgen.dataset.check import depth_png
-        from forestgen.dataset.check.check import FrameCheck
-
-        return (
-            FrameCheck("depth.png", "within half a step", PICTURE_NAME, depth_png.has_depth_png, depth_png.depth_png),
-        )
 
 
 FORMAT = DepthPng()

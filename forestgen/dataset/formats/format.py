@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,7 @@ class DatasetFormat:
     bytes_per_plant: int = 0  # of each plant in view, the same
     projections: tuple[str, ...] | None = None  # kinds of cameras that it has words for; None: all
     label_channels: Mapping[str, str] = {}  # of labels.channels, those that it needs -> why
+    check_module: str | None = None  # with FRAME_CHECKS and DATASET_CHECKS, imported when a data set is verified
     split_file_names: tuple[str, ...] = ()  # all names that `split_files` may have
 
     def check(self, drawn: DrawnRecipe) -> None:
@@ -102,36 +104,28 @@ class DatasetFormat:
         return {}
 
     def frame_checks(self) -> tuple[FrameCheck, ...]:
-        """What `forestgen verify` checks of each frame that has the format's files; import their modules in here."""
-        return ()
+        """What `forestgen verify` checks of each frame that has the format's files."""
+        checks: tuple[FrameCheck, ...] = self._checks("FRAME_CHECKS")
+        return checks
 
     def dataset_checks(self) -> tuple[DatasetCheck, ...]:
         """What `forestgen verify` checks of a split's merged files."""
-        return ()
+        checks: tuple[DatasetCheck, ...] = self._checks("DATASET_CHECKS")
+        return checks
+
+    def _checks(self, name: str) -> Any:
+        return () if self.check_module is None else getattr(import_module(self.check_module), name, ())
 
     def card(self) -> str:
         """How to open the format, in Markdown on one line, for the data card; empty: nothing is said."""
         return ""
 
 
-def load_format(name: str, *, where: str | None = None) -> DatasetFormat:
-    """The format of a name.
-
-    Raises
-    ------
-    RecipeError : there is none, or what is registered under the name is no format of this name.
-    """
-    found = DATASET_FORMATS.load(name, where=where)
-    if not isinstance(found, DatasetFormat) or getattr(found, "name", None) != name:
-        raise RecipeError(
-            "what is registered under this name is no data set format of this name",
-            where=where,
-            expected=f"a DatasetFormat whose name is {name!r}",
-            got=f"{found!r:.100}",
-        )
-    return found
-
-
 def load_formats(names: Iterable[str]) -> Iterator[DatasetFormat]:
     """The formats of several names, in their order."""
-    return map(load_format, names)
+    return map(DATASET_FORMATS.load, names)
+
+
+def known_formats() -> Iterator[DatasetFormat]:
+    """All formats, without other packages' that are broken."""
+    return (one for _, one in DATASET_FORMATS.parts())

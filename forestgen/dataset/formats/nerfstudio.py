@@ -32,7 +32,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -42,9 +42,6 @@ from forestgen.dataset.formats.depth_png import FORMAT as DEPTH
 from forestgen.dataset.formats.format import DatasetFormat
 from forestgen.dataset.formats.shards import damaged, in_order, read_shard
 from forestgen.dataset.settings import DatasetSettings
-
-if TYPE_CHECKING:
-    from forestgen.dataset.check.check import DatasetCheck, FrameCheck
 
 CAMERA_NAME = "camera.json"
 DEPTH_NAME = "depth.png"
@@ -59,6 +56,7 @@ class Nerfstudio(DatasetFormat):
     """Cameras for radiance fields and splats."""
 
     name = "nerfstudio"
+    check_module = "forestgen.dataset.check.cameras"
     projections = ("perspective", "fisheye", "panorama")
 
     def merge(self, root: Path, folders: Iterable[Path | str], settings: DatasetSettings) -> None:
@@ -80,26 +78,6 @@ class Nerfstudio(DatasetFormat):
             for number, (model, folders_of_model) in enumerate(models.items()):
                 name = f"{first}.json" if number == 0 else f"{first}-{model}.json"
                 write_json(root / name, _transforms(root, model, folders_of_model, settings))
-
-    def frame_checks(self) -> tuple[FrameCheck, ...]:
-        from forestgen.dataset.check import cameras
-        from forestgen.dataset.check.check import FrameCheck
-        from forestgen.dataset.check.merged import TRANSFORMS
-
-        return (
-            FrameCheck(
-                "transforms", "cameras are camera.json's", TRANSFORMS, cameras.has_share, cameras.transforms, True
-            ),
-        )
-
-    def dataset_checks(self) -> tuple[DatasetCheck, ...]:
-        from forestgen.dataset.check import cameras
-        from forestgen.dataset.check.check import DatasetCheck
-        from forestgen.dataset.check.merged import TRANSFORMS
-
-        return (
-            DatasetCheck("transforms files", "each frame once", TRANSFORMS, cameras.has_transforms, cameras.structure),
-        )
 
 
 FORMAT = Nerfstudio()

@@ -25,7 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,9 +46,6 @@ from forestgen.dataset.settings import DatasetSettings
 from forestgen.labels.labelled import LabelledFrame
 from forestgen.labels.masks import instance_mask
 
-if TYPE_CHECKING:
-    from forestgen.dataset.check.check import DatasetCheck, FrameCheck
-
 SHARD_NAME, PICTURE_NAME = "panoptic.json", "panoptic.png"
 FILE_NAME, FOLDER_NAME = "panoptic.json", "panoptic"
 SKY_ID = png.MAX_PNG_ID
@@ -62,6 +59,7 @@ class Panoptic(DatasetFormat):
     """COCO panoptic: plants, ground and sky."""
 
     name = "panoptic"
+    check_module = "forestgen.dataset.check.panoptic"
     bytes_per_pixel, bytes_per_plant = 6, 400
 
     def write_frame(self, folder: Path, labelled: LabelledFrame, settings: DatasetSettings) -> None:
@@ -104,25 +102,6 @@ class Panoptic(DatasetFormat):
     def check_ids(self, plant_id: NDArray[np.uint32], where: str) -> None:
         if plant_id.max(initial=0) > MOST_PLANT_ID:
             _require_fitting(instance_mask(plant_id), where)
-
-    def frame_checks(self) -> tuple[FrameCheck, ...]:
-        from forestgen.dataset.check import panoptic
-        from forestgen.dataset.check.check import FrameCheck
-        from forestgen.dataset.check.merged import PANOPTIC
-
-        return (
-            FrameCheck("panoptic", "segments cover the image", PANOPTIC, panoptic.has_share, panoptic.segments, True),
-            FrameCheck(
-                "panoptic.png", "it is panoptic/'s", PICTURE_NAME, panoptic.has_own_picture, panoptic.own_picture
-            ),
-        )
-
-    def dataset_checks(self) -> tuple[DatasetCheck, ...]:
-        from forestgen.dataset.check import panoptic
-        from forestgen.dataset.check.check import DatasetCheck
-        from forestgen.dataset.check.merged import PANOPTIC
-
-        return (DatasetCheck("panoptic files", "images and ids", PANOPTIC, panoptic.has_panoptic, panoptic.structure),)
 
 
 FORMAT = Panoptic()

@@ -37,7 +37,7 @@ from __future__ import annotations
 import io
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,9 +50,6 @@ from forestgen.dataset.tonemap import preview_of
 from forestgen.labels.labelled import LabelledFrame
 from forestgen.labels.masks import rows_of
 from forestgen.recipe.dataset import View
-
-if TYPE_CHECKING:
-    from forestgen.dataset.check.check import FrameCheck
 
 PLY_NAME, LAZ_NAME = "points.ply", "points.laz"
 FINEST_STEP_M = 1e-4
@@ -87,6 +84,7 @@ class PointClouds(DatasetFormat):
     """The surfaces that pixels see as PLY and LAZ."""
 
     name = "points"
+    check_module = "forestgen.dataset.check.points"
     bytes_per_pixel = 93
 
     def write_frame(self, folder: Path, labelled: LabelledFrame, settings: DatasetSettings) -> None:
@@ -94,15 +92,6 @@ class PointClouds(DatasetFormat):
         points = frame_points(labelled, settings.point_stride, settings.view)
         write_bytes(folder / PLY_NAME, ply_bytes(points))
         write_bytes(folder / LAZ_NAME, laz_bytes(points))
-
-    def frame_checks(self) -> tuple[FrameCheck, ...]:
-        from forestgen.dataset.check import points
-        from forestgen.dataset.check.check import FrameCheck
-
-        return (
-            FrameCheck("points.ply", "points are the pixels'", PLY_NAME, points.has_ply, points.ply),
-            FrameCheck("points.laz", "points are points.ply's", LAZ_NAME, points.has_laz, points.laz),
-        )
 
 
 FORMAT = PointClouds()

@@ -31,7 +31,6 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -41,9 +40,6 @@ from forestgen.dataset.formats.format import DatasetFormat
 from forestgen.dataset.formats.shards import damaged, in_order, place, read_bytes
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.labels.labelled import LabelledFrame
-
-if TYPE_CHECKING:
-    from forestgen.dataset.check.check import DatasetCheck, FrameCheck
 
 FOLDER_NAME = "yolo"
 TASKS = ("segmentation", "boxes")
@@ -57,6 +53,7 @@ class Yolo(DatasetFormat):
     """Outlines and boxes for YOLO trainers."""
 
     name = "yolo"
+    check_module = "forestgen.dataset.check.yolo"
     bytes_per_pixel, bytes_per_plant = 6, 2000
     split_file_names = tuple(_SPLIT_FILES.values())
 
@@ -94,23 +91,6 @@ class Yolo(DatasetFormat):
             images = "".join(f"{json.dumps(split)}: {split}/{FOLDER_NAME}/{task}/images\n" for split in splits)
             files[_SPLIT_FILES[task]] = (images + _names(settings)).encode()
         return files
-
-    def frame_checks(self) -> tuple[FrameCheck, ...]:
-        from forestgen.dataset.check import yolo
-        from forestgen.dataset.check.check import FrameCheck
-
-        return (
-            FrameCheck("yolo boxes", "boxes are the masks'", FOLDER_NAME, yolo.has_boxes, yolo.boxes, True),
-            FrameCheck("yolo outlines", "rings fill to the masks", FOLDER_NAME, yolo.has_outlines, yolo.outlines, True),
-        )
-
-    def dataset_checks(self) -> tuple[DatasetCheck, ...]:
-        from forestgen.dataset.check import yolo
-        from forestgen.dataset.check.check import DatasetCheck
-
-        return (
-            DatasetCheck("yolo files", "images, labels, names of classes", FOLDER_NAME, yolo.has_yolo, yolo.structure),
-        )
 
 
 FORMAT = Yolo()

@@ -2,59 +2,15 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from forestgen.core.errors import ForestgenError
 from forestgen.dataset.card import markdown
-from forestgen.dataset.pack.columns import Column, yaml_type
-from forestgen.dataset.pack.parquet_shards import FOLDER
 from forestgen.dataset.pack.samples import Shard
 from forestgen.dataset.safe_path import SafePath
 from forestgen.recipe.yaml_source import parse_yaml
-
-
-def front_matter(columns: Sequence[Column], splits: Mapping[str, Sequence[Shard]], of_card: Mapping[str, Any]) -> str:
-    """What Hugging Face's library reads: where the splits lie, and the types of the columns.
-
-    Parameters
-    ----------
-    of_card : front matter of the data set's card, such as its licence, which holds for the pack too.
-    """
-    sizes = {name: sum(one.size_bytes for one in shards) for name, shards in splits.items()}
-    content = {
-        **of_card,
-        "configs": [
-            {
-                "config_name": "default",
-                "data_files": [{"split": name, "path": f"{FOLDER}/{name}-*.parquet"} for name in splits],
-            }
-        ],
-        "dataset_info": {
-            "features": [{"name": column.name, **yaml_type(column.feature)} for column in columns],
-            "splits": [
-                {"name": name, "num_bytes": sizes[name], "num_examples": sum(one.frames for one in shards)}
-                for name, shards in splits.items()
-            ],
-            "download_size": sum(sizes.values()),
-            "dataset_size": sum(sizes.values()),
-        },
-    }
-    return f"---\n{_yaml(content)}---\n\n"
-
-
-def _yaml(content: Any) -> str:
-    from ruamel.yaml import YAML
-
-    yaml = YAML(typ="safe", pure=True)
-    yaml.default_flow_style = False
-    yaml.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
-    yaml.width = 4096
-    stream = io.StringIO()
-    yaml.dump(content, stream)
-    return stream.getvalue()
 
 
 def body(

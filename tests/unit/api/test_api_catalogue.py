@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import sys
 import types
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -15,20 +14,10 @@ from api_recipe import STAND
 
 import forestgen as fg
 from forestgen.api import catalogue
-from forestgen.api.parts import check_part
-from forestgen.community.registry import COMMUNITY_MODELS
 from forestgen.core import registry
 from forestgen.core.code_hash import code_hash
 
-
-@pytest.fixture(autouse=True)
-def _as_before() -> Iterator[None]:
-    """What a test registers is forgotten."""
-    entries, registered = dict(COMMUNITY_MODELS._entries), list(registry._registered)
-    yield
-    COMMUNITY_MODELS._entries.clear()
-    COMMUNITY_MODELS._entries.update(entries)
-    registry._registered[:] = registered
+pytestmark = pytest.mark.usefixtures("registries_as_before")
 
 
 @pytest.mark.parametrize("part", [own_parts.MODEL, "own_parts:MODEL"])
@@ -71,7 +60,7 @@ def test_what_is_no_name(name: str) -> None:
 
 
 def test_an_unknown_kind_lists_the_known_ones() -> None:
-    with pytest.raises(fg.RecipeError, match="community_model, environment, plant_generator") as caught:
+    with pytest.raises(fg.RecipeError, match="community_model, competition_model, plant_generator") as caught:
         fg.register("comunity_model", "own", own_parts.MODEL)
     assert caught.value.hint == "did you mean 'community_model'?"
 
@@ -118,7 +107,7 @@ def test_a_place_that_is_none_is_refused_at_once(
         ("community_model", "own_parts:Own", "this is a class"),
         ("community_model", "own_parts:INCOMPLETE", "has no resume"),
         ("community_model", "own_parts:OTHER", "Parameters are none"),
-        ("environment", "own_parts:MODEL", "answer"),
+        ("competition_model", "own_parts:MODEL", "answer"),
         ("plant_generator", "own_parts:MODEL", "grow"),
     ],
 )
@@ -129,10 +118,10 @@ def test_a_part_that_lacks_what_its_kind_has_is_refused(kind: str, part: str, la
     fg.schema()
 
 
-@pytest.mark.parametrize("kind", ["community_model", "environment", "plant_generator"])
+@pytest.mark.parametrize("kind", list(catalogue._REGISTRIES))
 def test_all_shipped_parts_pass_the_check(kind: str) -> None:
     for name in catalogue._REGISTRIES[kind].ids():
-        check_part(kind, catalogue._REGISTRIES[kind].load(name))
+        catalogue._REGISTRIES[kind].check_part(name, catalogue._REGISTRIES[kind].load(name))
 
 
 def test_the_example_of_the_manual_makes_a_stand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -155,7 +144,7 @@ def test_descriptions_are_whole_sentences(name: str) -> None:
 
 
 def test_models_of_a_kind_or_a_name() -> None:
-    assert {one.kind for one in fg.models(kind="environment")} == {"environment"}
+    assert {one.kind for one in fg.models(kind="competition_model")} == {"competition_model"}
     names = {one.name for one in fg.models()}
     assert {"uniform", "silhouette", "spruce", "koch", "quickstart"} <= names
     (spruce,) = fg.models("spruce", kind="species")

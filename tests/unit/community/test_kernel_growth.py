@@ -11,9 +11,9 @@ import pytest
 from pydantic import ValidationError
 from scipy import stats
 
+from forestgen.community.competition.domination import dominated
 from forestgen.community.disturbance import Planting
 from forestgen.community.ecology import SpeciesEcology
-from forestgen.community.environments.domination import dominated
 from forestgen.community.growing.interactions import Interactions, Rivals, establishment, invitation, quality
 from forestgen.community.model import Site, simulate
 from forestgen.community.models.kernel_growth import MODEL, survivors

@@ -30,7 +30,8 @@ def test_a_message_says_what_it_knows_and_nothing_else() -> None:
 
 
 def test_a_registry_loads_late_and_lists_what_it_has() -> None:
-    registry = Registry("shape", {"square": ("math:sqrt", "a root"), "circle": ("no.such.module:x", "round")})
+    shapes = {"square": ("math:sqrt", "a root"), "circle": ("no.such.module:x", "round")}
+    registry = Registry("shape", shapes, contract="collections.abc:Callable")
     assert registry.ids() == ["circle", "square"]
     assert registry.describe("circle") == "round"
     assert registry.load("square")(9) == 3

@@ -17,7 +17,8 @@ from forestgen.dataset.camera import camera_from_world, intrinsics, screen_windo
 from forestgen.dataset.check import light_files
 from forestgen.dataset.check.frame_data import FrameData, FrameTask
 from forestgen.dataset.exr import read_exr, read_exr_attributes, write_exr
-from forestgen.recipe.schema import CHANNELS
+from forestgen.labels.channels.boundaries import occlusion_boundaries
+from forestgen.recipe.registries import DEFAULT_CHANNELS
 from forestgen.render.frame import Radiance
 
 POINTS = (
@@ -52,7 +53,7 @@ def test_every_value_survives(tmp_path, wide_shot):
         "sun": {"visible": surface.sun_visible},
         "cloud": {"opacity": frame.cloud_opacity},
         "motion": {"forward.u": frame.motion_px[..., 0], "forward.v": frame.motion_px[..., 1]},
-        "boundary": {"occluding": labelled.boundaries},
+        "boundary": {"occluding": occlusion_boundaries(surface, frame.camera)},
         "identity": {
             "plant_id": labels.instance, "part": labels.part, "semantic": labels.semantic,
             "centre.plant_id": surface.plant_id, "centre.part": surface.part,
@@ -102,15 +103,14 @@ def test_camera_normals_are_in_opencv_axes(tmp_path, shot):
 @pytest.mark.parametrize(
     ("channels", "missing"),
     [
-        (set(CHANNELS) - {"surface"}, GEOMETRY),
-        (set(CHANNELS) - {"albedo", "sun"}, {"albedo", "sun"}),
+        (set(DEFAULT_CHANNELS) - {"surface"}, GEOMETRY),
+        (set(DEFAULT_CHANNELS) - {"albedo", "sun"}, {"albedo", "sun"}),
         (set(), {*GEOMETRY, "albedo", "sun", "cloud", "motion", "boundary", "coverage"}),
     ],
 )
 def test_only_what_the_recipe_asks_for(tmp_path, shot, channels, missing):
     everything = set(read_exr(written(tmp_path / "a.exr", shot)))
-    boundaries = shot.labelled.boundaries if "boundaries" in channels else None
-    labelled = replace(shot.labelled, channels=frozenset(channels), boundaries=boundaries)
+    labelled = replace(shot.labelled, channels=frozenset(channels))
     write_exr(tmp_path / "b.exr", labelled, {})
     parts = read_exr(tmp_path / "b.exr")
     assert set(parts) == everything - missing
@@ -119,8 +119,8 @@ def test_only_what_the_recipe_asks_for(tmp_path, shot, channels, missing):
 
 def test_what_a_frame_has_not_is_left_out(tmp_path, shot):
     frame = replace(shot.frame, cloud_opacity=None, motion_px=None)
-    write_exr(tmp_path / "a.exr", replace(shot.labelled, frame=frame, boundaries=None), {})
-    assert not {"cloud", "motion", "boundary"} & set(read_exr(tmp_path / "a.exr"))
+    write_exr(tmp_path / "a.exr", replace(shot.labelled, frame=frame), {})
+    assert not {"cloud", "motion"} & set(read_exr(tmp_path / "a.exr"))
 
 
 @pytest.mark.parametrize("tool", ["exrheader", "exrinfo"])

@@ -35,7 +35,7 @@ def bands() -> tuple[Band, ...]:
 def test_the_snippet_prints_what_is_there(tmp_path: Path, capsys: pytest.CaptureFixture[str], spectral: bool) -> None:
     radiance = replace(COLOUR, channels=("B490", "B560", "B840"), bands=bands()) if spectral else COLOUR
     parts = radiance_channels(radiance)
-    header = {f"forestgen/{name}": text for name, text in light_attributes(radiance, parts).items()}
+    header = {f"forestgen/{name}": text for name, text in light_attributes(radiance, dict.fromkeys(parts)).items()}
     write_parts(tmp_path / "frame.exr", parts, header, own_attributes(radiance))
     [snippet] = SNIPPETS
     names = {"path": str(tmp_path / "frame.exr")}

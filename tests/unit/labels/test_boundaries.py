@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from forestgen.core.frames import look_at
-from forestgen.labels.boundaries import occlusion_boundaries
+from forestgen.labels.channels.boundaries import occlusion_boundaries
 from forestgen.render.frame import Surface
 from forestgen.scene.spec import Camera
 

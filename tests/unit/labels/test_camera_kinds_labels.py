@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from forestgen.labels.boundaries import occlusion_boundaries
-from forestgen.labels.motion import motion_px
+from forestgen.labels.channels.boundaries import occlusion_boundaries
+from forestgen.labels.channels.motion import motion_px
 from forestgen.labels.plants_table import project
 from forestgen.render.frame import Surface
 from forestgen.render.identity.surface import empty_surface

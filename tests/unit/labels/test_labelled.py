@@ -10,6 +10,7 @@ from forestgen.core.frames import look_at
 from forestgen.core.parts import Part
 from forestgen.labels.classes import ClassMap
 from forestgen.labels.labelled import label_frame
+from forestgen.recipe.registries import LABEL_CHANNELS
 from forestgen.render.frame import Amodal, Frame, Identity, Radiance, Surface
 from forestgen.scene.plant_measures import PlantMeasures
 from forestgen.scene.spec import Camera
@@ -78,12 +79,12 @@ def test_labels_agree(frame, population):
 
 
 def test_boundaries_are_made_where_they_are_asked_for(frame, population):
-    classes = ClassMap(("oak", "fir"))
-    found = label_frame(frame, population, classes, measures(3), ["boundaries"])
+    found = label_frame(frame, population, ClassMap(("oak", "fir")), measures(3), ["boundaries"])
     assert found.channels == {"boundaries"}
-    assert found.boundaries[:, 7].all()
-    assert found.boundaries.sum() == HEIGHT
-    assert label_frame(frame, population, classes, measures(3), []).boundaries is None
+    (channel,) = LABEL_CHANNELS.load_all(found.channels)
+    occluding = channel.parts(found)["boundary"]["occluding"]
+    assert occluding[:, 7].all()
+    assert occluding.sum() == HEIGHT
 
 
 def test_measures_of_other_plants_are_refused(frame, population):

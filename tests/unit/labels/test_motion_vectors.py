@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from forestgen.core.frames import look_at
-from forestgen.labels.motion import motion_px
+from forestgen.labels.channels.motion import motion_px
 from forestgen.render.frame import Surface
 from forestgen.scene.spec import Camera, Instances
 

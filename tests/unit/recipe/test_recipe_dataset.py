@@ -21,8 +21,8 @@ def test_all_formats_and_a_licence():
 @pytest.mark.parametrize(
     ("section", "words"),
     [
-        ({"formats": ("coco", "yolo", "coco")}, "each format once"),
-        ({"formats": ("voc",)}, "unknown data set format: expected one of bop, coco, "),
+        ({"formats": ("coco", "yolo", "coco")}, "each one once"),
+        ({"formats": ("voc",)}, "unknown dataset format: expected one of bop, coco, "),
         ({"formats": (7,)}, "valid string"),
         ({"licence": {"name": ""}}, "at least 1"),
         ({"licence": {"url": "https://x.org"}}, "name"),
@@ -41,7 +41,7 @@ def test_an_unknown_format_has_its_line_and_what_was_meant(tmp_path):
     recipe.write_text(
         "forestgen: 1\nspecies: {birch: }\ncommunity: {model: placed}\ndataset:\n  formats: [coco, panoptics]\n"
     )
-    with pytest.raises(RecipeError, match="unknown data set format") as refused:
+    with pytest.raises(RecipeError, match="unknown dataset format") as refused:
         load_recipe(recipe)
     error = refused.value
     assert "stand.yaml:5: dataset.formats.1" in str(error.where)

@@ -112,15 +112,13 @@ def test_other_code_is_told(history: Path, tmp_path: Path) -> None:
         assert snapshot_to_resume(planned(), path, 3).step == 3
 
 
-def test_differences_are_told_key_by_key_and_values_whole() -> None:
+def test_differences_are_told_key_by_key() -> None:
     before = {"a": {"b": 1, "c": [1, 2], "same": 0}, "list": [{"x": 1, "y": 2}], "gone": {"k": None, "v": 3}}
     now = {"a": {"b": 2, "c": [1, 3], "same": 0}, "list": [{"x": 1, "y": 5}]}
     told = {one.key: (one.before, one.now) for one in differences(before, now)}
     assert told == {"a.b": (1, 2), "a.c": ([1, 2], [1, 3]), "list.0.y": (2, 5), "gone": ({"k": None, "v": 3}, None)}
     assert shown(told["gone"][0]) == "{v: 3}"
     assert shown(None) == "(none)"
-    long = {f"key{k}": "x" * 30 for k in range(9)}
-    assert shown(long).endswith(f"key2: '{'x' * 30}', and 6 more}}")
 
 
 def test_no_history(history: Path, tmp_path: Path) -> None:

@@ -28,8 +28,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from forestgen.community.environments import grid
-from forestgen.community.environments.contract import Circles
+from forestgen.community.competition import grid
+from forestgen.community.competition.contract import Circles
 from forestgen.core.compiled import compiled
 from forestgen.core.threads import over_ranges
 
@@ -93,9 +93,10 @@ def _factors(first, end, g, height, tolerance, out):  # type: ignore[no-untyped-
 
 
 class LepsKindlmann:
-    """The environment; see the module's page."""
+    """The competition model; see the module's page."""
 
     Parameters = LepsKindlmannParameters
+    needs_heights = True
     bytes_per_circle = 64
 
     def answer(
@@ -110,4 +111,4 @@ class LepsKindlmann:
         return out
 
 
-ENVIRONMENT = LepsKindlmann()
+MODEL = LepsKindlmann()

@@ -35,8 +35,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from forestgen.community.environments import grid
-from forestgen.community.environments.contract import Circles
+from forestgen.community.competition import grid
+from forestgen.community.competition.contract import Circles
 from forestgen.core.compiled import compiled
 
 
@@ -220,9 +220,10 @@ def _walk(g, rank, d, zone):  # type: ignore[no-untyped-def]
 
 
 class FirbankWatkinson:
-    """The environment; see the module's page."""
+    """The competition model; see the module's page."""
 
     Parameters = FirbankWatkinsonParameters
+    needs_heights = True
     bytes_per_circle = 92
 
     def answer(
@@ -242,4 +243,4 @@ class FirbankWatkinson:
         return np.clip(share, 0.0, 1.0, out=share)
 
 
-ENVIRONMENT = FirbankWatkinson()
+MODEL = FirbankWatkinson()

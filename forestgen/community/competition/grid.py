@@ -1,4 +1,4 @@
-"""The neighbour grid that environments share: which circles can meet a circle.
+"""The neighbour grid that competition models share: which circles can meet a circle.
 
 Each circle is entered into every cell that its bounding box meets, so that whoever meets it is found in the cells of
 its own box, whatever the two sizes. Cells hold about two centres in the mean, or more where circles are so large that

@@ -1,7 +1,7 @@
-"""Speed and memory of the environments: `uv run python benchmarks/environments.py`.
+"""Speed and memory of the competition models: `uv run python benchmarks/competition.py`.
 
 Prints the grid's domination against all pairs (alternately, medians); its time and memory a circle from 10,000 to
-1,000,000 circles, in stands of several kinds; the other environments at 100,000 circles; and first calls with an empty
+1,000,000 circles, in stands of several kinds; the other models at 100,000 circles; and first calls with an empty
 Numba cache, each in a fresh process.
 """
 
@@ -19,9 +19,9 @@ from time import perf_counter, process_time
 
 import numpy as np
 
-from forestgen.community.environments.contract import Circles
-from forestgen.community.environments.domination import dominated
-from forestgen.community.registry import ENVIRONMENTS
+from forestgen.community.competition.contract import Circles
+from forestgen.community.competition.domination import dominated
+from forestgen.community.registry import COMPETITION_MODELS
 
 DENSITY_PER_M2 = 0.15
 
@@ -122,8 +122,8 @@ def scaling(kind: str) -> None:
 
 def every_environment(n: int = 100_000) -> None:
     c, size_m = stand(n, "trees and seedlings")
-    for name in ENVIRONMENTS.ids():
-        environment = ENVIRONMENTS.load(name)
+    for name in COMPETITION_MODELS.ids():
+        environment = COMPETITION_MODELS.load(name)
         work = partial(environment.answer, environment.Parameters(), c, size_m, periodic=True)
         work()
         took = median(seconds(work) for _ in range(5))
@@ -131,7 +131,7 @@ def every_environment(n: int = 100_000) -> None:
 
 
 def first_call(name: str) -> None:
-    environment = ENVIRONMENTS.load(name)
+    environment = COMPETITION_MODELS.load(name)
     c, size_m = stand(100, "trees and seedlings")
     took = seconds(lambda: environment.answer(environment.Parameters(), c, size_m, periodic=True))
     print(f"{name:18s} first call {took:.2f} s", flush=True)
@@ -139,7 +139,7 @@ def first_call(name: str) -> None:
 
 def first_calls() -> None:
     """Twice each: with an empty cache, and with what the first process left there."""
-    for name in ENVIRONMENTS.ids():
+    for name in COMPETITION_MODELS.ids():
         with tempfile.TemporaryDirectory() as folder:
             for _ in range(2):
                 command = [sys.executable, __file__, "--first", name]

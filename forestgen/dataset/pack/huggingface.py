@@ -5,46 +5,96 @@ Rows are written in groups of bounded size, so that a reader streams and memory 
 
 from __future__ import annotations
 
+import io
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from forestgen.core.errors import DatasetError
 from forestgen.dataset.formats.shards import json_text
-from forestgen.dataset.pack.columns import Column, arrow_type
+from forestgen.dataset.pack.columns import Column, arrow_type, columns_of, yaml_type
+from forestgen.dataset.pack.pack import Contents, Pack
 from forestgen.dataset.pack.samples import Sample, Shard
 
-FOLDER = "data"
-BYTES_A_FRAME = 16384  # beside the channels' own: what the index and the camera say
+_FOLDER = "data"
 _GROUP_BYTES, _GROUP_ROWS = 32 << 20, 100
 _CELL_BYTES = 256  # a leaf's share of the footer and of page headers, a group
 _VALUE_BYTES = 32  # what a value takes beside its own bytes: length and levels
 
 
-def write_split(
-    folder: Path, split: str, samples: Iterator[Sample], columns: Sequence[Column], shard_bytes: int
-) -> list[Shard]:
-    """Write a split's files: data/SPLIT-00000-of-00003.parquet and so on.
+class HuggingFace(Pack):
+    """Parquet files that Hugging Face's datasets opens."""
 
-    Parameters
-    ----------
-    shard_bytes : no file is larger, unless it holds one frame alone.
-    """
-    (folder / FOLDER).mkdir(exist_ok=True)
-    schema = _schema(columns)
-    counts: list[int] = []
-    held = next(samples, None)
-    while held is not None:
-        with _File(folder / FOLDER / _part_name(split, len(counts)), schema, columns) as file:
-            while held is not None:
-                size_bytes = _row_bytes(held, columns)
-                if file.frames and file.bytes_with(size_bytes) > shard_bytes:
-                    break
-                file.add(held, size_bytes)
-                held = next(samples, None)
-        counts.append(file.frames)
-    return [_named(folder, split, number, counts) for number in range(len(counts))]
+    title = "Hugging Face's datasets"
+    frame_bytes = 16384  # what the index and the camera say
+
+    def split_name(self, name: str) -> str:
+        """Without hyphens, which the library takes for something else."""
+        return name.replace("-", "_")
+
+    def write_split(self, folder: Path, split: str, samples: Iterator[Sample], contents: Contents) -> list[Shard]:
+        """Write a split's files: data/SPLIT-00000-of-00003.parquet and so on."""
+        columns = columns_of(contents.source, contents.channels)
+        (folder / _FOLDER).mkdir(exist_ok=True)
+        schema = _schema(columns)
+        counts: list[int] = []
+        held = next(samples, None)
+        while held is not None:
+            with _File(folder / _FOLDER / _part_name(split, len(counts)), schema, columns) as file:
+                while held is not None:
+                    size_bytes = _row_bytes(held, columns)
+                    if file.frames and file.bytes_with(size_bytes) > contents.shard_bytes:
+                        break
+                    file.add(held, size_bytes)
+                    held = next(samples, None)
+            counts.append(file.frames)
+        return [_named(folder, split, number, counts) for number in range(len(counts))]
+
+    def opening_code(self, target: str, split: str, shards: Sequence[Shard]) -> tuple[str, str]:
+        return "import datasets", f'{split} = datasets.load_dataset("{target}", split="{split}")'
+
+    def front_matter(
+        self, contents: Contents, splits: Mapping[str, Sequence[Shard]], of_card: Mapping[str, Any]
+    ) -> str:
+        """What the library reads: where the splits lie, and the types of the columns."""
+        columns = columns_of(contents.source, contents.channels)
+        features = [{"name": column.name, **yaml_type(column.feature)} for column in columns]
+        sizes = {name: sum(one.size_bytes for one in shards) for name, shards in splits.items()}
+        content = {
+            **of_card,
+            "configs": [
+                {
+                    "config_name": "default",
+                    "data_files": [{"split": name, "path": f"{_FOLDER}/{name}-*.parquet"} for name in splits],
+                }
+            ],
+            "dataset_info": {
+                "features": features,
+                "splits": [
+                    {"name": name, "num_bytes": sizes[name], "num_examples": sum(one.frames for one in shards)}
+                    for name, shards in splits.items()
+                ],
+                "download_size": sum(sizes.values()),
+                "dataset_size": sum(sizes.values()),
+            },
+        }
+        return f"---\n{_yaml(content)}---\n\n"
+
+
+PACK = HuggingFace()
+
+
+def _yaml(content: Any) -> str:
+    from ruamel.yaml import YAML
+
+    yaml = YAML(typ="safe", pure=True)
+    yaml.default_flow_style = False
+    yaml.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
+    yaml.width = 4096
+    stream = io.StringIO()
+    yaml.dump(content, stream)
+    return stream.getvalue()
 
 
 def _part_name(split: str, number: int) -> str:
@@ -53,8 +103,8 @@ def _part_name(split: str, number: int) -> str:
 
 def _named(folder: Path, split: str, number: int, counts: Sequence[int]) -> Shard:
     """Give a file its name, which says how many there are."""
-    name = f"{FOLDER}/{split}-{number:05d}-of-{len(counts):05d}.parquet"
-    path = (folder / FOLDER / _part_name(split, number)).rename(folder / name)
+    name = f"{_FOLDER}/{split}-{number:05d}-of-{len(counts):05d}.parquet"
+    path = (folder / _FOLDER / _part_name(split, number)).rename(folder / name)
     return Shard(name, counts[number], path.stat().st_size)
 
 

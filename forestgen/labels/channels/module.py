@@ -1,4 +1,4 @@
-"""Which branch module, and which segment of it, lies under the centre of each pixel.
+"""Label channel `module`: which branch module, and which segment of it, lies under the centre of each pixel.
 
 A module's number is its own within its plant for life (`architecture/modules.py`), so a branch is named by the plant's
 id, the module's number and the node of the module's prototype that ends the segment. Twigs and leaves that are drawn on
@@ -8,12 +8,39 @@ a segment are that segment's. A plant that another one stands for shows that one
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from forestgen.architecture.prototype import MOST_NODES
+from forestgen.labels.channels.channel import ChannelView, LabelChannel, Layers, layer
+from forestgen.labels.labelled import LabelledFrame
 from forestgen.plants.exemplar import Exemplar
-from forestgen.render.frame import Branches, Surface
+from forestgen.render.frame import Branches, Frame, Surface
+
+
+class Module(LabelChannel):
+    """Branch modules and their segments."""
+
+    name = "module"
+
+    def add(self, frame: Frame, view: ChannelView) -> Frame:
+        return replace(frame, branches=branch_labels(frame.surface, view.tracer.spec.exemplars))
+
+    def parts(self, labelled: LabelledFrame) -> dict[str, Layers]:
+        branches = labelled.frame.branches
+        if branches is None:
+            return {}
+        return {
+            "module": {
+                **layer("number", branches.module),
+                **layer("node", branches.node),
+                **layer("own", branches.is_own),
+            }
+        }
+
+
+CHANNEL = Module()
 
 
 def branch_labels(surface: Surface, exemplars: Sequence[Exemplar]) -> Branches:

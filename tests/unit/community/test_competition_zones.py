@@ -12,23 +12,23 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from forestgen.community.environments import firbank_watkinson as fw
-from forestgen.community.environments import leps_kindlmann as lk
-from forestgen.community.environments.contract import Circles
+from forestgen.community.competition import firbank_watkinson as fw
+from forestgen.community.competition import leps_kindlmann as lk
+from forestgen.community.competition.contract import Circles
 from forestgen.core import threads
 
-ENVIRONMENTS = [fw.ENVIRONMENT, lk.ENVIRONMENT]
-EACH = pytest.mark.parametrize("environment", ENVIRONMENTS, ids=lambda one: type(one).__name__)
+COMPETITION_MODELS = [fw.MODEL, lk.MODEL]
+EACH = pytest.mark.parametrize("environment", COMPETITION_MODELS, ids=lambda one: type(one).__name__)
 GAUSS = np.polynomial.legendre.leggauss(400)  # the eigenvalues of a large matrix: once
 TORUS = pytest.mark.parametrize("periodic", [True, False])
 
 
 def zones(circles, size=(100.0, 100.0), d=0.9, periodic=False):
-    return fw.ENVIRONMENT.answer(fw.ENVIRONMENT.Parameters(one_sided=d), circles, size, periodic=periodic)
+    return fw.MODEL.answer(fw.MODEL.Parameters(one_sided=d), circles, size, periodic=periodic)
 
 
 def factors(circles, size=(100.0, 100.0), q=1.0, periodic=False):
-    return lk.ENVIRONMENT.answer(lk.ENVIRONMENT.Parameters(tolerance=q), circles, size, periodic=periodic)
+    return lk.MODEL.answer(lk.MODEL.Parameters(tolerance=q), circles, size, periodic=periodic)
 
 
 def answer(environment, circles, size, periodic):

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from forestgen.community.environments import domination
-from forestgen.community.environments.contract import Circles
+from forestgen.community.competition import domination
+from forestgen.community.competition.contract import Circles
 from forestgen.core import threads
 
 
@@ -184,7 +184,7 @@ def test_memory_is_as_stated(kind):
 def test_the_answer_is_the_opposite_of_dominated():
     x, r, ids = circles(np.random.default_rng(8), 200, (30.0, 30.0), "uniform")
     made = Circles(x, r, r, ids, np.zeros(200, dtype=np.uint16))
-    got = domination.ENVIRONMENT.answer(domination.DominationParameters(), made, (30.0, 30.0), periodic=True)
+    got = domination.MODEL.answer(domination.DominationParameters(), made, (30.0, 30.0), periodic=True)
     assert got.dtype == np.float64
     np.testing.assert_array_equal(got, 1.0 - domination.dominated(x, r, ids, (30.0, 30.0), periodic=True))
 
@@ -194,7 +194,7 @@ def test_works_in_a_forked_process():
     code = """
 import os, warnings
 import numpy as np
-from forestgen.community.environments.domination import dominated
+from forestgen.community.competition.domination import dominated
 warnings.simplefilter("error")
 x = np.random.default_rng(0).random((50_000, 2)) * 300
 given = (x, np.full(50_000, 0.4), np.arange(50_000, dtype=np.uint32), (300.0, 300.0))

@@ -1,4 +1,4 @@
-"""Occlusion boundaries: pixels of a nearer surface where it hides another from a neighbouring pixel.
+"""Label channel `boundaries`: pixels of a nearer surface where it hides another from a neighbouring pixel.
 
 The surfaces at the centres of two neighbouring pixels (of four) are taken to go on as their tangent planes. The inverse
 depth w of a plane is linear along the image's line from one centre to the other: one plane changes it by a, the other
@@ -26,6 +26,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.compiled import compiled
+from forestgen.labels.channels.channel import LabelChannel, Layers, layer
+from forestgen.labels.labelled import LabelledFrame
 from forestgen.render.frame import Surface
 from forestgen.scene.projection import world_rays
 from forestgen.scene.spec import Camera
@@ -33,6 +35,19 @@ from forestgen.scene.spec import Camera
 _STEEPER = 1.25  # than both tangent planes
 _TOLERANCE = 1e-4  # of the inverse depth: above the rounding of depths and normals in single precision
 _DEPTH_TOLERANCE, _PIXEL_TOLERANCE = 1e-6, 1e-3  # of the depth and of a pixel's width, for parallel rays
+
+
+class Boundaries(LabelChannel):
+    """Occlusion boundaries."""
+
+    name = "boundaries"
+
+    def parts(self, labelled: LabelledFrame) -> dict[str, Layers]:
+        found = occlusion_boundaries(labelled.frame.surface, labelled.frame.camera)
+        return {"boundary": layer("occluding", found)}
+
+
+CHANNEL = Boundaries()
 
 
 def occlusion_boundaries(surface: Surface, camera: Camera) -> NDArray[np.bool_]:

@@ -12,55 +12,65 @@ Nothing in the files tells when, where and by whom they were made.
 from __future__ import annotations
 
 import io
+import re
 import tarfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from forestgen.dataset.files import write_json
 from forestgen.dataset.formats.shards import json_text
 from forestgen.dataset.pack.channels import Channel
+from forestgen.dataset.pack.pack import Contents, Pack
 from forestgen.dataset.pack.samples import Sample, Shard
 
 _BLOCK, _END = tarfile.BLOCKSIZE, 2 * tarfile.BLOCKSIZE
 
 
-def bytes_a_frame(channels: Sequence[Channel]) -> int:
-    """Beside the channels' own: headers, rests of blocks, the .json."""
-    return len(channels) * 2 * _BLOCK + 8192
+class WebDataset(Pack):
+    """Tar files for WebDataset, in which files of one stem are a frame."""
+
+    title = "WebDataset"
+    frame_bytes = 8192  # the .json
+    channel_bytes = 2 * _BLOCK  # header, rest of a block
+
+    def write_split(self, folder: Path, split: str, samples: Iterator[Sample], contents: Contents) -> list[Shard]:
+        """Write a split's shards, and their list."""
+        shards: list[Shard] = []
+        held = next(samples, None)
+        while held is not None:
+            name = f"{split}-{len(shards):06d}.tar"
+            frames = 0
+            with tarfile.open(folder / name, "w", format=tarfile.PAX_FORMAT) as tar:
+                while held is not None:
+                    members = _members(held, contents.channels, contents.source.classes["semantic"])
+                    if frames and _file_bytes(tar.offset, members) > contents.shard_bytes:
+                        break
+                    for member, content in members:
+                        tar.addfile(member, io.BytesIO(content))
+                    frames += 1
+                    held = next(samples, None)
+            shards.append(Shard(name, frames, (folder / name).stat().st_size))
+        _write_list(folder, split, shards)
+        return shards
+
+    def opening_code(self, target: str, split: str, shards: Sequence[Shard]) -> tuple[str, str]:
+        decoder = 'handle_extension("png", lambda png: numpy.asarray(PIL.Image.open(io.BytesIO(png))))'
+        names = f"{target}/{_brace_notation(shards)}"
+        return (
+            "import io, numpy, PIL.Image, webdataset",
+            f'{split} = webdataset.WebDataset("{names}", shardshuffle=False).decode(webdataset.{decoder})',
+        )
 
 
-def write_split(
-    folder: Path,
-    split: str,
-    samples: Iterator[Sample],
-    channels: Sequence[Channel],
-    classes: Mapping[str, Any],
-    shard_bytes: int,
-) -> list[Shard]:
-    """Write a split's shards, and their list.
+PACK = WebDataset()
 
-    Parameters
-    ----------
-    shard_bytes : no shard is larger, unless it holds one frame alone.
-    """
-    shards: list[Shard] = []
-    held = next(samples, None)
-    while held is not None:
-        name = f"{split}-{len(shards):06d}.tar"
-        frames = 0
-        with tarfile.open(folder / name, "w", format=tarfile.PAX_FORMAT) as tar:
-            while held is not None:
-                members = _members(held, channels, classes["semantic"])
-                if frames and _file_bytes(tar.offset, members) > shard_bytes:
-                    break
-                for member, content in members:
-                    tar.addfile(member, io.BytesIO(content))
-                frames += 1
-                held = next(samples, None)
-        shards.append(Shard(name, frames, (folder / name).stat().st_size))
-    _write_list(folder, split, shards)
-    return shards
+
+def _brace_notation(shards: Sequence[Shard]) -> str:
+    """All shards in one name: train-{000000..000012}.tar."""
+    first, last = shards[0].name, shards[-1].name
+    if first == last:
+        return first
+    return re.sub(r"(\d{6})(?=\.tar$)", lambda digits: f"{{{digits[1]}..{last[-10:-4]}}}", first)
 
 
 def _members(

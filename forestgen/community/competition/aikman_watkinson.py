@@ -33,7 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from forestgen.community.environments.contract import Circles
+from forestgen.community.competition.contract import Circles
 
 
 class AikmanWatkinsonParameters(BaseModel):
@@ -46,9 +46,10 @@ class AikmanWatkinsonParameters(BaseModel):
 
 
 class AikmanWatkinson:
-    """The environment; see the module's page."""
+    """The competition model; see the module's page."""
 
     Parameters = AikmanWatkinsonParameters
+    needs_heights = False
     bytes_per_circle = 48
 
     def answer(
@@ -72,4 +73,4 @@ class AikmanWatkinson:
         return answer
 
 
-ENVIRONMENT = AikmanWatkinson()
+MODEL = AikmanWatkinson()

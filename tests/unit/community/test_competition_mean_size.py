@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from forestgen.community.environments.aikman_watkinson import ENVIRONMENT, AikmanWatkinsonParameters
-from forestgen.community.environments.contract import Circles
-from forestgen.community.registry import ENVIRONMENTS
+from forestgen.community.competition.aikman_watkinson import MODEL, AikmanWatkinsonParameters
+from forestgen.community.competition.contract import Circles
+from forestgen.community.registry import COMPETITION_MODELS
 from forestgen.core.errors import RecipeError
 
 SIZE = (40.0, 25.0)
@@ -26,7 +26,7 @@ def make(r, x=None):
 
 
 def shares(r, a=1.0, s=2.0, size=SIZE):
-    return ENVIRONMENT.answer(AikmanWatkinsonParameters(asymmetry=a, sharpness=s), make(r), size, periodic=True)
+    return MODEL.answer(AikmanWatkinsonParameters(asymmetry=a, sharpness=s), make(r), size, periodic=True)
 
 
 def radii(n=200, seed=1):
@@ -94,9 +94,7 @@ def test_places_do_not_matter_and_rows_follow():
     r, rng = radii(), np.random.default_rng(2)
     mixed = rng.permutation(len(r))
     np.testing.assert_allclose(shares(r[mixed]), shares(r)[mixed], rtol=1e-12)
-    moved = ENVIRONMENT.answer(
-        AikmanWatkinsonParameters(), make(r, rng.random((len(r), 2)) * SIZE), SIZE, periodic=False
-    )
+    moved = MODEL.answer(AikmanWatkinsonParameters(), make(r, rng.random((len(r), 2)) * SIZE), SIZE, periodic=False)
     np.testing.assert_array_equal(moved, shares(r))
 
 
@@ -110,11 +108,11 @@ def test_memory_is_as_stated():
     c = make(radii(50_000))
     tracemalloc.start()
     try:
-        ENVIRONMENT.answer(AikmanWatkinsonParameters(asymmetry=0.7), c, SIZE, periodic=True)
+        MODEL.answer(AikmanWatkinsonParameters(asymmetry=0.7), c, SIZE, periodic=True)
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
-    assert 0.5 * ENVIRONMENT.bytes_per_circle < peak / len(c) < ENVIRONMENT.bytes_per_circle
+    assert 0.5 * MODEL.bytes_per_circle < peak / len(c) < MODEL.bytes_per_circle
 
 
 @pytest.mark.parametrize("bad", [{"asymmetry": -1}, {"sharpness": 0}, {"sharpness": float("nan")}, {"b": 1}])
@@ -123,16 +121,16 @@ def test_impossible_parameters_are_refused(bad):
         AikmanWatkinsonParameters(**bad)
 
 
-def test_environments_are_found_by_name():
-    assert ENVIRONMENTS.ids() == ["aikman_watkinson", "domination", "firbank_watkinson", "leps_kindlmann"]
-    for name in ENVIRONMENTS.ids():
-        environment = ENVIRONMENTS.load(name)
+def test_competition_models_are_found_by_name():
+    assert COMPETITION_MODELS.ids() == ["aikman_watkinson", "domination", "firbank_watkinson", "leps_kindlmann"]
+    for name in COMPETITION_MODELS.ids():
+        environment = COMPETITION_MODELS.load(name)
         got = environment.answer(environment.Parameters(), make([0.5] * 3, np.eye(3, 2) * 9), SIZE, periodic=True)
         assert got.dtype == np.float64
         np.testing.assert_allclose(got, 1.0, atol=1e-2)
         assert environment.bytes_per_circle > 0
     with pytest.raises(RecipeError, match="one of aikman_watkinson, domination"):
-        ENVIRONMENTS.load("dominance")
+        COMPETITION_MODELS.load("dominance")
 
 
 @pytest.mark.parametrize(

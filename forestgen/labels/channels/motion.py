@@ -1,4 +1,4 @@
-"""Motion vectors: where each pixel's surface goes until the next frame of a camera's path.
+"""Label channel `motion`, motion vectors: where each pixel's surface goes until the next frame of a camera's path.
 
 The point that a pixel's centre sees is taken into the frame of its plant's exemplar, from there to where the plant is
 in the next frame, and into that frame's image. A point of the ground stays where it is; the sky turns with the camera
@@ -8,14 +8,44 @@ the ray, in double precision: what does not move, moves by nothing.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.render.frame import Surface
+from forestgen.labels.channels.channel import ChannelView, LabelChannel, Layers, layers
+from forestgen.labels.labelled import LabelledFrame
+from forestgen.render.frame import Frame, Surface
 from forestgen.scene.projection import project, world_rays
 from forestgen.scene.spec import Camera, Instances
 
 _NEAREST = 1e-6  # of the distance: a point nearer to the next camera's plane than this has no place in its image
+
+
+class Motion(LabelChannel):
+    """Pixels to the next frame."""
+
+    name = "motion"
+    units: Mapping[str, str] = {"motion": "px"}
+
+    def add(self, frame: Frame, view: ChannelView) -> Frame:
+        """NaN in a sequence's last frame; nothing for a still camera."""
+        camera, surface = frame.camera, frame.surface
+        if camera.sequence is None:
+            return frame
+        if view.following is None:
+            return replace(frame, motion_px=np.full((*surface.distance_m.shape, 2), np.nan, dtype=np.float32))
+        next_camera, next_spec = view.following
+        with view.timings(self.name):
+            moved = motion_px(camera, surface, view.tracer.spec.instances, next_camera, next_spec.instances)
+        return replace(frame, motion_px=moved)
+
+    def parts(self, labelled: LabelledFrame) -> dict[str, Layers]:
+        return {"motion": layers(("forward.u", "forward.v"), labelled.frame.motion_px)}
+
+
+CHANNEL = Motion()
 
 
 def motion_px(

@@ -1,4 +1,4 @@
-"""What every environment offers, and what it is told about the circles."""
+"""What every competition model offers, and what it is told about the circles."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ P = TypeVar("P", bound=BaseModel)
 
 @dataclass(frozen=True)
 class Circles:
-    """The plants of a community as an environment sees them. All numbers are finite; no two rows share a plant_id.
+    """The plants of a community as a competition model sees them. All numbers are finite; no two rows share a plant_id.
 
     References
     ----------
@@ -49,14 +49,15 @@ class Circles:
         return len(self.radius_m)
 
 
-class Environment(Protocol[P]):
-    """A family of interchangeable models of competition, named in `forestgen.community.registry.ENVIRONMENTS`.
+class CompetitionModel(Protocol[P]):
+    """A family of interchangeable models of competition, named in `forestgen.community.registry.COMPETITION_MODELS`.
 
-    An environment has no state and draws no random numbers. Its answer depends neither on the order of rows (but for
-    the rounding of sums) nor on the number of threads.
+    It has no state and draws no random numbers. Its answer depends neither on the order of rows (but for the rounding
+    of sums) nor on the number of threads.
     """
 
     Parameters: type[P]
+    needs_heights: bool  # whether its answer depends on `Circles.height_m`
     bytes_per_circle: int  # peak memory of `answer`, its result counted, a circle; in large ordinary stands
 
     def answer(
@@ -66,7 +67,7 @@ class Environment(Protocol[P]):
 
         Parameters
         ----------
-        parameters : the environment's own.
+        parameters : the competition model's own.
         circles : the plants.
         size_m : width and height of the site.
         periodic : the site is a torus: its left edge continues at its right, its lower at its upper. Otherwise it lies

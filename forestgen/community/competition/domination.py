@@ -25,8 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
-from forestgen.community.environments import grid
-from forestgen.community.environments.contract import Circles
+from forestgen.community.competition import grid
+from forestgen.community.competition.contract import Circles
 from forestgen.core.compiled import compiled
 from forestgen.core.threads import over_ranges
 
@@ -172,9 +172,10 @@ def _decide(
 
 
 class Domination:
-    """The environment; see the module's page."""
+    """The competition model; see the module's page."""
 
     Parameters = DominationParameters
+    needs_heights = False
     bytes_per_circle = BYTES_PER_CIRCLE
 
     def answer(
@@ -185,4 +186,4 @@ class Domination:
         return np.where(smaller, 0.0, 1.0)
 
 
-ENVIRONMENT = Domination()
+MODEL = Domination()

@@ -1,0 +1,1 @@
+"""Label channels: what `labels.channels` of a recipe adds to the masks."""

@@ -1,0 +1,62 @@
+"""Label channel `surface`: positions and normals of what the pixels' centres see, and which triangle that is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.labels.channels.channel import LabelChannel, Layers, layer, layers
+from forestgen.labels.labelled import LabelledFrame
+from forestgen.scene.projection import centre_rays
+from forestgen.scene.spec import Camera
+
+
+class SurfaceChannel(LabelChannel):
+    """Positions, normals and triangles at the pixels' centres."""
+
+    name = "surface"
+    units: Mapping[str, str] = {
+        "position": "m, world",
+        "position.camera": "m, camera's axes",
+        "normal": "1, world",
+        "normal.camera": "1, camera's axes",
+        "normal.shading": "1, world",
+        "normal.shading.camera": "1, camera's axes",
+    }
+
+    def parts(self, labelled: LabelledFrame) -> dict[str, Layers]:
+        surface, camera = labelled.frame.surface, labelled.frame.camera
+        rotation = camera.world_from_camera
+        return {
+            "normal": layers("XYZ", surface.normal),
+            "normal.camera": layers("XYZ", _turned(surface.normal, rotation)),
+            "normal.shading": layers("XYZ", surface.shading_normal),
+            "normal.shading.camera": layers("XYZ", _turned(surface.shading_normal, rotation)),
+            "position": layers("XYZ", surface.position_m),
+            "position.camera": layers("XYZ", camera_position_m(surface.depth_m, camera)),
+            "identity": {
+                **layer("centre.plant_id", surface.plant_id),
+                **layer("centre.part", surface.part),
+                **layer("centre.exemplar", surface.exemplar),
+                **layer("centre.face", surface.face),
+            },
+        }
+
+
+CHANNEL = SurfaceChannel()
+
+
+def camera_position_m(depth_m: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
+    """(H, W, 3) in the camera's axes, of pixel centres: exact far from the world's origin too; NaN for the sky."""
+    depth = np.where(np.isfinite(depth_m), depth_m, np.nan).astype(np.float64)
+    if camera.projection != "perspective":
+        rays = centre_rays(camera)
+        return (rays.origin_m + rays.direction * depth[..., None]).astype(np.float32)
+    x, y = camera.pixel_slopes
+    return np.stack([depth * x, depth * y[:, None], depth], axis=-1).astype(np.float32)
+
+
+def _turned(vectors: NDArray[np.float32], world_from_camera: NDArray[np.float64]) -> NDArray[np.float32]:
+    return (vectors @ world_from_camera).astype(np.float32)
