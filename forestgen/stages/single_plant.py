@@ -29,7 +29,7 @@ from forestgen.recipe.load import DrawnRecipe, load_recipe_data
 from forestgen.recipe.species import TALLEST_M, Species
 from forestgen.scene.spec import Camera, Material
 from forestgen.stages.light_wood import check_wood_triangles, with_light_wood
-from forestgen.stages.plan import Plan, make_plan
+from forestgen.stages.plan import Plan, plan_of_plants
 from forestgen.stages.plant_files import FileSet, check_writable
 from forestgen.stages.studio import Shot, camera_of, photograph
 from forestgen.stages.surfaces import materials_of
@@ -174,14 +174,14 @@ def drawn_of(species: str, seed: int) -> DrawnRecipe:
     source = f"./{path.name}" if is_file else species  # a file of the user's own may lie anywhere
     if not is_file:
         find_asset("species", species, where="species")
-    alone = {"species": {name_of(species): {"from": source}}, "community": {"model": "multiset_lsystem"}}
+    alone = {"species": {name_of(species): {"from": source}}, "community": {"model": "none"}}
     folder = path.parent if is_file else Path()
     return load_recipe_data({"forestgen": 1, "seed": seed, **alone}, "forestgen plant", folder).draw(0)
 
 
 def plan_of(species: str, seed: int, detail: int | None = None) -> Plan:
     """Plan of `drawn_of`, its organs at a level of detail."""
-    plan = make_plan(drawn_of(species, seed))
+    plan = plan_of_plants(drawn_of(species, seed))
     if detail is None:
         return plan
     finer = {name: with_detail(one, detail) for name, one in plan.generator_parameters.items()}

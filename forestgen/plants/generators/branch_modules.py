@@ -160,6 +160,7 @@ class BranchModulesGenerator:
 
     Parameters = Parameters
     has_crown = True
+    clothes_modules = True
 
     def grow(self, parameters: _Parameters, height_m: float, width_m: float, rng: np.random.Generator) -> Skeleton:
         """Refuse: there are no modules without a community."""

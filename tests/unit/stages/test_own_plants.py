@@ -15,7 +15,6 @@ from forestgen.plants.growing import grow_exemplar
 from forestgen.recipe.load import load_recipe_data
 from forestgen.scene.assemble import place_instances
 from forestgen.stages import scene
-from forestgen.stages.module_checks import turned_obstacles
 from forestgen.stages.own_plants import own_triangles
 from forestgen.stages.own_requests import has_own
 from forestgen.stages.plan import Plan, estimate_bytes, make_plan
@@ -108,7 +107,7 @@ def test_houses_have_one_exemplar_a_size_and_stand_turned():
     house = exemplars[int(mine[0])]
     assert {organ.part for organ in house.organs} == {Part.STRUCTURE}
     stands_for_m = plants.height_m[chosen.plant]
-    turned = turned_obstacles(plan.model_parameters, plants)
+    turned = plan.obstacles.turned(plants)
     placed = place_instances(turned, chosen.exemplar_of_plant, exemplars, 0, stands_for_m=stands_for_m)
     linear = placed.transform[rows, :, :3]
     np.testing.assert_allclose(np.linalg.det(linear), 1.0, atol=1e-9)
