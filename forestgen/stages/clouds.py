@@ -275,8 +275,8 @@ def cloud_bytes(drawn: DrawnRecipe, own: AirGrid | None = None) -> int:
     most = 0
     for chapter in scenario_of(drawn).chapters:
         domain = chapter.conditions.domain
-        own = _simulated_bytes(math.prod(domain.cells), domain.extent_m, repeated=clouds.repeat is not False)
-        most = max(most, own)
+        here = _simulated_bytes(math.prod(domain.cells), domain.extent_m, repeated=clouds.repeat is not False)
+        most = max(most, here)
     return most
 
 

@@ -127,7 +127,7 @@ def plan_of_plants(drawn: DrawnRecipe) -> Plan:
     errors = ErrorList(drawn.sources.place(()).origin)
     generators = _generators(drawn, errors)
     errors.raise_all()
-    return Plan(drawn, None, CommunityParameters(), generators)
+    return Plan(drawn, None, CommunityParameters.model_validate({}), generators)
 
 
 def collect_plan(drawn: DrawnRecipe, errors: ErrorList, stand_ins: frozenset[str] = frozenset()) -> Plan | None:

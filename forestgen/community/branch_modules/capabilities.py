@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import difflib
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 
-from forestgen.architecture.plant_type import PlantType
 from forestgen.architecture.prototypes import load_prototypes
 from forestgen.architecture.tables import Tables, tables_of
 from forestgen.community.branch_modules.changes import check_changes, parameters_at
+from forestgen.community.branch_modules.limits import no_prototype, not_growing
 from forestgen.community.branch_modules.parameters import BranchModulesParameters
 from forestgen.community.branch_modules.traits import STAND_IN
 from forestgen.community.ecology import SpeciesEcology
@@ -25,21 +24,21 @@ class ModuleCapabilities:
     def check_recipe(self, drawn: DrawnRecipe, parameters: BranchModulesParameters) -> None:
         """Refuse species, plantings and changes that the recipe's species cannot have."""
         types = {name: one.modules for name, one in drawn.species.items() if one.modules is not None}
-        for name in parameters.counted_species():
-            if name not in types:
-                raise RecipeError(
-                    f"{name} does not grow by branch modules",
-                    where=drawn.where("community", "initial_plants", name),
-                    expected="one of " + (", ".join(types) or "none: no species has a section modules"),
-                    got=name,
-                )
+        for keys, name in parameters.named_species():
+            may_be_built = keys[0] == "obstacles" or (keys[0] == "disturbances" and keys[2] != "plant")
+            if name not in types and not may_be_built:
+                raise not_growing(name, types, drawn.where("community", *keys))
         names = [prototype.name for prototype in load_prototypes()]
-        _check_prototypes(drawn, types, names)
+        for name, kind in types.items():
+            for index, wanted in enumerate(kind.prototypes):
+                if wanted not in names:
+                    where = drawn.where("species", name, "modules", "prototypes", index)
+                    raise no_prototype(wanted, names, where)
         stands = {one.species for one in parameters.obstacles}
         for name, one in drawn.species.items():
             if one.modules is None and name not in stands and not is_built(one.plant.generator):
                 raise without_modules(name, drawn.where("species", name))
-        _check_plantings(drawn, parameters, types)
+        _check_plantings(drawn, parameters)
         check_changes(parameters, types, names, drawn.parse, lambda *keys: drawn.where("community", *keys))
 
     def obstacles(self, parameters: BranchModulesParameters) -> tuple[Obstacle, ...]:
@@ -85,23 +84,8 @@ def without_modules(name: str, where: str) -> RecipeError:
     )
 
 
-def _check_prototypes(drawn: DrawnRecipe, types: Mapping[str, PlantType], names: Sequence[str]) -> None:
-    """Species name prototypes that there are."""
-    for name, kind in types.items():
-        for index, wanted in enumerate(kind.prototypes):
-            if wanted not in names:
-                near = difflib.get_close_matches(wanted, names, n=1)
-                raise RecipeError(
-                    "no such prototype of a module",
-                    where=drawn.where("species", name, "modules", "prototypes", index),
-                    expected="one of " + ", ".join(names),
-                    got=wanted,
-                    hint=f"did you mean {near[0]!r}?" if near else None,
-                )
-
-
-def _check_plantings(drawn: DrawnRecipe, parameters: BranchModulesParameters, types: Mapping[str, PlantType]) -> None:
-    """Plantings are of species that grow, and not of more plants than there may be modules; each begins as one."""
+def _check_plantings(drawn: DrawnRecipe, parameters: BranchModulesParameters) -> None:
+    """Plantings are not of more plants than there may be modules; each begins as one."""
     for index, one in enumerate(parameters.disturbances):
         if one.plant is not None and one.plant.number > parameters.most_modules:
             key = "count" if one.plant.positions_m is None else "positions_m"
@@ -111,11 +95,4 @@ def _check_plantings(drawn: DrawnRecipe, parameters: BranchModulesParameters, ty
                 expected=f"at most community.most_modules = {parameters.most_modules:,}",
                 got=f"{one.plant.number:,}",
                 hint="plant fewer, or raise most_modules",
-            )
-        if one.plant is not None and one.plant.species not in types:
-            raise RecipeError(
-                "this species does not grow by branch modules",
-                where=drawn.where("community", "disturbances", index, "plant", "species"),
-                expected="one of " + (", ".join(types) or "none: no species has a section modules"),
-                got=one.plant.species,
             )

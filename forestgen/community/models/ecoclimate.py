@@ -83,7 +83,6 @@ class EcoclimateModel(ModuleCapabilities):
         self, parameters: EcoclimateParameters, site: Site, species: Sequence[SpeciesEcology], seed: int
     ) -> Ecoclimate:
         """The forest of the start, on soil that is as wet as its climate leaves it."""
-        _refuse_strangers(parameters, species)
         return begun(FOREST.init(parameters, site, species, seed))
 
     def step(self, state: Ecoclimate) -> Ecoclimate:
@@ -172,7 +171,6 @@ class EcoclimateModel(ModuleCapabilities):
 
     def estimate_bytes(self, parameters: EcoclimateParameters, site: Site, species: Sequence[SpeciesEcology]) -> int:
         """Of the forest, of the maps of water, and of the seeds from elsewhere that fall in a step."""
-        _refuse_strangers(parameters, species)
         cells = math.ceil(site.area_m2 / parameters.soil_water.cell_m**2)
         seeds = 0.0
         for place, one in seedings_in_time(parameters):
@@ -215,20 +213,6 @@ def _seeds_of_step(parameters: EcoclimateParameters, seedings: Sequence[GlobalSe
         math.ceil(parameters.step_yr / one.every_yr) * one.seeds_per_ha * (len(one.species) or kinds)
         for one in seedings
     )
-
-
-def _refuse_strangers(parameters: EcoclimateParameters, species: Sequence[SpeciesEcology]) -> None:
-    """Seeds from elsewhere must be of species that grow, which obstacles do not."""
-    growing = [one.name for one in species if one.modules is not None]
-    for index, one in enumerate(parameters.global_seeding):
-        for name in one.species:
-            if name not in growing:
-                raise RecipeError(
-                    f"{name} does not grow by branch modules",
-                    where=f"community.global_seeding.{index}.species",
-                    expected="one of " + (", ".join(growing) or "none: no species has a section modules"),
-                    got=name,
-                )
 
 
 def _books(water: Mapping[str, Any]) -> Books:
