@@ -7,18 +7,20 @@ snags are as grey as old ones.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 
-from forestgen.community.capabilities import OwnSkeletons, capability, models_with
+from forestgen.community.capabilities import OwnSkeletons, capability
 from forestgen.community.population import Population, Status
+from forestgen.core.error_list import ErrorList
 from forestgen.core.errors import RecipeError
 from forestgen.plants.bark.texture import with_bark_tiles
 from forestgen.plants.parameters import PlantParameters
 from forestgen.plants.registry import GENERATORS, clothes_modules
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.plants import Plants
+from forestgen.recipe.sources import Keys
 from forestgen.recipe.species import Material, Plant, Species
 from forestgen.scene.own_exemplars import MOST_TRIANGLES
 
@@ -32,11 +34,33 @@ _WEATHERED = Material.model_validate(
 )
 _TRIANGLES_OF_A_PLANT = 300_000  # of a large one, at a guess
 
-Parse = Callable[[DrawnRecipe, Species, Plant, tuple[str, ...]], PlantParameters]
+
+def generator_parameters(drawn: DrawnRecipe, errors: ErrorList) -> dict[str, PlantParameters]:
+    """Parameters of the generators of the species' `plant` blocks, of those without an error."""
+    found = {}
+    for name, species in drawn.species.items():
+        parameters = errors.attempt(_parameters, drawn, species, species.plant, ("species", name, "plant"))
+        if parameters is not None:
+            found[name] = parameters
+    return found
+
+
+def _parameters(drawn: DrawnRecipe, species: Species, plant: Plant, keys: Keys) -> PlantParameters:
+    generator = GENERATORS.load(plant.generator, where=drawn.where(*keys, "generator"))
+    if clothes_modules(plant.generator) and species.modules is None:
+        raise RecipeError(
+            "the plant has no branches that could be drawn",
+            where=drawn.where(*keys, "generator"),
+            expected="a section `modules` of the species, by which its branches grow",
+            got="none",
+            hint="add modules, or choose another generator",
+        )
+    parameters: PlantParameters = drawn.parse(generator.Parameters, plant.parameters, keys)
+    return with_bark_tiles(parameters, species.materials)
 
 
 def clothing_of(
-    drawn: DrawnRecipe, model: object, generators: Mapping[str, PlantParameters], parse: Parse
+    drawn: DrawnRecipe, model: object, generators: Mapping[str, PlantParameters]
 ) -> dict[str, PlantParameters]:
     """What clothes the modules of each species that has something of the kind; empty where the community grows none.
 
@@ -44,13 +68,12 @@ def clothing_of(
     ----------
     model : the community model.
     generators : parameters of the species' `plant` blocks.
-    parse : checks a block against its generator's own keys.
 
     Raises
     ------
-    RecipeError : a `modules_plant` of another generator; or a community without modules for species that need them.
+    RecipeError : a `modules_plant` of another generator.
     """
-    found, grows = {}, capability(model, OwnSkeletons) is not None
+    found = {}
     for name, species in drawn.species.items():
         if species.modules_plant is not None:
             keys = ("species", name, "modules_plant")
@@ -58,18 +81,10 @@ def clothing_of(
                 where, got = drawn.where(*keys, "generator"), repr(species.modules_plant.generator)
                 expected = " or ".join(filter(clothes_modules, GENERATORS.ids()))
                 raise RecipeError("this generator clothes no modules", where=where, expected=expected, got=got)
-            found[name] = parse(drawn, species, species.modules_plant, keys)
+            found[name] = _parameters(drawn, species, species.modules_plant, keys)
         elif clothes_modules(species.plant.generator):
             found[name] = generators[name]
-            if not grows:
-                raise RecipeError(
-                    "plants of branch modules grow in a community of that model alone",
-                    where=drawn.where("species", name, "plant", "generator"),
-                    expected=f"community: {{model: {models_with(OwnSkeletons)}}}",
-                    got=drawn.recipe.community.model,
-                    hint="give the species another generator under plant, and move this block to modules_plant",
-                )
-    return found if grows else {}
+    return {} if capability(model, OwnSkeletons) is None else found
 
 
 def own_triangles(clothing: Mapping[str, PlantParameters], section: Plants) -> int:

@@ -29,17 +29,15 @@ from forestgen.core.errors import RecipeError, ResourceError
 from forestgen.core.figures import show_bytes
 from forestgen.core.memory import free_bytes
 from forestgen.dataset.formats.format import load_format
-from forestgen.plants.bark.texture import with_bark_tiles
 from forestgen.plants.parameters import PlantParameters
-from forestgen.plants.registry import GENERATORS, is_built
+from forestgen.plants.registry import is_built
 from forestgen.recipe.load import DrawnRecipe, LoadedRecipe
 from forestgen.recipe.sources import Keys
-from forestgen.recipe.species import Plant, Species
 from forestgen.recipe.suggestions import did_you_mean
 from forestgen.scene.exemplars import check_traits
 from forestgen.stages.clouds import check_clouds, cloud_bytes, known_base_m, own_air_grid
 from forestgen.stages.ground import check_wet_soil, community_site
-from forestgen.stages.own_plants import clothing_of, own_triangles
+from forestgen.stages.own_plants import clothing_of, generator_parameters, own_triangles
 from forestgen.stages.sky import check_sun
 from forestgen.stages.views import below_ground, check_above_ground, check_outside_of_houses, drawn_cameras
 
@@ -125,7 +123,7 @@ def plan_of_plants(drawn: DrawnRecipe) -> Plan:
     RecipeError, RecipeErrors : see `make_plan`.
     """
     errors = ErrorList(drawn.sources.place(()).origin)
-    generators = _generators(drawn, errors)
+    generators = generator_parameters(drawn, errors)
     errors.raise_all()
     return Plan(drawn, None, CommunityParameters.model_validate({}), generators)
 
@@ -138,7 +136,7 @@ def collect_plan(drawn: DrawnRecipe, errors: ErrorList, stand_ins: frozenset[str
     stand_ins : sections that are not the recipe's own: what depends on them is not checked.
     """
     had = len(errors.found)
-    generators = _generators(drawn, errors)
+    generators = generator_parameters(drawn, errors)
     for check, sections in _CHECKS_OF_THE_VIEW:
         if not sections & stand_ins:
             errors.attempt(check, drawn)
@@ -157,7 +155,7 @@ def collect_plan(drawn: DrawnRecipe, errors: ErrorList, stand_ins: frozenset[str
     model_parameters = errors.attempt(drawn.parse, model.Parameters, community, ("community",))
     clothing = None
     if len(generators) == len(drawn.species) and "species" not in stand_ins:
-        clothing = errors.attempt(clothing_of, drawn, model, generators, _generator)
+        clothing = errors.attempt(clothing_of, drawn, model, generators)
     if model_parameters is not None:
         _check_community(drawn, model, model_parameters, errors, stand_ins)
     if len(errors.found) > had or model_parameters is None or clothing is None:
@@ -181,22 +179,6 @@ def _check_community(
     if "site" not in stand_ins:
         size_m = drawn.recipe.site.size_m
         errors.attempt(check_maps, parameters, size_m, lambda *keys: drawn.where("community", *keys))
-
-
-def _generators(drawn: DrawnRecipe, errors: ErrorList) -> dict[str, PlantParameters]:
-    """Parameters of the species' plant generators, of those without an error."""
-    found = {}
-    for name, species in drawn.species.items():
-        parameters = errors.attempt(_generator, drawn, species, species.plant, ("species", name, "plant"))
-        if parameters is not None:
-            found[name] = parameters
-    return found
-
-
-def _generator(drawn: DrawnRecipe, species: Species, plant: Plant, keys: tuple[str, ...]) -> PlantParameters:
-    generator = GENERATORS.load(plant.generator, where=drawn.where(*keys, "generator"))
-    parameters: PlantParameters = drawn.parse(generator.Parameters, plant.parameters, keys)
-    return with_bark_tiles(parameters, species.materials)
 
 
 def check_plan(loaded: LoadedRecipe, *, simulate_only: bool = False) -> Plan:

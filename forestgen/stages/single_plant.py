@@ -21,8 +21,10 @@ from forestgen.geometry.export import FORMATS, model_files
 from forestgen.geometry.mesh import surface_area_m2
 from forestgen.geometry.model import Model, Piece, Surface, Value, png
 from forestgen.plants.bark.texture import texture_images
-from forestgen.plants.build import build_exemplar, size_m
+from forestgen.plants.build import size_m
+from forestgen.plants.cache import ExemplarRequest
 from forestgen.plants.exemplar import Exemplar, OrganMesh
+from forestgen.plants.growing import grow_exemplar
 from forestgen.plants.parameters import with_detail
 from forestgen.recipe.assets import SUFFIXES, find_asset
 from forestgen.recipe.load import DrawnRecipe, load_recipe_data
@@ -190,8 +192,8 @@ def plan_of(species: str, seed: int, detail: int | None = None) -> Plan:
 
 def grow(plan: Plan, name: str, radius_m: float, seed: int) -> Exemplar:
     """The plant of a species, a radius and a seed."""
-    rng = child_rng(seed, "exemplar", name)
-    return build_exemplar(name, plan.drawn.species[name], plan.generator_parameters[name], radius_m, rng)
+    species, parameters = plan.drawn.species[name], plan.generator_parameters[name]
+    return grow_exemplar(ExemplarRequest(name, species, parameters, radius_m, seed, ("exemplar", name)))
 
 
 def _grown(order: Order, plan: Plan, radius_m: float, progress: Progress) -> Iterator[tuple[int, Exemplar]]:
