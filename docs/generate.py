@@ -296,8 +296,8 @@ def species_page() -> str:
         "![Every species close up and from 30 m](pictures/library.jpg)\n",
         "The numbers describe one mature plant, seed 3. Leaf area is of one side; the index is leaf area divided by",
         "the crown's projection, π/4 width²; masses are dry. `forestgen plant NAME` grows a plant. Species of the",
-        "generator `branch_modules` have no numbers: they grow only in",
-        "[communities of branch modules](branch_modules.md).\n",
+        "generator `branch_modules` have no numbers here: they look best in",
+        "[communities of branch modules](branch_modules.md), which give every plant its own branches.\n",
         "| species | generator | height m | width m | triangles | leaf area m² | index | wood kg | leaves kg |",
         "|---|---|---|---|---|---|---|---|---|",
     ]

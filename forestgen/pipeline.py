@@ -288,8 +288,7 @@ def simulate(
     ------
     RecipeError, ResourceError, OutputError
     """
-    from forestgen.stages.graphs import check_graphs, write_graphs
-    from forestgen.stages.history import check_map_steps, write_community
+    from forestgen.stages.history import check_graphs, check_map_steps, write_community, write_graphs
     from forestgen.stages.resume import note_of_other_code, snapshot_to_resume
 
     plan = check_plan(loaded, simulate_only=True)
@@ -313,9 +312,7 @@ def simulate(
 
 
 def _simulation_summary(plan: Plan, last: Population, notes: Sequence[str], timings: Timings) -> SimulationSummary:
-    from forestgen.stages.module_checks import ground_plans
-
-    plants = ground_plans(plan.model_parameters, plan.drawn.species).left_out_of(last)
+    plants = plan.obstacles.left_out_of(last)
     found = [*notes, *last.notes]
     if not len(plants):
         found.append(_empty_site(plan))

@@ -22,7 +22,6 @@ from forestgen.pipeline import SimulationSummary
 from forestgen.recipe.load import LoadedRecipe
 from forestgen.recipe.suggestions import did_you_mean
 from forestgen.stages.history import map_colours
-from forestgen.stages.module_checks import ground_plans
 
 _MOST_STEPS = 10**9
 
@@ -103,13 +102,12 @@ class Stand:
         from forestgen.community.plots import map_figure
 
         plan = self.summary.plan
-        obstacles = ground_plans(plan.model_parameters, plan.drawn.species)
         return map_figure(
-            obstacles.left_out_of(self.population),
+            plan.obstacles.left_out_of(self.population),
             plan.site,
             map_colours(plan),
             periodic=plan.model_parameters.periodic,
-            obstacles=obstacles,
+            obstacles=plan.obstacles,
             axes=_axes_of(ax),
         )
 

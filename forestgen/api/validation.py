@@ -9,8 +9,8 @@ from typing import Any
 from forestgen.core.figures import count, show_bytes
 from forestgen.recipe.load import LoadedRecipe
 from forestgen.recipe.sources import dotted
-from forestgen.stages.module_checks import notes_on_houses
 from forestgen.stages.plan import Plan, check_plan, estimate_bytes, views_below_ground, why_barren
+from forestgen.stages.views import check_outside_of_houses
 
 _MOST_CAMERAS = 5
 
@@ -107,4 +107,4 @@ def _notes(plan: Plan) -> Iterator[str]:
         yield reason
     for name in views_below_ground(plan):
         yield f"the camera {name} stands below the ground"
-    yield from notes_on_houses(plan.drawn, plan.model_parameters)
+    yield from check_outside_of_houses(plan.drawn, plan.obstacles.entries)

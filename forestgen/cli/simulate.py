@@ -53,8 +53,8 @@ def simulate(
         typer.Option(
             "--graph",
             metavar="FILE",
-            help="Export the last step's branches, of the model branch_modules: .parquet, .csv, .gltf, .glb, .obj, "
-            ".usda, .usdc. May be repeated.",
+            help="Export the last step's branches, of a model whose plants have some: .parquet, .csv, .gltf, .glb, "
+            ".obj, .usda, .usdc. May be repeated.",
             show_default=False,
         ),
     ] = None,

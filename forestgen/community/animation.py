@@ -54,7 +54,7 @@ class Film:
         self._rgb = [_rgb(colours[name]) for name in species_names]
         scale = _LONGEST_PX / max(site.size_m)
         self._size_px = max(1, round(site.size_m[0] * scale)), max(1, round(site.size_m[1] * scale))
-        self._palette = _palette([*self._rgb, _rgb(OBSTACLE)] if obstacles.outlines else self._rgb)
+        self._palette = _palette([*self._rgb, _rgb(OBSTACLE)] if obstacles.entries else self._rgb)
         self._frames: list[Image.Image] = []
 
     def add(self, population: Population) -> None:
@@ -76,8 +76,8 @@ class Film:
         centre = population.position_m[order, :2] * (scale, -scale) + (0, height)
         radius, kind = population.radius_m[order] * scale, population.species[order]
         ground = Image.new("RGB", (width, height), _GROUND)
-        for one in self._obstacles.outlines:
-            corners = one.corners_m * (scale, -scale) + (0, height)
+        for one in self._obstacles.entries:
+            corners = one.corners_m() * (scale, -scale) + (0, height)
             ImageDraw.Draw(ground).polygon([(x, y) for x, y in corners.tolist()], fill=_rgb(OBSTACLE))
         large = int(np.count_nonzero(radius >= _SMALL_PX))
         self._draw_large(ImageDraw.Draw(ground), centre[:large], radius[:large], kind[:large])

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, fields
 
 from forestgen.architecture.plant_type import PlantType
+from forestgen.recipe.species import Species
 
 
 @dataclass(frozen=True)
@@ -36,3 +37,15 @@ class SpeciesEcology:
             if not (math.isfinite(value) and value <= most and (value > 0 or (value == 0 and least_is_zero))):
                 allowed = f"{'[' if least_is_zero else '('}0, {most:g}{']' if most == 1 else ')'}"
                 raise ValueError(f"{self.name}: {name} must lie in {allowed}, got {value!r}")
+
+
+def ecology_of(name: str, species: Species) -> SpeciesEcology:
+    """The ecology of a recipe's species."""
+    law = species.allometry.height_m
+    return SpeciesEcology(
+        name=name,
+        height_scale=law.scale,
+        height_exponent=law.exponent,
+        modules=species.modules,
+        **species.ecology.model_dump(),
+    )

@@ -50,6 +50,10 @@ class CommunityParameters(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     planting_columns: ClassVar[tuple[str, ...]] = ()  # a model's own columns that a planting may set
+    timed_keys: ClassVar[Mapping[str, type[Any]]] = {"disturbances": Disturbance}  # lists of entries with a `step`
+    free_keys: ClassVar[tuple[str, ...]] = ("steps",)  # that no step depends on
+    is_random: ClassVar[bool] = True  # whether another seed gives other plants
+    memory_hint: ClassVar[str] = "make the site smaller, or lower species' seedlings_per_ha_per_yr"
 
     steps: Whole = Field(300, ge=0, le=100_000, description="number of steps")
     step_yr: float = Field(0.5, gt=0, description="duration of a step, years")
@@ -89,6 +93,10 @@ class CommunityParameters(BaseModel):
                     got=f"{one.plant.vigour:g}",
                     at=("disturbances", index, "plant", "vigour"),
                 )
+        return self
+
+    def for_trial(self) -> Self:
+        """The parameters of a trial on a small site, which shows what columns the plants have."""
         return self
 
     def named_species(self) -> Iterator[tuple[Keys, str]]:

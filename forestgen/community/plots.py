@@ -181,8 +181,8 @@ def _draw_outlines(axes: Axes, obstacles: Obstacles) -> None:
     """Below the circles: crowns may hang over a roof."""
     from matplotlib.patches import Polygon
 
-    for one in obstacles.outlines:
-        axes.add_patch(Polygon(one.corners_m, closed=True, fc=OBSTACLE, ec=_OBSTACLE_EDGE, lw=1.0, zorder=0.5))
+    for one in obstacles.entries:
+        axes.add_patch(Polygon(one.corners_m(), closed=True, fc=OBSTACLE, ec=_OBSTACLE_EDGE, lw=1.0, zorder=0.5))
 
 
 def _map_legend(colours: Mapping[str, str], counts: Mapping[str, int], obstacles: Obstacles) -> list[Line2D]:

@@ -17,10 +17,12 @@ from forestgen.core.disk_cache import DiskCache, cache_root
 from forestgen.core.packed import UnreadableError, pack, unpack
 from forestgen.core.parts import Part
 from forestgen.geometry.mesh import Mesh
-from forestgen.plants.build import Species
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.plants.grown.wood import ModuleWood, wood_key
 from forestgen.plants.levels import FULL, Level
+from forestgen.plants.registry import clothes_modules
+from forestgen.recipe.assets import scenes_dir
+from forestgen.recipe.species import Species
 
 MOST_BYTES = 4_000_000_000
 LIBRARY_BYTES = 12_000_000_000  # where images share a library: a thousand plants and more
@@ -45,6 +47,11 @@ class ExemplarRequest:
     is_kept: bool = True  # on disk: other runs may ask for the same
     is_shared: bool = False  # in memory: this process' next images may ask for the same
 
+    @property
+    def grows_alone(self) -> bool:
+        """Whether its branches grow by the species' modules, without a community."""
+        return self.wood is None and self.box_m is None and clothes_modules(self.parameters.generator)
+
     def key(self) -> str:
         """Hash of everything that the exemplar depends on, hexadecimal."""
         height, width = self.species.allometry.height_m, self.species.allometry.width_m
@@ -58,11 +65,18 @@ class ExemplarRequest:
             "seed": [int(self.seed), *self.identity],
             "level": asdict(self.level),
             **({} if self.wood is None else {"wood": wood_key(self.wood)}),
+            **(_modules_key(self.species) if self.grows_alone else {}),
             **({} if self.box_m is None else {"box_m": [repr(float(side)) for side in self.box_m]}),
             "code": _code_hash(),
         }
         text = json.dumps(content, sort_keys=True, separators=(",", ":"))
         return hashlib.blake2b(text.encode(), digest_size=20).hexdigest()
+
+
+def _modules_key(species: Species) -> dict[str, Any]:
+    """What branches that grow alone depend on besides."""
+    code = code_hash(("community",), _COMPUTE_WITH, (scenes_dir() / "modules",))
+    return {"modules": species.modules and species.modules.model_dump(mode="json"), "growth": code}
 
 
 def _code_hash() -> str:

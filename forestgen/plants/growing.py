@@ -12,9 +12,9 @@ from concurrent.futures import ThreadPoolExecutor
 
 from forestgen.core.bounded_cache import BoundedCache
 from forestgen.core.disk_cache import DiskCache
-from forestgen.core.randomness import child_rng
+from forestgen.core.randomness import child_rng, child_seed
 from forestgen.core.threads import cores
-from forestgen.plants.build import build_exemplar, built
+from forestgen.plants.build import build_exemplar, built, size_m
 from forestgen.plants.cache import ExemplarRequest, keep_exemplar, load_exemplar
 from forestgen.plants.exemplar import Exemplar
 from forestgen.plants.grown.build import build_grown
@@ -32,13 +32,19 @@ def grow_exemplar(request: ExemplarRequest) -> Exemplar:
     """The plant of a request, grown and meshed."""
     if request.box_m is not None:
         return built(request.species_name, request.species, request.parameters, request.box_m, request.radius_m)
-    rng = child_rng(request.seed, *request.identity)
-    if request.wood is not None:
+    rng, wood, parameters = child_rng(request.seed, *request.identity), request.wood, request.parameters
+    if request.grows_alone:
+        from forestgen.plants.grown.alone import wood_alone  # loads a community model
+
+        size, seed = size_m(request.species, request.radius_m), child_seed(request.seed, *request.identity, "wood")
+        wood = wood_alone(request.species_name, request.species, size, seed)
+        parameters = parameters.model_copy(update={"fit": "scale_all"})  # leaves reach beyond the wood
+    if wood is not None:
         return build_grown(
             request.species_name,
             request.species,
-            request.parameters,
-            request.wood,
+            parameters,
+            wood,
             request.radius_m,
             rng,
             level=request.level,

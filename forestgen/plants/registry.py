@@ -39,3 +39,13 @@ GENERATORS = Registry(
     contract="forestgen.plants.parameters:Generator",
     instead={"grow": "build"},  # what is built is no plant, and does not grow
 )
+
+
+def is_built(generator: str) -> bool:
+    """Whether a generator makes no plant but a building, to the size that it is given."""
+    return generator in GENERATORS and hasattr(GENERATORS.load(generator), "build")
+
+
+def clothes_modules(generator: str) -> bool:
+    """Whether a generator grows twigs and leaves on branches that a community grew."""
+    return generator in GENERATORS and getattr(GENERATORS.load(generator), "clothes_modules", False)

@@ -224,8 +224,8 @@ class Clouds(WeatherKeys):
     type: Annotated[
         Literal[Simulated, "community", "noise", "file", "none"],
         Field(
-            description="fog, stratus, stratocumulus, cumulus, cumulonimbus: simulated. community: the air that an "
-            "ecoclimate simulates over itself. noise: a field of small cumulus without weather, made in a second. "
+            description="fog, stratus, stratocumulus, cumulus, cumulonimbus: simulated. community: the air that the "
+            "community simulates over itself. noise: a field of small cumulus without weather, made in a second. "
             "file: a saved field."
         ),
     ] = "none"

@@ -104,8 +104,8 @@ class Site(Section):
     wet_soil: Annotated[
         WetSoil | None,
         Field(
-            description="How litter, dry soil, rock and sand darken where a community of model ecoclimate has water in "
-            "its soil; false: they do not. Default: they do."
+            description="How litter, dry soil, rock and sand darken where the community model has water in its "
+            "soil; false: they do not. Default: they do."
         ),
     ] = None
 

@@ -248,7 +248,7 @@ class Species(Section):
     plant: Annotated[Plant, Field(description="What makes its geometry.")]
     modules: Annotated[
         PlantType | None,
-        Field(description="How it grows as branch modules (community model branch_modules); null: it does not."),
+        Field(description="How it grows as branch modules; null: it does not."),
     ] = None
     modules_plant: Annotated[
         Plant | None,

@@ -13,7 +13,9 @@ from forestgen.atmosphere.grid import CloudGrid
 from forestgen.atmosphere.kept_weather import weather_store
 from forestgen.atmosphere.procedural import cumulus_field
 from forestgen.atmosphere.simulate import simulate
-from forestgen.atmosphere.weather import Weather
+from forestgen.atmosphere.weather import AirGrid, Weather
+from forestgen.community.capabilities import OwnAir, capability, models_with
+from forestgen.community.model import CommunityParameters
 from forestgen.core.errors import AssetError, RecipeError
 from forestgen.core.progress import Progress
 from forestgen.core.randomness import child_rng
@@ -249,9 +251,16 @@ def _tiles_across(shown_m: float, extent_m: float) -> int:
     return min(1 + 2 * max(0, round((shown_m / extent_m - 1.0) / 2.0)), _MOST_TILES)
 
 
-def cloud_bytes(drawn: DrawnRecipe) -> int:
-    """Memory that the clouds take at most, by estimate; those of a community: see `own_clouds`."""
+def cloud_bytes(drawn: DrawnRecipe, own: AirGrid | None = None) -> int:
+    """Memory that the clouds take at most, by estimate.
+
+    Parameters
+    ----------
+    own : see `own_air_grid`.
+    """
     clouds = drawn.recipe.sky.clouds
+    if own is not None:
+        return _simulated_bytes(math.prod(own.cells), own.size_m[0], repeated=clouds.repeat is not False)
     if clouds.type == "none":
         return 0
     if clouds.type == "noise":
@@ -266,12 +275,12 @@ def cloud_bytes(drawn: DrawnRecipe) -> int:
     most = 0
     for chapter in scenario_of(drawn).chapters:
         domain = chapter.conditions.domain
-        own = simulated_bytes(math.prod(domain.cells), domain.extent_m, repeated=clouds.repeat is not False)
-        most = max(most, own)
+        here = _simulated_bytes(math.prod(domain.cells), domain.extent_m, repeated=clouds.repeat is not False)
+        most = max(most, here)
     return most
 
 
-def simulated_bytes(cells: int, extent_m: float, *, repeated: bool) -> int:
+def _simulated_bytes(cells: int, extent_m: float, *, repeated: bool) -> int:
     """Memory of air in a box of some width, and of what is shown of it."""
     tiles = _tiles_across(_SHOWN_M[1], extent_m) if repeated and extent_m else 1
     return cells * max(_BYTES_PER_AIR_CELL, tiles**2 * _BYTES_PER_SHOWN_CELL)
@@ -285,7 +294,7 @@ def _file_bytes(path: Path, *, repeated: bool) -> int:
     if size is None:
         return 0  # whatever is wrong with the file is told where it is read
     cells, extent_m = size
-    return simulated_bytes(cells, extent_m or 0.0, repeated=repeated)
+    return _simulated_bytes(cells, extent_m or 0.0, repeated=repeated)
 
 
 def check_clouds(drawn: DrawnRecipe) -> None:
@@ -310,3 +319,24 @@ def check_clouds(drawn: DrawnRecipe) -> None:
             expected=f"extinction_per_m x thickness_m of at most {MOST_OPTICAL_DEPTH:g}; cumulus have tens",
             got=f"{clouds.extinction_per_m:g} x {clouds.thickness_m:g} = {depth:g}",
         )
+
+
+def own_air_grid(drawn: DrawnRecipe, model: object, parameters: CommunityParameters) -> AirGrid | None:
+    """The cells of the community's air, if that makes the clouds.
+
+    Raises
+    ------
+    RecipeError : the community simulates no air when the picture is taken; with the line of the key.
+    """
+    if drawn.recipe.sky.clouds.type != "community":
+        return None
+    air = capability(model, OwnAir)
+    if air is None:
+        raise RecipeError(
+            "this community has no air of its own",
+            where=drawn.where("sky", "clouds", "type"),
+            expected=f"community.model: {models_with(OwnAir)}, with a section weather",
+            got=drawn.recipe.community.model,
+            hint="set sky.clouds=cumulus for clouds that know no plants",
+        )
+    return air.air_grid(drawn, parameters)

@@ -62,7 +62,7 @@ def check_stands(plan: Plan, loaded: LoadedRecipe, splits: Sequence[str]) -> Non
     """
     community = plan.drawn.recipe.community
     stands_differ = (
-        community.model != "placed"
+        plan.model_parameters.is_random
         or bool(plan.model_parameters.disturbances)
         or any(keys[0] == "community" for keys in loaded.distributions)
     )
@@ -72,7 +72,7 @@ def check_stands(plan: Plan, loaded: LoadedRecipe, splits: Sequence[str]) -> Non
             "all images show the plants of one list: what is tested would have been learned",
             where=plan.drawn.where("community", "model"),
             expected="one split, or a stand that is drawn for each image",
-            got=f"placed, with the splits {', '.join(splits)}",
+            got=f"{community.model}, with the splits {', '.join(splits)}",
             hint="`set='dataset.splits={train: 1}'`; merge data sets of several stands, each of its own split",
         )
 

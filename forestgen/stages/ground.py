@@ -1,17 +1,25 @@
-"""The ground of a recipe's site: one height function for the community and for the scene."""
+"""The ground of a recipe's site: one height function for the community and for the scene, and how wet its soil is."""
 
 from __future__ import annotations
 
 from functools import lru_cache
 from pathlib import Path
 
-from forestgen.community.model import Site
-from forestgen.core.errors import AssetError
+import numpy as np
+
+from forestgen.community.capabilities import SoilWater, capability, models_with
+from forestgen.community.model import CommunityParameters, Site
+from forestgen.community.population import Population
+from forestgen.core.errors import AssetError, RecipeError
 from forestgen.core.randomness import child_rng
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.terrain import Terrain
+from forestgen.recipe.wet_soil import WetSoil
 from forestgen.scene.height_map import mapped
-from forestgen.scene.terrain import HeightField, flat, rolling
+from forestgen.scene.soil_colour import Wetness
+from forestgen.scene.terrain import HeightField, flat, rolling, smooth_step
+
+_LEAST_MM = 1e-6  # of water: less would divide to infinity, or by 0
 
 
 def height_field(drawn: DrawnRecipe) -> HeightField:
@@ -65,3 +73,35 @@ def community_site(drawn: DrawnRecipe) -> Site:
         latitude_deg=site.latitude_deg,
         wind_from_deg=site.wind_from_deg,
     )
+
+
+def check_wet_soil(drawn: DrawnRecipe, model: object, parameters: CommunityParameters) -> None:
+    """Refuse a recipe that says how wet soil shows where no community knows of any.
+
+    Raises
+    ------
+    RecipeError : with the line of the key.
+    """
+    section = drawn.recipe.site.wet_soil
+    if section is not None and section.shown and capability(model, SoilWater) is None:
+        raise RecipeError(
+            "this community knows no water in its soil",
+            where=drawn.where("site", "wet_soil"),
+            expected=f"community.model: {models_with(SoilWater)}",
+            got=drawn.recipe.community.model,
+            hint="leave out site.wet_soil; site.ground: soil_wet is wet everywhere",
+        )
+
+
+def wetness_of(
+    drawn: DrawnRecipe, model: object, parameters: CommunityParameters, population: Population
+) -> Wetness | None:
+    """Saturation of the site's soil by the maps of a snapshot; None: unknown, or not to be shown."""
+    section, water = drawn.recipe.site.wet_soil or WetSoil(), capability(model, SoilWater)
+    if not section.shown or water is None:
+        return None
+    soil_mm, surface_mm, depth_m = water.soil_water(parameters, population)
+    full_mm = max(1000.0 * (section.depth_m or depth_m) * section.porosity, _LEAST_MM)
+    drowned = smooth_step(surface_mm / max(section.pond_mm, _LEAST_MM) - 1.0)
+    saturation = np.maximum(soil_mm / full_mm, drowned)
+    return Wetness(drawn.recipe.site.size_m, np.minimum(saturation, 1.0))

@@ -1,14 +1,20 @@
-"""A community's history -> files: the history itself, maps, an animation, curves and statistics in time."""
+"""A community's history -> files: the history itself, maps, an animation, curves, statistics, graphs of branches."""
 
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from forestgen.architecture.graph_files import GRAPH_FORMATS, write_graph
+from forestgen.architecture.skeletal_graph import skeletal_graph
 from forestgen.community.animation import MOST_FRAMES, Film
+from forestgen.community.capabilities import AskedDensities, OwnSkeletons, capability, models_with
 from forestgen.community.history import write_history
 from forestgen.community.placement.asked_and_placed import describe_densities
 from forestgen.community.plot_densities import plot_densities
@@ -20,7 +26,6 @@ from forestgen.community.population import Population
 from forestgen.community.statistics import plant_mass
 from forestgen.community.trajectory import Moment, Trajectory, describe_step, describe_thinning, moment, thinning_slope
 from forestgen.core.errors import OutputError, RecipeError
-from forestgen.stages.module_checks import ground_plans
 from forestgen.stages.plan import Plan
 from forestgen.stages.resume import origin
 
@@ -62,18 +67,15 @@ def write_community(folder: Path, plan: Plan, snapshots: Iterator[Population], m
     `check_map_steps` tells whether the simulation reaches `map_steps`.
     """
     told: list[_Told] = []
-    watched, modules = _watched(folder, plan, snapshots, map_steps, told), keeps_modules(plan)
+    skeletons = capability(plan.model, OwnSkeletons)
+    modules = skeletons is not None and skeletons.keeps_skeletons(plan.model_parameters)
+    watched = _watched(folder, plan, snapshots, map_steps, told)
     write_history(folder / "history.parquet", watched, origin(plan), modules=modules, size_m=plan.site.size_m)
     (end,) = told
     thinning = _write_course(folder, plan, end) if plan.steps else None
     plot_sizes(end.plants, map_colours(plan), folder / "sizes.png")
     _write_statistics(folder / "statistics.json", plan, end, thinning)
     return end.last
-
-
-def keeps_modules(plan: Plan) -> bool:
-    """Whether the recipe asks for the modules of its history's plants."""
-    return bool(getattr(plan.model_parameters, "history_modules", False))
 
 
 def _write_course(folder: Path, plan: Plan, end: _Told) -> dict[str, Any] | None:
@@ -95,7 +97,7 @@ def _watched(
     """The snapshots, of which `told` takes notes and maps are drawn on their way."""
     wanted, site, seed = set(map_steps) or {plan.steps}, plan.site, plan.drawn.image_seed
     periodic, colours = plan.model_parameters.periodic, map_colours(plan)
-    obstacles = ground_plans(plan.model_parameters, plan.drawn.species)
+    obstacles = plan.obstacles
     for population in snapshots:
         step, plants = population.step, obstacles.left_out_of(population)
         if not told:
@@ -123,10 +125,10 @@ def _watched(
 
 def _placement(folder: Path, plan: Plan, placed: Population) -> dict[str, Any] | None:
     """Draw the densities of a model that has such under the plants of step 0, and tell how well they agree."""
-    densities_of = getattr(plan.model, "densities", None)
-    if densities_of is None:
+    placement = capability(plan.model, AskedDensities)
+    if placement is None:
         return None
-    densities = densities_of(plan.model_parameters, plan.site, plan.ecologies, placed)
+    densities = placement.densities(plan.model_parameters, plan.site, plan.ecologies, placed)
     if not densities.asked:
         return None
     plot_densities(densities, placed, plan.site, map_colours(plan), folder / "densities.png")
@@ -166,3 +168,53 @@ def check_map_steps(plan: Plan, map_steps: Sequence[int], first: int = 0) -> Non
 def map_colours(plan: Plan) -> dict[str, str]:
     """Colours of species on maps, as their files give them; the plots choose for the others."""
     return {name: species.map_colour for name, species in plan.drawn.species.items() if species.map_colour}
+
+
+def check_graphs(plan: Plan, paths: Sequence[Path]) -> None:
+    """Refuse, before anything is simulated, graphs of plants without branches and files that cannot be written."""
+    if paths and capability(plan.model, OwnSkeletons) is None:
+        raise RecipeError(
+            "plants of this community have no branches of their own",
+            where="graphs",
+            expected=f"community.model: {models_with(OwnSkeletons)}",
+            got=plan.drawn.recipe.community.model,
+            hint="forestgen plant NAME --out exports a single plant",
+        )
+    for path in paths:
+        if path.suffix.lower() not in GRAPH_FORMATS:
+            raise RecipeError(
+                "no format for skeletal graphs",
+                where="graphs",
+                expected=f"a name that ends with {', '.join(GRAPH_FORMATS)}",
+                got=str(path),
+            )
+        if path.is_dir() or not os.access(path.parent, os.W_OK):
+            raise OutputError(
+                "the graph cannot be written",
+                where=str(path),
+                expected="a file in a folder that there is, and that may be written to",
+                got="a folder" if path.is_dir() else "no such folder" if not path.parent.is_dir() else "no permission",
+            )
+
+
+def write_graphs(plan: Plan, population: Population, paths: Sequence[Path]) -> None:
+    """Write the graphs of all plants of a snapshot, at their places in the world; z counts from the ground's height.
+
+    Raises
+    ------
+    OutputError : a file cannot be written.
+    """
+    skeletons, modules = capability(plan.model, OwnSkeletons), population.modules
+    if not paths or modules is None or skeletons is None:
+        return
+    tables = skeletons.skeleton_tables(plan.model_parameters, plan.ecologies, population)
+    graph = skeletal_graph(tables, modules, population.species, np.flatnonzero(np.diff(modules.first)))
+    foot_m = population.position_m.copy()
+    if plan.site.height is not None:
+        foot_m[:, 2] = plan.site.height(foot_m[:, 0], foot_m[:, 1])
+    columns = {
+        "plant_id": population.plant_id,
+        "species": np.array(population.species_names, dtype=np.str_)[population.species],
+    }
+    for path in paths:
+        write_graph(path, graph, foot_m=foot_m, columns=columns)

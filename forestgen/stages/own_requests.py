@@ -9,22 +9,18 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.architecture.plant_type import PlantType
-from forestgen.architecture.prototypes import load_prototypes
-from forestgen.architecture.tables import Tables, tables_of
-from forestgen.community.branch_modules.changes import parameters_at
-from forestgen.community.branch_modules.parameters import BranchModulesParameters
-from forestgen.community.branch_modules.traits import STAND_IN
+from forestgen.architecture.tables import Tables
+from forestgen.community.capabilities import OwnSkeletons, capability
 from forestgen.community.population import Population, Status
 from forestgen.core.randomness import child_rng
 from forestgen.plants.cache import ExemplarRequest
 from forestgen.plants.generators.branch_modules import Parameters
 from forestgen.plants.grown.build import estimate_triangles
+from forestgen.plants.grown.wood import woods_of
 from forestgen.plants.levels import level_of_index
 from forestgen.scene.exemplar_plan import ExemplarPlan
-from forestgen.scene.own_exemplars import plan_own, unique_plants, woods_of
-from forestgen.stages.dead_plants import dead_clothing, with_dead_wood
-from forestgen.stages.module_checks import obstacles_of
+from forestgen.scene.own_exemplars import plan_own, unique_plants
+from forestgen.stages.own_plants import dead_clothing, with_dead_wood
 from forestgen.stages.plan import Plan, check_own_triangles
 
 Floats = NDArray[np.float64]
@@ -32,9 +28,7 @@ Floats = NDArray[np.float64]
 
 def has_own(plan: Plan, population: Population) -> bool:
     """Whether some plants have modules that their species clothes, or are no plants but obstacles."""
-    if population.modules is None:
-        return False
-    return bool(_own(plan, population).any() or obstacles_of(plan.model_parameters, population))
+    return bool(plan.obstacles.entries or _own(plan, population).any())
 
 
 def plan_own_plants(plan: Plan, population: Population, pixel_m: Floats) -> dict[int, ExemplarPlan]:
@@ -48,7 +42,7 @@ def plan_own_plants(plan: Plan, population: Population, pixel_m: Floats) -> dict
     ------
     ResourceError : the recipe asks for more plants as themselves than the memory holds.
     """
-    own = _own(plan, population) if population.modules is not None else np.zeros(len(population), dtype=np.bool_)
+    own = _own(plan, population)
     built = _plan_obstacles(plan, population)
     if not own.any():
         return built
@@ -65,7 +59,7 @@ def plan_own_plants(plan: Plan, population: Population, pixel_m: Floats) -> dict
 
 def _plan_obstacles(plan: Plan, population: Population) -> dict[int, ExemplarPlan]:
     """One exemplar for each size of the obstacles of a species."""
-    obstacles = obstacles_of(plan.model_parameters, population)
+    obstacles = plan.obstacles.rows_of(population)
     plans = {}
     for index in np.unique(population.species[list(obstacles)]) if obstacles else ():
         rows = np.flatnonzero(population.species == index)
@@ -90,11 +84,12 @@ def own_requests(plan: Plan, exemplar_plan: ExemplarPlan, population: Population
     A plant's randomness belongs to the plant: its twigs are the same in every image.
     """
     chosen = np.flatnonzero(exemplar_plan.plant >= 0)
-    if not len(chosen) or population.modules is None:
+    if not len(chosen):
         return {}
-    obstacles = obstacles_of(plan.model_parameters, population)
+    obstacles = plan.obstacles.rows_of(population)
     rows = np.setdiff1d(exemplar_plan.plant[chosen], list(obstacles))
-    woods = dict(zip(rows.tolist(), woods_of(population, tables_at(plan, population), rows), strict=True))
+    grown = woods_of(population, tables_at(plan, population), rows) if len(rows) else []
+    woods = dict(zip(rows.tolist(), grown, strict=True))
     names = population.species_names
     requests = {}
     for index in chosen.tolist():
@@ -122,20 +117,16 @@ def own_requests(plan: Plan, exemplar_plan: ExemplarPlan, population: Population
 
 
 def tables_at(plan: Plan, population: Population) -> Tables:
-    """Plant types as they are at the population's time, with the changes up to then."""
-    species = plan.drawn.species
-    types: dict[str, PlantType] = {name: one.modules for name, one in species.items() if one.modules is not None}
-    parameters, sphere_scale = plan.model_parameters, 1.0
-    if isinstance(parameters, BranchModulesParameters):
-        parameters, types = parameters_at(parameters, types, population.step)
-        sphere_scale = parameters.sphere_scale
-    of_species = [types.get(name, STAND_IN) for name in population.species_names]
-    return tables_of(load_prototypes(), of_species, sphere_scale=sphere_scale)
+    """Shapes and sizes of a population's modules at its time."""
+    skeletons = capability(plan.model, OwnSkeletons)
+    assert skeletons is not None  # the population has modules
+    return skeletons.skeleton_tables(plan.model_parameters, plan.ecologies, population)
 
 
 def _own(plan: Plan, population: Population) -> NDArray[np.bool_]:
     """(N,) plants of species that are clothed by modules, and have some."""
-    assert population.modules is not None
+    if population.modules is None:
+        return np.zeros(len(population), dtype=np.bool_)
     clothed = np.array([name in plan.module_parameters for name in population.species_names], dtype=np.bool_)
     return np.asarray(clothed[population.species] & (np.diff(population.modules.first) > 0), dtype=np.bool_)
 

@@ -12,34 +12,34 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
-from forestgen.community.branch_modules.parameters import BranchModulesParameters
+from forestgen.community.capabilities import (
+    HasObstacles,
+    OwnSkeletons,
+    PlanChecks,
+    capability,
+)
 from forestgen.community.disturbance import Ground
-from forestgen.community.ecology import SpeciesEcology
+from forestgen.community.ecology import SpeciesEcology, ecology_of
 from forestgen.community.model import CommunityParameters, Site
+from forestgen.community.obstacles import NO_OBSTACLES, Obstacles, check_obstacles
 from forestgen.community.placement.density_map import check_maps
-from forestgen.community.placement.stands import PlacementParameters
 from forestgen.community.registry import COMMUNITY_MODELS
 from forestgen.core.error_list import ErrorList
 from forestgen.core.errors import RecipeError, ResourceError
 from forestgen.core.figures import show_bytes
 from forestgen.core.memory import free_bytes
-from forestgen.plants.bark.texture import with_bark_tiles
 from forestgen.plants.parameters import PlantParameters
-from forestgen.plants.registry import GENERATORS
+from forestgen.plants.registry import is_built
 from forestgen.recipe.load import DrawnRecipe, LoadedRecipe
 from forestgen.recipe.registries import DATASET_FORMATS, LABEL_CHANNELS
 from forestgen.recipe.sources import Keys
-from forestgen.recipe.species import Plant, Species
 from forestgen.recipe.suggestions import did_you_mean
 from forestgen.scene.exemplars import check_traits
-from forestgen.stages.clouds import check_clouds, cloud_bytes, known_base_m
-from forestgen.stages.ground import community_site
-from forestgen.stages.module_checks import check_branch_modules, check_dead_are_drawn, is_built
-from forestgen.stages.own_clouds import check_own_clouds, own_cloud_bytes
-from forestgen.stages.own_plants import clothing_of, own_triangles
+from forestgen.stages.clouds import check_clouds, cloud_bytes, known_base_m, own_air_grid
+from forestgen.stages.ground import check_wet_soil, community_site
+from forestgen.stages.own_plants import clothing_of, generator_parameters, own_triangles
 from forestgen.stages.sky import check_sun
-from forestgen.stages.views import below_ground, check_above_ground, drawn_cameras
-from forestgen.stages.wet_soil import check_wet_soil
+from forestgen.stages.views import below_ground, check_above_ground, check_outside_of_houses, drawn_cameras
 
 # Kept free for the operating system and for what no estimate sees.
 _SHARE_OF_MEMORY = 0.8
@@ -80,22 +80,24 @@ class Plan:
 
     @property
     def ecologies(self) -> list[SpeciesEcology]:
-        return [_ecology(name, species) for name, species in self.drawn.species.items()]
+        return [ecology_of(name, species) for name, species in self.drawn.species.items()]
+
+    @cached_property
+    def obstacles(self) -> Obstacles:
+        return _obstacles(self.drawn, self.model, self.model_parameters)
 
     @property
     def steps(self) -> int:
         return self.model_parameters.steps
 
 
-def _ecology(name: str, species: Species) -> SpeciesEcology:
-    law = species.allometry.height_m
-    return SpeciesEcology(
-        name=name,
-        height_scale=law.scale,
-        height_exponent=law.exponent,
-        modules=species.modules,
-        **species.ecology.model_dump(),
-    )
+def _obstacles(drawn: DrawnRecipe, model: object, parameters: CommunityParameters) -> Obstacles:
+    """The obstacles of a community that may have some."""
+    stands = capability(model, HasObstacles)
+    if stands is None:
+        return NO_OBSTACLES
+    built = frozenset(name for name, one in drawn.species.items() if is_built(one.plant.generator))
+    return Obstacles(stands.obstacles(parameters), built)
 
 
 def make_plan(drawn: DrawnRecipe) -> Plan:
@@ -113,6 +115,19 @@ def make_plan(drawn: DrawnRecipe) -> Plan:
     return plan
 
 
+def plan_of_plants(drawn: DrawnRecipe) -> Plan:
+    """The plan of single plants, without a community.
+
+    Raises
+    ------
+    RecipeError, RecipeErrors : see `make_plan`.
+    """
+    errors = ErrorList(drawn.sources.place(()).origin)
+    generators = generator_parameters(drawn, errors)
+    errors.raise_all()
+    return Plan(drawn, None, CommunityParameters.model_validate({}), generators)
+
+
 def collect_plan(drawn: DrawnRecipe, errors: ErrorList, stand_ins: frozenset[str] = frozenset()) -> Plan | None:
     """The plan of a drawn recipe, or None if `errors` has some now.
 
@@ -121,11 +136,7 @@ def collect_plan(drawn: DrawnRecipe, errors: ErrorList, stand_ins: frozenset[str
     stand_ins : sections that are not the recipe's own: what depends on them is not checked.
     """
     had = len(errors.found)
-    generators = {}
-    for name, species in drawn.species.items():
-        parameters = errors.attempt(_generator, drawn, species, species.plant, ("species", name, "plant"))
-        if parameters is not None:
-            generators[name] = parameters
+    generators = generator_parameters(drawn, errors)
     for check, sections in _CHECKS_OF_THE_VIEW:
         if not sections & stand_ins:
             errors.attempt(check, drawn)
@@ -146,16 +157,16 @@ def collect_plan(drawn: DrawnRecipe, errors: ErrorList, stand_ins: frozenset[str
     model_parameters = errors.attempt(drawn.parse, model.Parameters, community, ("community",))
     clothing = None
     if len(generators) == len(drawn.species) and "species" not in stand_ins:
-        clothing = errors.attempt(clothing_of, drawn, generators, _generator)
+        clothing = errors.attempt(clothing_of, drawn, model, generators)
     if model_parameters is not None:
-        _check_community(drawn, model_parameters, errors, stand_ins)
+        _check_community(drawn, model, model_parameters, errors, stand_ins)
     if len(errors.found) > had or model_parameters is None or clothing is None:
         return None
     return Plan(drawn, model, model_parameters, generators, clothing)
 
 
 def _check_community(
-    drawn: DrawnRecipe, parameters: CommunityParameters, errors: ErrorList, stand_ins: frozenset[str]
+    drawn: DrawnRecipe, model: object, parameters: CommunityParameters, errors: ErrorList, stand_ins: frozenset[str]
 ) -> None:
     """What the community's keys and those of other sections say of each other."""
     if "species" not in stand_ins:
@@ -166,16 +177,10 @@ def _check_community(
             stand_ins |= {"species"}
     for check, sections in _CHECKS_OF_THE_COMMUNITY:
         if not sections & stand_ins:
-            errors.attempt(check, drawn, parameters)
+            errors.attempt(check, drawn, model, parameters)
     if "site" not in stand_ins:
         size_m = drawn.recipe.site.size_m
         errors.attempt(check_maps, parameters, size_m, lambda *keys: drawn.where("community", *keys))
-
-
-def _generator(drawn: DrawnRecipe, species: Species, plant: Plant, keys: tuple[str, ...]) -> PlantParameters:
-    generator = GENERATORS.load(plant.generator, where=drawn.where(*keys, "generator"))
-    parameters: PlantParameters = drawn.parse(generator.Parameters, plant.parameters, keys)
-    return with_bark_tiles(parameters, species.materials)
 
 
 def check_plan(loaded: LoadedRecipe, *, simulate_only: bool = False) -> Plan:
@@ -194,7 +199,9 @@ def check_plan(loaded: LoadedRecipe, *, simulate_only: bool = False) -> Plan:
         check_memory(plan, simulate_only=simulate_only)
         if not simulate_only:
             _check_traits(plan)
-            check_dead_are_drawn(plan.drawn, plan.model_parameters, plan.module_parameters)
+            skeletons = capability(plan.model, OwnSkeletons)
+            if skeletons is not None:
+                skeletons.check_foliage(plan.drawn, plan.model_parameters, plan.module_parameters)
     assert plans[0] is not None
     return plans[0]
 
@@ -221,7 +228,7 @@ def _check_named_species(drawn: DrawnRecipe, keys: Keys, name: str) -> None:
         )
 
 
-def _check_disturbances(drawn: DrawnRecipe, parameters: CommunityParameters) -> None:
+def _check_disturbances(drawn: DrawnRecipe, model: object, parameters: CommunityParameters) -> None:
     """Times within the simulation, places on the site, planted radii that the species can have."""
     ground = Ground(drawn.recipe.site.size_m, parameters.periodic)
     for index, one in enumerate(parameters.disturbances):
@@ -279,16 +286,31 @@ def _check_clouds(drawn: DrawnRecipe) -> None:
             )
 
 
+def _check_obstacles(drawn: DrawnRecipe, model: object, parameters: CommunityParameters) -> None:
+    """Buildings on the site, and cameras outside of them."""
+    obstacles = _obstacles(drawn, model, parameters)
+    check_obstacles(drawn, obstacles)
+    check_outside_of_houses(drawn, obstacles.entries)
+
+
+def _check_models_own(drawn: DrawnRecipe, model: object, parameters: CommunityParameters) -> None:
+    checks = capability(model, PlanChecks)
+    if checks is not None:
+        checks.check_recipe(drawn, parameters)
+
+
 _CHECKS_OF_THE_VIEW: tuple[tuple[Callable[[DrawnRecipe], None], frozenset[str]], ...] = (
     (check_above_ground, frozenset({"cameras", "site"})),
     (_check_clouds, frozenset({"sky", "cameras", "render", "site"})),
     (check_sun, frozenset({"sky", "site"})),
 )
-_CHECKS_OF_THE_COMMUNITY: tuple[tuple[Callable[[DrawnRecipe, CommunityParameters], None], frozenset[str]], ...] = (
+_CommunityCheck = Callable[[DrawnRecipe, object, CommunityParameters], object]
+_CHECKS_OF_THE_COMMUNITY: tuple[tuple[_CommunityCheck, frozenset[str]], ...] = (
     (_check_disturbances, frozenset({"species", "site"})),
-    (check_branch_modules, frozenset({"species", "site"})),
+    (_check_obstacles, frozenset({"species", "site"})),
+    (_check_models_own, frozenset({"species", "site"})),
     (check_wet_soil, frozenset({"site"})),
-    (check_own_clouds, frozenset({"sky", "site"})),
+    (own_air_grid, frozenset({"sky", "site"})),
 )
 
 
@@ -322,9 +344,7 @@ def estimate_bytes(plan: Plan, *, simulate_only: bool = False, plants: int = 0) 
         "images": pixels * (_BYTES_PER_PIXEL + recipe.labels.samples * _BYTES_PER_SAMPLE),
         "exemplars": _exemplar_triangles(plan) * per_triangle + own * (_BYTES_PER_OWN_TRIANGLE + clouds_per_triangle),
         "plants": plants * per_plant,
-        "clouds": own_cloud_bytes(plan.drawn, plan.model_parameters)
-        if recipe.sky.clouds.type == "community"
-        else cloud_bytes(plan.drawn),
+        "clouds": cloud_bytes(plan.drawn, own_air_grid(plan.drawn, plan.model, plan.model_parameters)),
     }
 
 
@@ -344,7 +364,7 @@ def _exemplar_triangles(plan: Plan) -> int:
     boxes_m3 = [
         species.mature_height_m * float(species.allometry.width(species.ecology.max_radius_m)) ** 2
         for name, species in plan.drawn.species.items()
-        if name not in plan.module_parameters and not is_built(species)
+        if name not in plan.module_parameters and not is_built(species.plant.generator)
     ]
     plants = (
         min(_TRIANGLES_PER_M3 * box_m3, _TRIANGLES_OF_A_WIDE_CROWN + _TRIANGLES_PER_M3_OF_IT * box_m3)
@@ -359,10 +379,7 @@ def _check_traits(plan: Plan) -> None:
     if not traits:
         return
     site = Site((min(plan.site.size_m[0], 50.0), min(plan.site.size_m[1], 50.0)))
-    parameters, species = plan.model_parameters, plan.ecologies
-    if isinstance(parameters, PlacementParameters):  # its numbers are those of the whole site, and all plants are alike
-        parameters, species = parameters.model_copy(update={"plants": {}}), []
-    state = plan.model.init(parameters, site, species, plan.drawn.image_seed)
+    state = plan.model.init(plan.model_parameters.for_trial(), site, plan.ecologies, plan.drawn.image_seed)
     check_traits(traits, plan.model.population(state), plan.drawn.where("plants", "traits"))
 
 
@@ -380,7 +397,7 @@ def check_memory(plan: Plan, *, simulate_only: bool = False, plants: int = 0, ro
         return
     largest = max(parts, key=lambda name: parts[name])
     where, hint = {
-        "community": (("community",), _hint_of(plan.model_parameters)),
+        "community": (("community",), plan.model_parameters.memory_hint),
         "ground": (("site", "size_m"), "make the site smaller"),
         "images": (("cameras",), "make the images smaller, or lower labels.samples"),
         "exemplars": (("plants", "exemplars_per_species"), "lower plants.exemplars_per_species or variants_per_size"),
@@ -409,14 +426,3 @@ def check_own_triangles(plan: Plan, triangles: float) -> None:
             got=f"about {show_bytes(need)} for {triangles / 1e6:,.0f} million triangles",
             hint="set plants.unique to auto, or to a smaller number",
         )
-
-
-def _hint_of(parameters: CommunityParameters) -> str:
-    """How a community takes less memory."""
-    if isinstance(parameters, PlacementParameters):
-        grids = [f", or fewer community.{name}" for name in ("cells", "pixels") if hasattr(parameters, name)]
-        return "".join(["ask for fewer plants in community.plants", *grids])
-    if isinstance(parameters, BranchModulesParameters):
-        cells = "community.soil_water.cell_m larger, " if hasattr(parameters, "soil_water") else ""
-        return f"make the site smaller, {cells}or lower community.most_modules"
-    return "make the site smaller, or lower species' seedlings_per_ha_per_yr"

@@ -11,31 +11,30 @@ import json
 from collections.abc import Iterator, Mapping
 from dataclasses import fields
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from forestgen.community.branch_modules.change import Change
-from forestgen.community.disturbance import Disturbance
-from forestgen.community.ecoclimate.parameters import ClimateChange, GlobalSeeding
 from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.history import open_history
+from forestgen.community.model import CommunityParameters
 from forestgen.community.module_history import NAME
 from forestgen.community.population import Population
 from forestgen.community.snapshot_checks import ImpossibleValueError, check_snapshot
 from forestgen.core.errors import AssetError, RecipeError
 from forestgen.core.version import __version__
 from forestgen.recipe.hashing import recipe_hash
+from forestgen.recipe.messages import show
 from forestgen.stages.community_cache import simulation_code
-from forestgen.stages.differences import differences, shown
 from forestgen.stages.plan import Plan
 
 _MOST_SHOWN = 5
-_TIMED: Mapping[str, type[Disturbance | Change | ClimateChange | GlobalSeeding]] = {
-    "disturbances": Disturbance,
-    "changes": Change,
-    "climate_changes": ClimateChange,
-    "global_seeding": GlobalSeeding,
-}
-_FREE = ("steps", "history_modules")  # keys that no future depends on
+
+
+class Difference(NamedTuple):
+    """A key whose values differ; None where one side lacks it."""
+
+    key: str
+    before: Any
+    now: Any
 
 
 def origin(plan: Plan) -> dict[str, Any]:
@@ -92,7 +91,7 @@ def snapshot_to_resume(plan: Plan, path: Path, step: int | None) -> Population:
     if chosen not in steps:
         expected = f"a step from {steps[0]} to {steps[-1]}"
         raise RecipeError(f"{path} has no such step", where="from_step", expected=expected, got=str(step))
-    _check_same_simulation(dict(history.origin), origin(plan), chosen, path)
+    _check_same_simulation(plan, dict(history.origin), chosen, path)
     if chosen >= plan.steps:
         raise RecipeError(
             f"nothing is left to simulate after step {chosen}",
@@ -145,14 +144,15 @@ def note_of_other_code(path: Path) -> str | None:
     )
 
 
-def _check_same_simulation(theirs: Mapping[str, Any], ours: Mapping[str, Any], step: int, path: Path) -> None:
-    """Raise `RecipeError` unless both origins have the same future from `step` on, but for what is still to come."""
+def _check_same_simulation(plan: Plan, theirs: Mapping[str, Any], step: int, path: Path) -> None:
+    """Raise `RecipeError` unless both simulations have one future from `step` on, but for what is still to come."""
     if not theirs:
         got = "nothing"
         raise RecipeError(f"{path} does not say what it was started with", where="resume", expected="that", got=got)
-    now = dict(_until(ours, step))
+    parameters = type(plan.model_parameters)
+    now = dict(_until(origin(plan), parameters, step))
     try:
-        before = dict(_until(theirs, step))
+        before = dict(_until(theirs, parameters, step))
     except (KeyError, TypeError, AttributeError, ValueError, ArithmeticError) as error:
         raise AssetError(
             "the history does not say rightly what it was started with",
@@ -165,7 +165,7 @@ def _check_same_simulation(theirs: Mapping[str, Any], ours: Mapping[str, Any], s
     if not differ:
         return
     told, more = differ[:_MOST_SHOWN], len(differ) - _MOST_SHOWN
-    *others, last = [key for key in _TIMED if key in ours["parameters"]]
+    *others, last = parameters.timed_keys
     timed = ", ".join(others) + " and " * bool(others) + last
     raise RecipeError(
         f"{path} is the history of another simulation",
@@ -176,7 +176,7 @@ def _check_same_simulation(theirs: Mapping[str, Any], ours: Mapping[str, Any], s
     )
 
 
-def _until(about: Mapping[str, Any], step: int) -> Iterator[tuple[str, Any]]:
+def _until(about: Mapping[str, Any], model: type[CommunityParameters], step: int) -> Iterator[tuple[str, Any]]:
     """Key and value of all that the future depends on after `step`, disturbances to come left out."""
     yield "forestgen", about.get("forestgen")  # other versions may draw other numbers
     yield "seed", about["seed"]
@@ -188,9 +188,45 @@ def _until(about: Mapping[str, Any], step: int) -> Iterator[tuple[str, Any]]:
     yield "community.model", about["model"]
     parameters = about["parameters"]
     for key, value in parameters.items():
-        if key in _TIMED:
+        if key in model.timed_keys:
             for index, one in enumerate(value):
-                if _TIMED[key].model_validate(one).step(parameters["step_yr"]) <= step:
+                if model.timed_keys[key].model_validate(one).step(parameters["step_yr"]) <= step:
                     yield f"community.{key}.{index}", one
-        elif key not in _FREE:
+        elif key not in model.free_keys:
             yield f"community.{key}", value
+
+
+def differences(before: Mapping[str, Any], now: Mapping[str, Any], prefix: str = "") -> Iterator[Difference]:
+    """The keys that differ, as deep as both sides have them: mappings, and lists of one length, are looked into."""
+    for key in {**now, **before}:
+        yield from _differing(prefix + key, before.get(key), now.get(key))
+
+
+def _differing(key: str, before: Any, now: Any) -> Iterator[Difference]:
+    if before == now:
+        return
+    if isinstance(before, Mapping) and isinstance(now, Mapping):
+        yield from differences(before, now, key + ".")
+    elif _are_alike(before, now):
+        for index, (one, other) in enumerate(zip(before, now, strict=True)):
+            yield from _differing(f"{key}.{index}", one, other)
+    else:
+        yield Difference(key, before, now)
+
+
+def _are_alike(before: Any, now: Any) -> bool:
+    """Whether both are lists of as many mappings: of plain values, the whole list says more than one entry."""
+    lists = isinstance(before, list) and isinstance(now, list) and len(before) == len(now)
+    return lists and all(isinstance(one, Mapping) for one in (*before, *now))
+
+
+def shown(value: Any) -> str:
+    """A value as YAML would have it, without keys that say nothing."""
+    return "(none)" if value is None else show(_without_nothing(value))
+
+
+def _without_nothing(value: Any) -> Any:
+    """A mapping without the keys that say nothing, such as those of a disturbance that it does not use."""
+    if isinstance(value, Mapping):
+        return {key: _without_nothing(one) for key, one in value.items() if one is not None}
+    return value

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.community.capabilities import OwnAir, capability
 from forestgen.community.population import Population
 from forestgen.core.progress import Progress
 from forestgen.core.randomness import child_rng
@@ -35,17 +36,14 @@ from forestgen.scene.terrain import HeightField, build_terrain
 from forestgen.scene.trunks import Trunks
 from forestgen.scene.wind import Sway, spec_at, sway_in
 from forestgen.stages.clouds import clouds_of
-from forestgen.stages.dead_plants import species_seen
 from forestgen.stages.exemplar_library import library_of, modelled_species, origin_of
-from forestgen.stages.ground import height_field
-from forestgen.stages.module_checks import notes_on_houses, turned_obstacles
+from forestgen.stages.ground import height_field, wetness_of
+from forestgen.stages.own_plants import species_seen
 from forestgen.stages.own_requests import has_own, own_requests, plan_own_plants
-from forestgen.stages.own_weather import own_weather
 from forestgen.stages.plan import Plan
 from forestgen.stages.sky import sky_of
 from forestgen.stages.surfaces import infrared_notes, materials_of
-from forestgen.stages.views import check_trunks, drawn_cameras
-from forestgen.stages.wet_soil import wetness_of
+from forestgen.stages.views import check_outside_of_houses, check_trunks, drawn_cameras
 
 MOST_CACHED_IMAGES = 16  # a data set of many images would only wash the cache out
 Timer = Callable[[str], AbstractContextManager[None]]
@@ -82,9 +80,10 @@ def build_scene(plan: Plan, population: Population, progress: Progress, timer: T
     """Grow the exemplars, shape the ground, hang the clouds, place plants and cameras."""
     recipe, seed = plan.drawn.recipe, plan.drawn.image_seed
     own = None
-    if recipe.sky.clouds.type == "community":
+    air = capability(plan.model, OwnAir) if recipe.sky.clouds.type == "community" else None
+    if air is not None:
         with timer("weather"):
-            own = own_weather(plan, population, progress)
+            own = air.air(plan.drawn, plan.model_parameters, plan.site, plan.ecologies, population, progress)
     with timer("scene"):
         height = height_field(plan.drawn)
         population = stand_on(population, height)
@@ -95,14 +94,14 @@ def build_scene(plan: Plan, population: Population, progress: Progress, timer: T
     with timer("clouds"):
         clouds = clouds_of(plan.drawn, _lowest_m(plan, height), progress, own)
     with timer("scene"):
-        wetness = wetness_of(plan.drawn, plan.model_parameters, population)
+        wetness = wetness_of(plan.drawn, plan.model, plan.model_parameters, population)
         terrain = build_terrain(height, child_rng(seed, "terrain", "colour"), recipe.site.ground, wetness)
         albedo = float(np.mean(terrain.far_reflectance))  # of the region, which the sky and the clouds see
         stands_for_m = np.full(len(exemplar_plan), np.nan)
         unique = exemplar_plan.plant >= 0
         stands_for_m[unique] = population.height_m[exemplar_plan.plant[unique]]
         instances = place_instances(
-            turned_obstacles(plan.model_parameters, population),
+            plan.obstacles.turned(population),
             exemplar_plan.exemplar_of_plant,
             exemplars,
             seed,
@@ -114,7 +113,7 @@ def build_scene(plan: Plan, population: Population, progress: Progress, timer: T
         materials = materials_of(species_seen(plan.drawn.species, population), recipe.plants.season)
         notes = [
             *check_trunks(plan.drawn, views, trunks),
-            *notes_on_houses(plan.drawn, plan.model_parameters),
+            *check_outside_of_houses(plan.drawn, plan.obstacles.entries),
             *infrared_notes(materials, cameras),
         ]
         spec = SceneSpec(

@@ -21,15 +21,17 @@ from forestgen.geometry.export import FORMATS, model_files
 from forestgen.geometry.mesh import surface_area_m2
 from forestgen.geometry.model import Model, Piece, Surface, Value, png
 from forestgen.plants.bark.texture import texture_images
-from forestgen.plants.build import build_exemplar, size_m
+from forestgen.plants.build import size_m
+from forestgen.plants.cache import ExemplarRequest
 from forestgen.plants.exemplar import Exemplar, OrganMesh
+from forestgen.plants.growing import grow_exemplar
 from forestgen.plants.parameters import with_detail
 from forestgen.recipe.assets import SUFFIXES, find_asset
 from forestgen.recipe.load import DrawnRecipe, load_recipe_data
 from forestgen.recipe.species import TALLEST_M, Species
 from forestgen.scene.spec import Camera, Material
 from forestgen.stages.light_wood import check_wood_triangles, with_light_wood
-from forestgen.stages.plan import Plan, make_plan
+from forestgen.stages.plan import Plan, plan_of_plants
 from forestgen.stages.plant_files import FileSet, check_writable
 from forestgen.stages.studio import Shot, camera_of, photograph
 from forestgen.stages.surfaces import materials_of
@@ -174,14 +176,14 @@ def drawn_of(species: str, seed: int) -> DrawnRecipe:
     source = f"./{path.name}" if is_file else species  # a file of the user's own may lie anywhere
     if not is_file:
         find_asset("species", species, where="species")
-    alone = {"species": {name_of(species): {"from": source}}, "community": {"model": "multiset_lsystem"}}
+    alone = {"species": {name_of(species): {"from": source}}, "community": {"model": "none"}}
     folder = path.parent if is_file else Path()
     return load_recipe_data({"forestgen": 1, "seed": seed, **alone}, "forestgen plant", folder).draw(0)
 
 
 def plan_of(species: str, seed: int, detail: int | None = None) -> Plan:
     """Plan of `drawn_of`, its organs at a level of detail."""
-    plan = make_plan(drawn_of(species, seed))
+    plan = plan_of_plants(drawn_of(species, seed))
     if detail is None:
         return plan
     finer = {name: with_detail(one, detail) for name, one in plan.generator_parameters.items()}
@@ -190,8 +192,8 @@ def plan_of(species: str, seed: int, detail: int | None = None) -> Plan:
 
 def grow(plan: Plan, name: str, radius_m: float, seed: int) -> Exemplar:
     """The plant of a species, a radius and a seed."""
-    rng = child_rng(seed, "exemplar", name)
-    return build_exemplar(name, plan.drawn.species[name], plan.generator_parameters[name], radius_m, rng)
+    species, parameters = plan.drawn.species[name], plan.generator_parameters[name]
+    return grow_exemplar(ExemplarRequest(name, species, parameters, radius_m, seed, ("exemplar", name)))
 
 
 def _grown(order: Order, plan: Plan, radius_m: float, progress: Progress) -> Iterator[tuple[int, Exemplar]]:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.community.branch_modules.parameters import Obstacle
+from forestgen.community.obstacles import Obstacle
 from forestgen.core.errors import RecipeError
 from forestgen.core.spectrum import Band
 from forestgen.recipe.camera_keys import SensorFile

@@ -322,7 +322,7 @@ def test_frames_are_one_tree_that_moves(tmp_path: Path) -> None:
 def test_the_list_of_species_grows_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     from forestgen.stages import single_plant
 
-    monkeypatch.delattr(single_plant, "build_exemplar")
+    monkeypatch.delattr(single_plant, "grow_exemplar")
     answer = run("plant", "--list")
     assert answer.code == 0, answer.err
     lines = answer.out.splitlines()[1:-1]

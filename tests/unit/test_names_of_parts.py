@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import ast
+import re
 from functools import cache
 
 import pytest
 
-from forestgen.community.registry import COMPETITION_MODELS
+from forestgen.community.registry import COMMUNITY_MODELS, COMPETITION_MODELS
 from forestgen.core.code_hash import PACKAGE
 from forestgen.core.registry import Registry
 from forestgen.recipe.registries import DATASET_FORMATS, LABEL_CHANNELS, PACKS
@@ -39,6 +40,23 @@ OTHER_MEANINGS = {  # file -> names that are no part's in it
 }
 
 
+MODEL_REGISTRY = "community/registry.py"
+MODEL_FOLDERS = ("models", "branch_modules", "ecoclimate")  # of the models' own code, in community/
+MODEL_FILES = ("community/multiset_parameters.py", "community/multiset_state.py")
+OTHER_THAN_MODELS = {  # file -> names that are no community model's in it, or are one's example
+    "cli/__init__.py": {"multiset_lsystem"},  # an example of a command
+    "cli/suggestions.py": {"multiset_lsystem"},  # an example of a setting
+    "community/fitting/recipe_text.py": {"deformation_kernel"},  # the model that is fitted
+    "community/placement/asked_and_placed.py": {"placed"},  # a key of the statistics
+    "plants/generators/branch_modules.py": {"branch_modules"},  # the plant generator
+    "plants/registry.py": {"branch_modules"},  # the same
+    "plants/variation/model.py": {"uniform"},  # a distribution
+    "recipe/distributions.py": {"uniform"},  # the same
+    "recipe/json_schema.py": {"uniform"},
+    "recipe/messages.py": {"uniform"},
+}
+
+
 @cache
 def texts() -> dict[str, set[str]]:
     """File of the package -> its literal texts."""
@@ -67,3 +85,49 @@ def test_only_a_parts_own_module_names_it(registry: Registry, name: str) -> None
     own = {own_module(registry, name), f"dataset/check/{name}.py"}  # where a format's checks have their names
     assert found - known <= own, f"ask the part for what it can do instead of naming {name!r}"
     assert known <= found, "an exception without a cause"
+
+
+def is_of_models(file: str) -> bool:
+    """Whether a file of the package belongs to community models."""
+    return file in MODEL_FILES or any(file.startswith(f"community/{folder}/") for folder in MODEL_FOLDERS)
+
+
+@cache
+def trees() -> dict[str, ast.Module]:
+    """File of the package -> its syntax, of those that no community model owns."""
+    files = {path.relative_to(PACKAGE).as_posix(): path for path in PACKAGE.rglob("*.py")}
+    return {
+        file: ast.parse(path.read_text(encoding="utf-8"))
+        for file, path in files.items()
+        if file != MODEL_REGISTRY and not is_of_models(file)
+    }
+
+
+@cache
+def code_texts() -> dict[str, set[str]]:
+    """The same file -> its literal texts without docstrings, which are manual pages."""
+    found = {}
+    for file, tree in trees().items():
+        pages = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+        constants = (node for node in ast.walk(tree) if isinstance(node, ast.Constant) and id(node) not in pages)
+        found[file] = {node.value for node in constants if isinstance(node.value, str)}
+    return found
+
+
+@pytest.mark.parametrize("name", COMMUNITY_MODELS.ids())
+def test_only_its_own_code_names_a_community_model(name: str) -> None:
+    words = "_" in name or name == "ecoclimate"  # other names are ordinary words as well
+    pattern = re.compile(rf"\b{name}\b" if words else rf"\A{name}\Z|\bmodel[:=] ?{name}\b")
+    known = {file for file, names in OTHER_THAN_MODELS.items() if name in names}
+    found = {file for file, own in code_texts().items() if any(pattern.search(text) for text in own)}
+    assert found - known == set(), f"ask for a capability (forestgen.community.capabilities) instead of {name!r}"
+    assert known <= found, "an exception without a cause"
+
+
+def test_only_models_know_the_classes_of_their_parameters() -> None:
+    classes = {COMMUNITY_MODELS.load(name).Parameters.__name__ for name in COMMUNITY_MODELS.ids()}
+    assert "EcoclimateParameters" in classes
+    for file, tree in trees().items():
+        names = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}
+        names |= {one.name for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) for one in node.names}
+        assert not names & classes, f"{file} knows the parameters of a community model"

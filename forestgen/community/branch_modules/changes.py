@@ -20,6 +20,7 @@ from pydantic import BaseModel
 
 from forestgen.architecture.plant_type import PlantType
 from forestgen.community.branch_modules.change import Change, species_key
+from forestgen.community.branch_modules.limits import no_prototype, not_growing
 from forestgen.community.branch_modules.parameters import BranchModulesParameters
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.sources import Keys
@@ -128,21 +129,11 @@ def check_changes(
         for name, values in of_species.items():
             places = {key: where(*place, f"species.{name}.{key}") for key in values}
             if name not in kinds:
-                raise RecipeError(
-                    "this species does not grow by branch modules",
-                    where=next(iter(places.values())),
-                    expected="one of " + (", ".join(kinds) or "none: no species of the recipe has a section modules"),
-                    got=repr(name),
-                )
+                raise not_growing(name, kinds, next(iter(places.values())))
             kinds[name] = _told(PlantType, {**_values(kinds[name]), **values}, places, parse)
             unknown = [one for one in kinds[name].prototypes if one not in prototypes]
             if "prototypes" in values and unknown:
-                raise RecipeError(
-                    "no such prototype of a module",
-                    where=places["prototypes"],
-                    expected="one of " + ", ".join(prototypes),
-                    got=unknown[0],
-                )
+                raise no_prototype(unknown[0], prototypes, places["prototypes"])
 
 
 def _refuse_strangers(
@@ -154,12 +145,7 @@ def _refuse_strangers(
     """Refuse species of new values that do not grow by branch modules."""
     for keys, name in changed.named_species():
         if keys[0] in own and name not in kinds:
-            raise RecipeError(
-                "this species does not grow by branch modules",
-                where=places[str(keys[0])],
-                expected="one of " + (", ".join(kinds) or "none: no species of the recipe has a section modules"),
-                got=repr(name),
-            )
+            raise not_growing(name, kinds, places[str(keys[0])])
 
 
 def _told(model: type[M], data: dict[str, Any], places: Mapping[str, str], parse: Parse) -> M:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,14 +11,13 @@ from pydantic import AfterValidator, BeforeValidator, Field, WithJsonSchema, mod
 from pydantic_core import PydanticCustomError
 
 from forestgen.community.branch_modules.change import Change, species_key
-from forestgen.community.disturbance import PointOnGround
 from forestgen.community.model import CommunityParameters
+from forestgen.community.obstacles import Obstacle
 from forestgen.community.placement.density_map import DensityMap
 from forestgen.recipe.biome import COLDEST_C, DRIEST_MM, WARMEST_C, WETTEST_MM
 from forestgen.recipe.fields import (
     Flag,
     Fraction,
-    Name,
     NonNegative,
     Number,
     Positive,
@@ -58,32 +56,6 @@ Precipitation = Annotated[
     AfterValidator(_precipitation),
     Field(json_schema_extra={"minimum": DRIEST_MM, "maximum": WETTEST_MM}),
 ]
-Side = Annotated[Positive, Field(ge=0.5, le=200)]
-
-
-class Obstacle(Section):
-    """A building: plants neither grow into it nor get light through it."""
-
-    species: Name = Field(description="Its species, whose generator shows it: house.")
-    position_m: PointOnGround = Field(description="Middle of its ground plan: x, y, metres; on the site.")
-    azimuth_deg: Number = Field(
-        0.0, ge=-360, le=360, description="Turn of its width from east, clockwise from above, degrees."
-    )
-    size_m: tuple[Side, Side, Side] = Field(
-        (10.0, 8.0, 7.0), description="Width along its ridge, depth, and height to the ridge, metres."
-    )
-
-    @property
-    def turn_rad(self) -> float:
-        """The same anticlockwise, as world axes turn, radians."""
-        return -math.radians(self.azimuth_deg)
-
-    def corners_m(self) -> NDArray[np.float64]:
-        """(4, 2) world x and y of its ground plan's corners."""
-        x, y = 0.5 * self.size_m[0], 0.5 * self.size_m[1]
-        cos, sin = math.cos(self.turn_rad), math.sin(self.turn_rad)
-        plan = np.array([[-x, -y], [x, -y], [x, y], [-x, y]])
-        return np.asarray(plan @ np.array([[cos, sin], [-sin, cos]]) + self.position_m)
 
 
 class Biome(Section):
@@ -129,6 +101,10 @@ InitialPlants = Annotated[
 
 class BranchModulesParameters(CommunityParameters):
     """What a recipe says about the model besides its species."""
+
+    timed_keys: ClassVar[Mapping[str, type[Any]]] = {**CommunityParameters.timed_keys, "changes": Change}
+    free_keys: ClassVar[tuple[str, ...]] = (*CommunityParameters.free_keys, "history_modules")
+    memory_hint: ClassVar[str] = "make the site smaller, or lower community.most_modules"
 
     steps: Whole = Field(200, ge=0, le=100_000, description="number of steps")
     step_yr: float = Field(1.0, ge=1e-3, le=10, description="duration of a step, years")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 
 from forestgen.architecture.plant_type import PlantType
 from forestgen.architecture.tables import Tables
-from forestgen.core.errors import RecipeError
+from forestgen.community.branch_modules.limits import no_prototype
 
 #: What stands in the arrays for a species that does not grow, such as a house.
 STAND_IN = PlantType(life_span_yr=1.0, root_vigour_max=1.0, growth_rate_per_yr=1.0, apical_control=0.5, determinacy=0.5)
@@ -82,13 +81,7 @@ def allowed_prototypes(names: Sequence[str], types: Sequence[PlantType | None]) 
             continue
         for name in one.prototypes:
             if name not in names:
-                near = difflib.get_close_matches(name, names, n=1)
-                raise RecipeError(
-                    "no such prototype of a module",
-                    expected="one of " + ", ".join(names),
-                    got=name,
-                    hint=f"did you mean {near[0]!r}?" if near else None,
-                )
+                raise no_prototype(name, names)
         out[row] = [name in one.prototypes for name in names]
     return out
 

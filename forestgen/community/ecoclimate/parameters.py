@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from typing import Annotated, Any, Literal, Self
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -187,6 +187,15 @@ class GlobalSeeding(Section):
 
 class EcoclimateParameters(BranchModulesParameters):
     """What a recipe says about the model besides its species."""
+
+    timed_keys: ClassVar[Mapping[str, type[Any]]] = {
+        **BranchModulesParameters.timed_keys,
+        "climate_changes": ClimateChange,
+        "global_seeding": GlobalSeeding,
+    }
+    memory_hint: ClassVar[str] = (
+        "make the site smaller, community.soil_water.cell_m larger, or lower community.most_modules"
+    )
 
     step_yr: float = Field(1 / 12, ge=1e-3, le=10, description="duration of a step of the plants, years: whole months")
     climate: Climate = Field(

@@ -102,6 +102,7 @@ from numpy.typing import NDArray
 
 from forestgen.architecture.prototypes import load_prototypes
 from forestgen.community.arrivals import refuse_overflow
+from forestgen.community.branch_modules.capabilities import ModuleCapabilities, without_modules
 from forestgen.community.branch_modules.changes import numbers_in_time
 from forestgen.community.branch_modules.founding import founded
 from forestgen.community.branch_modules.kinds import kinds_at
@@ -115,7 +116,6 @@ from forestgen.community.disturbance import Planting, planted
 from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.model import Site
 from forestgen.community.population import Population
-from forestgen.core.errors import RecipeError
 
 # Peak bytes: of a module in a step with the state before and after, and a snapshot; of a plant with its arrays.
 _BYTES_PER_MODULE, _BYTES_PER_PLANT = 700, 400
@@ -123,7 +123,7 @@ _BYTES_AT_LEAST = 64 * 1024 * 1024
 _MODULES_PER_M2 = 12.0  # more than the light on the ground feeds
 
 
-class BranchModules:
+class BranchModules(ModuleCapabilities):
     """The model; see the module's page."""
 
     Parameters = BranchModulesParameters
@@ -179,7 +179,7 @@ class BranchModules:
         for sp in np.unique(planting.species):
             one = state.species[int(sp)]
             if one.modules is None:
-                raise _without_modules(one.name)
+                raise without_modules(one.name, f"species.{one.name}.modules")
         refuse_more_modules(
             len(state.modules) + len(state.snags.modules) + len(planting), state.parameters.most_modules
         )
@@ -254,17 +254,7 @@ def _refuse_without_modules(parameters: BranchModulesParameters, species: Sequen
     built = {one.species for one in parameters.obstacles}
     for one in species:
         if one.modules is None and one.name not in built:
-            raise _without_modules(one.name)
-
-
-def _without_modules(name: str) -> RecipeError:
-    return RecipeError(
-        f"{name} does not grow by branch modules",
-        where=f"species.{name}.modules",
-        expected="a section `modules` with life_span_yr, root_vigour_max, growth_rate_per_yr and so on",
-        got="none",
-        hint="take a species that has one, such as those of scenes/species with `modules:`; or another community.model",
-    )
+            raise without_modules(one.name, f"species.{one.name}.modules")
 
 
 MODEL = BranchModules()

@@ -114,6 +114,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -182,6 +183,8 @@ _BYTES_PER_CELL_MADE = 40  # of the one field that is being read from map and co
 
 class DeformationKernelParameters(PlacementParameters):
     """What a recipe says about the model besides its species."""
+
+    memory_hint: ClassVar[str] = f"{PlacementParameters.memory_hint}, or fewer community.cells"
 
     kernels: Kernels = Field(
         KernelSection(**NAMED["inhibition"]),

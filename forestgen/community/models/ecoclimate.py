@@ -37,9 +37,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.atmosphere.weather import AirGrid, Weather
+from forestgen.community.branch_modules.capabilities import ModuleCapabilities
 from forestgen.community.branch_modules.limits import refuse_more_seeds
+from forestgen.community.capabilities import SoilWaterMaps
 from forestgen.community.disturbance import Planting
+from forestgen.community.ecoclimate.air import grid_of
 from forestgen.community.ecoclimate.months import advanced_ecoclimate, begun
+from forestgen.community.ecoclimate.own_air import shown_section, shown_weather
 from forestgen.community.ecoclimate.parameters import EcoclimateParameters, GlobalSeeding, seedings_in_time
 from forestgen.community.ecoclimate.state import Books, Ecoclimate
 from forestgen.community.ecology import SpeciesEcology
@@ -48,12 +53,16 @@ from forestgen.community.models.branch_modules import MODEL as FOREST
 from forestgen.community.models.branch_modules import most_seedlings, with_dead
 from forestgen.community.population import Population
 from forestgen.community.snapshot_checks import ImpossibleValueError, check_number
+from forestgen.community.soil_water.ground import Ground
 from forestgen.community.soil_water.model import Water
 from forestgen.core.errors import RecipeError
+from forestgen.core.progress import Progress
+from forestgen.recipe.load import DrawnRecipe
 
 _BYTES_PER_CELL = 400  # some fifty arrays of the water's sub-steps
 _BYTES_PER_SEED = 200  # from elsewhere, of one step: places, climate and light there
 _MOST_CELSIUS = 1000.0
+_SOIL_DEPTH_M = {"forest": 1.0, "dryland": 0.05}  # by the kind of soil: ours
 _MOST_WATER_MM = 1e12
 _MAPS = (
     "soil_water_mm",
@@ -65,7 +74,7 @@ _MAPS = (
 )
 
 
-class EcoclimateModel:
+class EcoclimateModel(ModuleCapabilities):
     """The model; see the module's page."""
 
     Parameters = EcoclimateParameters
@@ -74,7 +83,6 @@ class EcoclimateModel:
         self, parameters: EcoclimateParameters, site: Site, species: Sequence[SpeciesEcology], seed: int
     ) -> Ecoclimate:
         """The forest of the start, on soil that is as wet as its climate leaves it."""
-        _refuse_strangers(parameters, species)
         return begun(FOREST.init(parameters, site, species, seed))
 
     def step(self, state: Ecoclimate) -> Ecoclimate:
@@ -163,7 +171,6 @@ class EcoclimateModel:
 
     def estimate_bytes(self, parameters: EcoclimateParameters, site: Site, species: Sequence[SpeciesEcology]) -> int:
         """Of the forest, of the maps of water, and of the seeds from elsewhere that fall in a step."""
-        _refuse_strangers(parameters, species)
         cells = math.ceil(site.area_m2 / parameters.soil_water.cell_m**2)
         seeds = 0.0
         for place, one in seedings_in_time(parameters):
@@ -171,6 +178,28 @@ class EcoclimateModel:
             refuse_more_seeds(seeds * site.area_ha, f"community.{place}")
         water_and_seeds = _BYTES_PER_CELL * cells + _BYTES_PER_SEED * math.ceil(seeds * site.area_ha)
         return FOREST.estimate_bytes(parameters, site, species) + water_and_seeds
+
+    def air_grid(self, drawn: DrawnRecipe, parameters: EcoclimateParameters) -> AirGrid:
+        """`OwnAir`: the cells of the air that a picture shows."""
+        return grid_of(shown_section(drawn, parameters), Ground(drawn.recipe.site.size_m, (1, 1)))
+
+    def air(
+        self,
+        drawn: DrawnRecipe,
+        parameters: EcoclimateParameters,
+        site: Site,
+        species: Sequence[SpeciesEcology],
+        population: Population,
+        progress: Progress,
+    ) -> Weather:
+        """`OwnAir`: a day of the month after the snapshot, which needs its modules and maps."""
+        state = self.resume(parameters, site, species, drawn.image_seed, population)
+        return shown_weather(drawn, shown_section(drawn, parameters), state, progress)
+
+    def soil_water(self, parameters: EcoclimateParameters, population: Population) -> SoilWaterMaps:
+        """`SoilWater`: the maps of a snapshot."""
+        maps, depth_m = population.maps, _SOIL_DEPTH_M[parameters.soil_water.kind]
+        return SoilWaterMaps(maps["soil_water_mm"], maps["surface_water_mm"], depth_m)
 
 
 def _seeds_arrive(parameters: EcoclimateParameters) -> bool:
@@ -184,20 +213,6 @@ def _seeds_of_step(parameters: EcoclimateParameters, seedings: Sequence[GlobalSe
         math.ceil(parameters.step_yr / one.every_yr) * one.seeds_per_ha * (len(one.species) or kinds)
         for one in seedings
     )
-
-
-def _refuse_strangers(parameters: EcoclimateParameters, species: Sequence[SpeciesEcology]) -> None:
-    """Seeds from elsewhere must be of species that grow, which obstacles do not."""
-    growing = [one.name for one in species if one.modules is not None]
-    for index, one in enumerate(parameters.global_seeding):
-        for name in one.species:
-            if name not in growing:
-                raise RecipeError(
-                    f"{name} does not grow by branch modules",
-                    where=f"community.global_seeding.{index}.species",
-                    expected="one of " + (", ".join(growing) or "none: no species has a section modules"),
-                    got=name,
-                )
 
 
 def _books(water: Mapping[str, Any]) -> Books:

@@ -59,6 +59,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,6 +81,8 @@ _FEWEST, _MOST = 128, 4096  # pixels along the longer side that are chosen by th
 
 class HalftoneParameters(PlacementParameters):
     """What a recipe says about the model besides its species."""
+
+    memory_hint: ClassVar[str] = f"{PlacementParameters.memory_hint}, or fewer community.pixels"
 
     pixels: Whole | None = Field(
         None, ge=16, le=16384, description="pixels along the site's longer side; null: eight a plant or more"

@@ -53,6 +53,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from typing import ClassVar, Self
 
 import numpy as np
 from pydantic import Field, field_validator
@@ -73,6 +74,9 @@ _BYTES_AT_LEAST = 256 * 1024
 
 class PlacedParameters(CommunityParameters):
     """What a recipe says about the model besides its species."""
+
+    is_random: ClassVar[bool] = False
+    memory_hint: ClassVar[str] = "place fewer plants"
 
     steps: Whole = Field(0, ge=0, le=100_000, description="number of steps, in which plants only age")
     step_yr: float = Field(1.0, gt=0, description="duration of a step, years")
@@ -95,6 +99,10 @@ class PlacedParameters(CommunityParameters):
     def everyone(self) -> tuple[PlacedPlant, ...]:
         """The plants of the list and of the table, in order."""
         return self.plants if self.table is None else (*self.plants, *rows(self.table))
+
+    def for_trial(self) -> Self:
+        """Without plants, which may stand anywhere on the whole site."""
+        return self.model_copy(update={"plants": (), "table": None})
 
     def named_species(self) -> Iterator[tuple[Keys, str]]:
         yield from super().named_species()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TypeVar
+from typing import ClassVar, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,8 @@ _GRIDS_AT_ONCE = 6  # beside one a species: masks, sums, a field's own
 
 class GriddedParameters(PlacementParameters):
     """The parameters of a model that reads densities on a grid."""
+
+    memory_hint: ClassVar[str] = f"{PlacementParameters.memory_hint}, or fewer community.cells"
 
     cells: Whole = Field(
         512,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, ClassVar, Self
 
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
@@ -57,6 +57,8 @@ class Stand(Section):
 class PlacementParameters(CommunityParameters):
     """What every placement model's recipe says."""
 
+    memory_hint: ClassVar[str] = "ask for fewer plants in community.plants"
+
     steps: Whole = Field(0, ge=0, le=100_000, description="number of steps, in which plants only age")
     step_yr: float = Field(1.0, gt=0, description="duration of a step, years")
     plants: dict[Name, Stand] = Field({}, description="the plants of each species")
@@ -69,6 +71,10 @@ class PlacementParameters(CommunityParameters):
     @classmethod
     def _none_is_empty(cls, value: object) -> object:
         return {} if value is None else value
+
+    def for_trial(self) -> Self:
+        """Without plants: their numbers are those of the whole site, and all have the same columns."""
+        return self.model_copy(update={"plants": {}})
 
     def named_species(self) -> Iterator[tuple[Keys, str]]:
         yield from super().named_species()

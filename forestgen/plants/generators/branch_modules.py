@@ -56,7 +56,8 @@ Decisions
   terminals beyond it, and with them its foliage: thick wood is old and bare.
 - Twigs are no part of a plant's size: a plant is as tall as its modules. They reach beyond by at most their length.
 - What the twigs look like is random, of the plant's own number, and stays with it through time.
-- The generator grows no plant alone: it has no modules then. See `forestgen simulate`, and stages/scene.py.
+- In communities of other models, and for `forestgen plant`, a plant grows alone in the open by its species' `modules`
+  until it has the height that its allometry asks for (plants/grown/alone.py).
 """
 
 from __future__ import annotations
@@ -156,20 +157,19 @@ _Parameters = Parameters  # the generator's attribute hides the name
 
 
 class BranchModulesGenerator:
-    """Clothes the wood of plants of branch modules; grows none alone."""
+    """Clothes the wood of plants of branch modules."""
 
     Parameters = Parameters
     has_crown = True
+    clothes_modules = True
 
     def grow(self, parameters: _Parameters, height_m: float, width_m: float, rng: np.random.Generator) -> Skeleton:
-        """Refuse: there are no modules without a community."""
+        """Refuse: its branches take more than a height and a width."""
         raise RecipeError(
-            "plants of branch modules grow in a community alone",
+            "plants of branch modules grow by their species' modules",
             where="plant.generator",
-            expected="community: {model: branch_modules}, which gives every plant its branches",
+            expected="forestgen.plants.growing.grow_exemplar",
             got="a plant without modules",
-            hint="forestgen simulate or render a recipe of that model, with initial_plants of 1 for a plant alone; or "
-            "give the species another generator under plant, and move this block to modules_plant",
         )
 
 

@@ -4,10 +4,16 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass, fields
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.architecture.modules import Modules
+from forestgen.architecture.prototype import MOST_NODES
+from forestgen.architecture.skeletal_graph import skeletal_graph
+from forestgen.architecture.tables import Tables
+from forestgen.community.population import Population, Status
 from forestgen.geometry.vectors import any_perpendicular, unit
 from forestgen.plants.skeleton import Skeleton
 
@@ -268,3 +274,58 @@ def wood_key(wood: ModuleWood) -> str:
         value = getattr(wood, field.name)
         digest.update(b"" if value is None else np.ascontiguousarray(value).tobytes())
     return digest.hexdigest()
+
+
+def woods_of(population: Population, tables: Tables, plants: Ints) -> list[ModuleWood]:
+    """The skeletal graphs of the plants of some rows, each as its own.
+
+    Parameters
+    ----------
+    tables : of all species of the population, in their order.
+
+    Raises
+    ------
+    ValueError : a population without modules.
+    """
+    modules = population.modules
+    if modules is None:
+        raise ValueError("the population has no modules")
+    if not len(plants):
+        return []
+    graph = skeletal_graph(tables, modules, population.species, plants)
+    kind = population.species[graph.plant].astype(np.int64)
+    prototype = modules.prototype[graph.module]
+    grown = tables.mature_age[kind] * (1.0 - tables.birth[prototype, graph.node])
+    share = np.clip(graph.age / np.maximum(grown, 1e-9), 0.0, 1.0)
+    start = np.searchsorted(_place(graph.plant, plants), np.arange(len(plants) + 1))
+    dead, dead_yr = population.status == Status.DEAD, population.columns.get("dead_yr", np.zeros(len(population)))
+    woods = []
+    for plant, (first, last) in zip(plants.tolist(), pairwise(start), strict=True):
+        part = slice(int(first), int(last))
+        parent = graph.parent[part]
+        woods.append(
+            ModuleWood(
+                parent=np.where(parent < 0, -1, parent - first).astype(np.int64),
+                position_m=graph.position_m[part].astype(np.float64),
+                diameter_m=graph.diameter_m[part].astype(np.float64),
+                age_share=share[part].astype(np.float64),
+                age_yr=modules.age_yr[graph.module[part]].astype(np.float64),
+                light=modules.light[graph.module[part]].astype(np.float64),
+                main=graph.is_main[part],
+                mark=_marks(modules, graph.module[part], graph.node[part]),
+                dead_yr=float(dead_yr[plant]) if dead[plant] else None,
+            )
+        )
+    return woods
+
+
+def _place(plant: Ints, plants: Ints) -> Ints:
+    """(N,) which of `plants` each node's is; nodes are in that order."""
+    change = np.concatenate([[0], np.cumsum(np.diff(plant) != 0)])
+    assert len(plants) == change[-1] + 1  # every plant has a root
+    return change
+
+
+def _marks(modules: Modules, module: Ints, node: NDArray[np.int16]) -> NDArray[np.uint32]:
+    """(N,) a module's number times `MOST_NODES`, plus the node of its prototype."""
+    return (modules.number[module] * np.uint32(MOST_NODES) + node.astype(np.uint32)).astype(np.uint32)

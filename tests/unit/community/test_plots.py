@@ -11,7 +11,7 @@ from PIL import Image
 from forestgen.community import animation
 from forestgen.community.animation import Film
 from forestgen.community.model import Site
-from forestgen.community.obstacles import NO_OBSTACLES, Obstacles, Outline
+from forestgen.community.obstacles import NO_OBSTACLES, Obstacle, Obstacles
 from forestgen.community.plot_series import plot_curves, plot_thinning
 from forestgen.community.plot_sizes import plot_sizes
 from forestgen.community.plots import CONIFER, OBSTACLE, plot_map
@@ -74,8 +74,8 @@ def test_a_map_shows_more_colour_where_plants_stand(site, tmp_path):
 
 
 def test_an_obstacle_is_its_grey_ground_plan(site, tmp_path):
-    corners = np.array([[10, 10], [30, 10], [30, 25], [10, 25.0]])
-    house = Obstacles((Outline("house", corners),), frozenset({"house"}))
+    entry = Obstacle(species="house", position_m=(20, 17.5), size_m=(20, 15, 7))
+    house = Obstacles((entry,), frozenset({"house"}))
     grey = tuple(round(255 * one) for one in to_rgb(OBSTACLE))
     shares = []
     for obstacles in (NO_OBSTACLES, house):

@@ -14,9 +14,10 @@ from forestgen.architecture.prototypes import load_prototypes
 from forestgen.architecture.skeletal_graph import skeletal_graph
 from forestgen.architecture.tables import tables_of
 from forestgen.community.population import Population
+from forestgen.plants.grown.wood import woods_of
 from forestgen.scene.assemble import place_instances
 from forestgen.scene.exemplars import plan_exemplars, with_levels
-from forestgen.scene.own_exemplars import LEAST_PIXELS, MOST_TRIANGLES, plan_own, unique_plants, woods_of
+from forestgen.scene.own_exemplars import LEAST_PIXELS, MOST_TRIANGLES, plan_own, unique_plants
 from support.scenes import simple_tree
 
 TYPE = PlantType(life_span_yr=100, root_vigour_max=50, growth_rate_per_yr=0.2, apical_control=0.8, determinacy=0.8)

@@ -6,8 +6,8 @@ import pytest
 
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.load import load_recipe
-from forestgen.stages.module_checks import notes_on_houses
 from forestgen.stages.plan import make_plan
+from forestgen.stages.views import check_outside_of_houses
 
 # The house is 12 m along its ridge, which goes from north-west to south-east, and 6 m deep.
 STAND = """
@@ -40,7 +40,7 @@ def test_a_camera_in_a_house_is_refused_at_its_line(tmp_path, position):
 @pytest.mark.parametrize("position", INSIDE)
 def test_a_camera_in_a_house_is_a_note_where_cameras_stand_at_random(tmp_path, position):
     plan = make_plan(drawn_of(tmp_path, position, "note"))
-    (note,) = notes_on_houses(plan.drawn, plan.model_parameters)
+    (note,) = check_outside_of_houses(plan.drawn, plan.obstacles.entries)
     assert note == "the camera camera0 stands inside of a house"
 
 

@@ -14,7 +14,7 @@ from forestgen.community.history import write_history
 from forestgen.core.progress import Silent
 from forestgen.recipe.load import load_recipe_data
 from forestgen.stages.community import snapshots
-from forestgen.stages.graphs import write_graphs
+from forestgen.stages.history import write_graphs
 from forestgen.stages.plan import make_plan
 from forestgen.stages.resume import origin
 

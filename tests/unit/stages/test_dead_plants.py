@@ -16,7 +16,7 @@ from forestgen.pipeline import only_snags
 from forestgen.plants.growing import grow_exemplar
 from forestgen.recipe.load import load_recipe_data
 from forestgen.stages import scene
-from forestgen.stages.dead_plants import MATERIAL, species_seen
+from forestgen.stages.own_plants import MATERIAL, species_seen
 from forestgen.stages.plan import check_plan
 from forestgen.stages.surfaces import materials_of
 

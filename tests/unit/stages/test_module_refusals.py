@@ -17,7 +17,7 @@ from forestgen.core.errors import OutputError, RecipeError, ResourceError
 from forestgen.core.progress import Silent
 from forestgen.recipe.load import load_recipe
 from forestgen.stages.community import snapshots
-from forestgen.stages.graphs import check_graphs
+from forestgen.stages.history import check_graphs
 from forestgen.stages.plan import check_plan
 
 STAND = """

@@ -10,17 +10,17 @@ import numpy as np
 import pytest
 
 from forestgen.atmosphere.extinction import cloud_grid_of
-from forestgen.community.ecoclimate import months
+from forestgen.atmosphere.weather import Weather
+from forestgen.community.capabilities import OwnAir, capability
+from forestgen.community.ecoclimate import months, own_air
 from forestgen.community.ecoclimate.grids import between
 from forestgen.community.population import Population
 from forestgen.core.errors import RecipeError
 from forestgen.core.progress import Silent
 from forestgen.core.timing import Timings
 from forestgen.recipe.load import load_recipe
-from forestgen.stages import own_weather as stage
 from forestgen.stages.clouds import clouds_of
 from forestgen.stages.community import final_population
-from forestgen.stages.own_weather import own_weather
 from forestgen.stages.plan import Plan, estimate_bytes, make_plan
 from forestgen.stages.scene import build_scene
 
@@ -59,6 +59,12 @@ def plan(folder: Path, *overrides: str) -> Plan:
 @pytest.fixture(scope="module")
 def population(folder: Path) -> Population:
     return final_population(plan(folder), Silent())
+
+
+def own_weather(of: Plan, population: Population) -> Weather:
+    air = capability(of.model, OwnAir)
+    assert air is not None
+    return air.air(of.drawn, of.model_parameters, of.site, of.ecologies, population, Silent())
 
 
 def giving(population: Population, mm_per_day: float) -> Population:
@@ -110,10 +116,10 @@ def test_it_is_the_air_that_the_next_month_sees(
     ((section, month, number, given, wind, seed), sky) = (seen[0][0], seen[0][1])
     assert number == 5
     case = months.air_over(state, section, 0)
-    hours = stage.hours_of(section, case.grid, case.day, case.surface)
+    hours = own_air.hours_of(section, case.grid, case.day, case.surface)
     over_the_site = between(given.ground, case.grid).for_ground(hours.condensed_kg_per_m2)
     assert over_the_site.mean() == pytest.approx(sky.condensed_kg_per_m2, rel=1e-12)
-    shown = own_weather(of, population, Silent())
+    shown = own_weather(of, population)
     assert shown.cloud.tobytes() == hours.weather.cloud.tobytes()
     assert shown.rain.tobytes() == hours.weather.rain.tobytes()
     assert np.array_equal(given.vapour_mm_per_day, population.maps["vapour_mm_per_day"])
@@ -122,7 +128,7 @@ def test_it_is_the_air_that_the_next_month_sees(
 
 def test_a_forest_has_more_clouds_than_bare_ground(folder: Path, population: Population) -> None:
     of = plan(folder)
-    bare, forest = (own_weather(of, giving(population, one), Silent()) for one in (0.0, 6.0))
+    bare, forest = (own_weather(of, giving(population, one)) for one in (0.0, 6.0))
     assert forest.cloud.sum() > 1.1 * bare.cloud.sum() > 0
 
 
@@ -130,16 +136,16 @@ def test_it_is_simulated_once_and_found_again_to_the_bit(
     folder: Path, population: Population, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     of, calls = plan(folder), []
-    hours_of = stage.hours_of
-    monkeypatch.setattr(stage, "hours_of", lambda *given: calls.append(1) or hours_of(*given))
-    first, again = (own_weather(of, population, Silent()) for _ in range(2))
+    hours_of = own_air.hours_of
+    monkeypatch.setattr(own_air, "hours_of", lambda *given: calls.append(1) or hours_of(*given))
+    first, again = (own_weather(of, population) for _ in range(2))
     assert len(calls) == 1
     assert all(np.array_equal(getattr(first, name), getattr(again, name)) for name in ("cloud", "rain", "vapour"))
     monkeypatch.setenv("FORESTGEN_CACHE", "")
-    assert own_weather(of, population, Silent()).cloud.tobytes() == first.cloud.tobytes()
+    assert own_weather(of, population).cloud.tobytes() == first.cloud.tobytes()
     others = (["sky.clouds.day=1"], ["sky.clouds.cell_m=80"], ["sky.clouds.time_s=1200"])
     for other in others:
-        drawn = own_weather(plan(folder, *other), population, Silent())
+        drawn = own_weather(plan(folder, *other), population)
         assert drawn.cloud.tobytes() != first.cloud.tobytes()
     assert drawn.time_s == 1200.0
 
@@ -149,7 +155,7 @@ def test_the_scene_has_the_clouds_of_that_air_and_nothing_else(folder: Path, pop
     of = plan(folder, "sky.clouds.droplet_radius_um=8")
     wet = giving(population, 6.0)
     spec = build_scene(of, wet, Silent(), Timings()).spec
-    weather = own_weather(of, wet, Silent())
+    weather = own_weather(of, wet)
     wanted = cloud_grid_of(weather, kind="", centre_m=(30.0, 22.5), droplet_radius_um=8.0, tiles=7)
     assert spec.clouds is not None
     assert wanted is not None

@@ -11,11 +11,12 @@ from forestgen.community.population import Population
 from forestgen.core.errors import RecipeError, ResourceError
 from forestgen.core.parts import Part
 from forestgen.core.progress import Silent
+from forestgen.core.timing import Timings
 from forestgen.plants.growing import grow_exemplar
 from forestgen.recipe.load import load_recipe_data
 from forestgen.scene.assemble import place_instances
 from forestgen.stages import scene
-from forestgen.stages.module_checks import turned_obstacles
+from forestgen.stages.community import final_population
 from forestgen.stages.own_plants import own_triangles
 from forestgen.stages.own_requests import has_own
 from forestgen.stages.plan import Plan, estimate_bytes, make_plan
@@ -108,7 +109,7 @@ def test_houses_have_one_exemplar_a_size_and_stand_turned():
     house = exemplars[int(mine[0])]
     assert {organ.part for organ in house.organs} == {Part.STRUCTURE}
     stands_for_m = plants.height_m[chosen.plant]
-    turned = turned_obstacles(plan.model_parameters, plants)
+    turned = plan.obstacles.turned(plants)
     placed = place_instances(turned, chosen.exemplar_of_plant, exemplars, 0, stands_for_m=stands_for_m)
     linear = placed.transform[rows, :, :3]
     np.testing.assert_allclose(np.linalg.det(linear), 1.0, atol=1e-9)
@@ -157,8 +158,25 @@ def test_another_generator_clothes_no_modules():
         make_plan(load_recipe_data(data, "test").draw(0))
 
 
-def test_a_species_that_has_modules_alone_needs_their_community():
-    species = {"larch": None}
+def test_a_species_without_modules_has_no_branches_to_be_drawn():
+    species = {"larch": {"from": "larch", "modules": None}}
     data = {"forestgen": 1, "species": species, "community": {"model": "multiset_lsystem", "program": "succession"}}
-    with pytest.raises(RecipeError, match="community of that model alone"):
+    with pytest.raises(RecipeError, match=r"species.larch.plant.generator: the plant has no branches"):
         make_plan(load_recipe_data(data, "test").draw(0))
+
+
+def test_in_another_community_a_species_of_modules_has_the_sizes_that_the_community_gives():
+    plants = [{"species": "redgrass", "position_m": [x, 5], "radius_m": r} for x, r in ((3, 0.2), (6, 0.3))]
+    data = {
+        "forestgen": 1,
+        "site": {"size_m": [9, 9]},
+        "species": {"redgrass": None},
+        "community": {"model": "placed", "plants": plants},
+        "cameras": [{"position_m": [4, -5, 2]}],
+    }
+    plan = make_plan(load_recipe_data(data, "test").draw(0))
+    assert plan.module_parameters == {}
+    built = scene.build_scene(plan, final_population(plan, Silent()), Silent(), Timings())
+    heights = [float(plan.drawn.species["redgrass"].allometry.height(r)) for r in (0.2, 0.3)]
+    assert sorted(one.height_m for one in built.spec.exemplars) == pytest.approx(heights, rel=0.1)
+    assert all(one.leaf_area_m2 > 0 for one in built.spec.exemplars)

@@ -10,10 +10,10 @@ import pytest
 from forestgen.community.history import write_history
 from forestgen.core.errors import AssetError, RecipeError
 from forestgen.core.progress import Silent
+from forestgen.plants.build import built
 from forestgen.recipe.load import load_recipe
 from forestgen.stages.community import final_population, snapshots
-from forestgen.stages.graphs import check_graphs, write_graphs
-from forestgen.stages.module_checks import obstacle_exemplar, obstacles_of, turned_obstacles
+from forestgen.stages.history import check_graphs, write_graphs
 from forestgen.stages.plan import Plan, check_plan
 from forestgen.stages.resume import origin, snapshot_to_resume
 
@@ -71,10 +71,10 @@ def test_the_future_is_the_same_to_the_bit(recipe: Path, tmp_path: Path) -> None
 
 def test_obstacles_are_the_first_plants_and_stand_as_they_are_told(recipe: Path) -> None:
     plan = planned(recipe, "community.steps=0", "community.initial_plants=0")
-    population = turned_obstacles(plan.model_parameters, final_population(plan, Silent()))
-    ((row, house),) = obstacles_of(plan.model_parameters, population).items()
+    population = plan.obstacles.turned(final_population(plan, Silent()))
+    ((row, house),) = plan.obstacles.rows_of(population).items()
     assert population.columns["azimuth_deg"][row] == 30
-    exemplar = obstacle_exemplar(house, plan.drawn.species, plan.generator_parameters)
+    exemplar = built("house", plan.drawn.species["house"], plan.generator_parameters["house"], house.size_m, 6.4)
     assert exemplar.height_m == population.height_m[row] == 7
     np.testing.assert_allclose(exemplar.bounds_m()[1, :2], [5, 4])
 

@@ -12,9 +12,8 @@ from forestgen.core.errors import AssetError, RecipeError
 from forestgen.core.progress import Silent
 from forestgen.recipe.load import load_recipe
 from forestgen.stages.community import final_population, snapshots
-from forestgen.stages.differences import differences, shown
 from forestgen.stages.plan import Plan, check_plan
-from forestgen.stages.resume import note_of_other_code, origin, snapshot_to_resume
+from forestgen.stages.resume import differences, note_of_other_code, origin, shown, snapshot_to_resume
 
 QUICKSTART = Path(__file__).parents[3] / "recipes" / "quickstart.yaml"
 STAND = (

@@ -14,8 +14,8 @@ from forestgen.core.progress import Silent
 from forestgen.recipe.load import load_recipe
 from forestgen.scene.soil_colour import Wetness
 from forestgen.stages.community import final_population
+from forestgen.stages.ground import wetness_of
 from forestgen.stages.plan import Plan, make_plan
-from forestgen.stages.wet_soil import wetness_of
 
 RECIPE = """\
 forestgen: 1
@@ -44,7 +44,7 @@ def population(folder: Path) -> Population:
 def wetness(folder: Path, population: Population, *overrides: str, **maps: float) -> Wetness:
     filled = {name: np.full((3, 4), value) for name, value in maps.items()}
     of = plan(folder, *overrides)
-    found = wetness_of(of.drawn, of.model_parameters, replace(population, maps={**population.maps, **filled}))
+    found = wetness_of(of.drawn, of.model, of.model_parameters, replace(population, maps={**population.maps, **filled}))
     assert found is not None
     return found
 
@@ -73,14 +73,14 @@ def test_saturation(
 def test_it_may_be_left_out(folder: Path, population: Population) -> None:
     for off in ("site.wet_soil=false", "site.wet_soil.shown=false"):
         of = plan(folder, off)
-        assert wetness_of(of.drawn, of.model_parameters, population) is None
+        assert wetness_of(of.drawn, of.model, of.model_parameters, population) is None
 
 
 def test_other_communities_have_none_and_their_recipes_do_not_tell(folder: Path, population: Population) -> None:
     community = "{model: forest_footprints, steps: 1}"
     text = "\n".join(f"community: {community}" if "ecoclimate" in line else line for line in RECIPE.splitlines())
     of = plan(folder, text=text)
-    assert wetness_of(of.drawn, of.model_parameters, population) is None
+    assert wetness_of(of.drawn, of.model, of.model_parameters, population) is None
     assert "wet_soil" not in of.drawn.data["site"]
     with pytest.raises(RecipeError, match=r"no water in its soil[\s\S]*ecoclimate[\s\S]*forest_footprints"):
         plan(folder, "site.wet_soil.depth_m=1", text=text)

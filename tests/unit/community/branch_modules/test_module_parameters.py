@@ -12,7 +12,8 @@ from pydantic import ValidationError
 
 from forestgen.architecture.plant_type import PlantType
 from forestgen.community.branch_modules.changes import check_changes, parameters_at
-from forestgen.community.branch_modules.parameters import BranchModulesParameters, Obstacle, is_blocked
+from forestgen.community.branch_modules.parameters import BranchModulesParameters, is_blocked
+from forestgen.community.obstacles import Obstacle
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.messages import Explainer
 from forestgen.recipe.sources import SourceMap

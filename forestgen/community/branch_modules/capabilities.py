@@ -1,0 +1,98 @@
+"""What models of branch modules offer besides a community: checks of whole recipes, obstacles, own branches."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+
+from forestgen.architecture.prototypes import load_prototypes
+from forestgen.architecture.tables import Tables, tables_of
+from forestgen.community.branch_modules.changes import check_changes, parameters_at
+from forestgen.community.branch_modules.limits import no_prototype, not_growing
+from forestgen.community.branch_modules.parameters import BranchModulesParameters
+from forestgen.community.branch_modules.traits import STAND_IN
+from forestgen.community.ecology import SpeciesEcology
+from forestgen.community.obstacles import Obstacle
+from forestgen.community.population import Population
+from forestgen.core.errors import RecipeError, ResourceError
+from forestgen.plants.registry import is_built
+from forestgen.recipe.load import DrawnRecipe
+
+
+class ModuleCapabilities:
+    """`PlanChecks`, `HasObstacles` and `OwnSkeletons` of `community.capabilities`."""
+
+    def check_recipe(self, drawn: DrawnRecipe, parameters: BranchModulesParameters) -> None:
+        """Refuse species, plantings and changes that the recipe's species cannot have."""
+        types = {name: one.modules for name, one in drawn.species.items() if one.modules is not None}
+        for keys, name in parameters.named_species():
+            may_be_built = keys[0] == "obstacles" or (keys[0] == "disturbances" and keys[2] != "plant")
+            if name not in types and not may_be_built:
+                raise not_growing(name, types, drawn.where("community", *keys))
+        names = [prototype.name for prototype in load_prototypes()]
+        for name, kind in types.items():
+            for index, wanted in enumerate(kind.prototypes):
+                if wanted not in names:
+                    where = drawn.where("species", name, "modules", "prototypes", index)
+                    raise no_prototype(wanted, names, where)
+        stands = {one.species for one in parameters.obstacles}
+        for name, one in drawn.species.items():
+            if one.modules is None and name not in stands and not is_built(one.plant.generator):
+                raise without_modules(name, drawn.where("species", name))
+        _check_plantings(drawn, parameters)
+        check_changes(parameters, types, names, drawn.parse, lambda *keys: drawn.where("community", *keys))
+
+    def obstacles(self, parameters: BranchModulesParameters) -> tuple[Obstacle, ...]:
+        """The buildings of the recipe."""
+        return parameters.obstacles
+
+    def skeleton_tables(
+        self, parameters: BranchModulesParameters, species: Sequence[SpeciesEcology], population: Population
+    ) -> Tables:
+        """Prototypes and plant types, with the changes up to the population's time."""
+        types = {one.name: one.modules for one in species if one.modules is not None}
+        parameters, types = parameters_at(parameters, types, population.step)
+        of_species = [types.get(name, STAND_IN) for name in population.species_names]
+        return tables_of(load_prototypes(), of_species, sphere_scale=parameters.sphere_scale)
+
+    def check_foliage(self, drawn: DrawnRecipe, parameters: BranchModulesParameters, species: Collection[str]) -> None:
+        """Refuse standing dead trees of species that are not drawn by their own branches: they would bear leaves."""
+        if parameters.standing_dead_yr == 0:
+            return
+        for name, one in drawn.species.items():
+            if one.modules is not None and name not in species:
+                raise RecipeError(
+                    f"dead trees of {name} cannot be drawn",
+                    where=drawn.where("species", name),
+                    expected="a section modules_plant, by which its own branches are drawn",
+                    got="none",
+                    hint="add modules_plant: {generator: branch_modules, ...}, or set community.standing_dead_yr: 0",
+                )
+
+    def keeps_skeletons(self, parameters: BranchModulesParameters) -> bool:
+        """By the recipe's history_modules."""
+        return parameters.history_modules
+
+
+def without_modules(name: str, where: str) -> RecipeError:
+    """The error of a species that neither grows by modules nor stands as an obstacle."""
+    return RecipeError(
+        f"{name} does not grow by branch modules",
+        where=where,
+        expected="a section `modules` with life_span_yr, root_vigour_max, growth_rate_per_yr and so on",
+        got="none",
+        hint="take a species that has one, such as those of scenes/species with `modules:`; or another community.model",
+    )
+
+
+def _check_plantings(drawn: DrawnRecipe, parameters: BranchModulesParameters) -> None:
+    """Plantings are not of more plants than there may be modules; each begins as one."""
+    for index, one in enumerate(parameters.disturbances):
+        if one.plant is not None and one.plant.number > parameters.most_modules:
+            key = "count" if one.plant.positions_m is None else "positions_m"
+            raise ResourceError(
+                "more plants than there may be branch modules",
+                where=drawn.where("community", "disturbances", index, "plant", key),
+                expected=f"at most community.most_modules = {parameters.most_modules:,}",
+                got=f"{one.plant.number:,}",
+                hint="plant fewer, or raise most_modules",
+            )
