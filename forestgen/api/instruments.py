@@ -186,7 +186,7 @@ def _save_weather(path: Path, report: Weather) -> None:
     if path.suffix.lower() == ".nc":
         write_weather(path, report.weather, droplet_radius_um=report.droplet_radius_um)
         return
-    grid = cloud_grid_of(report.weather, kind=report.kind, centre_m=None, droplet_radius_um=report.droplet_radius_um)
+    grid = cloud_grid_of(report.weather, centre_m=None, droplet_radius_um=report.droplet_radius_um)
     if grid is None:
         raise OutputError("there are no clouds to write", where=str(path), hint="save the air as .nc")
     write_clouds(path, grid)

@@ -49,6 +49,24 @@ def file_sha256(path: Path, named: str) -> str:
         raise AssetError("the file cannot be read", expected="an existing file", got=reason) from cause
 
 
+def known_file(folder: Path, named: str, sha256: str | None, where: str) -> Path:
+    """The path of a file that a recipe names, still the one that the recipe was loaded with.
+
+    Raises
+    ------
+    AssetError : there is none, or its SHA-256 is another one.
+    """
+    path = inside(folder, named, sha256=sha256, where=where)
+    try:
+        found = file_sha256(path, named)
+    except AssetError as cause:
+        raise AssetError(cause.problem, where=where, expected=cause.expected, got=cause.got, hint=cause.hint) from cause
+    if sha256 is not None and found != sha256:
+        expected = f"a file whose SHA-256 is {sha256[:16]}..."
+        raise AssetError("the file has changed since the recipe was loaded", where=where, expected=expected, got=found)
+    return path
+
+
 def _near(path: Path, named: str) -> str:
     """What else the author may have meant."""
     relative = "its path is relative to the recipe's folder"

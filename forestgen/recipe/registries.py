@@ -1,4 +1,4 @@
-"""Data set formats, by the name that a recipe uses: the recipe's schema needs their names, not their code."""
+"""Interchangeable parts by the name that a recipe uses: the recipe's schema needs their names, not their code."""
 
 from __future__ import annotations
 
@@ -18,5 +18,29 @@ DATASET_FORMATS = Registry(
         "yolo": ("forestgen.dataset.formats.yolo:FORMAT", "outlines and boxes for YOLO trainers"),
         "nerfstudio": ("forestgen.dataset.formats.nerfstudio:FORMAT", "cameras for radiance fields and splats"),
         "bop": ("forestgen.dataset.formats.bop:FORMAT", "poses, visible fractions and masks of each plant"),
+    },
+)
+
+CLOUD_SOURCES = Registry(
+    "cloud source",
+    {
+        "fog": ("forestgen.atmosphere.clouds.simulated:FOG", "simulated weather: fog of a cooled, moist layer"),
+        "stratus": ("forestgen.atmosphere.clouds.simulated:STRATUS", "simulated weather: a low grey layer"),
+        "stratocumulus": (
+            "forestgen.atmosphere.clouds.simulated:STRATOCUMULUS",
+            "simulated weather: a broken layer below an inversion",
+        ),
+        "cumulus": ("forestgen.atmosphere.clouds.simulated:CUMULUS", "simulated weather: clouds of a heated ground"),
+        "cumulonimbus": (
+            "forestgen.atmosphere.clouds.simulated:CUMULONIMBUS",
+            "simulated weather: a thundercloud up to 8 km, with its anvil",
+        ),
+        "community": (
+            "forestgen.stages.community_clouds:SOURCE",
+            "the air that the community simulates over itself",
+        ),
+        "noise": ("forestgen.atmosphere.clouds.noise:SOURCE", "small cumulus of noise, without weather"),
+        "file": ("forestgen.atmosphere.clouds.saved:SOURCE", "a saved state of the air, or a field of extinction"),
+        "none": ("forestgen.atmosphere.clouds.none:SOURCE", "a sky without clouds"),
     },
 )

@@ -209,7 +209,7 @@ class Recipe(Section):
     species: Annotated[dict[Name, Species], Field(min_length=1, max_length=1000, description="Species by name.")]
     community: Annotated[Community, Field(description="The plants of the stand: a community model and its own keys.")]
     plants: Annotated[Plants, Field(description="How plants are modelled.")] = Plants()
-    sky: Annotated[SkySection, Field(description="Everything above: sun, clear sky, clouds.")] = SkySection()
+    sky: SkySection = Field(default_factory=SkySection, description="Everything above: sun, clear sky, clouds.")
     cameras: Annotated[list[Camera], Field(min_length=1, max_length=1000, description="Cameras, at least one.")]
     render: Annotated[Render, Field(description="The light's computation.")] = Render()
     labels: Annotated[Labels, Field(description="The labels' computation.")] = Labels()

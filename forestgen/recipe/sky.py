@@ -7,7 +7,14 @@ import re
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, SerializerFunctionWrapHandler, field_validator, model_serializer, model_validator
+from pydantic import (
+    Field,
+    SerializeAsAny,
+    SerializerFunctionWrapHandler,
+    field_validator,
+    model_serializer,
+    model_validator,
+)
 
 from forestgen.recipe.clouds import Clouds
 from forestgen.recipe.fields import Number, Section, Text, mistake, spelled_out
@@ -176,7 +183,9 @@ class SkySection(Section):
             "very clear. None: no haze. Below 1000 it is fog: see clouds.",
         ),
     ] = None
-    clouds: Annotated[Clouds, Field(description="The cloud field, or just its type.")] = Clouds()
+    clouds: SerializeAsAny[Clouds] = Field(
+        default_factory=lambda: Clouds.model_validate({}), description="The cloud field, or just its type."
+    )
 
     @field_validator("clouds", mode="before")
     @classmethod
@@ -185,7 +194,7 @@ class SkySection(Section):
 
     @model_validator(mode="after")
     def _one_kind_of_cloud(self) -> Self:
-        if self.kind == "overcast" and self.clouds.type != "none":
+        if self.kind == "overcast" and self.clouds.has_clouds:
             raise mistake(
                 "clouds: none",
                 problem="an overcast sky has no single clouds",

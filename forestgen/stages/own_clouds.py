@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import math
+from typing import Any
 
+from forestgen.atmosphere.weather import AirGrid
 from forestgen.community.branch_modules.changes import parameters_at
 from forestgen.community.ecoclimate.air import grid_of
 from forestgen.community.ecoclimate.parameters import EcoclimateParameters
@@ -12,20 +13,8 @@ from forestgen.community.model import CommunityParameters
 from forestgen.community.soil_water.ground import Ground
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.load import DrawnRecipe
-from forestgen.stages.clouds import simulated_bytes
 
 _MOST_S = 86_400.0
-
-
-def check_own_clouds(drawn: DrawnRecipe, parameters: CommunityParameters) -> None:
-    """Refuse clouds of a community that simulates no air when the picture is taken; others are none of its business.
-
-    Raises
-    ------
-    RecipeError : with the line of the key.
-    """
-    if drawn.recipe.sky.clouds.type == "community":
-        own_section(drawn, parameters)
 
 
 def own_section(drawn: DrawnRecipe, parameters: CommunityParameters) -> WeatherSection:
@@ -33,9 +22,10 @@ def own_section(drawn: DrawnRecipe, parameters: CommunityParameters) -> WeatherS
 
     Raises
     ------
-    RecipeError : see `check_own_clouds`; or too many cells, or too few.
+    RecipeError : it simulates no air when the picture is taken; or too many cells, or too few; with the key's line.
     """
-    clouds, where = drawn.recipe.sky.clouds, drawn.where("sky", "clouds", "type")
+    clouds: Any = drawn.recipe.sky.clouds
+    where = drawn.where("sky", "clouds", "type")
     if not isinstance(parameters, EcoclimateParameters):
         raise RecipeError(
             "this community has no air of its own",
@@ -70,7 +60,6 @@ def own_section(drawn: DrawnRecipe, parameters: CommunityParameters) -> WeatherS
     return drawn.parse(WeatherSection, {**section.model_dump(), **own}, ("sky", "clouds"))
 
 
-def own_cloud_bytes(drawn: DrawnRecipe, parameters: CommunityParameters) -> int:
-    """Memory that the community's clouds take at most, by estimate."""
-    grid = grid_of(own_section(drawn, parameters), Ground(drawn.recipe.site.size_m, (1, 1)))
-    return simulated_bytes(math.prod(grid.cells), grid.size_m[0], repeated=drawn.recipe.sky.clouds.repeat is not False)
+def own_grid(drawn: DrawnRecipe, parameters: CommunityParameters) -> AirGrid:
+    """The cells of the air that the picture shows."""
+    return grid_of(own_section(drawn, parameters), Ground(drawn.recipe.site.size_m, (1, 1)))

@@ -6,6 +6,7 @@ It is kept with other weather, by the hash of what the hours of a day begin with
 from __future__ import annotations
 
 import hashlib
+from typing import TYPE_CHECKING, Any
 
 from forestgen.atmosphere.fluid.parameters import UnstableError
 from forestgen.atmosphere.kept_weather import read_weather, weather_store
@@ -19,7 +20,9 @@ from forestgen.core.errors import RecipeError
 from forestgen.core.packed import pack
 from forestgen.core.progress import Progress
 from forestgen.stages.own_clouds import own_section
-from forestgen.stages.plan import Plan
+
+if TYPE_CHECKING:
+    from forestgen.stages.plan import Plan
 
 _SOURCES = ("atmosphere", "community", "core")
 _COMPUTE_WITH = ("numpy", "scipy", "numba")
@@ -36,10 +39,11 @@ def own_weather(plan: Plan, population: Population, progress: Progress) -> Weath
     ------
     RecipeError : the snapshot has no maps, or the air cannot be stepped.
     """
+    clouds: Any = plan.drawn.recipe.sky.clouds
     section = own_section(plan.drawn, plan.model_parameters)
     seed = plan.drawn.image_seed
     state = plan.model.resume(plan.model_parameters, plan.site, plan.ecologies, seed, population)
-    case = air_over(state, section, plan.drawn.recipe.sky.clouds.day or 0)
+    case = air_over(state, section, clouds.day or 0)
     told = (code_hash(_SOURCES, _COMPUTE_WITH), section.hours, described(case))
     key, store = hashlib.blake2b(repr(told).encode(), digest_size=20).hexdigest(), weather_store()
     kept = None if store is None else read_weather(store, key)

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.atmosphere.clouds.source import CloudRequest, cloud_source_of
 from forestgen.community.population import Population
 from forestgen.core.progress import Progress
 from forestgen.core.randomness import child_rng
@@ -34,13 +35,11 @@ from forestgen.scene.spec import Camera, SceneSpec
 from forestgen.scene.terrain import HeightField, build_terrain
 from forestgen.scene.trunks import Trunks
 from forestgen.scene.wind import Sway, spec_at, sway_in
-from forestgen.stages.clouds import clouds_of
 from forestgen.stages.dead_plants import species_seen
 from forestgen.stages.exemplar_library import library_of, modelled_species, origin_of
 from forestgen.stages.ground import height_field
 from forestgen.stages.module_checks import notes_on_houses, turned_obstacles
 from forestgen.stages.own_requests import has_own, own_requests, plan_own_plants
-from forestgen.stages.own_weather import own_weather
 from forestgen.stages.plan import Plan
 from forestgen.stages.sky import sky_of
 from forestgen.stages.surfaces import infrared_notes, materials_of
@@ -81,10 +80,6 @@ class BuiltScene:
 def build_scene(plan: Plan, population: Population, progress: Progress, timer: Timer) -> BuiltScene:
     """Grow the exemplars, shape the ground, hang the clouds, place plants and cameras."""
     recipe, seed = plan.drawn.recipe, plan.drawn.image_seed
-    own = None
-    if recipe.sky.clouds.type == "community":
-        with timer("weather"):
-            own = own_weather(plan, population, progress)
     with timer("scene"):
         height = height_field(plan.drawn)
         population = stand_on(population, height)
@@ -93,7 +88,8 @@ def build_scene(plan: Plan, population: Population, progress: Progress, timer: T
         exemplar_plan = choose_exemplars(plan, population, cameras)
         exemplars = grow_planned(plan, exemplar_plan, progress, population)
     with timer("clouds"):
-        clouds = clouds_of(plan.drawn, _lowest_m(plan, height), progress, own)
+        request = CloudRequest(plan.drawn, _lowest_m(plan, height), progress, plan, population)
+        clouds = cloud_source_of(plan.drawn).grid(request)
     with timer("scene"):
         wetness = wetness_of(plan.drawn, plan.model_parameters, population)
         terrain = build_terrain(height, child_rng(seed, "terrain", "colour"), recipe.site.ground, wetness)

@@ -11,12 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.atmosphere.cloud_statistics import CloudStatistics, cloud_statistics
+from forestgen.atmosphere.clouds.source import cloud_source_of
 from forestgen.atmosphere.extinction import droplet_extinction, rain_extinction
 from forestgen.atmosphere.weather import Weather
 from forestgen.core.progress import Progress
 from forestgen.recipe.load import DrawnRecipe
-from forestgen.stages.clouds import weather_of
-from forestgen.stages.scenarios import droplet_radius_um_of, scenario_of, time_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -42,10 +41,9 @@ def weather_report(drawn: DrawnRecipe, progress: Progress) -> Report:
     ------
     RecipeError : its clouds are not simulated, or cannot be.
     """
-    scenario, time_s = scenario_of(drawn), time_of(drawn)
-    kind, radius_um = scenario.at(time_s).kind, droplet_radius_um_of(drawn, scenario, time_s)
-    weather = weather_of(drawn, progress)
-    return Report(weather, kind, radius_um, cloud_statistics(weather, droplet_radius_um=radius_um))
+    air = cloud_source_of(drawn).air(drawn, progress)
+    radius_um = air.droplet_radius_um
+    return Report(air.weather, air.kind, radius_um, cloud_statistics(air.weather, droplet_radius_um=radius_um))
 
 
 def plot_weather(reports: Sequence[Report], path: Path) -> None:

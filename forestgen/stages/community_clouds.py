@@ -1,0 +1,85 @@
+"""Clouds of the air that the community simulates over itself: a day of the month that comes after the snapshot.
+
+Example
+-------
+    community: {model: ecoclimate, weather: {}}
+    sky: {clouds: {type: community, day: 3}}
+
+Parameters: see `CommunityKeys`; all else is that of `community.weather`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any, ClassVar
+
+from pydantic import Field
+
+from forestgen.atmosphere.clouds.source import AirKeys, CloudRequest, CloudSource, clouds_of_air, simulated_bytes
+from forestgen.atmosphere.clouds.weather_keys import WeatherKeys
+from forestgen.atmosphere.grid import CloudGrid
+from forestgen.recipe.fields import NonNegative, Positive, Whole
+from forestgen.recipe.load import DrawnRecipe
+from forestgen.stages.own_clouds import own_grid
+from forestgen.stages.own_weather import own_weather
+
+_DROPLET_RADIUS_UM = 10.0  # of cumulus: see forestgen.atmosphere.clouds.simulated
+
+
+class CommunityKeys(AirKeys):
+    """Keys of `clouds: {type: community}`."""
+
+    instead: ClassVar = dict.fromkeys(
+        (*WeatherKeys.model_fields, "seed", "story"), "the air is that of community.weather: leave it out"
+    )
+
+    time_s: Annotated[
+        NonNegative | None,
+        Field(
+            le=1e6,
+            description="When the picture is taken, seconds after the day's simulated hours begin. Default: their end.",
+        ),
+    ] = None
+    day: Annotated[
+        Whole | None,
+        Field(
+            ge=0,
+            le=30,
+            description="Of type community: which day of the month after the snapshot; the simulation sees those below "
+            "its days_per_month. Default 0.",
+        ),
+    ] = None
+    cell_m: Annotated[
+        Positive | None,
+        Field(
+            ge=5,
+            le=1000,
+            description="Of type community: width of the air's cells, metres; other cells make another draw of the "
+            "same air. Default: community.weather's.",
+        ),
+    ] = None
+    cell_height_m: Annotated[
+        Positive | None, Field(ge=5, le=500, description="Of type community: their height, metres. Default: as above.")
+    ] = None
+
+
+class CommunityClouds(CloudSource[CommunityKeys]):
+    """The air that the community simulates over itself."""
+
+    Parameters = CommunityKeys
+
+    def check_community(self, drawn: DrawnRecipe, parameters: Any) -> None:
+        own_grid(drawn, parameters)
+
+    def estimate_bytes(self, drawn: DrawnRecipe, parameters: Any) -> int:
+        grid = own_grid(drawn, parameters)
+        return simulated_bytes(self.keys_of(drawn), math.prod(grid.cells), grid.size_m[0])
+
+    def grid(self, request: CloudRequest) -> CloudGrid | None:
+        keys = self.keys_of(request.drawn)
+        weather = own_weather(request.plan, request.population, request.progress)
+        radius_um = keys.droplet_radius_um or _DROPLET_RADIUS_UM
+        return clouds_of_air(request, keys, weather, radius_um, request.middle_of_site_m)
+
+
+SOURCE = CommunityClouds()
