@@ -8,12 +8,19 @@ import re
 
 from pydantic import BaseModel
 
+from forestgen.atmosphere.clouds.source import CloudSource
 from forestgen.community.environments.contract import Environment
 from forestgen.community.model import CommunityModel, CommunityParameters
 from forestgen.core.arguments import shown
 from forestgen.core.errors import RecipeError
 from forestgen.dataset.formats.format import DatasetFormat
 from forestgen.plants.parameters import Generator, PlantParameters
+from forestgen.recipe.clouds import Clouds
+from forestgen.recipe.sky import SkySection
+from forestgen.recipe.terrain import Terrain
+from forestgen.render.skies.model import SkyModel
+from forestgen.scene.grounds.cover import GroundCover
+from forestgen.scene.terrains.shape import TerrainShape
 
 _PLACE = re.compile(r"([^\W\d]\w*(?:\.[^\W\d]\w*)*):([^\W\d]\w*)")
 #: Of each kind its contract and the class of its `Parameters`, if it has some.
@@ -22,6 +29,10 @@ _CONTRACTS: dict[str, tuple[type, type[BaseModel] | None]] = {
     "environment": (Environment, BaseModel),
     "plant_generator": (Generator, PlantParameters),
     "dataset_format": (DatasetFormat, None),
+    "cloud_source": (CloudSource, Clouds),
+    "terrain": (TerrainShape, Terrain),
+    "sky": (SkyModel, SkySection),
+    "ground_cover": (GroundCover, None),
 }
 
 

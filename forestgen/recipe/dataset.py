@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-from pydantic import AfterValidator, Field, field_validator
+from pydantic import Field, field_validator
 
-from forestgen.core.errors import RecipeError
-from forestgen.recipe.fields import Positive, Section, Text, Whole, mistake
+from forestgen.recipe.fields import Positive, Section, Text, Whole, mistake, part_name
 from forestgen.recipe.registries import DATASET_FORMATS, DEFAULT_FORMATS
 
 View = Literal["filmic", "srgb", "acescct"]
@@ -15,20 +14,7 @@ DEFAULT_SPLITS = {"train": 8.0, "val": 1.0, "test": 1.0}
 SplitName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_-]{0,31}$")]
 
 
-def _known_format(name: str) -> str:
-    try:
-        DATASET_FORMATS.check(name)
-    except RecipeError as error:
-        raise mistake(error.expected or "", problem=error.problem, got=error.got, hint=error.hint) from error
-    return name
-
-
-def _add_names(schema: dict[str, Any]) -> None:
-    """To the JSON Schema of a format's name, those that are registered when it is made."""
-    schema["enum"] = DATASET_FORMATS.ids()
-
-
-Format = Annotated[Text, AfterValidator(_known_format), Field(json_schema_extra=_add_names)]
+Format = Annotated[Text, *part_name(DATASET_FORMATS)]
 
 
 class Licence(Section):

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Self
 
 from pydantic import (
+    AfterValidator,
     BaseModel,
     BeforeValidator,
     ConfigDict,
@@ -16,6 +17,7 @@ from pydantic import (
     ValidationError,
     model_validator,
 )
+from pydantic.fields import FieldInfo
 from pydantic_core import CoreSchema, PydanticCustomError
 
 from forestgen.core.errors import RecipeError
@@ -42,6 +44,22 @@ class OpenSection(BaseModel):
     def parameters(self) -> dict[str, Any]:
         """The keys beyond the section's own, as the recipe gives them."""
         return dict(self.model_extra or {})
+
+
+def part_name(registry: Registry) -> tuple[AfterValidator, FieldInfo]:
+    """Validator and JSON Schema of a registered part's name, for ``Annotated[Text, *part_name(...)]``."""
+
+    def known(name: str) -> str:
+        try:
+            registry.check(name)
+        except RecipeError as error:
+            raise mistake(error.expected or "", problem=error.problem, got=error.got, hint=error.hint) from error
+        return name
+
+    def add_names(schema: dict[str, Any]) -> None:
+        schema["enum"] = registry.ids()
+
+    return AfterValidator(known), Field(json_schema_extra=add_names)
 
 
 class PartSection(Section):

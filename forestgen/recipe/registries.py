@@ -44,3 +44,36 @@ CLOUD_SOURCES = Registry(
         "none": ("forestgen.atmosphere.clouds.none:SOURCE", "a sky without clouds"),
     },
 )
+
+TERRAINS = Registry(
+    "terrain",
+    {
+        "flat": ("forestgen.scene.terrains.flat:SHAPE", "flat ground"),
+        "rolling": ("forestgen.scene.terrains.rolling:SHAPE", "gently rolling ground, with hills in the distance"),
+        "map": ("forestgen.scene.terrains.mapped:SHAPE", "the ground of a map of heights"),
+    },
+)
+
+GROUND_COVERS = Registry(
+    "ground cover",
+    {
+        "litter": ("forestgen.scene.grounds.litter:COVER", "fallen leaves and moss"),
+        "soil_dry": ("forestgen.scene.grounds.uneven:SOIL_DRY", "dry soil"),
+        "soil_wet": ("forestgen.scene.grounds.uneven:SOIL_WET", "wet soil"),
+        "grass": ("forestgen.scene.grounds.uneven:GRASS", "grass"),
+        "rock": ("forestgen.scene.grounds.uneven:ROCK", "rock"),
+        "sand": ("forestgen.scene.grounds.uneven:SAND", "sand"),
+        "snow": ("forestgen.scene.grounds.uneven:SNOW", "snow, also on a share of the land around"),
+    },
+)
+
+SKIES = Registry(
+    "sky",
+    {
+        "clear": (
+            "forestgen.render.skies.clear:SKY",
+            "sun and blue sky (Hosek and Wilkie 2012)",
+        ),
+        "overcast": ("forestgen.render.skies.overcast:SKY", "the CIE standard overcast sky, without a sun"),
+    },
+)

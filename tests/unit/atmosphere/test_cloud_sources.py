@@ -1,4 +1,4 @@
-"""From the recipe's weather to the scene's clouds: values over a type's own, what cannot be, where the clouds are put."""
+"""From the recipe's weather to the scene's clouds: the types' own values, what cannot be, where clouds are put."""
 
 from __future__ import annotations
 
