@@ -39,9 +39,7 @@ class Clouds(PartSection, GivenSection):
     selector = "type"
     has_clouds: ClassVar[bool] = True  # whether there are ever any
 
-    type: Annotated[
-        Text, Field(description="Where the clouds come from: `forestgen models --kind cloud_source` describes these.")
-    ] = "none"
+    type: Annotated[Text, Field(description="Where the clouds come from.")] = "none"
 
     @classmethod
     def named_by(cls, data: Mapping[str, Any]) -> Any:

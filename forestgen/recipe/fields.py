@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from typing import Annotated, Any, ClassVar, Self
 
 from pydantic import (
@@ -56,10 +57,14 @@ def part_name(registry: Registry) -> tuple[AfterValidator, FieldInfo]:
             raise mistake(error.expected or "", problem=error.problem, got=error.got, hint=error.hint) from error
         return name
 
-    def add_names(schema: dict[str, Any]) -> None:
-        schema["enum"] = registry.ids()
+    return AfterValidator(known), Field(json_schema_extra=partial(_add_names, registry=registry))
 
-    return AfterValidator(known), Field(json_schema_extra=add_names)
+
+def _add_names(schema: dict[str, Any], registry: Registry) -> None:
+    """To the JSON Schema of a part's name, the parts that are registered when it is made."""
+    schema["enum"] = registry.ids()
+    about = "; ".join(f"{name}: {registry.describe(name)}" for name in registry)
+    schema["description"] = f"{schema.get('description', 'The part.')} {about}."
 
 
 class PartSection(Section):
@@ -140,7 +145,7 @@ class PartSection(Section):
                 part = handler(cls.registry.load(name).Parameters.__pydantic_core_schema__)
                 for key, value in handler.resolve_ref_schema(part)["properties"].items():
                     properties.setdefault(key, value)
-            properties[cls.selector]["enum"] = cls.registry.ids()
+            _add_names(properties[cls.selector], cls.registry)
         return schema
 
 

@@ -49,7 +49,7 @@ def file_sha256(path: Path, named: str) -> str:
         raise AssetError("the file cannot be read", expected="an existing file", got=reason) from cause
 
 
-def known_file(folder: Path, named: str, sha256: str | None, where: str) -> Path:
+def known_file(folder: Path, named: str, sha256: str | None, where: str | None = None) -> Path:
     """The path of a file that a recipe names, still the one that the recipe was loaded with.
 
     Raises
@@ -62,8 +62,8 @@ def known_file(folder: Path, named: str, sha256: str | None, where: str) -> Path
     except AssetError as cause:
         raise AssetError(cause.problem, where=where, expected=cause.expected, got=cause.got, hint=cause.hint) from cause
     if sha256 is not None and found != sha256:
-        expected = f"a file whose SHA-256 is {sha256[:16]}..."
-        raise AssetError("the file has changed since the recipe was loaded", where=where, expected=expected, got=found)
+        problem, expected = "this is not the file that the recipe was made with", f"SHA-256 {sha256[:16]}..."
+        raise AssetError(problem, where=where, expected=expected, got=f"{path}: {found[:16]}...")
     return path
 
 

@@ -48,8 +48,8 @@ CLOUD_SOURCES = Registry(
 TERRAINS = Registry(
     "terrain",
     {
-        "flat": ("forestgen.scene.terrains.flat:SHAPE", "flat ground"),
-        "rolling": ("forestgen.scene.terrains.rolling:SHAPE", "gently rolling ground, with hills in the distance"),
+        "flat": ("forestgen.scene.terrains.rolling:FLAT", "flat ground"),
+        "rolling": ("forestgen.scene.terrains.rolling:ROLLING", "gently rolling ground, with hills in the distance"),
         "map": ("forestgen.scene.terrains.mapped:SHAPE", "the ground of a map of heights"),
     },
 )

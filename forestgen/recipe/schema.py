@@ -66,7 +66,7 @@ class Site(Section):
     ground: Annotated[
         Text,
         *part_name(GROUND_COVERS),
-        Field(description="What covers it: `forestgen models --kind ground_cover` describes these."),
+        Field(description="What covers it."),
     ] = "litter"
     altitude_m: Annotated[
         Number,

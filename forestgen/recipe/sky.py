@@ -156,9 +156,7 @@ class SkySection(PartSection):
     registry = SKIES
     selector = "kind"
 
-    kind: Annotated[Text, Field(description="Model of the sky: `forestgen models --kind sky` describes these.")] = (
-        "clear"
-    )
+    kind: Annotated[Text, Field(description="Model of the sky.")] = "clear"
     sun: Annotated[Sun, Field(description="Where the sun stands, by angles or by date.")] = Sun()
     turbidity: Annotated[Number, Field(ge=1, le=10, description="Haze: 1 is pure air, 3 clear, 10 hazy; no unit.")] = (
         3.0

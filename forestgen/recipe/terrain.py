@@ -16,9 +16,7 @@ class Terrain(PartSection):
     registry = TERRAINS
     selector = "kind"
 
-    kind: Annotated[
-        Text, Field(description="Shape of the ground: `forestgen models --kind terrain` describes the kinds.")
-    ] = "flat"
+    kind: Annotated[Text, Field(description="Shape of the ground.")] = "flat"
 
     @model_serializer(mode="wrap")
     def _as_given(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:

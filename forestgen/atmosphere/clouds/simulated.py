@@ -42,7 +42,7 @@ from forestgen.atmosphere.clouds.source import (
     CloudRequest,
     CloudSource,
     PlacedKeys,
-    SimulatedAir,
+    WeatherReport,
     clouds_of_air,
     simulated_bytes,
 )
@@ -154,7 +154,7 @@ class SimulatedClouds(CloudSource[SimulatedKeys]):
         keys, air = self.keys_of(request.drawn), self.air(request.drawn, request.progress)
         return clouds_of_air(request, keys, air.weather, air.droplet_radius_um, keys.centre_m(request))
 
-    def air(self, drawn: DrawnRecipe, progress: Progress) -> SimulatedAir:
+    def air(self, drawn: DrawnRecipe, progress: Progress) -> WeatherReport:
         """The state of the air at the recipe's time: from the cache, or simulated.
 
         Raises
@@ -163,7 +163,7 @@ class SimulatedClouds(CloudSource[SimulatedKeys]):
         """
         keys, scenario, time_s = self.keys_of(drawn), self.scenario(drawn), self.time_of(drawn)
         weather = _simulated(drawn, scenario, drawn.recipe.seed if keys.seed is None else keys.seed, time_s, progress)
-        return SimulatedAir(weather, scenario.at(time_s).kind, self.droplet_radius_um_at(drawn, time_s))
+        return WeatherReport(weather, scenario.at(time_s).kind, self.droplet_radius_um_at(drawn, time_s))
 
     def time_of(self, drawn: DrawnRecipe) -> float:
         """When the picture is taken, seconds after the simulation begins."""

@@ -7,11 +7,13 @@ tell of them before anything is simulated.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Annotated, Any, Generic, TypeVar, cast
 
 import numpy as np
 from pydantic import Field
 
+from forestgen.atmosphere.cloud_statistics import CloudStatistics, cloud_statistics
 from forestgen.atmosphere.extinction import cloud_grid_of
 from forestgen.atmosphere.grid import CloudGrid
 from forestgen.atmosphere.weather import Weather
@@ -75,12 +77,16 @@ class CloudRequest:
 
 
 @dataclass(frozen=True)
-class SimulatedAir:
-    """The state of the air of one image, for those who ask for its numbers."""
+class WeatherReport:
+    """The weather of one image."""
 
     weather: Weather
-    kind: str  # type of the weather at that time
+    kind: str  # type of the conditions at that time
     droplet_radius_um: float
+
+    @cached_property
+    def statistics(self) -> CloudStatistics:
+        return cloud_statistics(self.weather, droplet_radius_um=self.droplet_radius_um)
 
 
 class CloudSource(Generic[KeysT]):
@@ -120,7 +126,7 @@ class CloudSource(Generic[KeysT]):
         """
         raise NotImplementedError
 
-    def air(self, drawn: DrawnRecipe, progress: Progress) -> SimulatedAir:
+    def air(self, drawn: DrawnRecipe, progress: Progress) -> WeatherReport:
         """The state of the air that the clouds are of, simulated without the community.
 
         Raises

@@ -25,8 +25,7 @@ from pydantic import Field, field_validator, model_validator
 from forestgen.core.errors import AssetError
 from forestgen.core.grey_picture import kind_of, read_grey
 from forestgen.recipe.fields import Number, Section, Text, mistake, spelled_out
-from forestgen.recipe.map_files import file_sha256
-from forestgen.recipe.paths import inside
+from forestgen.recipe.map_files import known_file
 from forestgen.scene.terrain import HeightField, smooth_step
 from forestgen.scene.terrains.rolling import RollingKeys
 from forestgen.scene.terrains.shape import TerrainShape
@@ -83,14 +82,7 @@ class HeightMap(Section):
             found = np.array(self.rows, dtype=np.float64).reshape(len(self.rows), -1 if self.rows else 0)
         else:
             assert self.file is not None
-            path = inside(folder, self.file, sha256=self.sha256)
-            if file_sha256(path, self.file) != (self.sha256 or file_sha256(path, self.file)):
-                raise AssetError(
-                    "this is not the file that the recipe was made with",
-                    expected=f"a file whose SHA-256 is {str(self.sha256)[:16]}...",
-                    got=str(path),
-                )
-            found = read_heights(path, lowest_m, highest_m)
+            found = read_heights(known_file(folder, self.file, self.sha256), lowest_m, highest_m)
         if min(found.shape, default=0) < 2:
             rows, cols = found.shape
             raise AssetError("too small a map of heights", expected="at least 2 x 2 values", got=f"{cols} x {rows}")

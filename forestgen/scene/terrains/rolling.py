@@ -1,4 +1,4 @@
-"""Gently rolling ground: a finite sum of waves of random directions.
+"""Rolling ground, a finite sum of waves of random directions; and flat ground, z = 0.
 
 The site's relief has a standard deviation of `amplitude_m` and wavelengths from `wavelength_m` down to 1/8 of it, of
 which long ones carry most of the height, as on eroded land. Around it, from some hundred metres on, stand hills of 900
@@ -102,4 +102,20 @@ def rolling(size_m: tuple[float, float], amplitude_m: float, wavelength_m: float
     return Waves(size_m, direction, weight, rng.random(waves + hills) * 2 * np.pi, hill)
 
 
-SHAPE = Rolling()
+class FlatKeys(RollingKeys):
+    """Keys of `terrain: {kind: flat}`: none of its own."""
+
+
+class Flat(TerrainShape[FlatKeys]):
+    """Flat ground."""
+
+    Parameters = FlatKeys
+
+    def is_level(self, keys: FlatKeys) -> bool:
+        return True
+
+    def height(self, keys: FlatKeys, size_m: tuple[float, float], image_seed: int, folder: Path) -> HeightField:
+        return HeightField(size_m)
+
+
+ROLLING, FLAT = Rolling(), Flat()
