@@ -106,7 +106,7 @@ class PartSection(Section):
         if own is cls:
             return handler(data)
         known = {key: value for key, value in data.items() if key in own.model_fields or value is not None}
-        for key in known.keys() - own.model_fields.keys():
+        for key in sorted(known.keys() - own.model_fields.keys(), key=str):
             cls._check_key(key, known, own)
         return own.model_validate({**known, cls.selector: cls.named_by(data)})
 
