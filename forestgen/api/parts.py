@@ -31,7 +31,7 @@ _CONTRACTS: dict[str, tuple[type, type[BaseModel] | None]] = {
     "dataset_format": (DatasetFormat, None),
     "cloud_source": (CloudSource, Clouds),
     "terrain": (TerrainShape, Terrain),
-    "sky": (SkyModel, SkySection),
+    "sky_model": (SkyModel, SkySection),
     "ground_cover": (GroundCover, None),
 }
 

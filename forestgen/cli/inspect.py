@@ -12,16 +12,6 @@ import typer
 from forestgen.cli.arguments import Json, Overrides, RecipePath
 from forestgen.cli.console import Printer
 
-_TITLES = {
-    "community_model": "community models",
-    "environment": "environments",
-    "plant_generator": "plant generators",
-    "dataset_format": "data set formats",
-    "species": "species",
-    "lsystem": "lsystems",
-    "recipe": "recipes",
-}
-
 
 def validate(recipe: RecipePath, overrides: Overrides = None, as_json: Json = False) -> None:
     """Check a recipe without making anything, and say what it would make."""
@@ -49,7 +39,7 @@ def models(
         Optional[str],  # noqa: UP045 - typer reads annotations at run time
         typer.Argument(
             metavar="NAME",
-            help="Show the manual page of this model, generator or format, or this species' or recipe's file.",
+            help="Show this part's manual page, or this species' or recipe's file.",
             show_default=False,
         ),
     ] = None,
@@ -58,13 +48,13 @@ def models(
         typer.Option(
             "--kind",
             metavar="KIND",
-            help="Only these: community_model, environment, plant_generator, dataset_format, species, lsystem, recipe.",
+            help="Only these, such as community_model or species; an unknown one lists the kinds.",
             show_default=False,
         ),
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """List models, generators, data set formats, species and recipes."""
+    """List models, generators, data set formats and all other parts, species and recipes."""
     from forestgen import models as list_models
     from forestgen.recipe.assets import recipes_dir, scenes_dir
 
@@ -76,7 +66,7 @@ def models(
         say("\n\n".join(one.page for one in found))
         return
     for each, entries in groupby(found, key=lambda one: one.kind):
-        say(_TITLES[each])
+        say(each if each == "species" else f"{each.replace('_', ' ')}s")
         listed = list(entries)
         width = max(len(one.name) for one in listed)
         for one in listed:

@@ -68,7 +68,7 @@ GROUND_COVERS = Registry(
 )
 
 SKIES = Registry(
-    "sky",
+    "sky model",
     {
         "clear": (
             "forestgen.render.skies.clear:SKY",

@@ -81,7 +81,7 @@ def test_terrain_ground_and_sky_of_another_package(tmp_path: Path) -> None:
     for kind, name, attribute in (
         ("terrain", "valley", "VALLEY"),
         ("ground_cover", "stripes", "STRIPES"),
-        ("sky", "even", "EVEN"),
+        ("sky_model", "even", "EVEN"),
     ):
         fg.register(kind, name, f"own_sky_parts:{attribute}")
     fg.register("cloud_source", "grey_layer", "forestgen_plantation.grey_layer:SOURCE")
