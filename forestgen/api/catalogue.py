@@ -160,7 +160,8 @@ def register(kind: str, name: str, part: object, description: str = "") -> None:
 
     Parameters
     ----------
-    kind : community_model, environment, plant_generator, dataset_format, cloud_source, sky_model, terrain or ground_cover.
+    kind : community_model, environment, plant_generator, dataset_format, cloud_source, sky_model, terrain or
+        ground_cover.
     name : that recipes use.
     part : the object, defined at the top of a module; or its place, ``"package.module:NAME"``.
     description : one line for `models`; by default the first line of the object's documentation.
