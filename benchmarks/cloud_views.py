@@ -26,7 +26,7 @@ from time import process_time
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.atmosphere.procedural import cumulus_field
+from forestgen.atmosphere.clouds.noise import cumulus_field
 from forestgen.core.parts import Part
 from forestgen.core.progress import Silent
 from forestgen.core.timing import Timings

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from radiance import LUMINANCE, identity_of, stand
 
-from forestgen.atmosphere.procedural import cumulus_field
+from forestgen.atmosphere.clouds.noise import cumulus_field
 from forestgen.core.parts import Part
 from forestgen.core.timing import Timings
 from forestgen.render.build import load, origin_of, scene_dict

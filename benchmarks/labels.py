@@ -23,8 +23,8 @@ from typing import TypeVar
 
 import numpy as np
 
+from forestgen.atmosphere.clouds.noise import cumulus_field
 from forestgen.atmosphere.optical_depth import cloud_opacity
-from forestgen.atmosphere.procedural import cumulus_field
 from forestgen.community.population import Population
 from forestgen.core.progress import Silent
 from forestgen.core.timing import Timings

@@ -379,6 +379,8 @@ def _code(default: Any, definitions: Mapping[str, Any], value: Mapping[str, Any]
         return "see below"
     if isinstance(default, list | tuple) and len(default) == 1 and isinstance(default[0], list | tuple):
         default = default[0][1]  # a constant curve
+    if default is None and "default" not in value and "$ref" in value:
+        return "see below"
     if default is None and "default" not in value:
         return ""
     return f"`{'null' if default is None else str(default).lower() if isinstance(default, bool) else default}`"

@@ -16,7 +16,15 @@ from forestgen.core.errors import RecipeError
 from forestgen.core.registry import Registry, part_at
 from forestgen.plants.registry import GENERATORS
 from forestgen.recipe.assets import find_asset, list_assets
-from forestgen.recipe.registries import DATASET_FORMATS, LABEL_CHANNELS, PACKS
+from forestgen.recipe.registries import (
+    CLOUD_SOURCES,
+    DATASET_FORMATS,
+    GROUND_COVERS,
+    LABEL_CHANNELS,
+    PACKS,
+    SKIES,
+    TERRAINS,
+)
 from forestgen.recipe.suggestions import did_you_mean
 
 if TYPE_CHECKING:
@@ -29,6 +37,10 @@ _REGISTRIES: dict[str, Registry] = {
     "dataset_format": DATASET_FORMATS,
     "pack": PACKS,
     "label_channel": LABEL_CHANNELS,
+    "cloud_source": CLOUD_SOURCES,
+    "sky_model": SKIES,
+    "terrain": TERRAINS,
+    "ground_cover": GROUND_COVERS,
 }
 _WITHOUT_COMMENT = {  # files of a format that has none
     "fig_5_2": "A bush of one rule, of Rhodes University's forest: its Fig. 5.2, in the format .sys.",

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 
 from forestgen.api.display import display_of
 from forestgen.api.rendering import free_folder
+from forestgen.atmosphere.clouds.source import WeatherReport as Weather
+from forestgen.atmosphere.clouds.source import cloud_source_of
 from forestgen.core.arguments import listed, number_of, path_of, shown, whole_of
 from forestgen.core.errors import OutputError, RecipeError
 from forestgen.core.progress import Progress
@@ -18,7 +20,6 @@ from forestgen.recipe.load import LoadedRecipe
 from forestgen.stages.light import Point
 from forestgen.stages.light_text import LightReadings
 from forestgen.stages.plant_files import FileSet, check_writable
-from forestgen.stages.weather import Report as Weather
 
 if TYPE_CHECKING:
     from forestgen.stages.calibrate import Calibration
@@ -84,7 +85,7 @@ def simulate_weather(
     progress: bool | Progress | None,
 ) -> list[Weather]:
     """See `Recipe.weather`."""
-    from forestgen.stages.weather import plot_weather, weather_report
+    from forestgen.stages.weather import plot_weather
 
     for one in out:
         _check_ending(one, _WEATHER_FILES)
@@ -94,7 +95,8 @@ def simulate_weather(
     number = loaded.images if count is None else whole_of(count, "count", 1, 10**8)
     display = display_of(progress)
     with display.running():
-        reports = [weather_report(loaded.draw(index), display) for index in range(number)]
+        images = map(loaded.draw, range(number))
+        reports = [cloud_source_of(drawn).air(drawn, display) for drawn in images]
     if picture is not None:
         picture.parent.mkdir(parents=True, exist_ok=True)
         plot_weather(reports, picture)
@@ -186,7 +188,7 @@ def _save_weather(path: Path, report: Weather) -> None:
     if path.suffix.lower() == ".nc":
         write_weather(path, report.weather, droplet_radius_um=report.droplet_radius_um)
         return
-    grid = cloud_grid_of(report.weather, kind=report.kind, centre_m=None, droplet_radius_um=report.droplet_radius_um)
+    grid = cloud_grid_of(report.weather, centre_m=None, droplet_radius_um=report.droplet_radius_um)
     if grid is None:
         raise OutputError("there are no clouds to write", where=str(path), hint="save the air as .nc")
     write_clouds(path, grid)

@@ -1,4 +1,4 @@
-"""Spectra of the sun and of the sky's light at the ground.
+"""Spectra of the sun and of the clear sky's light at the ground; an overcast sky: forestgen.render.skies.overcast.
 
 Clear sky
 ---------
@@ -12,28 +12,16 @@ half of what is observed. Air around a globe takes in light as 1 over the air ma
 by 1 / (air mass x sine): 0.5% at 30 degrees, 11% at 5, a factor of 2.2 at 1. Seidelmann's illuminances (1992, section
 9.34), 1270 lux at 1 degree and 4500 at 5, are then met within 8% (4 and 14% too little or less than half without).
 
-Overcast sky
-------------
-No sun. Illuminance of level ground 300 + 21000 sin(elevation) lux (IES RP-21 1984, after Krochmann). The spectrum is
-CIE D65 up to 700 nm. Beyond, where no standard says anything, it is the clear sky's global spectrum times the
-transmittance of a cloud of water, joined to the other by their light from 600 to 700 nm: Bohren's two streams (1987)
-for an optical depth of 40 and drops of 10 micrometres, whose absorption is that of water (Hale and Querry 1973).
-
 References
 ----------
 Preetham, A. J., Shirley, P., Smits, B. (1999): A practical analytic model for daylight. SIGGRAPH 99, 91-100.
-IES (1984): Recommended practice for the calculation of daylight availability. J. Illum. Eng. Soc. 13, 381-392.
 Seidelmann, P. K. (ed.) (1992): Explanatory Supplement to the Astronomical Almanac. University Science Books.
-Bohren, C. F. (1987): Multiple scattering of light and some of its observable consequences. Am. J. Phys. 55, 524.
-Twomey, S., Bohren, C. F. (1980): Simple approximations for calculations of absorption in clouds. J. Atmos. Sci. 37.
-Hale, G. M., Querry, M. R. (1973): Optical constants of water. Appl. Opt. 12, 555-563.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache, lru_cache
-from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,25 +31,15 @@ from forestgen.core.spectrum import LUMENS_PER_WATT, SECOND_RADIATION_NM_K, Spec
 from forestgen.recipe.spectra import load_table
 
 Floats = NDArray[np.float64]
-Kind = Literal["clear", "overcast"]
 STANDARD_WATER_MM, STANDARD_OZONE_DU = 14.16, 344.0  # U.S. Standard Atmosphere 1976
 _AEROSOL_EXPONENT = 1.3  # that belongs to beta
-_CLOUD_DEPTH, _CLOUD_ASYMMETRY, _DROP_RADIUS_UM = 40.0, 0.85, 10.0
-# Wavelength in micrometres, imaginary part of water's refractive index.
-_WATER = np.array(
-    [
-        *[(0.7, 3.35e-8), (0.75, 1.56e-7), (0.8, 1.25e-7), (0.85, 2.93e-7), (0.9, 4.86e-7), (0.95, 2.93e-6)],
-        *[(1.0, 2.89e-6), (1.2, 9.89e-6), (1.4, 1.38e-4), (1.6, 8.55e-5), (1.8, 1.15e-4), (2.0, 1.1e-3)],
-        *[(2.2, 2.89e-4), (2.4, 9.56e-4), (2.6, 3.17e-3), (2.8, 0.115), (3.0, 0.272), (3.4, 0.0195), (4.0, 0.0046)],
-    ]
-)
 
 
 @dataclass(frozen=True, eq=False)
 class Daylight:
     """Light that reaches the ground from above, W/m²/nm."""
 
-    sun: Spectrum  # on a plane that faces the sun; zero under an overcast sky
+    sun: Spectrum  # on a plane that faces the sun; zero under a sky without one
     sky: Spectrum  # on a level plane, without the sun
     sun_elevation_deg: float
 
@@ -77,41 +55,6 @@ class Daylight:
         return Spectrum(self.sky.wavelength_nm, self.sky.value + self.sun_on_level.at(self.sky.wavelength_nm))
 
 
-class SkyConditions(Protocol):
-    """What `daylight_of` must know; scene.spec.Sky is one."""
-
-    @property
-    def sun_elevation_deg(self) -> float: ...
-    @property
-    def turbidity(self) -> float: ...
-    @property
-    def ground_albedo(self) -> float: ...
-    @property
-    def kind(self) -> Kind: ...
-    @property
-    def altitude_m(self) -> float: ...
-    @property
-    def sun_distance_au(self) -> float: ...
-    @property
-    def precipitable_water_mm(self) -> float: ...
-    @property
-    def ozone_du(self) -> float: ...
-
-
-def daylight_of(sky: SkyConditions) -> Daylight:
-    """Spectra of a sky's light; see `daylight`."""
-    return daylight(
-        sky.sun_elevation_deg,
-        sky.turbidity,
-        sky.ground_albedo,
-        sky.kind,
-        sky.altitude_m,
-        sun_distance_au=sky.sun_distance_au,
-        precipitable_water_mm=sky.precipitable_water_mm,
-        ozone_du=sky.ozone_du,
-    )
-
-
 def aerosol_optical_depth(turbidity: float, wavelength_nm: float = 500.0) -> float:
     """Of the whole air column at a wavelength; Angstrom's law with the beta of Preetham, Shirley and Smits (1999)."""
     beta = max(0.04608365822050 * turbidity - 0.04586025928522, 0.0)
@@ -123,14 +66,13 @@ def daylight(
     sun_elevation_deg: float,
     turbidity: float,
     ground_albedo: float = 0.2,
-    kind: Kind = "clear",
     altitude_m: float = 0.0,
     *,
     sun_distance_au: float = 1.0,
     precipitable_water_mm: float = STANDARD_WATER_MM,
     ozone_du: float = STANDARD_OZONE_DU,
 ) -> Daylight:
-    """Spectra by the sun's elevation, haze and kind of sky.
+    """Spectra of sun and clear sky, by the sun's elevation and the air.
 
     Parameters
     ----------
@@ -157,38 +99,7 @@ def daylight(
     )
     wavelength, sun, sky = clear_spectra(sun_elevation_deg, air, ground_albedo, sun_distance_au)
     sky = sky / (air_mass(sun_elevation_deg) * np.sin(np.radians(sun_elevation_deg)))  # of air around a globe
-    clear = Daylight(Spectrum(wavelength, sun), Spectrum(wavelength, sky), sun_elevation_deg)
-    return clear if kind == "clear" else _overcast(clear)
-
-
-def overcast_illuminance(sun_elevation_deg: float) -> float:
-    """Of level ground under an overcast sky, lux (IES 1984)."""
-    return float(300.0 + 21000.0 * np.sin(np.radians(sun_elevation_deg)))
-
-
-def _overcast(clear: Daylight) -> Daylight:
-    wavelength = np.union1d(clear.sky.wavelength_nm, np.arange(300.0, 721.0, 5.0))
-    visible = _d65().at(wavelength)
-    beyond = clear.on_level.at(wavelength) * _cloud_transmittance(wavelength)
-    red = (wavelength >= 600.0) & (wavelength <= 700.0)
-    beyond *= np.trapezoid(visible[red], wavelength[red]) / np.trapezoid(beyond[red], wavelength[red])
-    share = np.interp(wavelength, [680.0, 720.0], [1.0, 0.0])
-    shape = Spectrum(wavelength, share * visible + (1.0 - share) * beyond)
-    scale = overcast_illuminance(clear.sun_elevation_deg) / illuminance(shape)
-    none = Spectrum(clear.sun.wavelength_nm, np.zeros_like(clear.sun.value))
-    return Daylight(none, Spectrum(wavelength, shape.value * scale), clear.sun_elevation_deg)
-
-
-def _cloud_transmittance(wavelength_nm: Floats) -> Floats:
-    """(W,) of a cloud of water drops; Bohren's two streams, the drops' absorption after Twomey and Bohren (1980)."""
-    micrometres = wavelength_nm / 1000.0
-    index = np.exp(np.interp(micrometres, _WATER[:, 0], np.log(_WATER[:, 1])))
-    path = 4.0 * np.pi * index / micrometres * _DROP_RADIUS_UM
-    absorbed = 0.5 * -np.expm1(-1.7 * path)  # of what a drop takes out of the beam; 0.85 of a weak path
-    lost, turned = np.sqrt(absorbed), np.sqrt(1.0 - (1.0 - absorbed) * _CLOUD_ASYMMETRY)
-    deep = (turned - lost) / (turned + lost)  # reflectance of a cloud without end
-    through = np.exp(-lost * turned * _CLOUD_DEPTH)
-    return np.asarray((1.0 - deep**2) * through / (1.0 - (deep * through) ** 2))
+    return Daylight(Spectrum(wavelength, sun), Spectrum(wavelength, sky), sun_elevation_deg)
 
 
 def illuminance(irradiance: Spectrum) -> float:
@@ -242,8 +153,3 @@ def _observer() -> tuple[Floats, Floats]:
     """(W,) nm, steps of 1; (3, W) CIE 1931 colour matching functions."""
     matching = load_table("responses/cie_1931")
     return matching["x"].wavelength_nm, np.stack([matching[name].value for name in "xyz"])
-
-
-@cache
-def _d65() -> Spectrum:
-    return load_table("standards/d65")["power"]

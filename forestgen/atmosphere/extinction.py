@@ -3,17 +3,8 @@
 Droplets
     sigma_t = 3 w / (2 rho_w r_eff), w the mass of liquid water in a cubic metre of air, rho_w = 1000 kg/m³. It is the
     geometric limit, extinction efficiency 2; Mie's is 2.07 to 2.1 for these droplets (5% more, left out: r_eff is not
-    known so well). The simulation has one moment, mass; so r_eff is one number by type of cloud:
-
-    ============== ======= ==========================================================================
-    type           r_eff   measured
-    ============== ======= ==========================================================================
-    fog             8 µm   4 to 11, more over the sea (Hess, Koepke and Schult 1998: 10.7)
-    stratus         8 µm   continental 7.3, maritime 11.3 (Hess et al. 1998); 5.4 and 9.6 (Miles et al. 2000)
-    stratocumulus  10 µm   8 to 12 (Martin, Johnson and Spice 1994, maritime)
-    cumulus        10 µm   5.8 continental, 12.7 maritime (Hess et al. 1998)
-    cumulonimbus   15 µm   10 at the base to 20 and more aloft (Rosenfeld and Lensky 1998)
-    ============== ======= ==========================================================================
+    known so well). The simulation has one moment, mass; so r_eff is one number by type of cloud: see
+    `forestgen.atmosphere.clouds.simulated`.
 
     Ice is not simulated: an anvil is of droplets here, and has no halo.
 Rain
@@ -54,13 +45,6 @@ from forestgen.atmosphere.grid import CloudGrid, Phase
 from forestgen.atmosphere.weather import AirGrid, Weather
 from forestgen.core.errors import RecipeError
 
-DROPLET_RADIUS_UM: Final = {  # effective radius
-    "fog": 8.0,
-    "stratus": 8.0,
-    "stratocumulus": 10.0,
-    "cumulus": 10.0,
-    "cumulonimbus": 15.0,
-}
 ALBEDO: Final = 0.999999
 THINNEST_PER_M: Final = 1e-5
 MOST_CUT: Final = 1e-3  # share of the field's extinction that may be cut with thin air
@@ -99,29 +83,33 @@ def droplet_phase(radius_um: float) -> Phase:
 def cloud_grid_of(
     weather: Weather,
     *,
-    kind: str,
     centre_m: tuple[float, float] | None,
-    droplet_radius_um: float | None = None,
+    droplet_radius_um: float,
     tiles: int = 1,
 ) -> CloudGrid | None:
     """The clouds and rain of a snapshot as the renderer gets them; None where there are none.
 
     Parameters
     ----------
-    kind : type of cloud, a key of `DROPLET_RADIUS_UM`; decides the radius where none is given.
     centre_m : world x and y of the middle of the field; None: where the weather's own grid lies. Weather over terrain
         belongs where it is.
-    droplet_radius_um : effective radius; None: by the type.
+    droplet_radius_um : effective radius.
     tiles : copies of a periodic field side by side, along x and along y.
 
     Raises
     ------
     RecipeError : water that is not finite or below zero, and what cannot be moved or tiled.
     """
-    radius_um = _radius_um(kind, droplet_radius_um)
+    if not _RADII_UM[0] <= droplet_radius_um <= _RADII_UM[1]:
+        raise RecipeError(
+            "no radius of droplets",
+            where="sky.clouds",
+            expected=f"micrometres from {_RADII_UM[0]:g} to {_RADII_UM[1]:g}",
+            got=f"{droplet_radius_um:g}",
+        )
     _check_place(weather, centre_m, tiles)
     cloud, rain = _water(weather, "cloud"), _water(weather, "rain")
-    extinction = droplet_extinction(cloud, radius_um) + rain_extinction(rain)
+    extinction = droplet_extinction(cloud, droplet_radius_um) + rain_extinction(rain)
     if weather.solid is not None:
         extinction = down_to_the_ground(extinction, weather.solid)
     extinction, _ = without_thin_air(extinction)
@@ -132,7 +120,7 @@ def cloud_grid_of(
     first, last = max(int(layers[0]) - 1, 0), min(int(layers[-1]) + 2, len(extinction))
     extinction = np.tile(extinction[first:last], (1, tiles, tiles))
     low, high = _corners(weather.grid, centre_m, tiles, first, last)
-    return CloudGrid(np.ascontiguousarray(extinction), low, high, ALBEDO, droplet_phase(radius_um))
+    return CloudGrid(np.ascontiguousarray(extinction), low, high, ALBEDO, droplet_phase(droplet_radius_um))
 
 
 def without_thin_air(extinction: NDArray[np.float32]) -> tuple[NDArray[np.float32], float]:
@@ -159,26 +147,6 @@ def down_to_the_ground(extinction: NDArray[np.float32], solid: NDArray[np.bool_]
     for _ in range(2):
         out[:-1] = np.where(solid[:-1] & (out[:-1] == 0), out[1:], out[:-1])
     return out
-
-
-def _radius_um(kind: str, given: float | None) -> float:
-    if given is None and kind not in DROPLET_RADIUS_UM:
-        raise RecipeError(
-            "no droplet radius is known for this type of cloud",
-            where="sky.clouds",
-            expected=", ".join(DROPLET_RADIUS_UM),
-            got=kind,
-            hint="give droplet_radius_um",
-        )
-    radius_um = DROPLET_RADIUS_UM[kind] if given is None else given
-    if not _RADII_UM[0] <= radius_um <= _RADII_UM[1]:
-        raise RecipeError(
-            "no radius of droplets",
-            where="sky.clouds",
-            expected=f"micrometres from {_RADII_UM[0]:g} to {_RADII_UM[1]:g}",
-            got=f"{radius_um:g}",
-        )
-    return radius_um
 
 
 def _water(weather: Weather, name: str) -> NDArray[np.float32]:

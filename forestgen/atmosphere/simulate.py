@@ -24,10 +24,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.atmosphere.conditions import Conditions, Emission
 from forestgen.atmosphere.fluid.air import Air, at_rest
 from forestgen.atmosphere.fluid.parameters import Physics, Surface
 from forestgen.atmosphere.kept_weather import read_weather
-from forestgen.atmosphere.presets import Conditions, Emission
 from forestgen.atmosphere.regridding import regridded
 from forestgen.atmosphere.sounding import LATENT_HEAT_J_PER_KG
 from forestgen.atmosphere.weather import AirGrid, Weather

@@ -2,15 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import partial
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar, Self
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, Strict
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    GetJsonSchemaHandler,
+    ModelWrapValidatorHandler,
+    Strict,
+    ValidationError,
+    model_validator,
+)
 from pydantic.fields import FieldInfo
-from pydantic_core import PydanticCustomError
+from pydantic_core import CoreSchema, PydanticCustomError
 
 from forestgen.core.errors import RecipeError
 from forestgen.core.registry import Registry
+from forestgen.recipe.suggestions import did_you_mean
 
 NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"
 _CONTROL = r"\x00-\x1F\x7F-\x9F\u2028\u2029"
@@ -52,6 +65,88 @@ def _add_names(schema: dict[str, Any], registry: Registry) -> None:
     schema["enum"] = registry.ids()
     about = "; ".join(f"{name}: {registry.describe(name)}" for name in registry)
     schema["description"] = f"{schema.get('description', 'The part.')} {about}."
+
+
+class PartSection(Section):
+    """A section whose key `selector` names a part of a registry, which has all other keys.
+
+    The class with the `registry` is the section's type in the recipe. Each part has a class `Parameters` based on it,
+    which validates the section where it names the part. Where a part's class allows extra keys, those are the keys of
+    the registry's other parts: so a recipe can draw the part's name and give the keys of all.
+    """
+
+    registry: ClassVar[Registry]
+    selector: ClassVar[str]
+    instead: ClassVar[Mapping[str, str]] = {}  # key of other parts -> what to do without it in this one, for messages
+
+    @classmethod
+    def named_by(cls, data: Mapping[str, Any]) -> Any:
+        """The part's name in a section."""
+        name = data.get(cls.selector)
+        return cls.model_fields[cls.selector].default if name is None else name
+
+    @classmethod
+    def class_for(cls, data: object) -> type[Self]:
+        """The class that validates a section; `cls` itself, which has no further keys, if no part is named."""
+        if "registry" not in vars(cls) or not isinstance(data, Mapping) or not isinstance(cls.named_by(data), str):
+            return cls
+        try:
+            part = cls.registry.load(cls.named_by(data))
+        except RecipeError as error:
+            raise mistake(
+                error.expected or "", problem=error.problem, got=error.got, hint=error.hint, at=(cls.selector,)
+            ) from error
+        parameters: type[Self] = part.Parameters
+        return parameters
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _of_its_part(cls, data: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
+        own = cls.class_for(data)
+        if own is cls:
+            return handler(data)
+        known = {key: value for key, value in data.items() if key in own.model_fields or value is not None}
+        for key in sorted(known.keys() - own.model_fields.keys(), key=str):
+            cls._check_key(key, known, own)
+        return own.model_validate({**known, cls.selector: cls.named_by(data)})
+
+    @classmethod
+    def _check_key(cls, key: str, data: Mapping[str, Any], own: type[PartSection]) -> None:
+        """Check a key that the named part does not have."""
+        parameters = {name: cls.registry.load(name).Parameters for name in cls.registry}
+        owners = {name: one for name, one in parameters.items() if key in one.model_fields}
+        if owners and own.model_config.get("extra") == "allow":
+            name, owner = next(iter(owners.items()))
+            try:
+                owner.model_validate({cls.selector: name, key: data[key]})
+            except ValidationError as failure:
+                if any(details["loc"][:1] == (key,) for details in failure.errors()):
+                    raise
+        elif own.model_config.get("extra") == "allow":
+            keys = {inner for one in parameters.values() for inner in one.model_fields}
+            hint = did_you_mean(key, keys, cutoff=0.5)
+            raise mistake("one of " + ", ".join(sorted(keys)), problem=f"unknown key {key!r}", hint=hint, at=(key,))
+        elif owners:
+            raise mistake(
+                "one of " + ", ".join(sorted(own.model_fields)),
+                problem=f"the {cls.registry.kind} {cls.named_by(data)} has no {key}",
+                got=key,
+                hint=own.instead.get(key, f"it is a key of {', '.join(owners)}"),
+                at=(key,),
+            )
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        """With the keys of all parts, where the class stands for all."""
+        schema = handler(core_schema)
+        if "registry" in vars(cls):
+            properties = handler.resolve_ref_schema(schema)["properties"]
+            for name in cls.registry:
+                part = handler(cls.registry.load(name).Parameters.__pydantic_core_schema__)
+                for key, value in handler.resolve_ref_schema(part)["properties"].items():
+                    properties.setdefault(key, value)
+            _add_names(properties[cls.selector], cls.registry)
+        return schema
 
 
 def mistake(

@@ -49,6 +49,24 @@ def file_sha256(path: Path, named: str) -> str:
         raise AssetError("the file cannot be read", expected="an existing file", got=reason) from cause
 
 
+def known_file(folder: Path, named: str, sha256: str | None, where: str | None = None) -> Path:
+    """The path of a file that a recipe names, still the one that the recipe was loaded with.
+
+    Raises
+    ------
+    AssetError : there is none, or its SHA-256 is another one.
+    """
+    path = inside(folder, named, sha256=sha256, where=where)
+    try:
+        found = file_sha256(path, named)
+    except AssetError as cause:
+        raise AssetError(cause.problem, where=where, expected=cause.expected, got=cause.got, hint=cause.hint) from cause
+    if sha256 is not None and found != sha256:
+        problem, expected = "this is not the file that the recipe was made with", f"SHA-256 {sha256[:16]}..."
+        raise AssetError(problem, where=where, expected=expected, got=f"{path}: {found[:16]}...")
+    return path
+
+
 def _near(path: Path, named: str) -> str:
     """What else the author may have meant."""
     relative = "its path is relative to the recipe's folder"

@@ -10,10 +10,11 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
+from pydantic_core import PydanticCustomError
 
 from forestgen.core.errors import RecipeError, RecipeErrors
 from forestgen.recipe.distributions import KINDS, is_distribution
-from forestgen.recipe.fields import LABEL_PATTERN, NAME_PATTERN
+from forestgen.recipe.fields import LABEL_PATTERN, NAME_PATTERN, PartSection
 from forestgen.recipe.sources import Keys, SourceMap
 from forestgen.recipe.suggestions import did_you_mean
 
@@ -188,7 +189,7 @@ class Explainer:
 
     def _missing(self, keys: Keys) -> _Finding:
         description = None
-        owner = _class_at(self.model, keys[:-1])
+        owner = self._class_at(keys[:-1])
         if owner is not None and str(keys[-1]) in owner.model_fields:
             description = owner.model_fields[str(keys[-1])].description
         hint = None
@@ -199,7 +200,7 @@ class Explainer:
 
     def _which_form(self, keys: Keys, value: object, discriminator: str) -> _Finding:
         """A mapping whose key `discriminator` does not name one of the forms that it may have."""
-        tags = [str(tag) for arm in _arms(_annotation_at(self.model, keys)) for tag in _tags(arm, discriminator)]
+        tags = [str(tag) for arm in _arms(self._annotation_at(keys)) for tag in _tags(arm, discriminator)]
         expected = f"one of {', '.join(tags)}"
         keys = self._written_keys(keys)
         if not isinstance(value, Mapping) or discriminator not in value:
@@ -210,7 +211,7 @@ class Explainer:
         return self._at((*keys, discriminator), "bad value", expected, show(tag), hint)
 
     def _unknown_key(self, keys: Keys) -> _Finding:
-        owner = _class_at(self.model, keys[:-1])
+        owner = self._class_at(keys[:-1])
         names = list(owner.model_fields) if owner is not None else []
         if not self.prefix and len(keys) == 3 and keys[0] == "species":
             names.append("from")
@@ -224,7 +225,7 @@ class Explainer:
 
     def _tuple_length(self, keys: Keys, kind: str) -> int | None:
         """Length of the tuple that `keys` names, or names an entry of."""
-        arms = _arms(_annotation_at(self.model, keys[:-1] if kind == "missing" else keys))
+        arms = _arms(self._annotation_at(keys[:-1] if kind == "missing" else keys))
         for arm in arms:
             arguments = get_args(arm)
             if get_origin(arm) is tuple and Ellipsis not in arguments:
@@ -246,6 +247,27 @@ class Explainer:
             value, named = (value[key] if inside else None), False
         return tuple(written)
 
+    def _annotation_at(self, keys: Keys) -> Any:
+        """Type of the value at `keys`, or None where the schema has no such key."""
+        current: Any = self.model
+        value: Any = self.data
+        for key in keys:
+            found = [step for arm in _arms(current) if (step := _inside(arm, key)) is not None]
+            if not found:
+                return None
+            if isinstance(value, Mapping):
+                value = value.get(key)
+            else:
+                value = value[key] if isinstance(value, list | tuple) and key in range(len(value)) else None
+            current = _of_its_part(found[0], value)
+        return current
+
+    def _class_at(self, keys: Keys) -> type[BaseModel] | None:
+        for arm in _arms(self._annotation_at(keys)):
+            if isinstance(arm, type) and issubclass(arm, BaseModel):
+                return arm
+        return None
+
     def _real(self, keys: Keys) -> Keys:
         """`keys` without the union's arms that the schema library appends."""
         value: Any = self.data
@@ -253,7 +275,7 @@ class Explainer:
             inside = isinstance(value, Mapping) and key in value
             if not inside and not (isinstance(value, list | tuple) and isinstance(key, int) and key < len(value)):
                 # A filled-in default has no data of its own, but its key is still one of the schema's.
-                return keys if _annotation_at(self.model, keys) is not None else keys[:n]
+                return keys if self._annotation_at(keys) is not None else keys[:n]
             value = value[key]
         return keys
 
@@ -323,15 +345,15 @@ def _arms(annotation: Any) -> list[Any]:
     return [] if annotation in (None, types.NoneType) else [annotation]
 
 
-def _annotation_at(model: type[BaseModel], keys: Keys) -> Any:
-    """Type of the value at `keys`, or None where the schema has no such key."""
-    current: Any = model
-    for key in keys:
-        found = [step for arm in _arms(current) if (step := _inside(arm, key)) is not None]
-        if not found:
-            return None
-        current = found[0]
-    return current
+def _of_its_part(annotation: Any, value: object) -> Any:
+    """The class of the keys of the part that `value` names, where the annotation is of such a section."""
+    sections = [arm for arm in _arms(annotation) if isinstance(arm, type) and issubclass(arm, PartSection)]
+    if not sections:
+        return annotation
+    try:
+        return sections[0].class_for(value)
+    except PydanticCustomError:  # there is no such part, which is an error of its own
+        return annotation
 
 
 def _inside(arm: Any, key: str | int) -> Any:
@@ -352,10 +374,3 @@ def _tags(arm: Any, discriminator: str) -> tuple[Any, ...]:
     """What a form's key `discriminator` may say, where it says which form it is."""
     field = arm.model_fields.get(discriminator) if isinstance(arm, type) and issubclass(arm, BaseModel) else None
     return get_args(field.annotation) if field is not None and get_origin(field.annotation) is Literal else ()
-
-
-def _class_at(model: type[BaseModel], keys: Keys) -> type[BaseModel] | None:
-    for arm in _arms(_annotation_at(model, keys)):
-        if isinstance(arm, type) and issubclass(arm, BaseModel):
-            return arm
-    return None

@@ -1,4 +1,4 @@
-"""Parts of data sets by name: the recipe's schema needs their names, not their code."""
+"""Interchangeable parts by the name that a recipe uses: the recipe's schema needs their names, not their code."""
 
 from __future__ import annotations
 
@@ -49,6 +49,67 @@ LABEL_CHANNELS = Registry(
         "module": ("forestgen.labels.channels.module:CHANNEL", "branch modules and their segments"),
     },
     contract="forestgen.labels.channels.channel:LabelChannel",
+)
+
+CLOUD_SOURCES = Registry(
+    "cloud source",
+    {
+        "fog": ("forestgen.atmosphere.clouds.simulated:FOG", "simulated weather: fog of a cooled, moist layer"),
+        "stratus": ("forestgen.atmosphere.clouds.simulated:STRATUS", "simulated weather: a low grey layer"),
+        "stratocumulus": (
+            "forestgen.atmosphere.clouds.simulated:STRATOCUMULUS",
+            "simulated weather: a broken layer below an inversion",
+        ),
+        "cumulus": ("forestgen.atmosphere.clouds.simulated:CUMULUS", "simulated weather: clouds of a heated ground"),
+        "cumulonimbus": (
+            "forestgen.atmosphere.clouds.simulated:CUMULONIMBUS",
+            "simulated weather: a thundercloud up to 8 km, with its anvil",
+        ),
+        "community": (
+            "forestgen.stages.community_clouds:SOURCE",
+            "the air that the community simulates over itself",
+        ),
+        "noise": ("forestgen.atmosphere.clouds.noise:SOURCE", "small cumulus of noise, without weather"),
+        "file": ("forestgen.atmosphere.clouds.saved:SOURCE", "a saved state of the air, or a field of extinction"),
+        "none": ("forestgen.atmosphere.clouds.none:SOURCE", "a sky without clouds"),
+    },
+    contract="forestgen.atmosphere.clouds.source:CloudSource",
+)
+
+TERRAINS = Registry(
+    "terrain",
+    {
+        "flat": ("forestgen.scene.terrains.rolling:FLAT", "flat ground"),
+        "rolling": ("forestgen.scene.terrains.rolling:ROLLING", "gently rolling ground, with hills in the distance"),
+        "map": ("forestgen.scene.terrains.mapped:SHAPE", "the ground of a map of heights"),
+    },
+    contract="forestgen.scene.terrains.shape:TerrainShape",
+)
+
+GROUND_COVERS = Registry(
+    "ground cover",
+    {
+        "litter": ("forestgen.scene.grounds.litter:COVER", "fallen leaves and moss"),
+        "soil_dry": ("forestgen.scene.grounds.uneven:SOIL_DRY", "dry soil"),
+        "soil_wet": ("forestgen.scene.grounds.uneven:SOIL_WET", "wet soil"),
+        "grass": ("forestgen.scene.grounds.uneven:GRASS", "grass"),
+        "rock": ("forestgen.scene.grounds.uneven:ROCK", "rock"),
+        "sand": ("forestgen.scene.grounds.uneven:SAND", "sand"),
+        "snow": ("forestgen.scene.grounds.uneven:SNOW", "snow, also on a share of the land around"),
+    },
+    contract="forestgen.scene.grounds.cover:GroundCover",
+)
+
+SKIES = Registry(
+    "sky model",
+    {
+        "clear": (
+            "forestgen.render.skies.clear:SKY",
+            "sun and blue sky (Hosek and Wilkie 2012)",
+        ),
+        "overcast": ("forestgen.render.skies.overcast:SKY", "the CIE standard overcast sky, without a sun"),
+    },
+    contract="forestgen.render.skies.model:SkyModel",
 )
 
 

@@ -14,6 +14,7 @@ from pydantic import (
     AfterValidator,
     BeforeValidator,
     Field,
+    SerializeAsAny,
     SerializerFunctionWrapHandler,
     field_validator,
     model_serializer,
@@ -41,7 +42,7 @@ from forestgen.recipe.fields import (
     spelled_out,
 )
 from forestgen.recipe.plants import Plants
-from forestgen.recipe.registries import DEFAULT_CHANNELS, LABEL_CHANNELS, each_once
+from forestgen.recipe.registries import DEFAULT_CHANNELS, GROUND_COVERS, LABEL_CHANNELS, each_once
 from forestgen.recipe.render import Render
 from forestgen.recipe.sampling import Sampling
 from forestgen.recipe.sky import SkySection
@@ -53,9 +54,6 @@ SCHEMA_VERSION = 1
 Extent = Annotated[Positive, Field(le=5000)]
 
 
-Ground = Literal["litter", "soil_dry", "soil_wet", "grass", "rock", "sand", "snow"]
-
-
 class Site(Section):
     """The piece of land: x from 0 to size_m[0] (east), y from 0 to size_m[1] (north)."""
 
@@ -63,12 +61,13 @@ class Site(Section):
         100.0,
         100.0,
     )
-    terrain: Annotated[Terrain, Field(description="Shape of the ground, or just its kind.")] = Terrain()
+    terrain: SerializeAsAny[Terrain] = Field(
+        default_factory=lambda: Terrain.model_validate({}), description="Shape of the ground, or just its kind."
+    )
     ground: Annotated[
-        Ground,
-        Field(
-            description="What covers it: litter (fallen leaves and moss), soil_dry, soil_wet, grass, rock, sand, snow."
-        ),
+        Text,
+        *part_name(GROUND_COVERS),
+        Field(description="What covers it."),
     ] = "litter"
     altitude_m: Annotated[
         Number,
@@ -200,11 +199,13 @@ class Recipe(Section):
             "distributions are still drawn by image."
         ),
     ] = False
-    site: Annotated[Site, Field(description="The piece of land.")] = Site()
+    site: Site = Field(default_factory=Site, description="The piece of land.")
     species: Annotated[dict[Name, Species], Field(min_length=1, max_length=1000, description="Species by name.")]
     community: Annotated[Community, Field(description="The plants of the stand: a community model and its own keys.")]
     plants: Annotated[Plants, Field(description="How plants are modelled.")] = Plants()
-    sky: Annotated[SkySection, Field(description="Everything above: sun, clear sky, clouds.")] = SkySection()
+    sky: SerializeAsAny[SkySection] = Field(
+        default_factory=lambda: SkySection.model_validate({}), description="Everything above: sun, sky, clouds."
+    )
     cameras: Annotated[list[Camera], Field(min_length=1, max_length=1000, description="Cameras, at least one.")]
     render: Annotated[Render, Field(description="The light's computation.")] = Render()
     labels: Annotated[Labels, Field(description="The labels' computation.")] = Labels()

@@ -5,12 +5,20 @@ from __future__ import annotations
 import datetime
 import re
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Self
 
-from pydantic import Field, SerializerFunctionWrapHandler, field_validator, model_serializer, model_validator
+from pydantic import (
+    Field,
+    SerializeAsAny,
+    SerializerFunctionWrapHandler,
+    field_validator,
+    model_serializer,
+    model_validator,
+)
 
 from forestgen.recipe.clouds import Clouds
-from forestgen.recipe.fields import Number, Section, Text, mistake, spelled_out
+from forestgen.recipe.fields import Number, PartSection, Section, Text, mistake, spelled_out
+from forestgen.recipe.registries import SKIES
 
 YEARS = (1700, 2200)
 _ANGLES, _DATE = ("elevation_deg", "azimuth_deg"), ("date", "time", "utc_offset_h")
@@ -142,16 +150,13 @@ def _hours(time: float | str) -> float:
     return hours + minutes / 60 + seconds / 3600 if minutes < 60 and seconds < 60 else float("inf")
 
 
-class SkySection(Section):
+class SkySection(PartSection):
     """Sun, clear or overcast sky, and clouds."""
 
-    kind: Annotated[
-        Literal["clear", "overcast"],
-        Field(
-            description="clear: sun and blue sky, with clouds if there are any. overcast: the CIE standard overcast "
-            "sky, without a sun; its light depends on the sun's elevation."
-        ),
-    ] = "clear"
+    registry = SKIES
+    selector = "kind"
+
+    kind: Annotated[Text, Field(description="Model of the sky.")] = "clear"
     sun: Annotated[Sun, Field(description="Where the sun stands, by angles or by date.")] = Sun()
     turbidity: Annotated[Number, Field(ge=1, le=10, description="Haze: 1 is pure air, 3 clear, 10 hazy; no unit.")] = (
         3.0
@@ -176,21 +181,11 @@ class SkySection(Section):
             "very clear. None: no haze. Below 1000 it is fog: see clouds.",
         ),
     ] = None
-    clouds: Annotated[Clouds, Field(description="The cloud field, or just its type.")] = Clouds()
+    clouds: SerializeAsAny[Clouds] = Field(
+        default_factory=lambda: Clouds.model_validate({}), description="The cloud field, or just its type."
+    )
 
     @field_validator("clouds", mode="before")
     @classmethod
     def _type_alone(cls, value: Any) -> Any:
         return spelled_out(value, "type")
-
-    @model_validator(mode="after")
-    def _one_kind_of_cloud(self) -> Self:
-        if self.kind == "overcast" and self.clouds.type != "none":
-            raise mistake(
-                "clouds: none",
-                problem="an overcast sky has no single clouds",
-                got=self.clouds.type,
-                hint="leave out clouds, or make the sky's kind clear",
-                at=("clouds", "type"),
-            )
-        return self

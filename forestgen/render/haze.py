@@ -42,7 +42,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.atmosphere.daylight import daylight_of
 from forestgen.atmosphere.grid import CloudGrid
 from forestgen.atmosphere.haze import Haze, aerosol_phase, molecular_phase
 from forestgen.atmosphere.optical_depth import distance_into, optical_depth
@@ -52,8 +51,9 @@ from forestgen.render.cloud_heights import base_of
 from forestgen.render.cloud_shadow import shadow_of
 from forestgen.render.frame import Radiance
 from forestgen.render.identity.tracer import SceneTracer, sample_offsets
+from forestgen.render.skies.model import MAP_COLUMNS, MAP_ROWS, daylight_of, map_directions
 from forestgen.render.sky import SkyLight, baked_sky, level_irradiance, site_middle, traced_clouds_of
-from forestgen.render.sky_radiance import MAP_COLUMNS, MAP_ROWS, along, map_directions, sky_map, sun_irradiance
+from forestgen.render.sky_radiance import along, sky_map, sun_irradiance
 from forestgen.render.variant import SCALAR, drjit, mitsuba, using
 from forestgen.render.wavelengths import ColourAtOnce, Mode, Quadrature, quadrature_of
 from forestgen.scene.channels import Channels

@@ -23,7 +23,6 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.atmosphere.daylight import daylight_of
 from forestgen.core.progress import Progress
 from forestgen.core.randomness import child_seed
 from forestgen.core.spectrum import LUMINANCE, Spectrum
@@ -32,6 +31,7 @@ from forestgen.render.build import load, scene_dict
 from forestgen.render.cloud_shadow import sun_sheet
 from forestgen.render.light import has_sun, sky_light, sun_disc
 from forestgen.render.settings import ROULETTE_DEPTH, SAMPLER
+from forestgen.render.skies.model import daylight_of
 from forestgen.render.surfaces import Paints, repaint
 from forestgen.render.tracing import interruptible
 from forestgen.render.variant import SCALAR, mitsuba, using

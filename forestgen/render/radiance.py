@@ -14,7 +14,6 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.atmosphere.daylight import daylight_of
 from forestgen.core.progress import Progress
 from forestgen.core.randomness import child_rng
 from forestgen.render.capture import least_samples
@@ -22,6 +21,7 @@ from forestgen.render.frame import Radiance
 from forestgen.render.identity import SceneTracer
 from forestgen.render.noise import Noise, Schedule, noise_of
 from forestgen.render.shot import Shot, Timer, View, is_exact
+from forestgen.render.skies.model import daylight_of
 from forestgen.render.slices import SliceSum
 from forestgen.render.unfinished import Unfinished
 from forestgen.render.views import build_view, pixels_of

@@ -45,7 +45,8 @@ from forestgen.render.cloud_heights import LEAST_GAP_M
 from forestgen.render.cloud_paths import ORDERS, CloudField, CloudLight, Gathered, field_of, gather
 from forestgen.render.cloud_shadow import content_key
 from forestgen.render.light import envmap
-from forestgen.render.sky_radiance import MAP_COLUMNS, MAP_ROWS, SUN_RADIUS_DEG, sky_map, sun_irradiance
+from forestgen.render.skies.model import MAP_COLUMNS, MAP_ROWS
+from forestgen.render.sky_radiance import SUN_RADIUS_DEG, sky_map, sun_irradiance
 from forestgen.scene.channels import RGB, Channels
 from forestgen.scene.soil_colour import film_factor
 from forestgen.scene.spec import SceneSpec, Sky, Terrain

@@ -36,8 +36,6 @@ from forestgen.scene.colour import colours_of_surface
 from forestgen.scene.spec import Terrain, WetGround
 
 Floats = NDArray[np.float64]
-#: Grounds that water darkens. soil_wet is wet as it is; of grass and snow the relation knows nothing.
-DARKENED = ("litter", "soil_dry", "rock", "sand")
 _INDEX = 1.33
 _WAY_M = 0.0004
 _DIRECTIONS = 10_000  # over which Fresnel's mean is taken

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,12 +88,13 @@ class Sky:
     sun_azimuth_deg: float  # clockwise from north (y), so east (x) is 90
     turbidity: float
     ground_albedo: float = 0.2
-    kind: Literal["clear", "overcast"] = "clear"  # an overcast sky has no sun
+    kind: str = "clear"  # name of its model
     altitude_m: float = 0.0  # above sea level
     sun_distance_au: float = 1.0  # from the earth
     precipitable_water_mm: float = 14.16
     ozone_du: float = 344.0  # Dobson units
     visibility_m: float | None = None  # meteorological range of the haze before the camera; None: there is none
+    own: tuple[tuple[str, Any], ...] = ()  # keys of the model's own, with their values
 
     @property
     def to_sun(self) -> NDArray[np.float64]:

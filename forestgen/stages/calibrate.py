@@ -20,6 +20,7 @@ from forestgen.render.chart_pass import WAVELENGTHS_NM, ChartImages, render_char
 from forestgen.render.cloud_heights import near_base_of
 from forestgen.render.identity import SceneTracer, trace_identity
 from forestgen.render.irradiance import Source, measure
+from forestgen.render.skies.model import sky_model_of
 from forestgen.render.transport import check_far_clouds
 from forestgen.scene import colour_checker as checker
 from forestgen.scene.spec import Camera, Instances, SceneSpec
@@ -220,7 +221,7 @@ def find_regions(spec: SceneSpec, camera: Camera, progress: Progress) -> tuple[N
     if hidden > 0.001:
         notes.append(f"{100 * hidden:.1f}% of the chart is hidden from its camera; the rest of each patch was measured")
     lit = float(surface.sun_visible[inside >= 0].mean())
-    if lit < 1 and spec.sky.kind == "clear":
+    if lit < 1 and sky_model_of(spec.sky).has_sun:
         notes.append(
             "the sun does not reach the chart" if lit == 0 else f"the sun reaches {100 * lit:.0f}% of the chart"
         )

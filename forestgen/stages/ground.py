@@ -11,13 +11,12 @@ from forestgen.community.capabilities import SoilWater, capability, models_with
 from forestgen.community.model import CommunityParameters, Site
 from forestgen.community.population import Population
 from forestgen.core.errors import AssetError, RecipeError
-from forestgen.core.randomness import child_rng
 from forestgen.recipe.load import DrawnRecipe
+from forestgen.recipe.registries import TERRAINS
 from forestgen.recipe.terrain import Terrain
 from forestgen.recipe.wet_soil import WetSoil
-from forestgen.scene.height_map import mapped
 from forestgen.scene.soil_colour import Wetness
-from forestgen.scene.terrain import HeightField, flat, rolling, smooth_step
+from forestgen.scene.terrain import HeightField, smooth_step
 
 _LEAST_MM = 1e-6  # of water: less would divide to infinity, or by 0
 
@@ -33,42 +32,23 @@ def height_field(drawn: DrawnRecipe) -> HeightField:
     try:
         return _height_field(site.size_m, site.terrain, drawn.image_seed, drawn.folder)
     except AssetError as cause:
-        where = drawn.where("site", "terrain", "map")
+        where = drawn.where("site", "terrain", *TERRAINS.load(site.terrain.kind).file_keys)
         raise AssetError(cause.problem, where=where, expected=cause.expected, got=cause.got, hint=cause.hint) from cause
 
 
 @lru_cache(maxsize=16)
 def _height_field(size_m: tuple[float, float], terrain: Terrain, image_seed: int, folder: Path) -> HeightField:
-    if terrain.kind == "flat":
-        return flat(size_m)
-    if terrain.map is not None:
-        heights_m = terrain.map.heights(folder, terrain.lowest_m, terrain.highest_m)
-        if (terrain.fit or ("exact" if terrain.map.file else "stretch")) == "exact":
-            _check_shape(heights_m.shape, size_m)
-        return mapped(size_m, heights_m)
-    return rolling(size_m, terrain.amplitude_m, terrain.wavelength_m, child_rng(image_seed, "terrain", "height"))
-
-
-def _check_shape(shape: tuple[int, ...], size_m: tuple[float, float]) -> None:
-    """Cells that are square on the site, but for rounding one side to whole cells."""
-    (rows, cols), (width, depth) = shape, size_m
-    if abs(cols - rows * width / depth) >= 1 and abs(rows - cols * depth / width) >= 1:
-        raise AssetError(
-            "the map's shape is not the site's",
-            expected=f"as wide to high as the site's {width:g} x {depth:g} m",
-            got=f"{cols} x {rows} cells",
-            hint="fit: stretch, or another site.size_m",
-        )
+    height: HeightField = TERRAINS.load(terrain.kind).height(terrain, size_m, image_seed, folder)
+    return height
 
 
 def community_site(drawn: DrawnRecipe) -> Site:
     """The site as its community knows it. The height function is kept, so that sites of one image are equal."""
     site = drawn.recipe.site
     terrain = site.terrain
-    is_flat = terrain.kind == "flat" or (terrain.kind == "rolling" and terrain.amplitude_m == 0)
     return Site(
         site.size_m,
-        height=None if is_flat else height_field(drawn),
+        height=None if TERRAINS.load(terrain.kind).is_level(terrain) else height_field(drawn),
         altitude_m=site.altitude_m,
         latitude_deg=site.latitude_deg,
         wind_from_deg=site.wind_from_deg,

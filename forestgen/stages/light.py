@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.atmosphere.clouds.source import cloud_source_of
 from forestgen.atmosphere.daylight import illuminance
 from forestgen.core.errors import RecipeError
 from forestgen.core.progress import Progress
@@ -24,7 +25,6 @@ from forestgen.recipe.load import LoadedRecipe
 from forestgen.render.irradiance import REPLICATES, PointLight, measure
 from forestgen.render.transport import check_far_clouds
 from forestgen.scene.colour_checker import temperature_of
-from forestgen.stages.clouds import known_base_m
 from forestgen.stages.community import final_population
 from forestgen.stages.ground import height_field
 from forestgen.stages.plan import Plan, check_memory, check_plan
@@ -148,7 +148,7 @@ def place(plan: Plan, point: Point, *, above_ground: bool) -> tuple[Point, float
             got=said,
             hint="z counts from the ground below; with `absolute_z` from z = 0",
         )
-    base_m = known_base_m(recipe.sky.clouds)
+    base_m = cloud_source_of(plan.drawn).known_base_m(plan.drawn)
     if base_m is not None and z >= base_m:
         raise RecipeError(
             "this point lies in or above the clouds", where="at", expected=f"z below {base_m:g} m", got=said

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
+from forestgen.atmosphere.clouds.source import cloud_source_of
 from forestgen.community.capabilities import (
     HasObstacles,
     OwnSkeletons,
@@ -35,7 +36,6 @@ from forestgen.recipe.registries import DATASET_FORMATS, LABEL_CHANNELS
 from forestgen.recipe.sources import Keys
 from forestgen.recipe.suggestions import did_you_mean
 from forestgen.scene.exemplars import check_traits
-from forestgen.stages.clouds import check_clouds, cloud_bytes, known_base_m, own_air_grid
 from forestgen.stages.ground import check_wet_soil, community_site
 from forestgen.stages.own_plants import clothing_of, generator_parameters, own_triangles
 from forestgen.stages.sky import check_sun
@@ -268,8 +268,9 @@ def _check_clouds(drawn: DrawnRecipe) -> None:
 
     Such clouds are traced apart from the plants, which a camera inside or above them would see through.
     """
-    check_clouds(drawn)
-    base_m = known_base_m(drawn.recipe.sky.clouds)
+    source = cloud_source_of(drawn)
+    source.check(drawn)
+    base_m = source.known_base_m(drawn)
     if base_m is None or drawn.recipe.render.clouds != "farfield":
         return
     for index, (section, cameras) in enumerate(zip(drawn.recipe.cameras, drawn_cameras(drawn), strict=True)):
@@ -299,6 +300,10 @@ def _check_models_own(drawn: DrawnRecipe, model: object, parameters: CommunityPa
         checks.check_recipe(drawn, parameters)
 
 
+def _check_clouds_of_community(drawn: DrawnRecipe, model: object, parameters: CommunityParameters) -> None:
+    cloud_source_of(drawn).check_community(drawn, model, parameters)
+
+
 _CHECKS_OF_THE_VIEW: tuple[tuple[Callable[[DrawnRecipe], None], frozenset[str]], ...] = (
     (check_above_ground, frozenset({"cameras", "site"})),
     (_check_clouds, frozenset({"sky", "cameras", "render", "site"})),
@@ -310,7 +315,7 @@ _CHECKS_OF_THE_COMMUNITY: tuple[tuple[_CommunityCheck, frozenset[str]], ...] = (
     (_check_obstacles, frozenset({"species", "site"})),
     (_check_models_own, frozenset({"species", "site"})),
     (check_wet_soil, frozenset({"site"})),
-    (own_air_grid, frozenset({"sky", "site"})),
+    (_check_clouds_of_community, frozenset({"sky", "site"})),
 )
 
 
@@ -329,7 +334,7 @@ def estimate_bytes(plan: Plan, *, simulate_only: bool = False, plants: int = 0) 
     if simulate_only:
         return {"community": community + _FILM_BYTES, "libraries": _LOADED_SIMULATOR_BYTES}
     pixels = max(camera.size_px[0] * camera.size_px[1] for camera in recipe.cameras)
-    cloudy = recipe.sky.clouds.type != "none"
+    cloudy = recipe.sky.clouds.has_clouds
     per_plant = _BYTES_PER_PLANT + cloudy * _BYTES_PER_PLANT_UNDER_CLOUDS[recipe.render.clouds]
     clouds_per_triangle = cloudy * _BYTES_PER_TRIANGLE_UNDER_CLOUDS[recipe.render.clouds]
     per_triangle = _BYTES_PER_TRIANGLE + clouds_per_triangle
@@ -344,7 +349,7 @@ def estimate_bytes(plan: Plan, *, simulate_only: bool = False, plants: int = 0) 
         "images": pixels * (_BYTES_PER_PIXEL + recipe.labels.samples * _BYTES_PER_SAMPLE),
         "exemplars": _exemplar_triangles(plan) * per_triangle + own * (_BYTES_PER_OWN_TRIANGLE + clouds_per_triangle),
         "plants": plants * per_plant,
-        "clouds": cloud_bytes(plan.drawn, own_air_grid(plan.drawn, plan.model, plan.model_parameters)),
+        "clouds": cloud_source_of(plan.drawn).estimate_bytes(plan.drawn, plan.model, plan.model_parameters),
     }
 
 

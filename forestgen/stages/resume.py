@@ -22,6 +22,7 @@ from forestgen.community.snapshot_checks import ImpossibleValueError, check_snap
 from forestgen.core.errors import AssetError, RecipeError
 from forestgen.core.version import __version__
 from forestgen.recipe.hashing import recipe_hash
+from forestgen.recipe.map_files import is_map_file
 from forestgen.recipe.messages import show
 from forestgen.stages.community_cache import simulation_code
 from forestgen.stages.plan import Plan
@@ -66,8 +67,9 @@ def _about_site(plan: Plan) -> dict[str, Any]:
     """What a community may depend on: its ground's shape, and where on earth it lies."""
     site, terrain = plan.site, plan.drawn.recipe.site.terrain
     shape = terrain.model_dump(mode="json")
-    if terrain.map is not None and terrain.map.sha256 is not None:
-        shape["map"] = {"sha256": terrain.map.sha256}  # a map is its content, wherever it lies
+    for key, value in shape.items():
+        if is_map_file(value):
+            shape[key] = {"sha256": value["sha256"]}  # a map is its content, wherever it lies
     return {
         "size_m": site.size_m,
         "terrain": "flat" if site.height is None else shape,

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.community.capabilities import OwnAir, capability
+from forestgen.atmosphere.clouds.source import CloudRequest, cloud_source_of
 from forestgen.community.population import Population
 from forestgen.core.progress import Progress
 from forestgen.core.randomness import child_rng
@@ -35,7 +35,6 @@ from forestgen.scene.spec import Camera, SceneSpec
 from forestgen.scene.terrain import HeightField, build_terrain
 from forestgen.scene.trunks import Trunks
 from forestgen.scene.wind import Sway, spec_at, sway_in
-from forestgen.stages.clouds import clouds_of
 from forestgen.stages.exemplar_library import library_of, modelled_species, origin_of
 from forestgen.stages.ground import height_field, wetness_of
 from forestgen.stages.own_plants import species_seen
@@ -79,11 +78,7 @@ class BuiltScene:
 def build_scene(plan: Plan, population: Population, progress: Progress, timer: Timer) -> BuiltScene:
     """Grow the exemplars, shape the ground, hang the clouds, place plants and cameras."""
     recipe, seed = plan.drawn.recipe, plan.drawn.image_seed
-    own = None
-    air = capability(plan.model, OwnAir) if recipe.sky.clouds.type == "community" else None
-    if air is not None:
-        with timer("weather"):
-            own = air.air(plan.drawn, plan.model_parameters, plan.site, plan.ecologies, population, progress)
+    simulated = population  # in the community's own frame: heights above the ground
     with timer("scene"):
         height = height_field(plan.drawn)
         population = stand_on(population, height)
@@ -92,7 +87,8 @@ def build_scene(plan: Plan, population: Population, progress: Progress, timer: T
         exemplar_plan = choose_exemplars(plan, population, cameras)
         exemplars = grow_planned(plan, exemplar_plan, progress, population)
     with timer("clouds"):
-        clouds = clouds_of(plan.drawn, _lowest_m(plan, height), progress, own)
+        request = CloudRequest(plan.drawn, _lowest_m(plan, height), progress, plan, simulated)
+        clouds = cloud_source_of(plan.drawn).grid(request)
     with timer("scene"):
         wetness = wetness_of(plan.drawn, plan.model, plan.model_parameters, population)
         terrain = build_terrain(height, child_rng(seed, "terrain", "colour"), recipe.site.ground, wetness)

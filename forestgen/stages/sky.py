@@ -6,6 +6,7 @@ from forestgen.atmosphere.sun_position import SunPosition, sun_position
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.schema import Recipe
+from forestgen.recipe.sky import SkySection
 from forestgen.scene.spec import Sky
 
 
@@ -23,6 +24,7 @@ def sun_of(recipe: Recipe) -> SunPosition:
 def sky_of(recipe: Recipe, ground_albedo: float) -> Sky:
     """Sun and sky of a recipe whose sun is up; see `check_sun`."""
     sun = sun_of(recipe)
+    own = [key for key in type(recipe.sky).model_fields if key not in SkySection.model_fields]
     return Sky(
         sun_elevation_deg=sun.elevation_deg,
         sun_azimuth_deg=sun.azimuth_deg,
@@ -34,6 +36,7 @@ def sky_of(recipe: Recipe, ground_albedo: float) -> Sky:
         precipitable_water_mm=recipe.sky.precipitable_water_mm,
         ozone_du=recipe.sky.ozone_du,
         visibility_m=recipe.sky.visibility_m,
+        own=tuple((key, getattr(recipe.sky, key)) for key in own),
     )
 
 

@@ -1,22 +1,16 @@
-"""Weather on its own: what a recipe's clouds are like, in numbers and as a picture."""
+"""A picture of simulated weather."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.atmosphere.cloud_statistics import CloudStatistics, cloud_statistics
+from forestgen.atmosphere.clouds.source import WeatherReport
 from forestgen.atmosphere.extinction import droplet_extinction, rain_extinction
-from forestgen.atmosphere.weather import Weather
-from forestgen.core.progress import Progress
-from forestgen.recipe.load import DrawnRecipe
-from forestgen.stages.clouds import weather_of
-from forestgen.stages.scenarios import droplet_radius_um_of, scenario_of, time_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,30 +19,7 @@ _SKY, _RAIN = np.array([0.27, 0.45, 0.72]), np.array([0.35, 0.40, 0.50])
 _WIDE_IN = 9.0
 
 
-@dataclass(frozen=True)
-class Report:
-    """The weather of one image."""
-
-    weather: Weather
-    kind: str  # type of the conditions at that time
-    droplet_radius_um: float
-    statistics: CloudStatistics
-
-
-def weather_report(drawn: DrawnRecipe, progress: Progress) -> Report:
-    """Simulate the weather of a drawn recipe, or take it from the cache.
-
-    Raises
-    ------
-    RecipeError : its clouds are not simulated, or cannot be.
-    """
-    scenario, time_s = scenario_of(drawn), time_of(drawn)
-    kind, radius_um = scenario.at(time_s).kind, droplet_radius_um_of(drawn, scenario, time_s)
-    weather = weather_of(drawn, progress)
-    return Report(weather, kind, radius_um, cloud_statistics(weather, droplet_radius_um=radius_um))
-
-
-def plot_weather(reports: Sequence[Report], path: Path) -> None:
+def plot_weather(reports: Sequence[WeatherReport], path: Path) -> None:
     """A row for each state: from the side, cut through the middle, and from below; as a PNG."""
     from forestgen.community.plots import new_figure, save_figure
 
@@ -59,7 +30,7 @@ def plot_weather(reports: Sequence[Report], path: Path) -> None:
     save_figure(figure, path)
 
 
-def _draw(axes: Sequence[Axes], report: Report) -> None:
+def _draw(axes: Sequence[Axes], report: WeatherReport) -> None:
     weather = report.weather
     width, depth, _ = weather.grid.size_m
     extinction = droplet_extinction(weather.cloud_water_kg_per_m3, report.droplet_radius_um)

@@ -13,7 +13,7 @@ from forestgen.core.parts import Part
 from forestgen.geometry.mesh import Mesh, surface_area_m2
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.scene.spec import Camera, Instances, Material, SceneSpec, Sky, Terrain
-from forestgen.scene.terrain import build_terrain, flat
+from forestgen.scene.terrain import HeightField, build_terrain
 
 
 def blade_cloud(leaves: int, height_m: float, width_m: float, leaf_m: float, rng: np.random.Generator) -> Mesh:
@@ -91,7 +91,7 @@ def scattered_scene(
             transform=random_transforms(instances, size_m, rng),
             plant_id=(np.arange(instances) + 1).astype(np.uint32),
         ),
-        terrain=build_terrain(flat((size_m, size_m)), rng) if terrain is None else terrain,
+        terrain=build_terrain(HeightField((size_m, size_m)), rng) if terrain is None else terrain,
         sky=Sky(40.0, 140.0, 3.0),
         clouds=clouds,
         cameras=(camera_at((size_m / 2, -8.0, 4.0), (size_m / 2, size_m / 2, 5.0), size_px),),

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from shots import radiance
 
-from forestgen.atmosphere.daylight import daylight_of
 from forestgen.core.parts import Part
 from forestgen.core.timing import Timings
 from forestgen.plants.bark.texture import SurfaceTexture
@@ -17,6 +16,7 @@ from forestgen.render.capture import capture
 from forestgen.render.identity import SceneTracer, trace_identity
 from forestgen.render.light import sky_light, sun_disc
 from forestgen.render.settings import ROULETTE_DEPTH
+from forestgen.render.skies.model import daylight_of
 from forestgen.render.surfaces import Paints, repaint
 from forestgen.render.variant import BLOCK_PX, SCALAR, using
 from forestgen.scene.channels import RGB, Channels

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from shots import radiance, seen
 
-from forestgen.atmosphere.daylight import daylight_of
 from forestgen.atmosphere.grid import CloudGrid
 from forestgen.atmosphere.haze import ASYMMETRY, Haze
 from forestgen.core.parts import Part
@@ -20,7 +19,7 @@ from forestgen.render.haze import airlight_of, extinction_of, through_haze, trac
 from forestgen.render.identity import SceneTracer
 from forestgen.render.identity.tracer import sample_offsets
 from forestgen.render.light import lights
-from forestgen.render.sky_radiance import MAP_ROWS
+from forestgen.render.skies.model import MAP_ROWS, daylight_of
 from forestgen.render.variant import SCALAR, drjit, mitsuba, using
 from forestgen.render.wavelengths import ColourAtOnce, Pass, quadrature_of
 from forestgen.scene.channels import RGB, Channels

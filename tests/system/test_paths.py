@@ -13,7 +13,6 @@ from test_exact_light import ALBEDO, COLOURED, GREY, bare_ground, loaded, path, 
 from test_exact_light import stand as leafy_stand
 from test_leaf import LEAVES, PASSES
 
-from forestgen.atmosphere.daylight import daylight_of
 from forestgen.core.parts import Part
 from forestgen.core.spectrum import Spectrum
 from forestgen.core.timing import Timings
@@ -30,7 +29,8 @@ from forestgen.render.paths.scattering import Local, Surfaces
 from forestgen.render.paths.sequence import sequence_of
 from forestgen.render.paths.surface_tables import face_tangents, paint_of, relief_tables
 from forestgen.render.paths.tracer import PathTracer
-from forestgen.render.sky_radiance import MAP_COLUMNS, MAP_ROWS, along, sky_map
+from forestgen.render.skies.model import MAP_COLUMNS, MAP_ROWS, daylight_of
+from forestgen.render.sky_radiance import along, sky_map
 from forestgen.render.surfaces import surface_bsdf
 from forestgen.render.variant import CUDA, LLVM, SCALAR, drjit, mitsuba, using
 from forestgen.scene.channels import RGB, Channels

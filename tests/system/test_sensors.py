@@ -14,7 +14,7 @@ from forestgen.render.assembled import LEAST_SAMPLES, check_ray_places, tiles_of
 from forestgen.render.capture import capture
 from forestgen.render.light import envmap
 from forestgen.render.sensors import FilmWindow
-from forestgen.render.sky_radiance import map_directions
+from forestgen.render.skies.model import map_directions
 from forestgen.render.variant import BLOCK_PX, SCALAR, mitsuba, using
 from forestgen.scene.projection import fisheye_focal_px, project, rays
 from forestgen.scene.spec import Camera, Lens

@@ -11,13 +11,30 @@ import pytest
 from forestgen.community.registry import COMMUNITY_MODELS, COMPETITION_MODELS
 from forestgen.core.code_hash import PACKAGE
 from forestgen.core.registry import Registry
-from forestgen.recipe.registries import DATASET_FORMATS, LABEL_CHANNELS, PACKS
+from forestgen.recipe.registries import (
+    CLOUD_SOURCES,
+    DATASET_FORMATS,
+    GROUND_COVERS,
+    LABEL_CHANNELS,
+    PACKS,
+    SKIES,
+    TERRAINS,
+)
 
-REGISTRIES = (DATASET_FORMATS, PACKS, COMPETITION_MODELS, LABEL_CHANNELS)
+REGISTRIES = (
+    DATASET_FORMATS,
+    PACKS,
+    COMPETITION_MODELS,
+    LABEL_CHANNELS,
+    CLOUD_SOURCES,
+    SKIES,
+    TERRAINS,
+    GROUND_COVERS,
+)
 # Where names of a kind are looked for, if they are common words.
 FOLDERS = {"label channel": ("labels/", "dataset/", "stages/", "pipeline.py")}
 REGISTRY_FILES = {"recipe/registries.py", "community/registry.py"}
-OTHER_MEANINGS = {  # file -> names that are no part's in it
+OTHER_MEANINGS = {  # file -> names that are no part's in it, or a default
     "api/instruments.py": {"points"},  # what a list holds, for its error
     "api/points.py": {"points"},  # a parameter
     "community/fitting/recipe_text.py": {"points"},  # a key of community model strauss
@@ -34,10 +51,28 @@ OTHER_MEANINGS = {  # file -> names that are no part's in it
     "stages/light_text.py": {"sun"},  # a column
     "stages/sky.py": {"sun"},  # a key of the recipe
     "dataset/check/merged.py": {"bop"},  # a folder, whose files the checks read by their names
+    "dataset/frame_row.py": {"noise"},  # a column
     "lsystem/parsing.py": {"points"},  # a rule of the grammar
     "lsystem/statement_reader.py": {"points"},  # the same
+    "recipe/schema.py": {"litter"},  # the default
+    "recipe/sky.py": {"clear"},  # the default
+    "recipe/suggestions.py": {"grass"},  # a species
+    "recipe/terrain.py": {"flat"},  # the default
+    "render/clear_view.py": {"clear"},  # a stream of random numbers
+    "scene/spec.py": {"clear"},  # the default
+    "scene/terrain.py": {"litter"},  # the default
     "stages/light.py": {"points"},  # a stage of the progress bar, and a key of a table
+    "stages/resume.py": {"flat"},  # a history's word for ground without a height function
 }
+COMMON_WORDS = {"community", "file", "map", "none"}  # which only the comparison with a section's key gives away
+SELECTORS = {"ground", "kind", "type"}
+
+
+@cache
+def trees() -> dict[str, ast.Module]:
+    """File of the package -> its syntax tree."""
+    files = {path.relative_to(PACKAGE).as_posix(): path for path in PACKAGE.rglob("*.py")}
+    return {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in files.items()}
 
 
 MODEL_REGISTRY = "community/registry.py"
@@ -60,11 +95,22 @@ OTHER_THAN_MODELS = {  # file -> names that are no community model's in it, or a
 @cache
 def texts() -> dict[str, set[str]]:
     """File of the package -> its literal texts."""
+    return {file: set(_texts(tree)) for file, tree in trees().items()}
+
+
+def _texts(tree: ast.AST) -> list[str]:
+    values = [node.value for node in ast.walk(tree) if isinstance(node, ast.Constant)]
+    return [value for value in values if isinstance(value, str)]
+
+
+@cache
+def compared() -> dict[str, set[str]]:
+    """File of the package -> literal texts that it compares with an attribute which may name a part."""
     found = {}
-    for path in PACKAGE.rglob("*.py"):
-        nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-        values = (node.value for node in nodes if isinstance(node, ast.Constant))
-        found[path.relative_to(PACKAGE).as_posix()] = {value for value in values if isinstance(value, str)}
+    for file, tree in trees().items():
+        nodes = [node for node in ast.walk(tree) if isinstance(node, ast.Compare | ast.Subscript)]
+        selecting = [n for n in nodes if any(isinstance(a, ast.Attribute) and a.attr in SELECTORS for a in ast.walk(n))]
+        found[file] = {text for node in selecting for text in _texts(node)}
     return found
 
 
@@ -81,7 +127,8 @@ def own_module(registry: Registry, name: str) -> str:
 def test_only_a_parts_own_module_names_it(registry: Registry, name: str) -> None:
     known = {file for file, names in OTHER_MEANINGS.items() if name in names}
     folders = FOLDERS.get(registry.kind, "")
-    found = {file for file, own in texts().items() if name in own and file.startswith(folders)} - REGISTRY_FILES
+    literal = compared() if name in COMMON_WORDS else texts()
+    found = {file for file, own in literal.items() if name in own and file.startswith(folders)} - REGISTRY_FILES
     own = {own_module(registry, name), f"dataset/check/{name}.py"}  # where a format's checks have their names
     assert found - known <= own, f"ask the part for what it can do instead of naming {name!r}"
     assert known <= found, "an exception without a cause"
@@ -93,21 +140,16 @@ def is_of_models(file: str) -> bool:
 
 
 @cache
-def trees() -> dict[str, ast.Module]:
-    """File of the package -> its syntax, of those that no community model owns."""
-    files = {path.relative_to(PACKAGE).as_posix(): path for path in PACKAGE.rglob("*.py")}
-    return {
-        file: ast.parse(path.read_text(encoding="utf-8"))
-        for file, path in files.items()
-        if file != MODEL_REGISTRY and not is_of_models(file)
-    }
+def trees_without_models() -> dict[str, ast.Module]:
+    """The same of those that no community model owns."""
+    return {file: tree for file, tree in trees().items() if file != MODEL_REGISTRY and not is_of_models(file)}
 
 
 @cache
 def code_texts() -> dict[str, set[str]]:
     """The same file -> its literal texts without docstrings, which are manual pages."""
     found = {}
-    for file, tree in trees().items():
+    for file, tree in trees_without_models().items():
         pages = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
         constants = (node for node in ast.walk(tree) if isinstance(node, ast.Constant) and id(node) not in pages)
         found[file] = {node.value for node in constants if isinstance(node.value, str)}
@@ -127,7 +169,7 @@ def test_only_its_own_code_names_a_community_model(name: str) -> None:
 def test_only_models_know_the_classes_of_their_parameters() -> None:
     classes = {COMMUNITY_MODELS.load(name).Parameters.__name__ for name in COMMUNITY_MODELS.ids()}
     assert "EcoclimateParameters" in classes
-    for file, tree in trees().items():
+    for file, tree in trees_without_models().items():
         names = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}
         names |= {one.name for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) for one in node.names}
         assert not names & classes, f"{file} knows the parameters of a community model"

@@ -25,10 +25,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.atmosphere.conditions import Layers, wind_towards
 from forestgen.atmosphere.fluid.air import Air, at_rest
 from forestgen.atmosphere.fluid.diagnostics import total_water_kg
 from forestgen.atmosphere.fluid.parameters import Physics, Surface
-from forestgen.atmosphere.presets import Layers, wind_towards
 from forestgen.atmosphere.sounding import LATENT_HEAT_J_PER_KG, Sounding
 from forestgen.atmosphere.weather import AirGrid, Weather
 from forestgen.community.ecoclimate.climate import MONTHS_PER_YR, Month

@@ -6,6 +6,7 @@ It is kept with other weather, by the hash of what the hours of a day begin with
 from __future__ import annotations
 
 import hashlib
+from typing import Any
 
 from forestgen.atmosphere.fluid.parameters import UnstableError
 from forestgen.atmosphere.kept_weather import read_weather, weather_store
@@ -35,7 +36,7 @@ def shown_section(drawn: DrawnRecipe, parameters: EcoclimateParameters) -> Weath
     ------
     RecipeError : no weather then; no such time; too many cells, or too few.
     """
-    clouds = drawn.recipe.sky.clouds
+    clouds: Any = drawn.recipe.sky.clouds
     types = {name: one.modules for name, one in drawn.species.items() if one.modules is not None}
     at_the_end, _ = parameters_at(parameters, types, parameters.steps)
     assert isinstance(at_the_end, EcoclimateParameters)
@@ -69,7 +70,8 @@ def shown_weather(drawn: DrawnRecipe, section: WeatherSection, state: Ecoclimate
     ------
     RecipeError : the air cannot be stepped.
     """
-    case = air_over(state, section, drawn.recipe.sky.clouds.day or 0)
+    clouds: Any = drawn.recipe.sky.clouds
+    case = air_over(state, section, clouds.day or 0)
     told = (code_hash(_SOURCES, _COMPUTE_WITH), section.hours, described(case))
     key, store = hashlib.blake2b(repr(told).encode(), digest_size=20).hexdigest(), weather_store()
     kept = None if store is None else read_weather(store, key)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from forestgen.render.identity.surface import albedo, shading_normal, sun_visible
 from forestgen.render.identity.tracer import SceneTracer, sample_offsets
+from forestgen.render.skies.model import sky_model_of
 from forestgen.render.variant import drjit, mitsuba, using
 from forestgen.scene.spec import Camera
 
@@ -53,7 +54,7 @@ def _trace_rows(tracer: SceneTracer, camera: Camera, first: int, count: int) -> 
     facing = tracer.geometric_normal(hits)
     smooth = shading_normal(tracer, hits, facing)
     shade = mi.Float(1.0)
-    if tracer.spec.sky.kind != "overcast":
+    if sky_model_of(tracer.spec.sky).has_sun:
         lit = sun_visible(tracer, camera, hits, facing)
         shade = _SHADE + (1.0 - _SHADE) * dr.select(lit, dr.abs(dr.dot(smooth, tracer.to_sun)), 0.0)
     colour = dr.select(hits.valid, albedo(tracer, hits) * shade, 1.0)

@@ -12,6 +12,7 @@ from forestgen.render.build import origin_of
 from forestgen.render.frame import Surface
 from forestgen.render.identity.tables import NONE
 from forestgen.render.identity.tracer import Hits, SceneTracer
+from forestgen.render.skies.model import sky_model_of
 from forestgen.render.variant import drjit, mitsuba
 from forestgen.scene.projection import world_rays
 from forestgen.scene.spec import Camera
@@ -204,7 +205,7 @@ def _wrapped(index: Any, size: Any) -> Any:
 def sun_visible(tracer: SceneTracer, camera: Camera, hits: Hits, normal: Any) -> Any:
     """Whether nothing of the scene lies between the hits and the sun's centre; clouds do not count.
 
-    False everywhere under an overcast sky, which has no sun.
+    False everywhere under a sky without a sun.
     """
     mi, dr = mitsuba(), drjit()
     point = tracer.start_of(camera, hits.rays) + hits.rays.direction * hits.distance_m
@@ -212,5 +213,5 @@ def sun_visible(tracer: SceneTracer, camera: Camera, hits: Hits, normal: Any) ->
     lift = LIFT * dr.maximum(dr.max(dr.abs(point)), 1.0)
     ray = mi.Ray3f(point + sunny * lift, tracer.to_sun)
     # Single rays: from leaf to leaf neighbours lose each other, and packets take 1.7 times as long.
-    lit = hits.valid & (tracer.spec.sky.kind != "overcast")
+    lit = hits.valid & sky_model_of(tracer.spec.sky).has_sun
     return lit & ~tracer.scene.ray_test(ray, coherent=False, active=lit)

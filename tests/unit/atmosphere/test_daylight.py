@@ -13,11 +13,11 @@ from forestgen.atmosphere.daylight import (
     aerosol_optical_depth,
     colour_temperature,
     daylight,
-    daylight_of,
     illuminance,
-    overcast_illuminance,
 )
 from forestgen.core.spectrum import Spectrum
+from forestgen.render.skies.model import daylight_of
+from forestgen.render.skies.overcast import overcast_daylight, overcast_illuminance
 from forestgen.scene.spec import Sky
 
 
@@ -102,7 +102,7 @@ def test_haze_is_that_of_preetham() -> None:
 
 @pytest.mark.parametrize("elevation_deg", [1.0, 20.0, 45.0, 90.0])
 def test_an_overcast_sky_has_its_illuminance_its_colour_and_no_sun(elevation_deg: float) -> None:
-    light = daylight(elevation_deg, 3.0, kind="overcast")
+    light = overcast_daylight(daylight(elevation_deg, 3.0))
     assert not light.sun.value.any()
     assert illuminance(light.sun_on_level) == 0
     expected = 300 + 21_000 * np.sin(np.radians(elevation_deg))
@@ -122,7 +122,7 @@ def test_an_overcast_sky_has_its_illuminance_its_colour_and_no_sun(elevation_deg
 
 def test_an_overcast_sky_gives_a_plausible_share_of_the_clear_ones_energy() -> None:
     for elevation_deg in (20.0, 40.0, 60.0):
-        dull, clear = daylight(elevation_deg, 3.0, kind="overcast"), daylight(elevation_deg, 3.0)
+        dull, clear = overcast_daylight(daylight(elevation_deg, 3.0)), daylight(elevation_deg, 3.0)
         assert 0.12 < watts(dull.on_level) / watts(clear.on_level) < 0.35
         assert 105 < illuminance(dull.sky) / watts(dull.sky) < 130  # lm/W of overcast skies, Littlefair 1985
 
@@ -184,7 +184,7 @@ def test_light_by_angles_waits_for_no_heavy_library() -> None:
     code = (
         "import sys\n"
         "from forestgen.atmosphere import daylight, sun_position\n"
-        "for kind in ('clear', 'overcast'): daylight.colour_temperature(daylight.daylight(30.0, 3.0, 0.2, kind).sky)\n"
+        "daylight.colour_temperature(daylight.daylight(30.0, 3.0, 0.2).sky)\n"
         "print([name for name in ('pandas', 'pvlib', 'colour', 'scipy', 'mitsuba') if name in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

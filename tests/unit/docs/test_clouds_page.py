@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
-from forestgen.atmosphere.extinction import DROPLET_RADIUS_UM, rain_extinction
-from forestgen.atmosphere.presets import PRESETS
-from forestgen.recipe.cloud_keys import SIMULATED
+from forestgen.atmosphere.extinction import rain_extinction
 from forestgen.recipe.load import load_recipe
+from forestgen.recipe.registries import CLOUD_SOURCES
 from forestgen.stages.sky import sky_of
 
 DOCS = Path(__file__).parents[3] / "docs"
@@ -49,13 +48,14 @@ def test_what_the_page_shows_and_links_is_there(path: str) -> None:
     assert (DOCS / path).is_file()
 
 
-@pytest.mark.parametrize("kind", SIMULATED)
+@pytest.mark.parametrize("kind", ["fog", "stratus", "stratocumulus", "cumulus", "cumulonimbus"])
 def test_the_table_has_the_types_own_numbers(kind: str) -> None:
-    domain, minutes = PRESETS[kind].conditions.domain, PRESETS[kind].time_s / 60
+    own = CLOUD_SOURCES.load(kind)
+    domain, minutes = own.conditions.domain, own.time_s / 60
     _, _, box, droplets, when = ROWS[kind]
     metres = [float(number) * (1000 if unit == "km" else 1) for number, unit in re.findall(r"([\d.]+) (km|m)\b", box)]
     assert metres == [domain.extent_m, domain.height_m]
-    assert float(droplets.split()[0]) == DROPLET_RADIUS_UM[kind]
+    assert float(droplets.split()[0]) == own.droplet_radius_um
     assert float(when.split()[0]) == minutes
 
 

@@ -8,10 +8,12 @@ from pathlib import Path
 import pytest
 
 from forestgen.core.errors import AssetError, RecipeError
-from forestgen.recipe.cloud_keys import NOISE, SIMULATED
 from forestgen.recipe.load import dump_yaml, load_recipe
+from forestgen.recipe.registries import CLOUD_SOURCES
 
 Write = Callable[..., Path]
+SIMULATED = [name for name in CLOUD_SOURCES if hasattr(CLOUD_SOURCES.load(name), "conditions")]
+NOISE = {"cover": 0.35, "base_m": 900.0, "thickness_m": 350.0, "extinction_per_m": 0.05, "extent_m": 8000.0}
 
 
 @pytest.mark.parametrize("kind", [*SIMULATED, "noise", "none"])
@@ -52,9 +54,9 @@ def test_where_the_type_is_drawn_none_has_no_keys_of_its_own(write: Write) -> No
 @pytest.mark.parametrize(
     ("clouds", "said"),
     [
-        ("{type: cumulus, cover: 0.4}", ["sky.clouds.cover", "cumulus have no cover", "type noise", "emission"]),
-        ("{type: noise, emission: {heat_w_per_m2: 9}}", ["sky.clouds.emission", "noise have no emission", "fog"]),
-        ("{type: noise, time_s: 60}", ["sky.clouds.time_s", "simulated types"]),
+        ("{type: cumulus, cover: 0.4}", ["sky.clouds.cover", "cumulus has no cover", "its emission"]),
+        ("{type: noise, emission: {heat_w_per_m2: 9}}", ["sky.clouds.emission", "noise has no emission", "fog"]),
+        ("{type: noise, time_s: 60}", ["sky.clouds.time_s", "it is a key of fog, stratus"]),
         ("{type: fog, file: a.nc}", ["sky.clouds.file", "a.nc"]),
         ("{type: file}", ["sky.clouds.type", "file: sky.nc"]),
         ("{type: cumulus, wind_m_per_s: -1}", ["sky.clouds.wind_m_per_s", "at least 0"]),
@@ -66,11 +68,13 @@ def test_where_the_type_is_drawn_none_has_no_keys_of_its_own(write: Write) -> No
         ("{type: fog, story: [{at_s: 0, type: cumulus}]}", ["sky.clouds.type", "begins with another type", "cumulus"]),
         ("{story: [{at_s: 5, type: fog}]}", ["sky.clouds.story.0", "at_s: 0"]),
         ("{story: [{at_s: 0, type: fog}, {at_s: 0, type: fog}]}", ["sky.clouds.story.1.at_s", "more than 0 s"]),
-        ("{story: [{at_s: 0, type: noise}]}", ["sky.clouds.story.0.type", "'cumulus'"]),
+        ("{type: fog, story: [{at_s: 0, type: noise}]}", ["sky.clouds.story.0.type", "one of fog, stratus"]),
         ("{story: [{at_s: 0, type: fog}], wind_m_per_s: 3}", ["sky.clouds.wind_m_per_s", "into the chapters"]),
         ("{story: []}", ["sky.clouds.story", "at least 1"]),
         ("{story: 3}", ["sky.clouds.story"]),
-        ("cirrus", ["'stratocumulus'", "'cirrus'"]),
+        ("cirrus", ["sky.clouds.type", "stratocumulus", "'cirrus'"]),
+        ("{type: none, cover: 7}", ["sky.clouds.cover", "at most 1"]),
+        ("{type: none, covr: 0.7}", ["sky.clouds.covr", "unknown key", "'cover'"]),
     ],
 )
 def test_mistakes_are_told_with_their_place(write: Write, clouds: str, said: Sequence[str]) -> None:

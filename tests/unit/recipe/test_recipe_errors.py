@@ -103,7 +103,7 @@ def test_duplicate_keys_name_both_lines(tmp_path: Path) -> None:
         ("site.size_m=5", ["a list", "5"]),
         ("site.size_m=['5', 6]", ["a number", "remove the quotes"]),
         ("site.size_m=[true, 6]", ["a number", "true"]),
-        ("site.terrain=hills", ["site.terrain.kind", "'flat', 'rolling' or 'map'", "'hills'"]),
+        ("site.terrain=hills", ["site.terrain.kind", "one of flat, map, rolling", "'hills'"]),
         ("site.terrain={kin: flat}", ["unknown key 'kin'", "did you mean 'kind'"]),
         ("sede=3", ["unknown key 'sede'", "did you mean 'seed'"]),
         ("seed=-1", ["seed", "at least 0"]),

@@ -161,7 +161,7 @@ def test_the_suns_disc_has_its_irradiance() -> None:
 
 
 def test_directions_of_the_sky_are_those_of_its_map() -> None:
-    from forestgen.render.sky_radiance import map_directions
+    from forestgen.render.skies.model import map_directions
 
     sky = (0.5 + 0.5 * np.moveaxis(map_directions(), -1, 0)).astype(np.float32)
     empty = field_of(CloudGrid(np.zeros((4, 4, 4), np.float32), (-100, -100, 50), (100, 100, 90)))

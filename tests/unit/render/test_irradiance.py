@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from forestgen.atmosphere.daylight import daylight_of, illuminance
+from forestgen.atmosphere.daylight import illuminance
 from forestgen.core.parts import Part
 from forestgen.core.progress import Silent
 from forestgen.core.spectrum import Spectrum
 from forestgen.geometry.mesh import Mesh
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.render.irradiance import LUMINANCE, PointLight, measure, uniform
+from forestgen.render.skies.model import daylight_of
 from forestgen.scene.spec import Instances, Material, SceneSpec, Sky, Terrain
 
 ALBEDO = 0.3

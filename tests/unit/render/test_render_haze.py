@@ -13,7 +13,7 @@ from forestgen.atmosphere.optical_depth import distance_into, optical_depth
 from forestgen.core.spectrum import Band, Spectrum
 from forestgen.render.frame import Radiance
 from forestgen.render.haze import Airlight, Seen, airlight_of, cloud_veil, extinction_of, hazed
-from forestgen.render.sky_radiance import MAP_ROWS, map_directions
+from forestgen.render.skies.model import MAP_ROWS, map_directions
 from forestgen.render.variant import SCALAR, using
 from forestgen.render.wavelengths import BandsBySpectrum, ColourAtOnce, ColourBySpectrum
 from forestgen.scene.projection import world_rays

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from forestgen.atmosphere.daylight import daylight_of, illuminance
+from forestgen.atmosphere.daylight import illuminance
 from forestgen.render import sky_radiance
-from forestgen.render.sky_radiance import SUN_RADIUS_DEG, map_directions, sky_map, sun_radiance
+from forestgen.render.skies.model import daylight_of, map_directions
+from forestgen.render.sky_radiance import SUN_RADIUS_DEG, sky_map, sun_radiance
 from forestgen.render.variant import drjit
 from forestgen.scene.channels import RGB, Channels
 from forestgen.scene.spec import Sky

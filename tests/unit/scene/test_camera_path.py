@@ -12,11 +12,11 @@ from forestgen.core.errors import RecipeError
 from forestgen.recipe.cameras import Camera
 from forestgen.recipe.load import load_recipe
 from forestgen.scene.camera_path import expand, next_frame, place_cameras
-from forestgen.scene.terrain import HeightField, flat
+from forestgen.scene.terrain import HeightField
 from forestgen.stages.plan import check_plan, views_below_ground
 
 QUICKSTART = Path(__file__).parents[3] / "recipes" / "quickstart.yaml"
-FLAT = flat((100.0, 100.0))
+FLAT = HeightField((100.0, 100.0))
 WAVY = HeightField((100.0, 100.0), np.array([[0.1, 0.03]]), np.array([5.0]), np.array([0.4]), np.array([False]))
 
 

@@ -17,14 +17,14 @@ from forestgen.recipe.load import load_recipe
 from forestgen.scene.camera_path import expand, next_frame
 from forestgen.scene.projection import project
 from forestgen.scene.spec import Instances
-from forestgen.scene.terrain import HeightField, flat
+from forestgen.scene.terrain import HeightField
 from forestgen.scene.trunks import Trunks
 from forestgen.scene.walking import BlockedError, at_lengths, length_m, way_around
 from forestgen.stages.plan import check_plan, make_plan
 from forestgen.stages.views import check_trunks, drawn_cameras
 
 QUICKSTART = Path(__file__).parents[3] / "recipes" / "quickstart.yaml"
-FLAT = flat((100.0, 100.0))
+FLAT = HeightField((100.0, 100.0))
 WAVY = HeightField((100.0, 100.0), np.array([[0.1, 0.03]]), np.array([5.0]), np.array([0.4]), np.array([False]))
 
 

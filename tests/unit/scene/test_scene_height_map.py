@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from forestgen.scene.height_map import mapped
 from forestgen.scene.terrain import HORIZON_M, terrain_mesh
+from forestgen.scene.terrains.mapped import mapped
 
 SIZE_M = (100.0, 75.0)
 

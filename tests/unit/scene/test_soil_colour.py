@@ -12,14 +12,13 @@ from forestgen.core.spectrum import LUMINANCE, Spectrum
 from forestgen.recipe.spectra import load_spectra
 from forestgen.scene.channels import RGB, Channels
 from forestgen.scene.soil_colour import (
-    DARKENED,
     Wetness,
     film_factor,
     film_reflectances,
     wet_share,
     wet_spectrum,
 )
-from forestgen.scene.terrain import build_terrain, flat, terrain_mesh
+from forestgen.scene.terrain import HeightField, build_terrain, terrain_mesh
 
 SIZE_M = (12.0, 8.0)
 PATCHY = Wetness(SIZE_M, np.random.default_rng(1).random((4, 6)))
@@ -31,7 +30,7 @@ def grey(reflectance: float) -> Spectrum:
 
 def terrain(ground: str = "sand", saturation: object = PATCHY.saturation):
     wetness = None if saturation is None else Wetness(SIZE_M, np.broadcast_to(saturation, (4, 6)).astype(float))
-    return build_terrain(flat(SIZE_M), np.random.default_rng(2), ground, wetness)
+    return build_terrain(HeightField(SIZE_M), np.random.default_rng(2), ground, wetness)
 
 
 def test_a_surface_of_water_reflects_what_fresnels_equations_say() -> None:
@@ -50,7 +49,7 @@ def test_a_surface_of_water_reflects_what_fresnels_equations_say() -> None:
     assert film_reflectances() == pytest.approx((mean(1.33), mean(1 / 1.33)), abs=2e-5)
 
 
-@pytest.mark.parametrize("ground", DARKENED)
+@pytest.mark.parametrize("ground", ["litter", "soil_dry", "rock", "sand"])
 def test_a_film_of_water_takes_light_at_every_wavelength(ground: str) -> None:
     dry = load_spectra(f"ground/{ground}")["reflectance"]
     wet = wet_spectrum(dry)
@@ -91,7 +90,7 @@ def test_the_map_has_its_cells_values_and_no_edge() -> None:
 
 
 def test_the_ground_is_seamless_from_the_site_to_its_mean() -> None:
-    height = flat(SIZE_M)
+    height = HeightField(SIZE_M)
     wet = terrain().wet
     assert wet is not None
     x, y = terrain_mesh(height).vertices_m[:, :2].astype(np.float64).T

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from forestgen.scene import terrain
-from forestgen.scene.terrain import HORIZON_M, build_terrain, flat, rolling, terrain_mesh
+from forestgen.scene.terrain import HORIZON_M, HeightField, build_terrain, terrain_mesh
+from forestgen.scene.terrains.rolling import rolling
 
 SIZE_M = (60.0, 40.0)
 
@@ -61,7 +62,7 @@ def test_faces_look_up_and_cover_the_plane_once(mesh):
 
 
 def test_flat_ground_is_flat():
-    mesh = terrain_mesh(flat(SIZE_M))
+    mesh = terrain_mesh(HeightField(SIZE_M))
     assert np.all(mesh.vertices_m[:, 2] == 0)
     np.testing.assert_allclose(mesh.normals, np.broadcast_to([0, 0, 1], mesh.normals.shape))
 
@@ -83,7 +84,7 @@ def test_the_texture_of_an_image_made_again_is_kept(monkeypatch):
 
     def build(ground: str, seed: int) -> tuple[np.ndarray, float]:
         rng = np.random.default_rng(seed)
-        return build_terrain(flat((8.0, 8.0)), rng, ground).texture, rng.random()
+        return build_terrain(HeightField((8.0, 8.0)), rng, ground).texture, rng.random()
 
     first, after = build("sand", 1)
     again, after_again = build("sand", 1)

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from forestgen.atmosphere.clouds.source import CloudRequest, cloud_source_of
 from forestgen.atmosphere.extinction import cloud_grid_of
 from forestgen.atmosphere.weather import Weather
 from forestgen.community.capabilities import OwnAir, capability
@@ -19,7 +20,6 @@ from forestgen.core.errors import RecipeError
 from forestgen.core.progress import Silent
 from forestgen.core.timing import Timings
 from forestgen.recipe.load import load_recipe
-from forestgen.stages.clouds import clouds_of
 from forestgen.stages.community import final_population
 from forestgen.stages.plan import Plan, estimate_bytes, make_plan
 from forestgen.stages.scene import build_scene
@@ -84,9 +84,9 @@ def giving(population: Population, mm_per_day: float) -> Population:
         (["sky.clouds.time_s=0"], ["sky.clouds.time_s", "more than 0"]),
         (["sky.clouds.cell_m=400"], ["sky.clouds.cell_m", "too coarse"]),
         (["community.weather.extent_m=40000", "sky.clouds.cell_m=10"], ["sky.clouds.cell_m", "too fine", "4,000,000"]),
-        (["sky.clouds.offset_m=[3, 4]"], ["sky.clouds.offset_m", "community have no offset_m"]),
-        (["sky.clouds.wind_m_per_s=3"], ["have no wind_m_per_s", "community.weather"]),
-        (["sky.clouds={type: cumulus, cell_m: 50}"], ["have no cell_m", "set domain.cell_m"]),
+        (["sky.clouds.offset_m=[3, 4]"], ["sky.clouds.offset_m", "community has no offset_m"]),
+        (["sky.clouds.wind_m_per_s=3"], ["has no wind_m_per_s", "community.weather"]),
+        (["sky.clouds={type: cumulus, cell_m: 50}"], ["has no cell_m", "set domain.cell_m"]),
     ],
 )
 def test_what_cannot_be_is_told_before_anything_is_simulated(
@@ -156,12 +156,13 @@ def test_the_scene_has_the_clouds_of_that_air_and_nothing_else(folder: Path, pop
     wet = giving(population, 6.0)
     spec = build_scene(of, wet, Silent(), Timings()).spec
     weather = own_weather(of, wet)
-    wanted = cloud_grid_of(weather, kind="", centre_m=(30.0, 22.5), droplet_radius_um=8.0, tiles=7)
+    wanted = cloud_grid_of(weather, centre_m=(30.0, 22.5), droplet_radius_um=8.0, tiles=7)
     assert spec.clouds is not None
     assert wanted is not None
     assert np.array_equal(spec.clouds.extinction_per_m, wanted.extinction_per_m)
     assert (spec.clouds.low_m, spec.clouds.high_m) == (wanted.low_m, wanted.high_m)
-    alone = clouds_of(plan(folder, "sky.clouds.repeat=false").drawn, 5.0, Silent(), weather)
+    single = plan(folder, "sky.clouds.repeat=false")
+    alone = cloud_source_of(single.drawn).grid(CloudRequest(single.drawn, 5.0, Silent(), single, wet))
     assert alone is not None
     assert alone.low_m[:2] == pytest.approx((30.0 - 400.0, 22.5 - 400.0))
     assert alone.low_m[2] == pytest.approx(wanted.low_m[2] + 5.0)

@@ -16,7 +16,7 @@ from forestgen.core.timing import Timings
 from forestgen.plants import growing
 from forestgen.recipe.load import load_recipe
 from forestgen.scene.spec import Terrain
-from forestgen.scene.terrain import build_terrain, flat
+from forestgen.scene.terrain import HeightField, build_terrain
 from forestgen.stages import scene
 from forestgen.stages.plan import Plan, check_plan, estimate_bytes, make_plan
 
@@ -46,7 +46,7 @@ def herbs(y_m: list[float]) -> Population:
 
 @pytest.fixture(scope="module")
 def ground() -> Terrain:
-    return build_terrain(flat((10.0, 10.0)), child_rng(0))
+    return build_terrain(HeightField((10.0, 10.0)), child_rng(0))
 
 
 @pytest.fixture(autouse=True)

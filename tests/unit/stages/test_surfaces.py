@@ -8,7 +8,7 @@ from forestgen.recipe.load import load_recipe_data
 from forestgen.scene.channels import RGB, Channels
 from forestgen.scene.colour import colours_of_surface
 from forestgen.scene.spec import Camera
-from forestgen.scene.terrain import build_terrain, flat
+from forestgen.scene.terrain import HeightField, build_terrain
 from forestgen.stages.surfaces import infrared_notes, materials_of
 
 
@@ -84,7 +84,7 @@ def test_colours_and_short_tables_are_noted_where_bands_reach_past_them():
 
 @pytest.mark.parametrize("ground", [pytest.param("litter", marks=pytest.mark.slow), "soil_wet", "snow"])
 def test_the_ground_has_its_spectrum(ground):
-    terrain = build_terrain(flat((10.0, 10.0)), np.random.default_rng(3), ground)
+    terrain = build_terrain(HeightField((10.0, 10.0)), np.random.default_rng(3), ground)
     np.testing.assert_allclose(terrain.mean_colour, colours_of_surface(terrain.spectrum, None)[0], rtol=1e-4)
     assert terrain.texture.max() <= 1
     assert terrain.texture.std() > 0.001

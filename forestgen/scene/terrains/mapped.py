@@ -4,26 +4,36 @@ Floating point pictures and arrays hold metres. Grey levels hold none, and go fr
 (white); those of a TIFF are metres where neither is given, as elevation models of whole metres have it. The first row
 is the northern edge, the left column the western one, and the map covers the whole site. A hole, which is NaN, what a
 GeoTIFF's own mark says, -9999 or -32768, or a transparent pixel, is refused: plants would have nothing to stand on.
+
+Example
+-------
+    site: {terrain: {kind: map, map: hills.png, lowest_m: 0, highest_m: 40}}
+
+Parameters: see `MapKeys`.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from forestgen.core.errors import AssetError
 from forestgen.core.grey_picture import kind_of, read_grey
-from forestgen.recipe.fields import Number, Section, Text, mistake
-from forestgen.recipe.map_files import file_sha256
-from forestgen.recipe.paths import inside
+from forestgen.recipe.fields import Number, Section, Text, mistake, spelled_out
+from forestgen.recipe.map_files import known_file
+from forestgen.scene.terrain import HeightField, smooth_step
+from forestgen.scene.terrains.rolling import RollingKeys
+from forestgen.scene.terrains.shape import TerrainShape
 
 LOWEST_M, HIGHEST_M = -12_000.0, 9_000.0  # of what is believed
 _HOLES = (-9999.0, -32768.0)  # marks of those who have no tag for it
 _NODATA_TAG = 42113  # GDAL_NODATA, text
+_PAD = 2  # cells around the map
 _WITH_ALPHA = ("LA", "RGBA", "PA")
 _COLOURED = ("P", "PA", "RGB", "RGBA", "RGBX")
 
@@ -72,18 +82,131 @@ class HeightMap(Section):
             found = np.array(self.rows, dtype=np.float64).reshape(len(self.rows), -1 if self.rows else 0)
         else:
             assert self.file is not None
-            path = inside(folder, self.file, sha256=self.sha256)
-            if file_sha256(path, self.file) != (self.sha256 or file_sha256(path, self.file)):
-                raise AssetError(
-                    "this is not the file that the recipe was made with",
-                    expected=f"a file whose SHA-256 is {str(self.sha256)[:16]}...",
-                    got=str(path),
-                )
-            found = read_heights(path, lowest_m, highest_m)
+            found = read_heights(known_file(folder, self.file, self.sha256), lowest_m, highest_m)
         if min(found.shape, default=0) < 2:
             rows, cols = found.shape
             raise AssetError("too small a map of heights", expected="at least 2 x 2 values", got=f"{cols} x {rows}")
         return found
+
+
+class MapKeys(RollingKeys):
+    """Keys of `terrain: {kind: map}`."""
+
+    map: Annotated[
+        HeightMap | None,
+        Field(
+            description="Heights over the site, from its north-western corner: a file's name, rows of metres, or a "
+            "mapping. GeoTIFF, TIFF, OpenEXR and .npy hold metres, PNG grey levels."
+        ),
+    ] = None
+    lowest_m: Annotated[
+        Number | None, Field(ge=LOWEST_M, le=HIGHEST_M, description="Height that black stands for in a map, metres.")
+    ] = None
+    highest_m: Annotated[
+        Number | None, Field(ge=LOWEST_M, le=HIGHEST_M, description="Height that white stands for in a map, metres.")
+    ] = None
+    fit: Annotated[
+        Literal["exact", "stretch"] | None,
+        Field(description="exact: a map's cells must be square on the site. Default: exact for files."),
+    ] = None
+
+    @field_validator("map", mode="before")
+    @classmethod
+    def _file_or_rows_alone(cls, value: Any) -> Any:
+        return {"rows": value} if isinstance(value, list | tuple) else spelled_out(value, "file")
+
+    @model_validator(mode="after")
+    def _has_a_map(self) -> Self:
+        if self.map is None:
+            raise mistake("map, a file of heights", problem="terrain of a map without a map", got="none", at=("kind",))
+        if self.lowest_m is not None and self.highest_m is not None and self.lowest_m >= self.highest_m:
+            raise mistake(f"above lowest_m = {self.lowest_m:g} m", got=f"{self.highest_m:g} m", at=("highest_m",))
+        return self
+
+
+class MapTerrain(TerrainShape[MapKeys]):
+    """The ground of a map of heights."""
+
+    Parameters = MapKeys
+    file_keys = ("map",)
+
+    def height(self, keys: MapKeys, size_m: tuple[float, float], image_seed: int, folder: Path) -> HeightField:
+        assert keys.map is not None
+        heights_m = keys.map.heights(folder, keys.lowest_m, keys.highest_m)
+        if (keys.fit or ("exact" if keys.map.file else "stretch")) == "exact":
+            _check_shape(heights_m.shape, size_m)
+        return mapped(size_m, heights_m)
+
+
+def _check_shape(shape: tuple[int, ...], size_m: tuple[float, float]) -> None:
+    """Cells that are square on the site, but for rounding one side to whole cells."""
+    (rows, cols), (width, depth) = shape, size_m
+    if abs(cols - rows * width / depth) >= 1 and abs(rows - cols * depth / width) >= 1:
+        raise AssetError(
+            "the map's shape is not the site's",
+            expected=f"as wide to high as the site's {width:g} x {depth:g} m",
+            got=f"{cols} x {rows} cells",
+            hint="fit: stretch, or another site.size_m",
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class MappedHeight(HeightField):
+    """Height of the ground by a map.
+
+    On the site it is a cubic convolution of the cells' values (Keys 1981): it goes through every one of them at the
+    cell's middle, its slope has no jumps, and a plane stays a plane. Beyond, the edge's height goes on outward and
+    over into the edge's mean within the site's longer side.
+    """
+
+    cells_m: NDArray[np.float64]  # (rows + 4, cols + 4) heights, row 0 in the south; two more cells on every side
+    plain_m: float  # height far away
+
+    def _height(self, x_m: NDArray[np.float64], y_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        width, depth = self.size_m
+        rows, cols = (side - 2 * _PAD for side in self.cells_m.shape)
+        col, along_x = _cell(np.clip(x_m, 0.0, width) / width * cols, cols)
+        row, along_y = _cell(np.clip(y_m, 0.0, depth) / depth * rows, rows)
+        z = np.zeros(x_m.shape)
+        weights_x, weights_y = _weights(along_x), _weights(along_y)
+        for j in range(4):
+            line = np.zeros(x_m.shape)
+            for i in range(4):
+                line += weights_x[i] * self.cells_m[row + j, col + i]
+            z += weights_y[j] * line
+        away = self.distance_m(x_m, y_m)
+        return np.asarray(z + (self.plain_m - z) * smooth_step(away / max(self.size_m)))
+
+
+def mapped(size_m: tuple[float, float], heights_m: NDArray[np.float64]) -> MappedHeight:
+    """The ground of (rows, cols) heights in metres, at least 2 each way, row 0 in the north, over the whole site."""
+    south_first = np.asarray(heights_m, dtype=np.float64)[::-1]
+    padded = np.pad(south_first, _PAD, mode="reflect", reflect_type="odd") if min(south_first.shape) > _PAD else None
+    if padded is None:  # two cells have no second neighbour to reflect
+        padded = south_first
+        for _ in range(_PAD):
+            padded = np.pad(padded, 1, mode="reflect", reflect_type="odd")
+    field = MappedHeight(size_m, padded, 0.0)
+    x, y = (np.linspace(0.0, side, 101) for side in size_m)
+    edge = np.concatenate([field(x, 0 * x), field(x, 0 * x + size_m[1]), field(0 * y, y), field(0 * y + size_m[0], y)])
+    return MappedHeight(size_m, padded, float(edge.mean()))
+
+
+def _cell(at: NDArray[np.float64], cells: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """First of the four padded cells around a place given in cells from the edge, and the share of the way between."""
+    middle = at - 0.5 + _PAD
+    before = np.clip(np.floor(middle), 1, cells + 1)
+    return before.astype(np.int64) - 1, middle - before
+
+
+def _weights(t: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+    """Of the four cells around a place, `t` of the way from the second to the third (Keys 1981, a = -1/2)."""
+    return (
+        ((-0.5 * t + 1.0) * t - 0.5) * t,
+        (1.5 * t - 2.5) * t * t + 1.0,
+        ((-1.5 * t + 2.0) * t + 0.5) * t,
+        (0.5 * t - 0.5) * t * t,
+    )
 
 
 def read_heights(path: Path, lowest_m: float | None = None, highest_m: float | None = None) -> NDArray[np.float64]:
@@ -174,3 +297,6 @@ def _first(values: NDArray[np.float64], wrong: NDArray[np.bool_]) -> str:
     row, col = np.argwhere(wrong)[0]
     more = f", and {int(wrong.sum()) - 1:,} more" if wrong.sum() > 1 else ""
     return f"{values[row, col]:g} in row {row + 1}, column {col + 1}{more}"
+
+
+SHAPE = MapTerrain()

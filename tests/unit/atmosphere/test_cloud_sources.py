@@ -1,4 +1,4 @@
-"""From the recipe's weather to the scene's clouds: values over presets, what cannot be, where the clouds are put."""
+"""From the recipe's weather to the scene's clouds: the types' own values, what cannot be, where clouds are put."""
 
 from __future__ import annotations
 
@@ -8,14 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from forestgen.atmosphere.clouds.source import CloudRequest, cloud_source_of
+from forestgen.atmosphere.conditions import Layers
 from forestgen.atmosphere.extinction import droplet_phase
 from forestgen.atmosphere.grid import CloudGrid
-from forestgen.atmosphere.presets import PRESETS, Layers
+from forestgen.atmosphere.simulate import Scenario
+from forestgen.atmosphere.weather import Weather
 from forestgen.core.errors import AssetError, ForestgenError, RecipeError
 from forestgen.core.progress import Silent
 from forestgen.recipe.load import DrawnRecipe, load_recipe
-from forestgen.stages.clouds import check_clouds, cloud_bytes, clouds_of, weather_of
-from forestgen.stages.scenarios import droplet_radius_um_of, scenario_of, time_of
+from forestgen.recipe.registries import CLOUD_SOURCES
 
 QUICKSTART = Path(__file__).parents[3] / "recipes" / "quickstart.yaml"
 TINY = "domain: {extent_m: 1000, cell_m: 125, height_m: 160, cell_height_m: 20}"
@@ -26,17 +28,45 @@ def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("FORESTGEN_CACHE", str(tmp_path / "cache"))
 
 
+def clouds_of(one: DrawnRecipe, ground_m: float, progress: Silent) -> CloudGrid | None:
+    return cloud_source_of(one).grid(CloudRequest(one, ground_m, progress))
+
+
+def weather_of(one: DrawnRecipe, progress: Silent) -> Weather:
+    return cloud_source_of(one).air(one, progress).weather
+
+
+def check_clouds(one: DrawnRecipe) -> None:
+    cloud_source_of(one).check(one)
+
+
+def cloud_bytes(one: DrawnRecipe) -> int:
+    return cloud_source_of(one).estimate_bytes(one, None)
+
+
+def scenario_of(one: DrawnRecipe) -> Scenario:
+    scenario: Scenario = CLOUD_SOURCES.load(one.recipe.sky.clouds.type).scenario(one)
+    return scenario
+
+
+def time_of(one: DrawnRecipe) -> float:
+    time_s: float = CLOUD_SOURCES.load(one.recipe.sky.clouds.type).time_of(one)
+    return time_s
+
+
 def drawn(clouds: str, *overrides: str, recipe: Path = QUICKSTART) -> DrawnRecipe:
     return load_recipe(recipe, [f"sky.clouds={clouds}", *overrides]).draw(0)
 
 
 def test_what_is_left_out_is_the_types_own() -> None:
-    own = PRESETS["cumulus"].conditions
+    own = CLOUD_SOURCES.load("cumulus").conditions
     (chapter,) = scenario_of(drawn("cumulus", "site.wind_from_deg=180")).chapters
     assert chapter.conditions.layers == own.layers
     assert chapter.conditions.emission == own.emission
     assert chapter.conditions.domain == own.domain
-    np.testing.assert_allclose(chapter.conditions.wind_m_per_s, (0.0, PRESETS["cumulus"].wind_m_per_s), atol=1e-12)
+    np.testing.assert_allclose(
+        chapter.conditions.wind_m_per_s, (0.0, CLOUD_SOURCES.load("cumulus").wind_m_per_s), atol=1e-12
+    )
     given = (
         "{type: cumulus, sounding: {inversion_m: 2000}, emission: {vapour_g_per_m2_s: 0.1}, domain: {cell_m: 90}, "
         "cooling_k_per_h: 0.5, wind_m_per_s: 8, wind_from_deg: 270}"
@@ -52,10 +82,10 @@ def test_what_is_left_out_is_the_types_own() -> None:
 
 
 def test_the_picture_is_taken_when_the_type_is_ripe_or_when_it_is_said() -> None:
-    assert time_of(drawn("fog")) == PRESETS["fog"].time_s
+    assert time_of(drawn("fog")) == CLOUD_SOURCES.load("fog").time_s
     assert time_of(drawn("{type: fog, time_s: 7}")) == 7
     story = "{story: [{at_s: 0, type: fog}, {at_s: 900, type: stratus}]}"
-    assert time_of(drawn(story)) == 900 + PRESETS["stratus"].time_s
+    assert time_of(drawn(story)) == 900 + CLOUD_SOURCES.load("stratus").time_s
 
 
 @pytest.mark.parametrize(
@@ -123,7 +153,7 @@ def test_what_no_check_has_seen_is_told_and_not_a_traceback(monkeypatch: pytest.
     def refused(*_: object, **__: object) -> None:
         raise ValueError("supersaturated at 825 m")
 
-    monkeypatch.setattr("forestgen.stages.clouds.simulate", refused)
+    monkeypatch.setattr("forestgen.atmosphere.clouds.simulated.simulate", refused)
     with pytest.raises(RecipeError, match="825 m"):
         weather_of(drawn("fog"), Silent())
 
@@ -219,13 +249,11 @@ def test_the_radius_goes_from_one_chapters_to_the_nexts_within_its_change() -> N
         "{at_s: 1200, type: cumulonimbus, change_s: 100}]}"
     )
     one = drawn(story)
-    scenario = scenario_of(one)
-    found = [
-        droplet_radius_um_of(one, scenario, at_s) for at_s in (0, 999, 1000, 1100, 1199.9999, 1200, 1250, 1300, 9e9)
-    ]
+    source = CLOUD_SOURCES.load(one.recipe.sky.clouds.type)
+    found = [source.droplet_radius_um_at(one, at_s) for at_s in (0, 999, 1000, 1100, 1199.9999, 1200, 1250, 1300, 9e9)]
     np.testing.assert_allclose(found, [8.0, 8.0, 8.0, 8.5, 9.0, 9.0, 12.0, 15.0, 15.0], atol=1e-5)
     fixed = drawn(story.replace("{story", "{droplet_radius_um: 11, story"))
-    assert droplet_radius_um_of(fixed, scenario_of(fixed), 1100.0) == 11.0
+    assert source.droplet_radius_um_at(fixed, 1100.0) == 11.0
 
 
 def volume(tmp_path: Path, size_m: float = 400.0, top_m: float = 500.0, times: float = 1.0) -> CloudGrid:

@@ -10,8 +10,8 @@ from PIL import Image, TiffImagePlugin
 from pydantic import ValidationError
 
 from forestgen.core.errors import AssetError
-from forestgen.recipe.height_map import HeightMap, read_heights
 from forestgen.recipe.terrain import Terrain
+from forestgen.scene.terrains.mapped import HeightMap, read_heights
 
 HEIGHTS = np.array([[3.5, 4, 5], [1, 2, 2.5]], dtype=np.float32)
 
@@ -113,7 +113,7 @@ def test_sections_that_say_no_terrain(section: dict) -> None:
 
 
 def test_terrain_without_a_map_is_dumped_as_ever() -> None:
-    assert Terrain().model_dump() == {"kind": "flat", "amplitude_m": 0.8, "wavelength_m": 70.0}
+    assert Terrain.model_validate({}).model_dump() == {"kind": "flat", "amplitude_m": 0.8, "wavelength_m": 70.0}
 
 
 @pytest.mark.parametrize("rows", [[], [[]], [[1.0]], [[1.0, 2.0]]])

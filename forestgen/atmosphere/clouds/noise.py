@@ -8,17 +8,91 @@ noise; extinction grows with height over the base as adiabatic liquid water does
 grows linearly with height and the droplet radius with its cube root), up to `extinction_per_m` at the top.
 
 The field is periodic in x and y, centred on the site.
+
+Example
+-------
+    sky: {clouds: {type: noise, cover: 0.5, base_m: 1200}}
+
+Parameters: see `NoiseKeys`.
 """
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
+from forestgen.atmosphere.clouds.source import CloudRequest, CloudSource
 from forestgen.atmosphere.extinction import ALBEDO, droplet_phase
 from forestgen.atmosphere.grid import CloudGrid
+from forestgen.core.errors import RecipeError
+from forestgen.core.randomness import child_rng
+from forestgen.recipe.clouds import Clouds
+from forestgen.recipe.fields import Fraction, Positive
+from forestgen.recipe.load import DrawnRecipe
 
 _DROPLET_UM = 10.0  # effective radius
+_MOST_OPTICAL_DEPTH = 200.0  # straight up
+_BYTES_PER_CELL = 60
+
+
+class NoiseKeys(Clouds):
+    """Keys of `clouds: {type: noise}`."""
+
+    cover: Annotated[Fraction, Field(description="Of noise: fraction of the sky's area under cloud, 0 to 1.")] = 0.35
+    base_m: Annotated[Positive, Field(le=20000, description="Of noise: height of the base above ground, metres.")] = (
+        900.0
+    )
+    thickness_m: Annotated[Positive, Field(le=20000, description="Of noise: height of the layer, metres.")] = 350.0
+    extinction_per_m: Annotated[
+        Positive, Field(le=1, description="Of noise: extinction inside a cloud, per metre.")
+    ] = 0.05
+    extent_m: Annotated[Positive, Field(le=20000, description="Of noise: side of the square of clouds, metres.")] = (
+        8000.0
+    )
+
+
+class NoiseClouds(CloudSource[NoiseKeys]):
+    """Small cumulus without weather, made in a second."""
+
+    Parameters = NoiseKeys
+
+    def check(self, drawn: DrawnRecipe) -> None:
+        keys = self.keys_of(drawn)
+        depth = keys.extinction_per_m * keys.thickness_m
+        if depth > _MOST_OPTICAL_DEPTH:
+            raise RecipeError(
+                "the clouds are too thick to be traced in reasonable time",
+                where=drawn.where("sky", "clouds"),
+                expected=f"extinction_per_m x thickness_m of at most {_MOST_OPTICAL_DEPTH:g}; cumulus have tens",
+                got=f"{keys.extinction_per_m:g} x {keys.thickness_m:g} = {depth:g}",
+            )
+
+    def known_base_m(self, drawn: DrawnRecipe) -> float:
+        return self.keys_of(drawn).base_m
+
+    def estimate_bytes(self, drawn: DrawnRecipe, parameters: object) -> int:
+        keys = self.keys_of(drawn)
+        return int((keys.extent_m / 40) ** 2 * max(8, keys.thickness_m / 20) * _BYTES_PER_CELL)
+
+    def grid(self, request: CloudRequest) -> CloudGrid | None:
+        keys = self.keys_of(request.drawn)
+        if keys.cover == 0:
+            return None
+        return cumulus_field(
+            centre_m=request.middle_of_site_m,
+            extent_m=keys.extent_m,
+            base_m=keys.base_m,
+            thickness_m=keys.thickness_m,
+            cover=keys.cover,
+            extinction_per_m=keys.extinction_per_m,
+            rng=child_rng(request.drawn.image_seed, "clouds"),
+        )
+
+
+SOURCE = NoiseClouds()
 
 
 def _spectral_noise(

@@ -1,4 +1,4 @@
-"""Types of weather: one set of parameters, five sets of values.
+"""What weather is simulated from: one set of parameters; `forestgen.atmosphere.clouds.simulated` has values.
 
 Model
 -----
@@ -10,16 +10,7 @@ tenth of its height and at most 100 m; a second lapse rate above (Eq. 17 with a 
 The ground gives off heat and vapour: noise of patches on it, or a map. The wind is the same at all heights to begin
 with. The air below the inversion cools at a constant rate as it radiates: without that there is no fog.
 
-What makes the types (Figs. 23, 24 and section 3.2.2.6)
-    fog             A moist layer below an inversion at the ground, cooled through: it condenses where it stands.
-    stratus         The same higher up: a grey layer that the ground's heat has lifted and the inversion holds.
-    stratocumulus   A mixed layer whose uppermost 200 m below the inversion are saturated, stirred from below.
-    cumulus         Dry thermals of a heated ground; what they carry condenses over the mixed layer, and warmer air
-                    stops it 1 km higher.
-    cumulonimbus    The same in air that cools quickly up to the inversion at 8 km: released heat carries the clouds
-                    there, where they spread into an anvil.
-
-Parameters: `PRESETS` below. Heights and depths are above the ground, in metres.
+Heights and depths are above the ground, in metres.
 """
 
 from __future__ import annotations
@@ -174,71 +165,3 @@ def wind_towards(speed_m_per_s: float, from_deg: float) -> tuple[float, float]:
     """East and north components of a wind that comes from an azimuth."""
     angle = math.radians(from_deg)
     return -speed_m_per_s * math.sin(angle), -speed_m_per_s * math.cos(angle)
-
-
-@dataclass(frozen=True)
-class Preset:
-    """A type's values."""
-
-    conditions: Conditions
-    time_s: float  # when the clouds are such as the type's name says
-    wind_m_per_s: float
-
-
-PRESETS: dict[str, Preset] = {
-    "fog": Preset(
-        Conditions(
-            "fog",
-            Layers(6.0, 0.0, 0.0, 60.0, 3.0, -5.0, 0.99, 0.985, 0.75),
-            Emission(5.0, 15.0, 250.0, 0.5),
-            Domain(1200.0, 160.0, 16.0, 5.0),
-            cooling_k_per_h=1.5,
-        ),
-        time_s=1800.0,
-        wind_m_per_s=1.0,
-    ),
-    "stratus": Preset(
-        Conditions(
-            "stratus",
-            Layers(9.0, 550.0, 6.0, 600.0, 5.0, 2.0, 0.83, 0.97, 0.5),
-            Emission(20.0, 60.0, 500.0, 0.3),
-            Domain(4000.0, 1000.0, 62.5, 25.0),
-            cooling_k_per_h=0.6,
-        ),
-        time_s=2400.0,
-        wind_m_per_s=4.0,
-    ),
-    "stratocumulus": Preset(
-        Conditions(
-            "stratocumulus",
-            Layers(17.0, 1900.0, 6.0, 1950.0, 6.0, 3.0, 0.385, 0.98, 0.35),
-            Emission(80.0, 110.0, 900.0, 0.4),
-            Domain(8000.0, 2600.0, 100.0, 50.0),
-            cooling_k_per_h=0.3,
-        ),
-        time_s=3000.0,
-        wind_m_per_s=5.0,
-    ),
-    "cumulus": Preset(
-        Conditions(
-            "cumulus",
-            Layers(22.0, 1400.0, 6.8, 2250.0, 4.0, 4.0, 0.465, 0.5, 0.3),
-            Emission(150.0, 180.0, 1200.0, 0.5),
-            Domain(7200.0, 3000.0, 75.0, 62.5),
-            cooling_k_per_h=0.0,
-        ),
-        time_s=2100.0,
-        wind_m_per_s=4.0,
-    ),
-    "cumulonimbus": Preset(
-        Conditions(
-            "cumulonimbus",
-            Layers(27.0, 1400.0, 7.2, 7600.0, 1.0, -8.0, 0.5, 0.45, 0.3),
-            Emission(120.0, 200.0, 6000.0, 2.0),
-            Domain(24000.0, 12000.0, 375.0, 200.0),
-            cooling_k_per_h=0.0,
-        ),
-        time_s=4200.0,
-        wind_m_per_s=4.0,
-    ),
-}

@@ -15,7 +15,7 @@ mixes with the air around, and droplets weigh nothing, so a real top lies rather
 
 `FIG24` holds four skies that make the clouds of Fig. 24: the air at rest, two lapse rates with an inversion and one
 relative humidity at all heights, and a thermal, warmer by `excess_k` and with its own vapour. The types that are
-simulated have soundings of their own, in presets.py. Fog, stratocumulus and cumulus come out nearly the same with
+simulated have soundings of their own. Fog, stratocumulus and cumulus come out nearly the same with
 latent heat on or off, because an inversion stops the moister climb; the thunderhead needs it: with the heat off, it
 takes a lapse rate of nearly the dry adiabat's up to 8 km, which no real sky has.
 
@@ -34,8 +34,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.atmosphere.humid_air import buoyancy_m_per_s2, density_kg_per_m3, dry_adiabat, moist_adiabat
 from forestgen.atmosphere.sounding import Floats, Sounding, saturation_ratio
+from support.humid_air import buoyancy_m_per_s2, density_kg_per_m3, dry_adiabat, moist_adiabat
 
 _FINE_M, _FINE_UP_TO_M, _COARSE_M = 1.0, 500.0, 10.0  # steps of the heights that are looked at
 

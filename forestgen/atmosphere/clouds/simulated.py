@@ -1,0 +1,404 @@
+"""Simulated weather: five types of clouds by one set of parameters, alone or as the chapters of a story.
+
+The air in a box around the site is simulated (`forestgen.atmosphere.simulate`) from air at rest, what the ground gives
+off, and wind; `forestgen.atmosphere.conditions` says how these are described. Each type is a set of values; keys of
+the recipe take their place one by one. One simulation is made for all images with the same seed, and kept.
+
+What makes the types (Figs. 23, 24 and section 3.2.2.6)
+    fog             A moist layer below an inversion at the ground, cooled through: it condenses where it stands.
+    stratus         The same higher up: a grey layer that the ground's heat has lifted and the inversion holds.
+    stratocumulus   A mixed layer whose uppermost 200 m below the inversion are saturated, stirred from below.
+    cumulus         Dry thermals of a heated ground; what they carry condenses over the mixed layer, and warmer air
+                    stops it 1 km higher.
+    cumulonimbus    The same in air that cools quickly up to the inversion at 8 km: released heat carries the clouds
+                    there, where they spread into an anvil.
+
+Effective radius of the droplets, of which simulated air has none
+    fog             8 um: 4 to 11, more over the sea (Hess, Koepke and Schult 1998: 10.7)
+    stratus         8 um: continental 7.3, maritime 11.3 (Hess et al. 1998); 5.4 and 9.6 (Miles et al. 2000)
+    stratocumulus  10 um: 8 to 12 (Martin, Johnson and Spice 1994, maritime)
+    cumulus        10 um: 5.8 continental, 12.7 maritime (Hess et al. 1998)
+    cumulonimbus   15 um: 10 at the base to 20 and more aloft (Rosenfeld and Lensky 1998)
+
+Example
+-------
+    sky: {clouds: {type: cumulus, sounding: {inversion_m: 2000}, emission: {heat_w_per_m2: 200}}}
+
+Parameters: see `SimulatedKeys`, and the values at the end of this module.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import fields, replace
+from itertools import pairwise
+from typing import Annotated, Any, ClassVar, Self, TypeVar
+
+import numpy as np
+from pydantic import BaseModel, Field, model_validator
+
+from forestgen.atmosphere.clouds.source import (
+    CloudRequest,
+    CloudSource,
+    PlacedKeys,
+    WeatherReport,
+    clouds_of_air,
+    simulated_bytes,
+)
+from forestgen.atmosphere.clouds.weather_keys import Chapter as ChapterKeys
+from forestgen.atmosphere.clouds.weather_keys import EmissionSection, SoundingSection, WeatherKeys
+from forestgen.atmosphere.conditions import Conditions, Domain, Emission, Layers, wind_towards
+from forestgen.atmosphere.grid import CloudGrid
+from forestgen.atmosphere.kept_weather import weather_store
+from forestgen.atmosphere.simulate import Chapter, Scenario, simulate
+from forestgen.atmosphere.sounding import Sounding, first_fault
+from forestgen.atmosphere.weather import Weather
+from forestgen.core.errors import AssetError, RecipeError
+from forestgen.core.grey_picture import read_grey
+from forestgen.core.progress import Progress
+from forestgen.recipe.fields import NonNegative, Whole, mistake
+from forestgen.recipe.load import DrawnRecipe
+from forestgen.recipe.map_files import known_file
+from forestgen.recipe.registries import CLOUD_SOURCES
+
+_CHANGE_S = 1200.0
+_SHAPE = "set its base and top by its sounding, how much there is by its emission, how wide it is by domain"
+_ANY = TypeVar("_ANY")
+_Keys = tuple[str | int, ...]
+
+
+class SimulatedKeys(WeatherKeys, PlacedKeys):
+    """Keys of the simulated types."""
+
+    instead: ClassVar = {
+        **dict.fromkeys(("cover", "base_m", "thickness_m", "extinction_per_m", "extent_m"), _SHAPE),
+        **{key: f"set domain.{key}" for key in ("cell_m", "cell_height_m")},
+    }
+
+    time_s: Annotated[
+        NonNegative | None,
+        Field(
+            le=1e6,
+            description="When the picture is taken, seconds after the simulation begins. Default: the type's; of type "
+            "community the end of the day's simulated hours.",
+        ),
+    ] = None
+    seed: Annotated[
+        Whole | None,
+        Field(
+            ge=0,
+            lt=2**63,
+            description="Of the simulation. Default: the recipe's, so that all images have one sky, simulated once.",
+        ),
+    ] = None
+    story: Annotated[
+        tuple[ChapterKeys, ...] | None,
+        Field(
+            min_length=1,
+            max_length=50,
+            description="Chapters of weather one after another, instead of one type; the type above is then left out "
+            "or that of the first.",
+        ),
+    ] = None
+
+    @model_validator(mode="after")
+    def _story_in_order(self) -> Self:
+        if self.story is None:
+            return self
+        twice = [key for key in WeatherKeys.model_fields if getattr(self, key) is not None]
+        if twice:
+            hint = f"move {twice[0]} into the chapters"
+            problem = "the weather is given twice, beside the story and in it"
+            raise mistake("a story, or its keys", problem=problem, got=", ".join(twice), hint=hint, at=(twice[0],))
+        if self.type != self.story[0].type:
+            problem = "the story begins with another type"
+            raise mistake(self.story[0].type, problem=problem, got=self.type, hint="leave out type", at=("type",))
+        if self.story[0].at_s != 0:
+            raise mistake("at_s: 0", problem="the story begins late", got=f"{self.story[0].at_s:g}", at=("story", 0))
+        for index, (one, other) in enumerate(pairwise(self.story), start=1):
+            if other.at_s <= one.at_s:
+                expected = f"more than {one.at_s:g} s, when the chapter before it begins"
+                raise mistake(
+                    expected, problem="chapters out of order", got=f"{other.at_s:g}", at=("story", index, "at_s")
+                )
+        return self
+
+
+class SimulatedClouds(CloudSource[SimulatedKeys]):
+    """Weather of a type.
+
+    Parameters
+    ----------
+    conditions : values of the keys that a recipe leaves out.
+    time_s : when the clouds are such as the type's name says.
+    wind_m_per_s : speed aloft.
+    droplet_radius_um : effective radius.
+    """
+
+    Parameters = SimulatedKeys
+
+    def __init__(self, conditions: Conditions, *, time_s: float, wind_m_per_s: float, droplet_radius_um: float) -> None:
+        self.conditions, self.time_s = conditions, time_s
+        self.wind_m_per_s, self.droplet_radius_um = wind_m_per_s, droplet_radius_um
+
+    def check(self, drawn: DrawnRecipe) -> None:
+        self.scenario(drawn)
+
+    def estimate_bytes(self, drawn: DrawnRecipe, parameters: object) -> int:
+        keys = self.keys_of(drawn)
+        domains = [chapter.conditions.domain for chapter in self.scenario(drawn).chapters]
+        return max(simulated_bytes(keys, math.prod(one.cells), one.extent_m) for one in domains)
+
+    def grid(self, request: CloudRequest) -> CloudGrid | None:
+        keys, air = self.keys_of(request.drawn), self.air(request.drawn, request.progress)
+        return clouds_of_air(request, keys, air.weather, air.droplet_radius_um, keys.centre_m(request))
+
+    def air(self, drawn: DrawnRecipe, progress: Progress) -> WeatherReport:
+        """The state of the air at the recipe's time: from the cache, or simulated.
+
+        Raises
+        ------
+        RecipeError : see `scenario`; or the simulation fails.
+        """
+        keys, scenario, time_s = self.keys_of(drawn), self.scenario(drawn), self.time_of(drawn)
+        weather = _simulated(drawn, scenario, drawn.recipe.seed if keys.seed is None else keys.seed, time_s, progress)
+        return WeatherReport(weather, scenario.at(time_s).kind, self.droplet_radius_um_at(drawn, time_s))
+
+    def time_of(self, drawn: DrawnRecipe) -> float:
+        """When the picture is taken, seconds after the simulation begins."""
+        keys = self.keys_of(drawn)
+        if keys.time_s is not None:
+            return keys.time_s
+        if keys.story is not None:
+            last: SimulatedClouds = CLOUD_SOURCES.load(keys.story[-1].type)
+            return keys.story[-1].at_s + last.time_s
+        return self.time_s
+
+    def droplet_radius_um_at(self, drawn: DrawnRecipe, time_s: float) -> float:
+        """Effective radius of the droplets at a time: the recipe's, or the type's.
+
+        In a story's later chapters it goes from the radius before to the new type's, linear over change_s.
+        """
+        given = self.keys_of(drawn).droplet_radius_um
+        if given is not None:
+            return given
+
+        def radius_um(chapters: Sequence[Chapter], at_s: float) -> float:
+            last = chapters[-1]
+            own: float = CLOUD_SOURCES.load(last.conditions.kind).droplet_radius_um
+            if len(chapters) == 1:
+                return own
+            before = radius_um(chapters[:-1], last.at_s)
+            return before + min((at_s - last.at_s) / last.change_s, 1.0) * (own - before)
+
+        return radius_um([one for one in self.scenario(drawn).chapters if one.at_s <= time_s], time_s)
+
+    def scenario(self, drawn: DrawnRecipe) -> Scenario:
+        """What a recipe's clouds are simulated from.
+
+        Raises
+        ------
+        RecipeError : air, ground or a box of air that cannot be.
+        """
+        keys, where = self.keys_of(drawn), ("sky", "clouds")
+        if keys.story is None:
+            return Scenario((Chapter(0.0, _conditions(drawn, keys.type, keys, where)),))
+        return Scenario(
+            tuple(
+                Chapter(one.at_s, _conditions(drawn, one.type, one, (*where, "story", n)), one.change_s or _CHANGE_S)
+                for n, one in enumerate(keys.story)
+            )
+        )
+
+
+def _simulated(drawn: DrawnRecipe, scenario: Scenario, seed: int, until_s: float, progress: Progress) -> Weather:
+    from forestgen.atmosphere.fluid.parameters import UnstableError
+
+    try:
+        return simulate(scenario, seed=seed, until_s=until_s, progress=progress, kept=weather_store())
+    except UnstableError as cause:
+        raise RecipeError(
+            "the weather cannot be simulated",
+            where=drawn.where("sky", "clouds"),
+            expected="air that stays slower than any storm",
+            got=str(cause),
+            hint="lower the emission or the wind, or make the cells of domain larger",
+        ) from cause
+    except ValueError as cause:  # what no check before has seen
+        raise RecipeError(
+            "the weather cannot be simulated",
+            where=drawn.where("sky", "clouds"),
+            expected="air that can be, and a box of it that can be stepped",
+            got=str(cause),
+            hint="change the sounding, or the cells of domain",
+        ) from cause
+
+
+def _conditions(drawn: DrawnRecipe, kind: str, keys: WeatherKeys, where: _Keys) -> Conditions:
+    """The type's values, with those that the recipe gives in their place."""
+    preset: SimulatedClouds = CLOUD_SOURCES.load(kind)
+    own = preset.conditions
+    from_deg = drawn.recipe.site.wind_from_deg if keys.wind_from_deg is None else keys.wind_from_deg
+    measured = keys.sounding is not None and keys.sounding.file is not None
+    speed = keys.wind_m_per_s
+    if speed is None:
+        speed = 0.0 if measured else preset.wind_m_per_s  # a measured sounding has its own
+    emission = own.emission if keys.emission is None else _emission(drawn, own.emission, keys.emission, where)
+    conditions = replace(
+        own,
+        emission=emission,
+        domain=own.domain if keys.domain is None else _with(own.domain, keys.domain),
+        cooling_k_per_h=own.cooling_k_per_h if keys.cooling_k_per_h is None else keys.cooling_k_per_h,
+        wind_m_per_s=wind_towards(speed, from_deg) if speed else (0.0, 0.0),
+    )
+    if keys.sounding is not None:
+        conditions = replace(conditions, layers=_layers(drawn, conditions, keys.sounding, where))
+    _check_air(drawn, conditions, where)
+    _check_box(drawn, conditions, where)
+    return conditions
+
+
+def _with(preset: _ANY, section: BaseModel, skipped: Sequence[str] = ()) -> _ANY:
+    """A preset's part with the values that a recipe gives."""
+    names = {one.name for one in fields(preset)}  # type: ignore[arg-type]
+    given = {name: getattr(section, name) for name in section.model_fields_set if name in names - {*skipped}}
+    return replace(preset, **{name: value for name, value in given.items() if value is not None})  # type: ignore[type-var]
+
+
+def _emission(drawn: DrawnRecipe, own: Any, section: EmissionSection, where: _Keys) -> Any:
+    from forestgen.atmosphere.sounding import LATENT_HEAT_J_PER_KG
+
+    made = _with(own, section, skipped=("map",))
+    if section.vapour_g_per_m2_s is not None:
+        made = replace(made, latent_w_per_m2=section.vapour_g_per_m2_s * 1e-3 * LATENT_HEAT_J_PER_KG)
+    if section.map is None:
+        return made
+    place = drawn.where(*where, "emission", "map")
+    picture = read_grey(known_file(drawn.folder, section.map.file, section.map.sha256, place))
+    values = np.asarray(picture.values, dtype=np.float32)[::-1] / np.float32(picture.white)  # row 0 in the south
+    if not (np.isfinite(values).all() and values.min() >= 0 and values.mean() > 0):
+        expected = "numbers of 0 and more, not all 0"
+        raise RecipeError("no map of emission", where=place, expected=expected, got=f"least {values.min():g}")
+    return replace(made, map=values)
+
+
+def _layers(drawn: DrawnRecipe, conditions: Conditions, section: SoundingSection, where: _Keys) -> Layers | Sounding:
+    if section.file is None:
+        assert isinstance(conditions.layers, Layers)
+        return _with(conditions.layers, section)
+    place = drawn.where(*where, "sounding")
+    path = known_file(drawn.folder, section.file, section.sha256, place)
+    from forestgen.atmosphere.weather_files import read_sounding
+
+    try:
+        if section.ground_pressure_hpa is None:
+            return read_sounding(path)
+        return read_sounding(path, ground_pressure_pa=100.0 * section.ground_pressure_hpa)
+    except AssetError as cause:
+        raise AssetError(f"{cause.problem}: {path}", where=place, expected=cause.expected, got=cause.got) from cause
+
+
+def _check_air(drawn: DrawnRecipe, conditions: Conditions, where: _Keys) -> None:
+    """Refuse air that cannot be: supersaturated, or heavier above than below."""
+    place = drawn.where(*where, "sounding")
+    expected = "air as there is: cooling of at most 34 K/km, temperatures from -120 to 75 °C"
+    try:
+        sounding = conditions.sounding()
+    except ValueError as cause:
+        raise RecipeError("no such air can be", where=place, expected=expected, got=str(cause)) from cause
+    fault = first_fault(sounding)
+    if fault is not None:
+        at = "" if fault.level is None else f" at {sounding.height_m[fault.level]:g} m"
+        raise RecipeError(f"no such air can be: {fault.what}{at}", where=place, expected=fault.expected, got=fault.got)
+
+
+def _check_box(drawn: DrawnRecipe, conditions: Conditions, where: _Keys) -> None:
+    """Refuse a box of air smaller than the site, without height, or of too many or too few cells."""
+    domain, site = conditions.domain, drawn.recipe.site
+    if max(site.size_m) > domain.extent_m:
+        raise RecipeError(
+            "the site is larger than the box of air in which its weather is simulated",
+            where=drawn.where(*where, "domain"),
+            expected=f"sky.clouds.domain.extent_m of at least {max(site.size_m):g} m",
+            got=f"{domain.extent_m:g} m",
+            hint="make the domain larger, or the site smaller",
+        )
+    if isinstance(conditions.layers, Layers) and conditions.layers.inversion_m >= domain.height_m:
+        raise RecipeError(
+            "the box of air ends below the inversion",
+            where=drawn.where(*where, "domain"),
+            expected=f"a height_m of more than {conditions.layers.inversion_m:g} m, the sounding's inversion_m",
+            got=f"{domain.height_m:g} m",
+            hint="raise domain.height_m, or lower sounding.inversion_m",
+        )
+    if max(domain.cells) > 2048:
+        raise RecipeError(
+            "too many cells",
+            where=drawn.where(*where, "domain"),
+            expected="at most 2048 along a side",
+            got=" x ".join(str(one) for one in domain.cells),
+            hint="make cell_m and cell_height_m larger",
+        )
+
+
+FOG = SimulatedClouds(
+    Conditions(
+        "fog",
+        Layers(6.0, 0.0, 0.0, 60.0, 3.0, -5.0, 0.99, 0.985, 0.75),
+        Emission(5.0, 15.0, 250.0, 0.5),
+        Domain(1200.0, 160.0, 16.0, 5.0),
+        cooling_k_per_h=1.5,
+    ),
+    time_s=1800.0,
+    wind_m_per_s=1.0,
+    droplet_radius_um=8.0,
+)
+STRATUS = SimulatedClouds(
+    Conditions(
+        "stratus",
+        Layers(9.0, 550.0, 6.0, 600.0, 5.0, 2.0, 0.83, 0.97, 0.5),
+        Emission(20.0, 60.0, 500.0, 0.3),
+        Domain(4000.0, 1000.0, 62.5, 25.0),
+        cooling_k_per_h=0.6,
+    ),
+    time_s=2400.0,
+    wind_m_per_s=4.0,
+    droplet_radius_um=8.0,
+)
+STRATOCUMULUS = SimulatedClouds(
+    Conditions(
+        "stratocumulus",
+        Layers(17.0, 1900.0, 6.0, 1950.0, 6.0, 3.0, 0.385, 0.98, 0.35),
+        Emission(80.0, 110.0, 900.0, 0.4),
+        Domain(8000.0, 2600.0, 100.0, 50.0),
+        cooling_k_per_h=0.3,
+    ),
+    time_s=3000.0,
+    wind_m_per_s=5.0,
+    droplet_radius_um=10.0,
+)
+CUMULUS = SimulatedClouds(
+    Conditions(
+        "cumulus",
+        Layers(22.0, 1400.0, 6.8, 2250.0, 4.0, 4.0, 0.465, 0.5, 0.3),
+        Emission(150.0, 180.0, 1200.0, 0.5),
+        Domain(7200.0, 3000.0, 75.0, 62.5),
+        cooling_k_per_h=0.0,
+    ),
+    time_s=2100.0,
+    wind_m_per_s=4.0,
+    droplet_radius_um=10.0,
+)
+CUMULONIMBUS = SimulatedClouds(
+    Conditions(
+        "cumulonimbus",
+        Layers(27.0, 1400.0, 7.2, 7600.0, 1.0, -8.0, 0.5, 0.45, 0.3),
+        Emission(120.0, 200.0, 6000.0, 2.0),
+        Domain(24000.0, 12000.0, 375.0, 200.0),
+        cooling_k_per_h=0.0,
+    ),
+    time_s=4200.0,
+    wind_m_per_s=4.0,
+    droplet_radius_um=15.0,
+)

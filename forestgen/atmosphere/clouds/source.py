@@ -1,0 +1,225 @@
+"""What a cloud source is; and how the air that a source has is put over the site.
+
+A source is one object named in `forestgen.recipe.registries`. `grid` makes the clouds of an image; the other methods
+tell of them before anything is simulated.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Annotated, Any, Generic, TypeVar, cast
+
+import numpy as np
+from pydantic import Field
+
+from forestgen.atmosphere.cloud_statistics import CloudStatistics, cloud_statistics
+from forestgen.atmosphere.extinction import cloud_grid_of
+from forestgen.atmosphere.grid import CloudGrid
+from forestgen.atmosphere.weather import Weather
+from forestgen.core.errors import RecipeError
+from forestgen.core.progress import Progress
+from forestgen.recipe.clouds import Clouds
+from forestgen.recipe.fields import Flag, Number, Positive
+from forestgen.recipe.load import DrawnRecipe
+from forestgen.recipe.registries import CLOUD_SOURCES
+
+KeysT = TypeVar("KeysT", bound=Clouds)
+_MOST_OPTICAL_DEPTH = 5000.0  # of a thundercloud's core
+_SHOWN_BY_TOP, _SHOWN_M = 12.0, (4000.0, 24_000.0)  # how far clouds are shown, by the height of their tops
+_MOST_TILES = 7
+_BYTES_PER_AIR_CELL = 160  # the state twice, its rates of change, and the pressure's transform
+_BYTES_PER_SHOWN_CELL = 32  # extinction with its copies, and the renderer's; exact was measured to take 17
+
+
+class AirKeys(Clouds):
+    """Keys of sources whose clouds are those of a state of the air."""
+
+    droplet_radius_um: Annotated[
+        Positive | None,
+        Field(le=100, description="Effective radius of the cloud's droplets, micrometres. Default: the type's."),
+    ] = None
+    repeat: Annotated[
+        Flag | None,
+        Field(description="Whether the clouds go on beyond the box, over and over, to the horizon. Default: they do."),
+    ] = None
+
+
+class PlacedKeys(AirKeys):
+    """The same, where the clouds can be moved."""
+
+    offset_m: Annotated[
+        tuple[Number, Number] | None,
+        Field(description="Where the middle of the clouds lies from the site's, metres east and north. Default 0, 0."),
+    ] = None
+
+    def centre_m(self, request: CloudRequest) -> tuple[float, float]:
+        """World x and y of the clouds' middle."""
+        (x, y), (east, north) = request.middle_of_site_m, self.offset_m or (0.0, 0.0)
+        return x + east, y + north
+
+
+@dataclass(frozen=True)
+class CloudRequest:
+    """What clouds are made for."""
+
+    drawn: DrawnRecipe
+    ground_m: float  # height of the site's lowest ground, on which weather stands
+    progress: Progress
+    plan: Any = None  # forestgen.stages.plan.Plan: the community model, its parameters, site and species
+    population: Any = None  # forestgen.community.population.Population: the community as it stands in the image
+
+    @property
+    def middle_of_site_m(self) -> tuple[float, float]:
+        """World x and y."""
+        width, depth = self.drawn.recipe.site.size_m
+        return width / 2, depth / 2
+
+
+@dataclass(frozen=True)
+class WeatherReport:
+    """The weather of one image."""
+
+    weather: Weather
+    kind: str  # type of the conditions at that time
+    droplet_radius_um: float
+
+    @cached_property
+    def statistics(self) -> CloudStatistics:
+        return cloud_statistics(self.weather, droplet_radius_um=self.droplet_radius_um)
+
+
+class CloudSource(Generic[KeysT]):
+    """Clouds of one kind: its keys, checks, estimates and fields."""
+
+    Parameters: type[KeysT]  # keys of `sky.clouds`
+
+    def keys_of(self, drawn: DrawnRecipe) -> KeysT:
+        """The section `sky.clouds`, of a recipe that names this source."""
+        return cast(KeysT, drawn.recipe.sky.clouds)
+
+    def check(self, drawn: DrawnRecipe) -> None:
+        """Raise `RecipeError` for clouds that cannot be, or that light cannot cross."""
+
+    def check_community(self, drawn: DrawnRecipe, model: object, parameters: Any) -> None:
+        """Raise `RecipeError` for clouds that this community cannot have.
+
+        Parameters
+        ----------
+        model : the community model.
+        parameters : the model's, a `forestgen.community.model.CommunityParameters`.
+        """
+
+    def known_base_m(self, drawn: DrawnRecipe) -> float | None:
+        """Height of the clouds' base where the recipe itself says it; None: unknown before they are made."""
+        return None
+
+    def estimate_bytes(self, drawn: DrawnRecipe, model: object, parameters: Any) -> int:
+        """Memory that making the clouds takes at most; `model` and `parameters` as in `check_community`."""
+        raise NotImplementedError
+
+    def grid(self, request: CloudRequest) -> CloudGrid | None:
+        """The clouds of an image, in the world's frame; None where the sky has none.
+
+        Raises
+        ------
+        RecipeError : weather that cannot be, or a file that cannot be read.
+        """
+        raise NotImplementedError
+
+    def air(self, drawn: DrawnRecipe, progress: Progress) -> WeatherReport:
+        """The state of the air that the clouds are of, simulated without the community.
+
+        Raises
+        ------
+        RecipeError : these clouds have none.
+        """
+        sources = {name: CLOUD_SOURCES.load(name) for name in CLOUD_SOURCES}
+        raise RecipeError(
+            "the recipe's clouds are not simulated",
+            where=drawn.where("sky", "clouds"),
+            expected="a type of " + ", ".join(n for n, one in sources.items() if type(one).air is not CloudSource.air),
+            got=drawn.recipe.sky.clouds.type,
+            hint="set sky.clouds to one of these; clouds that come with their community are seen in its images",
+        )
+
+
+def cloud_source_of(drawn: DrawnRecipe) -> CloudSource[Any]:
+    """The source that a recipe names."""
+    source: CloudSource[Any] = CLOUD_SOURCES.load(drawn.recipe.sky.clouds.type)
+    return source
+
+
+def clouds_of_air(
+    request: CloudRequest, keys: AirKeys, weather: Weather, radius_um: float, centre: tuple[float, float]
+) -> CloudGrid | None:
+    """The clouds of a state of the air over the site, repeated sideways as far as they are seen.
+
+    Parameters
+    ----------
+    radius_um : effective radius of the droplets.
+    centre : world x and y of the field's middle.
+
+    Raises
+    ------
+    RecipeError : see `check_depth` and `on_the_ground`.
+    """
+    repeat = weather.grid.periodic and weather.solid is None and keys.repeat is not False
+    grid = cloud_grid_of(
+        weather,
+        centre_m=None if weather.solid is not None else centre,
+        droplet_radius_um=radius_um,
+        tiles=_tiles(weather) if repeat else 1,
+    )
+    if grid is None:
+        return None
+    check_depth(request.drawn, grid, "raise droplet_radius_um, or let the ground give less vapour")
+    return on_the_ground(request, grid)
+
+
+def check_depth(drawn: DrawnRecipe, grid: CloudGrid, hint: str) -> None:
+    """Raise `RecipeError` if light would take for ever through the field."""
+    depth = float(grid.extinction_per_m.sum(axis=0, dtype=np.float64).max()) * grid.cell_m[2]
+    if depth <= _MOST_OPTICAL_DEPTH:
+        return
+    raise RecipeError(
+        "the clouds are too thick to be traced in reasonable time",
+        where=drawn.where("sky", "clouds"),
+        expected=f"an optical depth of at most {_MOST_OPTICAL_DEPTH:g}; thunderclouds have hundreds",
+        got=f"{depth:.3g} in the thickest column",
+        hint=hint,
+    )
+
+
+def on_the_ground(request: CloudRequest, grid: CloudGrid) -> CloudGrid:
+    """The field raised to the site's ground; refused if it is smaller than the site, whose rest had no clouds."""
+    site = request.drawn.recipe.site.size_m
+    size = [high - low for low, high in zip(grid.low_m, grid.high_m, strict=True)][:2]
+    if any(own < wanted for own, wanted in zip(size, site, strict=True)):
+        raise RecipeError(
+            "the site is larger than its clouds",
+            where=request.drawn.where("sky", "clouds"),
+            expected=f"a field of at least {site[0]:g} x {site[1]:g} m",
+            got=f"{size[0]:g} x {size[1]:g} m",
+            hint="make the site smaller, or simulate a larger domain",
+        )
+    low, high = ((*one[:2], one[2] + request.ground_m) for one in (grid.low_m, grid.high_m))
+    return replace(grid, low_m=low, high_m=high)
+
+
+def _tiles(weather: Weather) -> int:
+    """Copies side by side, an odd number, that reach about as far as clouds of this height are seen."""
+    cloudy = np.flatnonzero((weather.cloud + weather.rain).any(axis=(1, 2)))
+    top_m = (int(cloudy[-1]) + 1) * weather.grid.cell_m[2] if len(cloudy) else 0.0
+    shown_m = float(np.clip(_SHOWN_BY_TOP * top_m, *_SHOWN_M))
+    return _tiles_across(shown_m, weather.grid.size_m[0])
+
+
+def _tiles_across(shown_m: float, extent_m: float) -> int:
+    return min(1 + 2 * max(0, round((shown_m / extent_m - 1.0) / 2.0)), _MOST_TILES)
+
+
+def simulated_bytes(keys: AirKeys, cells: int, extent_m: float) -> int:
+    """Estimated memory of air in a box of some width, and of what is shown of it."""
+    tiles = _tiles_across(_SHOWN_M[1], extent_m) if keys.repeat is not False and extent_m else 1
+    return cells * max(_BYTES_PER_AIR_CELL, tiles**2 * _BYTES_PER_SHOWN_CELL)
