@@ -73,7 +73,7 @@ class NoiseClouds(CloudSource[NoiseKeys]):
     def known_base_m(self, drawn: DrawnRecipe) -> float:
         return self.keys_of(drawn).base_m
 
-    def estimate_bytes(self, drawn: DrawnRecipe, parameters: object) -> int:
+    def estimate_bytes(self, drawn: DrawnRecipe, model: object, parameters: object) -> int:
         keys = self.keys_of(drawn)
         return int((keys.extent_m / 40) ** 2 * max(8, keys.thickness_m / 20) * _BYTES_PER_CELL)
 

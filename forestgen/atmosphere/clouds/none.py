@@ -29,7 +29,7 @@ class NoClouds(CloudSource[NoCloudsKeys]):
     def grid(self, request: CloudRequest) -> None:
         return None
 
-    def estimate_bytes(self, drawn: DrawnRecipe, parameters: object) -> int:
+    def estimate_bytes(self, drawn: DrawnRecipe, model: object, parameters: object) -> int:
         return 0
 
 

@@ -72,7 +72,7 @@ class SavedClouds(CloudSource[SavedKeys]):
 
     Parameters = SavedKeys
 
-    def estimate_bytes(self, drawn: DrawnRecipe, parameters: object) -> int:
+    def estimate_bytes(self, drawn: DrawnRecipe, model: object, parameters: object) -> int:
         """By the size of the field, not by that of the file, which is compressed."""
         from forestgen.atmosphere.weather_files import size_of
 

@@ -145,7 +145,7 @@ class SimulatedClouds(CloudSource[SimulatedKeys]):
     def check(self, drawn: DrawnRecipe) -> None:
         self.scenario(drawn)
 
-    def estimate_bytes(self, drawn: DrawnRecipe, parameters: object) -> int:
+    def estimate_bytes(self, drawn: DrawnRecipe, model: object, parameters: object) -> int:
         keys = self.keys_of(drawn)
         domains = [chapter.conditions.domain for chapter in self.scenario(drawn).chapters]
         return max(simulated_bytes(keys, math.prod(one.cells), one.extent_m) for one in domains)
