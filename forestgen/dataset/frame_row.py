@@ -81,7 +81,7 @@ def _weather(drawn: DrawnRecipe, sky: Sky) -> dict[str, Any]:
     return {
         "sky_kind": sky.kind,
         "clouds": clouds.type,
-        "cloud_cover": clouds.cover if clouds.type == "noise" else None,
+        "cloud_cover": clouds.known_cover,
         "sun_elevation_deg": float(sky.sun_elevation_deg),
         "sun_azimuth_deg": float(sky.sun_azimuth_deg) % 360.0,
         "turbidity": float(sky.turbidity),

@@ -41,6 +41,11 @@ class Clouds(PartSection, GivenSection):
 
     type: Annotated[Text, Field(description="Where the clouds come from.")] = "none"
 
+    @property
+    def known_cover(self) -> float | None:
+        """Share of the sky's area under cloud, where the recipe itself says it."""
+        return None
+
     @classmethod
     def named_by(cls, data: Mapping[str, Any]) -> Any:
         """The type; of a story its first chapter's."""

@@ -257,8 +257,10 @@ class Explainer:
                 return None
             if isinstance(value, Mapping):
                 value = value.get(key)
+            elif isinstance(value, list | tuple) and isinstance(key, int) and key < len(value):
+                value = value[key]
             else:
-                value = value[key] if isinstance(value, list | tuple) and key in range(len(value)) else None
+                value = None
             current = _of_its_part(found[0], value)
         return current
 

@@ -51,7 +51,6 @@ OTHER_MEANINGS = {  # file -> names that are no part's in it, or a default
     "stages/light_text.py": {"sun"},  # a column
     "stages/sky.py": {"sun"},  # a key of the recipe
     "dataset/check/merged.py": {"bop"},  # a folder, whose files the checks read by their names
-    "dataset/frame_row.py": {"noise"},  # a column
     "lsystem/parsing.py": {"points"},  # a rule of the grammar
     "lsystem/statement_reader.py": {"points"},  # the same
     "recipe/schema.py": {"litter"},  # the default

@@ -53,6 +53,10 @@ class NoiseKeys(Clouds):
         8000.0
     )
 
+    @property
+    def known_cover(self) -> float:
+        return self.cover
+
 
 class NoiseClouds(CloudSource[NoiseKeys]):
     """Small cumulus without weather, made in a second."""

@@ -13,11 +13,12 @@ from forestgen.recipe.cameras import Camera
 from forestgen.recipe.load import load_recipe
 from forestgen.scene.camera_path import expand, next_frame, place_cameras
 from forestgen.scene.terrain import HeightField
+from forestgen.scene.terrains.rolling import Waves
 from forestgen.stages.plan import check_plan, views_below_ground
 
 QUICKSTART = Path(__file__).parents[3] / "recipes" / "quickstart.yaml"
 FLAT = HeightField((100.0, 100.0))
-WAVY = HeightField((100.0, 100.0), np.array([[0.1, 0.03]]), np.array([5.0]), np.array([0.4]), np.array([False]))
+WAVY = Waves((100.0, 100.0), np.array([[0.1, 0.03]]), np.array([5.0]), np.array([0.4]), np.array([False]))
 
 
 def section(path: dict[str, Any] | None, **keys: Any) -> Camera:

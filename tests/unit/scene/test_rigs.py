@@ -18,6 +18,7 @@ from forestgen.scene.camera_path import expand, next_frame
 from forestgen.scene.projection import project
 from forestgen.scene.spec import Instances
 from forestgen.scene.terrain import HeightField
+from forestgen.scene.terrains.rolling import Waves
 from forestgen.scene.trunks import Trunks
 from forestgen.scene.walking import BlockedError, at_lengths, length_m, way_around
 from forestgen.stages.plan import check_plan, make_plan
@@ -25,7 +26,7 @@ from forestgen.stages.views import check_trunks, drawn_cameras
 
 QUICKSTART = Path(__file__).parents[3] / "recipes" / "quickstart.yaml"
 FLAT = HeightField((100.0, 100.0))
-WAVY = HeightField((100.0, 100.0), np.array([[0.1, 0.03]]), np.array([5.0]), np.array([0.4]), np.array([False]))
+WAVY = Waves((100.0, 100.0), np.array([[0.1, 0.03]]), np.array([5.0]), np.array([0.4]), np.array([False]))
 
 
 def section(**keys: Any) -> Camera:
