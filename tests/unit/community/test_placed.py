@@ -125,3 +125,15 @@ def test_a_plan_refuses_what_the_simulation_would():
     recipe["community"] = {"model": "placed", "table": "species, x_m, y_m\nspurce, 1, 2"}
     with pytest.raises(RecipeError, match="did you mean 'spruce'"):
         check_plan(load_recipe_data(recipe, "test"), simulate_only=True)
+
+
+def test_a_recipe_with_traits_may_place_plants_anywhere_on_a_large_site():
+    recipe = {
+        "forestgen": 1,
+        "site": {"size_m": [90, 90]},
+        "species": {"spruce": {"from": "spruce"}},
+        "community": {"model": "placed", "plants": [{"species": "spruce", "position_m": [80, 80]}]},
+        "plants": {"traits": ["height_m"]},
+        "cameras": [{"position_m": [40, -20, 5]}],
+    }
+    check_plan(load_recipe_data(recipe, "test"))
