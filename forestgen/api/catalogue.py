@@ -17,7 +17,7 @@ from forestgen.core.errors import RecipeError
 from forestgen.core.registry import Registry
 from forestgen.plants.registry import GENERATORS
 from forestgen.recipe.assets import find_asset, list_assets
-from forestgen.recipe.registries import DATASET_FORMATS
+from forestgen.recipe.registries import DATASET_FORMATS, PROJECTIONS
 from forestgen.recipe.suggestions import did_you_mean
 
 if TYPE_CHECKING:
@@ -28,6 +28,7 @@ _REGISTRIES = {
     "environment": ENVIRONMENTS,
     "plant_generator": GENERATORS,
     "dataset_format": DATASET_FORMATS,
+    "projection": PROJECTIONS,
 }
 _WITHOUT_COMMENT = {  # files of a format that has none
     "fig_5_2": "A bush of one rule, of Rhodes University's forest: its Fig. 5.2, in the format .sys.",
@@ -39,7 +40,7 @@ _ASSETS = {"species": "species", "lsystems": "lsystem", "recipes": "recipe"}  # 
 class Entry:
     """Something that recipes can name."""
 
-    kind: str  # community_model, environment, plant_generator, dataset_format, species, lsystem or recipe
+    kind: str  # community_model, environment, plant_generator, dataset_format, projection, species, lsystem or recipe
     name: str
     description: str
     path: Path | None = field(default=None)  # of a file
@@ -58,7 +59,7 @@ class Entry:
 
 
 def models(name: str | None = None, *, kind: str | None = None) -> list[Entry]:
-    """Community models, environments, generators and data set formats, species, L-systems and recipes.
+    """Community models, environments, generators, data set formats, projections, species, L-systems and recipes.
 
     Parameters
     ----------
@@ -156,7 +157,7 @@ def register(kind: str, name: str, part: object, description: str = "") -> None:
 
     Parameters
     ----------
-    kind : community_model, environment, plant_generator or dataset_format.
+    kind : community_model, environment, plant_generator, dataset_format or projection.
     name : that recipes use.
     part : the object, defined at the top of a module; or its place, ``"package.module:NAME"``.
     description : one line for `models`; by default the first line of the object's documentation.

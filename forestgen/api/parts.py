@@ -14,6 +14,8 @@ from forestgen.core.arguments import shown
 from forestgen.core.errors import RecipeError
 from forestgen.dataset.formats.format import DatasetFormat
 from forestgen.plants.parameters import Generator, PlantParameters
+from forestgen.recipe.cameras import Camera as CameraSection
+from forestgen.scene.projection import Projection
 
 _PLACE = re.compile(r"([^\W\d]\w*(?:\.[^\W\d]\w*)*):([^\W\d]\w*)")
 #: Of each kind its contract and the class of its `Parameters`, if it has some.
@@ -22,6 +24,7 @@ _CONTRACTS: dict[str, tuple[type, type[BaseModel] | None]] = {
     "environment": (Environment, BaseModel),
     "plant_generator": (Generator, PlantParameters),
     "dataset_format": (DatasetFormat, None),
+    "projection": (Projection, CameraSection),
 }
 
 

@@ -72,7 +72,7 @@ from forestgen.dataset.light_parts import light_attributes, own_attributes, radi
 from forestgen.labels.labelled import LabelledFrame
 from forestgen.labels.masks import CoverageRanks
 from forestgen.render.frame import Branches, Surface
-from forestgen.scene.projection import centre_rays
+from forestgen.scene.projection import centre_rays, projection_of
 from forestgen.scene.spec import Camera
 
 Channels = dict[str, NDArray[Any]]
@@ -234,7 +234,7 @@ def _rank_channels(ranks: CoverageRanks) -> Channels:
 def camera_position_m(depth_m: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
     """(H, W, 3) in the camera's axes, of pixel centres: exact far from the world's origin too; NaN for the sky."""
     depth = np.where(np.isfinite(depth_m), depth_m, np.nan).astype(np.float64)
-    if camera.projection != "perspective":
+    if not projection_of(camera).is_pinhole:
         rays = centre_rays(camera)
         return (rays.origin_m + rays.direction * depth[..., None]).astype(np.float32)
     x, y = camera.pixel_slopes

@@ -188,7 +188,7 @@ class Explainer:
 
     def _missing(self, keys: Keys) -> _Finding:
         description = None
-        owner = _class_at(self.model, keys[:-1])
+        owner = _class_at(self.model, keys[:-1], self.data)
         if owner is not None and str(keys[-1]) in owner.model_fields:
             description = owner.model_fields[str(keys[-1])].description
         hint = None
@@ -199,7 +199,9 @@ class Explainer:
 
     def _which_form(self, keys: Keys, value: object, discriminator: str) -> _Finding:
         """A mapping whose key `discriminator` does not name one of the forms that it may have."""
-        tags = [str(tag) for arm in _arms(_annotation_at(self.model, keys)) for tag in _tags(arm, discriminator)]
+        tags = [
+            str(tag) for arm in _arms(_annotation_at(self.model, keys, self.data)) for tag in _tags(arm, discriminator)
+        ]
         expected = f"one of {', '.join(tags)}"
         keys = self._written_keys(keys)
         if not isinstance(value, Mapping) or discriminator not in value:
@@ -210,7 +212,7 @@ class Explainer:
         return self._at((*keys, discriminator), "bad value", expected, show(tag), hint)
 
     def _unknown_key(self, keys: Keys) -> _Finding:
-        owner = _class_at(self.model, keys[:-1])
+        owner = _class_at(self.model, keys[:-1], self.data)
         names = list(owner.model_fields) if owner is not None else []
         if not self.prefix and len(keys) == 3 and keys[0] == "species":
             names.append("from")
@@ -224,7 +226,7 @@ class Explainer:
 
     def _tuple_length(self, keys: Keys, kind: str) -> int | None:
         """Length of the tuple that `keys` names, or names an entry of."""
-        arms = _arms(_annotation_at(self.model, keys[:-1] if kind == "missing" else keys))
+        arms = _arms(_annotation_at(self.model, keys[:-1] if kind == "missing" else keys, self.data))
         for arm in arms:
             arguments = get_args(arm)
             if get_origin(arm) is tuple and Ellipsis not in arguments:
@@ -253,7 +255,7 @@ class Explainer:
             inside = isinstance(value, Mapping) and key in value
             if not inside and not (isinstance(value, list | tuple) and isinstance(key, int) and key < len(value)):
                 # A filled-in default has no data of its own, but its key is still one of the schema's.
-                return keys if _annotation_at(self.model, keys) is not None else keys[:n]
+                return keys if _annotation_at(self.model, keys, self.data) is not None else keys[:n]
             value = value[key]
         return keys
 
@@ -323,15 +325,26 @@ def _arms(annotation: Any) -> list[Any]:
     return [] if annotation in (None, types.NoneType) else [annotation]
 
 
-def _annotation_at(model: type[BaseModel], keys: Keys) -> Any:
-    """Type of the value at `keys`, or None where the schema has no such key."""
+def _annotation_at(model: type[BaseModel], keys: Keys, data: Any) -> Any:
+    """Type of the value at `keys` of `data`, or None where the schema has no such key."""
     current: Any = model
     for key in keys:
-        found = [step for arm in _arms(current) if (step := _inside(arm, key)) is not None]
+        found = [step for arm in _arms(current) if (step := _inside(_variant(arm, data), key)) is not None]
         if not found:
             return None
-        current = found[0]
-    return current
+        current, data = found[0], _value_at(data, key)
+    arms = _arms(current)
+    return _variant(arms[0], data) if len(arms) == 1 else current
+
+
+def _value_at(data: Any, key: str | int) -> Any:
+    inside = key in data if isinstance(data, Mapping) else isinstance(data, list | tuple) and key in range(len(data))
+    return data[key] if inside else None
+
+
+def _variant(arm: Any, data: Any) -> Any:
+    """The subclass that takes `data`, of a class that has one for each of several forms."""
+    return arm.variant_of(data) if isinstance(arm, type) and hasattr(arm, "variant_of") else arm
 
 
 def _inside(arm: Any, key: str | int) -> Any:
@@ -354,8 +367,8 @@ def _tags(arm: Any, discriminator: str) -> tuple[Any, ...]:
     return get_args(field.annotation) if field is not None and get_origin(field.annotation) is Literal else ()
 
 
-def _class_at(model: type[BaseModel], keys: Keys) -> type[BaseModel] | None:
-    for arm in _arms(_annotation_at(model, keys)):
+def _class_at(model: type[BaseModel], keys: Keys, data: Any) -> type[BaseModel] | None:
+    for arm in _arms(_annotation_at(model, keys, data)):
         if isinstance(arm, type) and issubclass(arm, BaseModel):
             return arm
     return None

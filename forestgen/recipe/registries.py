@@ -1,10 +1,11 @@
-"""Data set formats, by the name that a recipe uses: the recipe's schema needs their names, not their code."""
+"""Data set formats and cameras' projections, by their names in recipes, whose schema needs no more of most of them."""
 
 from __future__ import annotations
 
 from forestgen.core.registry import Registry
 
 DEFAULT_FORMATS = ("coco",)
+DEFAULT_PROJECTION = "perspective"
 
 # In the order in which their checks run.
 DATASET_FORMATS = Registry(
@@ -18,5 +19,15 @@ DATASET_FORMATS = Registry(
         "yolo": ("forestgen.dataset.formats.yolo:FORMAT", "outlines and boxes for YOLO trainers"),
         "nerfstudio": ("forestgen.dataset.formats.nerfstudio:FORMAT", "cameras for radiance fields and splats"),
         "bop": ("forestgen.dataset.formats.bop:FORMAT", "poses, visible fractions and masks of each plant"),
+    },
+)
+
+PROJECTIONS = Registry(
+    "projection",
+    {
+        "perspective": ("forestgen.scene.projections.perspective:PROJECTION", "a pinhole, or a thin lens that blurs"),
+        "fisheye": ("forestgen.scene.projections.fisheye:PROJECTION", "equidistant, up to all around"),
+        "orthographic": ("forestgen.scene.projections.orthographic:PROJECTION", "parallel rays, as of a map"),
+        "panorama": ("forestgen.scene.projections.panorama:PROJECTION", "equirectangular, all around, level"),
     },
 )

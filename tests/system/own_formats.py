@@ -14,6 +14,7 @@ from forestgen.dataset.formats.format import DatasetFormat
 from forestgen.dataset.formats.shards import in_order, json_text, read_shard, whole_file, write_shard
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.labels.labelled import LabelledFrame
+from forestgen.scene.projection import Projection
 
 SHARD, WHOLE = "size.json", "sizes.json"
 
@@ -23,8 +24,10 @@ class Sizes(DatasetFormat):
 
     name = "sizes"
     bytes_per_plant = 1
-    projections = ("perspective",)
     split_file_names = ("sizes.txt", "sizes_of_test.txt")
+
+    def holds(self, projection: Projection) -> bool:
+        return projection.is_pinhole
 
     def write_frame(self, folder: Path, labelled: LabelledFrame, settings: DatasetSettings) -> None:
         write_shard(folder / SHARD, {"size_px": list(labelled.frame.camera.size_px)})
