@@ -22,6 +22,7 @@ from forestgen.recipe.registries import (
     GROUND_COVERS,
     LABEL_CHANNELS,
     PACKS,
+    PROJECTIONS,
     SKIES,
     TERRAINS,
 )
@@ -41,6 +42,7 @@ _REGISTRIES: dict[str, Registry] = {
     "sky_model": SKIES,
     "terrain": TERRAINS,
     "ground_cover": GROUND_COVERS,
+    "projection": PROJECTIONS,
 }
 _WITHOUT_COMMENT = {  # files of a format that has none
     "fig_5_2": "A bush of one rule, of Rhodes University's forest: its Fig. 5.2, in the format .sys.",

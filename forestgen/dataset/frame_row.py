@@ -16,6 +16,7 @@ from forestgen.recipe.hashing import recipe_hash
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.sources import dotted
 from forestgen.render.frame import Radiance
+from forestgen.scene.projection import projection_of
 from forestgen.scene.spec import Camera, Sky
 
 
@@ -65,7 +66,7 @@ def _camera(camera: Camera, ground_m: float) -> dict[str, Any]:
         "width_px": int(width_px),
         "height_px": int(height_px),
         "camera_kind": camera.projection,
-        "hfov_deg": float(camera.hfov_deg) if camera.projection in ("perspective", "fisheye") else None,
+        "hfov_deg": projection_of(camera).file_keys(camera).get("hfov_deg"),
         "camera_x_m": x_m,
         "camera_y_m": y_m,
         "camera_z_m": z_m,

@@ -56,7 +56,7 @@ from forestgen.recipe.spectra import load_table
 from forestgen.render.frame import Radiance
 from forestgen.scene.colour import colour_of_radiance
 from forestgen.scene.exposure import Exposure
-from forestgen.scene.projection import centre_rays, image_circle
+from forestgen.scene.projection import centre_rays, image_circle, projection_of
 from forestgen.scene.spec import Camera
 
 JSON_NAME = "raw.json"
@@ -167,7 +167,7 @@ def vignetting(camera: Camera, strength: float) -> Floats:
     darken as the cosine does: theirs is 1.
     """
     width, height = camera.size_px
-    if not strength or camera.projection != "perspective":
+    if not strength or not projection_of(camera).is_pinhole:
         return np.ones((height, width))
     cosine = centre_rays(camera).direction[..., 2]
     return np.asarray(1.0 - strength + strength * cosine**4)

@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.parts import Part
-from forestgen.scene.projection import fisheye_focal_px, in_circle
+from forestgen.scene.projection import projection_of
 from forestgen.scene.spec import Camera
 
 RINGS = 18  # of 5 degrees
@@ -53,7 +53,9 @@ class GapFraction:
 
 def looks_up(camera: Camera) -> bool:
     """Whether it is a fisheye that looks to the zenith, within a degree."""
-    return camera.projection == "fisheye" and bool(camera.world_from_camera[2, 2] >= np.cos(np.radians(LEVEL_DEG)))
+    return projection_of(camera).is_equidistant and bool(
+        camera.world_from_camera[2, 2] >= np.cos(np.radians(LEVEL_DEG))
+    )
 
 
 def gap_fraction(
@@ -110,12 +112,14 @@ def _zenith(
     """(H, W) zenith angles at a sub-pixel position, and whether it lies in the circle."""
     width, height = camera.size_px
     x, y = np.meshgrid(np.arange(width) + offset[0] - width / 2, np.arange(height) + offset[1] - height / 2)
-    theta = np.hypot(x, y) / fisheye_focal_px(camera)
+    own = projection_of(camera).rays(camera, x, y)
+    focal_px = width / float(np.radians(camera.hfov_deg))
+    theta = np.hypot(x, y) / focal_px
     # The axis may lean by a degree: angles are from the zenith itself.
-    sine = np.sinc(theta / np.pi) / fisheye_focal_px(camera)
+    sine = np.sinc(theta / np.pi) / focal_px
     up = camera.world_from_camera[2]
     cosine = x * sine * up[0] + y * sine * up[1] + np.cos(theta) * up[2]
-    return np.arccos(np.clip(cosine, -1.0, 1.0)).reshape(shape), in_circle(camera, x, y).reshape(shape)
+    return np.arccos(np.clip(cosine, -1.0, 1.0)).reshape(shape), own.valid.reshape(shape)
 
 
 def _miller(edges: NDArray[np.float64], logs: NDArray[np.float64]) -> float:

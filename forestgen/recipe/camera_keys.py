@@ -7,20 +7,20 @@ A camera with a rig (recipe/rigs.py) is several images, too.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import AfterValidator, Field, field_validator, model_validator
 
+from forestgen.core.errors import RecipeError
 from forestgen.recipe.exposure import Exposure
-from forestgen.recipe.fields import Flag, Name, Number, Point, Positive, Section, Text, Whole, spelled_out
+from forestgen.recipe.fields import Flag, Name, Point, Section, Text, Whole, mistake, spelled_out
+from forestgen.recipe.registries import DEFAULT_PROJECTION, PROJECTIONS
 from forestgen.recipe.rigs import MOST_FRAMES, DroneGrid, FramesPerSecond, GroundPoint, Orbit, Rig, Stereo, Walk
 from forestgen.recipe.spectra import MOST_BYTES
 
 Pixels = Annotated[Whole, Field(ge=8, le=16384)]
-Kind = Literal["perspective", "fisheye", "orthographic", "panorama"]
 Look = Literal["up", "down", "north", "east", "south", "west"]
 DIRECTIONS: dict[str, Point] = {  # right, down and forward follow: see core/frames.py
     "up": (0.0, 0.0, 1.0),
@@ -30,10 +30,6 @@ DIRECTIONS: dict[str, Point] = {  # right, down and forward follow: see core/fra
     "south": (0.0, -1.0, 0.0),
     "west": (-1.0, 0.0, 0.0),
 }
-FULL_FRAME_MM = 36.0
-_SIZE_PX = {"fisheye": (512, 512), "orthographic": (512, 512), "panorama": (1024, 512)}
-_HFOV_DEG = {"perspective": 60.0, "fisheye": 180.0}
-_LOOK: dict[str, Look] = {"fisheye": "up", "orthographic": "down", "panorama": "north"}
 
 
 class SensorFile(Section):
@@ -60,22 +56,46 @@ class CameraPath(Section):
     ] = ()
 
 
+def _known_projection(name: str) -> str:
+    try:
+        PROJECTIONS.check(name)
+    except RecipeError as error:
+        raise mistake(error.expected or "", problem=error.problem, got=error.got, hint=error.hint) from error
+    return name
+
+
+def _add_names(schema: dict[str, Any]) -> None:
+    """To the JSON Schema of a projection's name, those that are registered when it is made."""
+    schema["enum"] = PROJECTIONS.ids()
+
+
 class CameraKeys(Section):
-    """A camera; site frame: x east, y north, z up, metres."""
+    """Keys that cameras of all projections have; site frame: x east, y north, z up, metres.
+
+    The class of a projection's cameras adds keys of its own, and overrides the class variables and what follows.
+    """
+
+    default_size_px: ClassVar[tuple[int, int]] = (640, 360)
+    default_look: ClassVar[Look | None] = None  # None: over the site, by look_at_m
+    default_place: ClassVar[Point] = (0.5, 0.02, 1.7)  # shares of the site's width and depth, and metres above ground
+    is_level: ClassVar[bool] = False  # whatever it looks at
+    covers_ground: ClassVar[bool] = False  # `footprint_m` tells what it shows of the ground below: for drone_grid
 
     name: Annotated[Name, Field(description="Name in file names; default camera0, camera1, ...")]
     kind: Annotated[
-        Kind,
+        Text,
+        AfterValidator(_known_projection),
         Field(
-            description="Projection: perspective, fisheye (equidistant), orthographic, panorama (equirectangular, all "
-            "around, level)."
+            json_schema_extra=_add_names,
+            description="Projection, of those that `forestgen models --kind projection` lists; its page has its keys, "
+            "and its defaults of position_m, look and size_px.",
         ),
-    ] = "perspective"
+    ] = DEFAULT_PROJECTION
     position_m: Annotated[
         Point | None,
         Field(
-            description="Where it stands: x, y, z, metres. Default: eye level, southern edge's middle; fisheye and "
-            "panorama: eye level amid the site; orthographic: 100 m above that."
+            description="Where it stands: x, y, z, metres. Default by kind; of perspective eye level, southern edge's "
+            "middle."
         ),
     ] = None
     look_at_m: Annotated[
@@ -85,41 +105,13 @@ class CameraKeys(Section):
         Look | None,
         Field(
             description="Instead of look_at_m. Up and down have north at the top: down shows east on the right, up "
-            "shows it on the left. Default: fisheye up, orthographic down, panorama north."
+            "shows it on the left. Default by kind; of perspective look_at_m."
         ),
     ] = None
     size_px: Annotated[
         tuple[Pixels, Pixels],
-        Field(
-            description="Width and height of the image, pixels. Default for fisheye and orthographic: [512, 512]; for "
-            "panorama: [1024, 512]."
-        ),
+        Field(description="Width and height of the image, pixels. Default by kind; of perspective [640, 360]."),
     ] = (640, 360)
-    hfov_deg: Annotated[
-        Number | None,
-        Field(
-            ge=0.1,
-            le=360,
-            description="Field of view across the image's width, degrees: of perspective (default 60, at most 170) and "
-            "fisheye (default 180: the circle that a square image holds).",
-        ),
-    ] = None
-    focal_length_mm: Annotated[
-        Positive | None, Field(le=10_000, description="Of perspective, instead of hfov_deg; with sensor_width_mm.")
-    ] = None
-    sensor_width_mm: Annotated[
-        Positive | None, Field(le=1000, description="Of perspective: what the image's width is on. Default: 36.")
-    ] = None
-    f_number: Annotated[
-        Positive | None,
-        Field(ge=0.5, le=1000, description="Of perspective, with focus_m: a thin lens, its focal length by this wide."),
-    ] = None
-    focus_m: Annotated[
-        Positive | None, Field(le=1e5, description="Distance of the plane that a thin lens shows sharply, metres.")
-    ] = None
-    width_m: Annotated[
-        Positive | None, Field(le=1e5, description="Of orthographic: what the image's width shows, metres.")
-    ] = None
     height_above_ground: Annotated[
         Flag, Field(description="Whether the z of position_m and look_at_m count from the ground below or from z = 0.")
     ] = True
@@ -150,23 +142,15 @@ class CameraKeys(Section):
     @model_validator(mode="before")
     @classmethod
     def _filled(cls, data: Any) -> Any:
-        """What a kind has by default, and the f-number that lens and exposure share."""
+        """What a projection has by default."""
         if not isinstance(data, Mapping):
             return data
-        filled, kind = dict(data), data.get("kind", "perspective")
-        rig = data.get("rig")
+        filled, rig = dict(data), data.get("rig")
         rigged = rig.get("kind") if isinstance(rig, Mapping) else None
-        if not isinstance(kind, str):
-            return data
         if filled.get("size_px") is None:
-            filled["size_px"] = _SIZE_PX.get(kind, (640, 360))
-        if filled.get("hfov_deg") is None and filled.get("focal_length_mm") is None:
-            filled["hfov_deg"] = _HFOV_DEG.get(kind)
+            filled["size_px"] = cls.default_size_px
         if all(filled.get(key) is None for key in ("look", "look_at_m")) and rigged in (None, "stereo"):
-            filled["look"] = _LOOK.get(kind)
-        exposure, f_number = data.get("exposure"), data.get("f_number")
-        if isinstance(exposure, Mapping) and f_number is not None:
-            filled["exposure"] = {"f_number": f_number, **exposure}
+            filled["look"] = cls.default_look
         return filled
 
     @field_validator("bands", mode="before")
@@ -177,29 +161,32 @@ class CameraKeys(Section):
     @property
     def field_of_view_deg(self) -> float:
         """Across the image's width; 0 where there is none. A lens' is that of focusing far away."""
-        if self.hfov_deg is not None:
-            return self.hfov_deg
-        return 0.0 if self.focal_length_mm is None else _field_of_view_deg(self.focal_length_mm, self.sensor_mm)
+        return 0.0
+
+    @property
+    def view_width_m(self) -> float:
+        """What the image's width shows of the world; 0 where that depends on the distance."""
+        return 0.0
 
     @property
     def lens_mm(self) -> tuple[float, float] | None:
-        """Radius of the thin lens' pupil, and its focal length; None for a pinhole."""
-        if self.f_number is None:
-            return None
-        focal = self.focal_length_mm
-        if focal is None:
-            focal = self.sensor_mm / 2 / math.tan(math.radians(self.field_of_view_deg) / 2)
-        return focal / self.f_number / 2, focal
+        """Radius of a thin lens' pupil, and its focal length; None for a pinhole."""
+        return None
+
+    @property
+    def lens_focus_m(self) -> float | None:
+        """Distance of a thin lens' plane of focus; None for a pinhole."""
+        return None
+
+    @property
+    def own_numbers(self) -> Mapping[str, float]:
+        """What its projection needs beside these: `Camera.numbers` of the scene has them, and camera.json."""
+        return {}
 
     @property
     def footprint_m(self) -> tuple[float, float]:
-        """Width and height of the level ground that a drone's image shows."""
-        width, height = self.size_px
-        assert isinstance(self.rig, DroneGrid)
-        if self.width_m is not None:
-            return self.width_m, self.width_m * height / width
-        across = 2 * self.rig.altitude_m * math.tan(math.radians(self.field_of_view_deg) / 2)
-        return across, across * height / width
+        """Width and height of the level ground that a drone's image shows, if the projection `covers_ground`."""
+        raise NotImplementedError
 
     @property
     def rig_middles_m(self) -> list[GroundPoint]:
@@ -255,15 +242,6 @@ class CameraKeys(Section):
         ways = ((self.position_m, *self.path.position_m), (self.look_at_m, *self.path.look_at_m))
         return any(a != b for way in ways for a, b in pairwise(way))
 
-    @property
-    def sensor_mm(self) -> float:
-        """Width of a perspective camera's sensor."""
-        return FULL_FRAME_MM if self.sensor_width_mm is None else self.sensor_width_mm
-
-
-def _field_of_view_deg(focal_length_mm: float, sensor_width_mm: float) -> float:
-    return math.degrees(2 * math.atan(sensor_width_mm / 2 / focal_length_mm))
-
 
 def _along(points: Sequence[Point], frames: int) -> list[Point]:
     """`frames` points at equal steps of time from the first to the last, through the others at equal times."""
@@ -283,12 +261,14 @@ def _along(points: Sequence[Point], frames: int) -> list[Point]:
     return way
 
 
-def default_view(camera: Mapping[str, Any], size_m: tuple[float, float]) -> dict[str, Any]:
+def default_view(camera: Mapping[str, Any], size_m: tuple[float, float], of_kind: type[CameraKeys]) -> dict[str, Any]:
     """Keys that a recipe's camera has by the site's extent, where it says nothing itself; metres.
 
-    Eye level at the middle of the southern edge, looking north over the site; fisheye and panorama in its middle.
+    Parameters
+    ----------
+    of_kind : the class of its projection's cameras.
     """
-    (width, depth), kind, rig = size_m, camera.get("kind", "perspective"), camera.get("rig")
+    (width, depth), rig = size_m, camera.get("rig")
     rigged = rig.get("kind") if isinstance(rig, Mapping) else None
     if rigged == "drone_grid":
         assert isinstance(rig, Mapping)
@@ -296,11 +276,8 @@ def default_view(camera: Mapping[str, Any], size_m: tuple[float, float]) -> dict
         return {"rig": {**rig, "area_m": [[0.0, 0.0], [width, depth]]}} if rig.get("area_m") is None else {}
     view: dict[str, Any] = {}
     if rigged not in ("orbit", "walk"):
-        view["position_m"] = {
-            "fisheye": [0.5 * width, 0.5 * depth, 1.7],
-            "panorama": [0.5 * width, 0.5 * depth, 1.7],
-            "orthographic": [0.5 * width, 0.5 * depth, 100.0],
-        }.get(str(kind), [0.5 * width, 0.02 * depth, 1.7])
-    if kind == "perspective" and rigged in (None, "stereo") and camera.get("look") is None:
+        across, along, above_m = of_kind.default_place
+        view["position_m"] = [across * width, along * depth, above_m]
+    if of_kind.default_look is None and rigged in (None, "stereo") and camera.get("look") is None:
         view["look_at_m"] = [0.5 * width, 0.6 * depth, 6.0]
     return {key: value for key, value in view.items() if camera.get(key) is None}

@@ -3,25 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import Self
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any, Self
 
-from pydantic import model_validator
+from pydantic import BeforeValidator, GetJsonSchemaHandler, SerializeAsAny, model_validator
 from pydantic_core import PydanticCustomError
 
 from forestgen.recipe.camera_keys import CameraKeys
 from forestgen.recipe.fields import mistake
+from forestgen.recipe.registries import DEFAULT_PROJECTION, PROJECTIONS
 from forestgen.recipe.rigs import MOST_FRAMES, DroneGrid, Orbit, Stereo
 
-_WIDEST_DEG = 170.0  # of a perspective camera
-_KEYS_OF_KINDS: dict[str, tuple[str, ...]] = {
-    "perspective": ("hfov_deg", "focal_length_mm", "sensor_width_mm", "f_number", "focus_m"),
-    "fisheye": ("hfov_deg",),
-    "orthographic": ("width_m",),
-    "panorama": (),
-}
-_ALL_KEYS = tuple(dict.fromkeys(key for keys in _KEYS_OF_KINDS.values() for key in keys))
-_AN = {"orthographic": "an orthographic", "orbit": "an orbit"}
 # What a rig decides itself.
 _NOT_WITH_RIG: dict[str, tuple[str, ...]] = {
     "stereo": (),
@@ -32,103 +24,92 @@ _NOT_WITH_RIG: dict[str, tuple[str, ...]] = {
 
 
 class Camera(CameraKeys):
-    """A camera; site frame: x east, y north, z up, metres."""
+    """A camera; site frame: x east, y north, z up, metres. Each projection has a subclass with its own keys."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _has_no_keys_of_others(cls, data: Any) -> Any:
+        """Keys of other projections are refused by name; one that is null says nothing."""
+        strange = [key for key in data if key not in cls.model_fields] if isinstance(data, Mapping) else []
+        owners = _owners_of_keys() if strange else {}
+        kind = data.get("kind", DEFAULT_PROJECTION) if strange else ""
+        for key in strange:
+            if cls is not Camera and key in owners and data[key] is not None:
+                mine = cls.own_keys()
+                raise mistake(
+                    f"of these keys: {', '.join(mine)}" if mine else f"none of {', '.join(owners)}",
+                    problem=f"{_article(kind)} camera has no {key}",
+                    got=str(data[key]),
+                    hint=f"leave {key} out, or choose kind: {' or '.join(owners[key])}",
+                    at=(key,),
+                )
+        unsaid = {key for key in strange if key in owners}
+        unsaid |= {key for key in cls.own_keys() if isinstance(data, Mapping) and data.get(key, 0) is None}
+        return {key: value for key, value in data.items() if key not in unsaid} if unsaid else data
 
     @model_validator(mode="after")
     def _is_one_camera(self) -> Self:
-        wrong = wrong_with(self)
+        wrong = self.wrong_optics() or _rigged(self) or _looking(self) or _looks_at_itself(self)
         if wrong is not None:
             raise wrong
         return self
 
-
-def wrong_with(camera: CameraKeys) -> PydanticCustomError | None:
-    """The first mistake in one camera, for its validator to raise."""
-    return _kind(camera) or _optics(camera) or _rigged(camera) or _looking(camera) or _looks_at_itself(camera)
-
-
-def _kind(camera: CameraKeys) -> PydanticCustomError | None:
-    """A key that the camera's kind does not have."""
-    mine = _KEYS_OF_KINDS[camera.kind]
-    for key in _ALL_KEYS:
-        if getattr(camera, key) is not None and key not in mine:
-            kinds = [kind for kind, keys in _KEYS_OF_KINDS.items() if key in keys]
-            return mistake(
-                f"of these keys: {', '.join(mine)}" if mine else f"none of {', '.join(_ALL_KEYS)}",
-                problem=f"{_AN.get(camera.kind, 'a ' + camera.kind)} camera has no {key}",
-                got=f"{getattr(camera, key):g}",
-                hint=f"leave {key} out, or choose kind: {' or '.join(kinds)}",
-                at=(key,),
-            )
-    return None
-
-
-def _optics(camera: CameraKeys) -> PydanticCustomError | None:
-    """What is wrong with a kind's own keys."""
-    if camera.kind == "orthographic" and camera.width_m is None:
-        return mistake(
-            "the width of what the image shows, metres",
-            problem="an orthographic camera needs width_m",
-            got="no width_m",
-            at=("width_m",),
-        )
-    if camera.kind == "panorama" and camera.size_px[0] != 2 * camera.size_px[1]:
-        width, height = camera.size_px
-        return mistake(
-            "twice as many pixels across as down: 360 by 180 degrees",
-            problem="a panorama's image is 2:1",
-            got=f"[{width}, {height}]",
-            hint=f"size_px: [{2 * height}, {height}]",
-            at=("size_px",),
-        )
-    if camera.kind != "perspective":
+    def wrong_optics(self) -> PydanticCustomError | None:
+        """What is wrong with the projection's own keys, or with the image's size for it."""
         return None
-    if camera.hfov_deg is not None and camera.focal_length_mm is not None:
-        other = math.degrees(2 * math.atan(camera.sensor_mm / 2 / camera.focal_length_mm))
-        return mistake(
-            "hfov_deg or focal_length_mm, not both",
-            problem="the field of view is given twice",
-            got=f"hfov_deg {camera.hfov_deg:g}; {camera.focal_length_mm:g} mm are {other:.4g} degrees",
-            hint="leave hfov_deg out",
-            at=("focal_length_mm",),
-        )
-    if camera.field_of_view_deg > _WIDEST_DEG:
-        return mistake(
-            f"at most {_WIDEST_DEG:g} degrees",
-            problem="too wide for a flat image",
-            got=f"{camera.field_of_view_deg:.4g} degrees",
-            hint="kind: fisheye sees further around",
-            at=("hfov_deg" if camera.hfov_deg is not None else "focal_length_mm",),
-        )
-    return _lens(camera)
+
+    @classmethod
+    def own_keys(cls) -> list[str]:
+        """Names of the keys that cameras of other projections do not all have."""
+        return [key for key in cls.model_fields if key not in CameraKeys.model_fields]
+
+    @classmethod
+    def class_for(cls, data: object) -> type[Camera]:
+        """The class of cameras like `data`; this one where its projection is none."""
+        kind = data.get("kind", DEFAULT_PROJECTION) if isinstance(data, Mapping) else None
+        return class_of(kind) if isinstance(kind, str) and kind in PROJECTIONS else Camera
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, core_schema: Any, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        """Of all projections' cameras together, with all of their keys."""
+        made = handler.resolve_ref_schema(handler(core_schema))
+        if cls is Camera:
+            for name in PROJECTIONS:
+                own = class_of(name)
+                properties = own.model_json_schema()["properties"]
+                made["properties"] |= {key: properties[key] for key in own.own_keys() if key not in made["properties"]}
+        return made
 
 
-def _lens(camera: CameraKeys) -> PydanticCustomError | None:
-    if (camera.f_number is None) != (camera.focus_m is None):
-        has, lacks = ("f_number", "focus_m") if camera.focus_m is None else ("focus_m", "f_number")
-        return mistake(
-            "both, or neither for a pinhole, which is sharp everywhere",
-            problem=f"a lens with {has} needs {lacks} too",
-            got=f"no {lacks}",
-            hint="exposure.f_number makes a picture brighter and blurs nothing" if lacks == "focus_m" else None,
-            at=(has,),
-        )
-    lens = camera.lens_mm
-    if lens is not None and camera.focus_m is not None and camera.focus_m * 1000 <= lens[1]:
-        return mistake(
-            f"more than its focal length, {lens[1]:.4g} mm",
-            problem="no lens focuses so near",
-            got=f"{camera.focus_m:g} m",
-            at=("focus_m",),
-        )
-    if camera.f_number is not None and camera.exposure is not None and camera.exposure.f_number != camera.f_number:
-        return mistake(
-            f"the lens' own f_number, {camera.f_number:g}, or none in the exposure",
-            problem="one lens has two f-numbers",
-            got=f"{camera.exposure.f_number:g}",
-            at=("exposure", "f_number"),
-        )
-    return None
+def class_of(kind: str) -> type[Camera]:
+    """The class of a projection's cameras."""
+    found: type[Camera] = PROJECTIONS.load(kind).Parameters
+    return found
+
+
+def camera_section(data: Mapping[str, Any]) -> Camera:
+    """A recipe's camera from its keys, of the class of its projection."""
+    return Camera.class_for(data).model_validate(data)
+
+
+def _of_its_class(data: Any) -> Any:
+    return camera_section(data) if isinstance(data, Mapping) else data  # what is none is left for validation to name
+
+
+AnyCamera = Annotated[SerializeAsAny[Camera], BeforeValidator(_of_its_class)]
+
+
+def _owners_of_keys() -> dict[str, list[str]]:
+    """Key -> the projections whose cameras have it."""
+    owners: dict[str, list[str]] = {}
+    for name in PROJECTIONS:
+        for key in class_of(name).own_keys():
+            owners.setdefault(key, []).append(name)
+    return owners
+
+
+def _article(noun: str) -> str:
+    return f"{'an' if noun[:1] in 'aeiou' else 'a'} {noun}"
 
 
 def _rigged(camera: CameraKeys) -> PydanticCustomError | None:
@@ -147,15 +128,16 @@ def _rigged(camera: CameraKeys) -> PydanticCustomError | None:
         if getattr(camera, key) is not None:
             return mistake(
                 "no such key beside this rig",
-                problem=f"{_AN.get(rig, 'a ' + rig)} says itself where the camera {'looks' if 'look' in key else 'is'}",
+                problem=f"{_article(rig)} says itself where the camera {'looks' if 'look' in key else 'is'}",
                 got=key,
                 hint=f"leave {key} out",
                 at=(key,),
             )
     if isinstance(camera.rig, Orbit) and camera.look_at_m is None:
         return mistake("the circle's middle", problem="an orbit needs look_at_m", got="no look_at_m", at=("rig",))
-    if isinstance(camera.rig, DroneGrid) and camera.kind not in ("perspective", "orthographic"):
-        return mistake("perspective or orthographic", problem="no camera for a grid", got=camera.kind, at=("kind",))
+    if isinstance(camera.rig, DroneGrid) and not camera.covers_ground:
+        expected = " or ".join(name for name in PROJECTIONS if class_of(name).covers_ground)
+        return mistake(expected, problem="no camera for a grid", got=camera.kind, at=("kind",))
     if isinstance(camera.rig, DroneGrid) and camera.rig.area_m is None:
         return mistake("two corners", problem="the grid needs an area_m", got="none", at=("rig",))
     return None
@@ -167,10 +149,10 @@ def _looking(camera: CameraKeys) -> PydanticCustomError | None:
     if camera.look_at_m is not None or (camera.path is not None and camera.path.look_at_m):
         at = ("look_at_m",) if camera.look_at_m is not None else ("path", "look_at_m")
         return mistake("look or look_at_m, not both", problem="two ways to look", got=f"look: {camera.look}", at=at)
-    if camera.kind == "panorama" and camera.look in ("up", "down"):
+    if camera.is_level and camera.look in ("up", "down"):
         return mistake(
             "north, east, south or west: what is in the image's middle",
-            problem="a panorama is level",
+            problem=f"{_article(camera.kind)} is level",
             got=camera.look,
             at=("look",),
         )
@@ -181,7 +163,7 @@ def _looks_at_itself(camera: CameraKeys) -> PydanticCustomError | None:
     if camera.look is not None or not isinstance(camera.rig, Stereo | None):
         return None
     # Heights above ground do not matter: a point above another has the same ground.
-    flat = 2 if camera.kind == "panorama" else 3  # a panorama is level: only the direction on the map counts
+    flat = 2 if camera.is_level else 3  # of a level one only the direction on the map counts
     for index, (position, look_at) in enumerate(zip(camera.positions_m, camera.looks_at_m, strict=True)):
         if math.dist(position[:flat], look_at[:flat]) < 1e-6:
             start = camera.path is None or index == 0

@@ -14,7 +14,7 @@ from pydantic_core import PydanticCustomError
 
 from forestgen.core.errors import RecipeError, RecipeErrors
 from forestgen.recipe.distributions import KINDS, is_distribution
-from forestgen.recipe.fields import LABEL_PATTERN, NAME_PATTERN, PartSection
+from forestgen.recipe.fields import LABEL_PATTERN, NAME_PATTERN
 from forestgen.recipe.sources import Keys, SourceMap
 from forestgen.recipe.suggestions import did_you_mean
 
@@ -349,7 +349,7 @@ def _arms(annotation: Any) -> list[Any]:
 
 def _of_its_part(annotation: Any, value: object) -> Any:
     """The class of the keys of the part that `value` names, where the annotation is of such a section."""
-    sections = [arm for arm in _arms(annotation) if isinstance(arm, type) and issubclass(arm, PartSection)]
+    sections = [arm for arm in _arms(annotation) if isinstance(arm, type) and hasattr(arm, "class_for")]
     if not sections:
         return annotation
     try:

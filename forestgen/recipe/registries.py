@@ -1,11 +1,14 @@
 """Interchangeable parts by the name that a recipe uses: the recipe's schema needs their names, not their code."""
 
+"""Data set formats and cameras' projections, by their names in recipes, whose schema needs no more of most of them."""
+
 from __future__ import annotations
 
 from forestgen.core.registry import Registry
 from forestgen.recipe.fields import mistake
 
 DEFAULT_FORMATS = ("coco",)
+DEFAULT_PROJECTION = "perspective"
 
 # In the order in which their checks run.
 DATASET_FORMATS = Registry(
@@ -119,3 +122,15 @@ def each_once(names: tuple[str, ...]) -> tuple[str, ...]:
         if name in names[:index]:
             raise mistake("each one once", problem="a part named twice", got=name, at=(index,))
     return names
+
+
+PROJECTIONS = Registry(
+    "projection",
+    {
+        "perspective": ("forestgen.scene.projections.perspective:PROJECTION", "a pinhole, or a thin lens that blurs"),
+        "fisheye": ("forestgen.scene.projections.fisheye:PROJECTION", "equidistant, up to all around"),
+        "orthographic": ("forestgen.scene.projections.orthographic:PROJECTION", "parallel rays, as of a map"),
+        "panorama": ("forestgen.scene.projections.panorama:PROJECTION", "equirectangular, all around, level"),
+    },
+    contract="forestgen.scene.projection:Projection",
+)

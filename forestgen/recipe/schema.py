@@ -22,7 +22,7 @@ from pydantic import (
 )
 
 from forestgen.recipe.camera_keys import default_view
-from forestgen.recipe.cameras import Camera, check_cameras, check_motion
+from forestgen.recipe.cameras import AnyCamera, Camera, check_cameras, check_motion
 from forestgen.recipe.classes import MOST_CLASSES, NO_SPECIES, check_classes
 from forestgen.recipe.dataset import Dataset
 from forestgen.recipe.fields import (
@@ -206,7 +206,7 @@ class Recipe(Section):
     sky: SerializeAsAny[SkySection] = Field(
         default_factory=lambda: SkySection.model_validate({}), description="Everything above: sun, sky, clouds."
     )
-    cameras: Annotated[list[Camera], Field(min_length=1, max_length=1000, description="Cameras, at least one.")]
+    cameras: Annotated[list[AnyCamera], Field(min_length=1, max_length=1000, description="Cameras, at least one.")]
     render: Annotated[Render, Field(description="The light's computation.")] = Render()
     labels: Annotated[Labels, Field(description="The labels' computation.")] = Labels()
     wind: Annotated[Wind, Field(description="How plants lean and sway.")] = Wind()
@@ -225,7 +225,9 @@ class Recipe(Section):
             return data
         size = _size_m(data.get("site"))
         filled = [
-            {"name": f"camera{i}", **camera, **default_view(camera, size)} if isinstance(camera, Mapping) else camera
+            {"name": f"camera{i}", **camera, **default_view(camera, size, Camera.class_for(camera))}
+            if isinstance(camera, Mapping)
+            else camera
             for i, camera in enumerate(cameras)
         ]
         return {**data, "cameras": filled}

@@ -1,4 +1,4 @@
-"""Fisheye and panorama, which the renderer lacks, assembled from views that it has.
+"""Images of projections that the renderer lacks, such as fisheyes and panoramas, assembled from views that it has.
 
 The faces of a cube around the camera are cut into square tiles. Each tile is rendered by a pinhole whose pixels, here
 called cells, are so small that an image pixel holds as many of them as it shall have samples, with one random ray
@@ -36,8 +36,8 @@ from forestgen.core.randomness import child_seed
 from forestgen.render.sensors import FilmWindow, square_view
 from forestgen.render.tracing import interruptible
 from forestgen.render.variant import BLOCK_PX, mitsuba
-from forestgen.scene.projection import fisheye_focal_px, project, rays
-from forestgen.scene.spec import Camera, Projection
+from forestgen.scene.projection import project, projection_of, rays
+from forestgen.scene.spec import Camera
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -113,7 +113,7 @@ def _sort_into(
     there = project(camera, toward)
     column = np.floor(there.x_px).astype(np.int64) - part.x
     row = np.floor(there.y_px).astype(np.int64) - part.y
-    if camera.projection == "panorama":  # its ends are one place; and rounding may reach past a pole
+    if projection_of(camera).wraps_x:  # its ends are one place; and rounding may reach past a pole
         column, row = column % camera.size_px[0], np.minimum(row, camera.size_px[1] - 1 - part.y)
     kept = there.in_front & (column >= 0) & (column < part.width) & (row >= 0) & (row < part.height)
     if not kept.any():
@@ -135,12 +135,12 @@ def _summed(place: Ints, value: Floats, shape: tuple[int, int]) -> Floats:
 
 def _developed(total: Floats, camera: Camera, part: FilmWindow) -> Floats:
     """Sums over weights; see the module's decisions for empty pixels and the rim."""
-    inside = _share_inside(camera, part)
+    inside, wraps_x = _share_inside(camera, part), projection_of(camera).wraps_x
     empty = (total[..., 4] == 0) & (inside > 0)
     for reach in range(1, 6):
         if not empty.any():
             break
-        pooled = _pooled(total, reach, wraps=part.width == camera.size_px[0] and camera.projection == "panorama")
+        pooled = _pooled(total, reach, wraps=part.width == camera.size_px[0] and wraps_x)
         total = np.where(empty[..., None], pooled, total)
         empty = (total[..., 4] == 0) & (inside > 0)
     weight = total[..., 4:]
@@ -157,30 +157,36 @@ def _pooled(total: Floats, reach: int, *, wraps: bool) -> Floats:
 
 
 def _share_inside(camera: Camera, part: FilmWindow) -> Floats:
-    """(H, W) share of each pixel that lies in the fisheye's circle; 1 in a panorama."""
-    if camera.projection == "panorama":
-        return np.ones((part.height, part.width))
-    x = np.arange(part.x, part.x + part.width) + 0.5 - camera.size_px[0] / 2
-    y = np.arange(part.y, part.y + part.height) + 0.5 - camera.size_px[1] / 2
-    radius, rim = np.hypot(x, y[:, None]), camera.size_px[0] / 2
-    share = (radius <= rim).astype(np.float64)
-    row, column = np.nonzero(np.abs(radius - rim) < 0.75)
-    offset = (np.arange(_RIM_PARTS) + 0.5) / _RIM_PARTS - 0.5
-    fine = np.hypot(x[column, None, None] + offset, y[row, None, None] + offset[:, None])
-    share[row, column] = (fine <= rim).mean(axis=(1, 2))
+    """(H, W) share of each pixel in which the image shows anything: inside of a fisheye's circle."""
+    x, y = np.arange(part.x, part.x + part.width + 1.0), np.arange(part.y, part.y + part.height + 1.0)
+    corner = rays(camera, x, y[:, None]).valid
+    centre = rays(camera, x[:-1] + 0.5, y[:-1, None] + 0.5).valid
+    share = centre.astype(np.float64)
+    corners = np.stack([corner[:-1, :-1], corner[:-1, 1:], corner[1:, :-1], corner[1:, 1:]])
+    row, column = np.nonzero((corners != centre).any(axis=0))
+    offset = (np.arange(_RIM_PARTS) + 0.5) / _RIM_PARTS
+    fine = rays(camera, x[column, None, None] + offset, y[row, None, None] + offset[:, None])
+    share[row, column] = fine.valid.mean(axis=(1, 2))
     return np.asarray(share)
 
 
 def tiles_of(camera: Camera, samples: int, part: FilmWindow) -> list[Tile]:
     """The tiles that together see a part of an image, with `samples` cells for each of its pixels."""
-    return list(_tiles(camera.projection, camera.size_px, camera.hfov_deg, samples, part))
+    numbers = tuple(sorted(camera.numbers.items()))
+    return list(_tiles(camera.projection, camera.size_px, camera.hfov_deg, numbers, samples, part))
 
 
 @lru_cache(maxsize=16)  # slices of an image have the same tiles
 def _tiles(
-    projection: Projection, size_px: tuple[int, int], hfov_deg: float, samples: int, part: FilmWindow
+    projection: str,
+    size_px: tuple[int, int],
+    hfov_deg: float,
+    numbers: tuple[tuple[str, float], ...],
+    samples: int,
+    part: FilmWindow,
 ) -> tuple[Tile, ...]:
-    camera = Camera("", (0.0, 0.0, 0.0), np.eye(3), size_px, hfov_deg, projection=projection)
+    place, axes = (0.0, 0.0, 0.0), np.eye(3)
+    camera = Camera("", place, axes, size_px, hfov_deg, projection=projection, numbers=dict(numbers))
     directions, gap = _seen(camera, part)
     count = 1 << _FIRST_LEVEL
     return tuple(
@@ -220,29 +226,17 @@ def _pixels_per_area(camera: Camera, face: int, across: Floats, down: Floats) ->
     """Image pixels per area of a face, whose sides are 2 long, at its points."""
     squared = across * across + down * down + 1.0
     toward = np.stack(np.broadcast_arrays(across, down, 1.0), axis=-1) @ _FACES[face].T / np.sqrt(squared)[..., None]
-    width, height = camera.size_px
-    if camera.projection == "fisheye":
-        theta = np.arccos(np.clip(toward[..., 2], -1.0, 1.0))
-        pixels_per_sr = fisheye_focal_px(camera) ** 2 / np.maximum(np.sinc(theta / np.pi), 1e-9)
-    else:
-        across_axis = np.hypot(toward[..., 0], toward[..., 2])  # cosine of latitude
-        pixels_per_sr = width * height / (2 * np.pi**2) / np.maximum(across_axis, 1e-9)
-    return np.asarray(pixels_per_sr * squared**-1.5)
+    return np.asarray(projection_of(camera).pixels_per_sr(camera, toward) * squared**-1.5)
 
 
 def _seen(camera: Camera, part: FilmWindow) -> tuple[Floats, float]:
-    """(N, 3) unit directions that an image's part sees, camera's axes, and an angle within which there is always one.
-
-    Both projections are equidistant along radii or meridians, and their pixels nowhere larger across.
-    """
+    """(N, 3) unit directions that an image's part sees, own axes, and an angle within which there is always one."""
     x = np.linspace(part.x, part.x + part.width, _VIEWS_PROBED)
     y = np.linspace(part.y, part.y + part.height, _VIEWS_PROBED)
     ways = rays(camera, x, y[:, None])
     steps_px = (part.width / (_VIEWS_PROBED - 1), part.height / (_VIEWS_PROBED - 1))
-    if camera.projection == "fisheye":
-        gap = float(np.hypot(*steps_px)) / fisheye_focal_px(camera)
-    else:
-        gap = float(np.hypot(steps_px[0] * 2 * np.pi / camera.size_px[0], steps_px[1] * np.pi / camera.size_px[1]))
+    (width, height), projection = camera.size_px, projection_of(camera)
+    gap = projection.step_rad(camera, x - width / 2, y - height / 2, steps_px)
     return ways.direction[ways.valid], gap
 
 
@@ -304,4 +298,4 @@ def check_ray_places() -> None:
     view = square_view(np.eye(3), cells, FilmWindow(0, 0, cells, cells))
     met = (interruptible(hits, scene, view, seed, 1)[..., :2].astype(np.float64) + 1.0) * cells / 2
     if np.abs(met - ray_places(cells, seed)).max() > 1e-3:
-        raise RenderError("this version of Mitsuba draws its rays otherwise than fisheye and panorama count on")
+        raise RenderError("this version of Mitsuba draws its rays otherwise than assembled images count on")

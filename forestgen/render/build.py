@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from forestgen.geometry.mesh import Mesh
 from forestgen.render.surfaces import Paints
 from forestgen.render.variant import mitsuba
+from forestgen.scene.projection import projection_of
 from forestgen.scene.spec import Camera, SceneSpec
 
 
@@ -25,10 +26,10 @@ def origin_of(camera: Camera) -> NDArray[np.float64]:
 def ray_corners_m(camera: Camera) -> NDArray[np.float64]:
     """(N, 3) metres, world: where `camera`'s rays start lies between these places.
 
-    Four corners of a plane if it is an orthographic one, otherwise the one place of the camera.
+    Four corners of a plane if its rays are parallel, otherwise the one place of the camera.
     """
     place = origin_of(camera)
-    if camera.projection != "orthographic":
+    if not projection_of(camera).is_parallel:
         return place[None]
     half = camera.width_m / 2 * np.array([1.0, camera.size_px[1] / camera.size_px[0]])
     corners = np.array([[x, y] for x in (-1, 1) for y in (-1, 1)]) * half

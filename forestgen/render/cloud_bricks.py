@@ -31,6 +31,7 @@ from forestgen.core.errors import RenderError
 from forestgen.render.build import ray_corners_m
 from forestgen.render.sky import phase_function
 from forestgen.render.variant import mitsuba
+from forestgen.scene.projection import projection_of
 from forestgen.scene.spec import Camera
 
 SIDE_CELLS = 8  # of a brick
@@ -172,16 +173,16 @@ def camera_shell(clouds: CloudGrid, bricks: Bricks, media: list[Any], camera: Ca
 
     Raises
     ------
-    RenderError : the camera is an orthographic one, whose rays start all over a plane.
+    RenderError : the camera has parallel rays, which start all over a plane.
     """
     place = np.asarray(camera.position_m, dtype=np.float64)
     index = _brick_at(clouds, bricks, place)
-    if camera.projection == "orthographic":
+    if projection_of(camera).is_parallel:
         corners = ray_corners_m(camera)
         low, high = corners.min(axis=0), corners.max(axis=0)
         if np.all(high >= np.asarray(clouds.low_m)) and np.all(low <= np.asarray(clouds.high_m)):
             raise RenderError(
-                f"the orthographic camera {camera.name!r} stands in the clouds",
+                f"the {camera.projection} camera {camera.name!r} stands in the clouds",
                 hint="move it above or below them, or use a perspective camera",
             )
     if index is None or bricks.number[index] < 0:

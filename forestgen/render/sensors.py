@@ -1,7 +1,7 @@
 """Cameras of the renderer, and images taken with them.
 
-Perspective, thin lens and orthographic cameras are the renderer's own. It has no fisheye and no panorama:
-render/assembled.py puts them together from views that it has.
+Some projections are the renderer's own, as `Projection.sensor` says. Images of the others are put together from views
+that it has by render/assembled.py.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from forestgen.render.settings import SAMPLER
 from forestgen.render.variant import mitsuba
+from forestgen.scene.projection import projection_of
 from forestgen.scene.spec import Camera
 
 _NEAR_M, _FAR_M = 1e-3, 1e7  # the identity pass starts at the camera itself; the sun's disc stands at 1e6 m
@@ -31,24 +32,19 @@ class FilmWindow:
 
 def is_assembled(camera: Camera) -> bool:
     """Whether images of this camera are put together from others; they need `LEAST_SAMPLES` in each capture."""
-    return camera.projection in ("fisheye", "panorama")
+    return projection_of(camera).sensor(camera) is None
 
 
 def sensor_of(camera: Camera, samples: int, window: FilmWindow | None = None) -> Any:
     """A Mitsuba sensor at the origin, of a camera that is not assembled."""
     mi = mitsuba()
+    sensor = projection_of(camera).sensor(camera)
+    assert sensor is not None
     matrix = _axes(camera.world_from_camera)
-    if camera.projection == "orthographic":
-        matrix[:3, :2] *= camera.width_m / 2
-        kind: dict[str, Any] = {"type": "orthographic"}
-    elif camera.lens is not None:
-        lens = {"aperture_radius": camera.lens.aperture_radius_m, "focus_distance": camera.lens.focus_m}
-        kind = {"type": "thinlens", "fov": camera.hfov_deg, "fov_axis": "x", **lens}
-    else:
-        kind = {"type": "perspective", "fov": camera.hfov_deg, "fov_axis": "x"}
+    matrix[:3, :2] *= sensor.scale
     return mi.load_dict(
         {
-            **kind,
+            **sensor.plugin,
             "near_clip": _NEAR_M,
             "far_clip": _FAR_M,
             "to_world": mi.ScalarTransform4f(matrix),

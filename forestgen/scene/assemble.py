@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from forestgen.community.population import Population
 from forestgen.core.randomness import child_rng
 from forestgen.plants.exemplar import Exemplar
-from forestgen.scene.projection import fisheye_focal_px
+from forestgen.scene.projection import projection_of
 from forestgen.scene.spec import Camera, Instances
 from forestgen.scene.terrain import HeightField
 
@@ -88,22 +88,5 @@ def pixel_size_m(
         away = np.hypot(position_m[:, 0] - x, position_m[:, 1] - y) - 0.5 * width_m
         above = np.maximum(z - (position_m[:, 2] + height_m), position_m[:, 2] - z)
         distance = np.hypot(np.maximum(away, 0.0), np.maximum(above, 0.0))
-        finest = np.minimum(finest, _pixel_at(camera, distance))
+        finest = np.minimum(finest, projection_of(camera).finest_pixel_m(camera, distance))
     return finest
-
-
-def _pixel_at(camera: Camera, distance_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(N,) the least that a pixel covers at distances from the camera, across, metres."""
-    width, height = camera.size_px
-    if camera.projection == "orthographic":
-        return np.full(distance_m.shape, camera.width_m / width)
-    if camera.projection == "panorama":
-        # Rows near the poles are stretched: their pixels cover less, and tell no more.
-        return distance_m * min(2 * np.pi / width, np.pi / height)
-    if camera.projection == "fisheye":
-        # Around the axis a pixel covers sin(theta) / theta of what it covers away from it; 0 straight behind.
-        edge = min(np.radians(camera.hfov_deg) / 2, 0.75 * np.pi)
-        return np.asarray(distance_m * np.sin(edge) / edge / fisheye_focal_px(camera))
-    # Pixels of a flat image cover least at its corners, where the depth is least for the same distance.
-    corner = np.hypot(width, height) / 2.0 / camera.focal_px
-    return np.asarray(distance_m / np.hypot(1.0, corner) / camera.focal_px)

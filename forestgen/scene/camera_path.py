@@ -53,7 +53,7 @@ def expand(
     stereo = section.rig if isinstance(section.rig, Stereo) else None
     sides = (0.0,) if stereo is None else (-stereo.baseline_m / 2, stereo.baseline_m / 2)
     names = section.frame_names
-    lens = section.lens_mm
+    lens, focus_m = section.lens_mm, section.lens_focus_m
     cameras = []
     for index, (position, target, time_s) in enumerate(
         zip(poses.position_m, poses.target_m, poses.time_s, strict=True)
@@ -71,18 +71,18 @@ def expand(
                     sequence=_sequence(section, side),
                     time_s=float(time_s),
                     projection=section.kind,
-                    width_m=section.width_m or 0.0,
-                    lens=None if lens is None or section.focus_m is None else Lens(lens[0] / 1000, section.focus_m),
+                    width_m=section.view_width_m,
+                    lens=None if lens is None or focus_m is None else Lens(lens[0] / 1000, focus_m),
                     bands=() if section.bands is None else bands.get(section.bands, ()),
                     exposure=exposure_of(section.exposure),
+                    numbers=section.own_numbers,
                 )
             )
     return cameras
 
 
 def _axes(section: CameraSection, position_m: Floats, target_m: Floats) -> Floats:
-    """A panorama is level, whatever it looks at."""
-    target = np.array([target_m[0], target_m[1], position_m[2]]) if section.kind == "panorama" else target_m
+    target = np.array([target_m[0], target_m[1], position_m[2]]) if section.is_level else target_m
     return look_at(position_m.tolist(), target.tolist())
 
 

@@ -1,34 +1,32 @@
-"""Rays and pixels of cameras, each kind; camera's axes: x right, y down, z forward.
+"""What a projection of cameras is, and rays and pixels of cameras by theirs; camera's axes: x right, y down, z forward.
 
-- perspective: x / z = (u - W/2) / f, with f = W/2 / tan(hfov / 2)
-- orthographic: x = (u - W/2) width_m / W; rays are parallel to z and begin in the plane of the camera, so what has
-  z > 0 is seen and nothing else
-- fisheye: equidistant, theta = r / f from the axis at r pixels from the middle, with f = W / hfov in pixels a radian;
-  no ray beyond the circle of radius W/2, which is that of hfov / 2
-- panorama: equirectangular over the whole sphere; u is longitude to the right, v latitude downwards
-
-Depth is the distance along z for perspective and orthographic cameras, and along the ray for the others. The two
-directions that a map tears apart have one place each: straight behind a fisheye of 360 degrees is to the right, and a
-panorama's poles are above and below its middle.
-
-A thin lens bends no ray through its middle: those are the perspective camera's. Identity samples go through fixed
-points of the lens, `lens_points`, and meet in the plane of focus at z = focus_m.
+`scene/projections` has one file for each projection that comes along. Depth is the distance along z or along the ray:
+a projection says which. A thin lens bends no ray through its middle: those are the projection's. Identity samples go
+through fixed points of the lens, `lens_points`, and meet in the plane of focus at z = focus_m.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.core.errors import RecipeError
+from forestgen.recipe.cameras import Camera as CameraSection
+from forestgen.recipe.registries import PROJECTIONS
 from forestgen.scene.spec import Camera
 
 Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
 
 # Steps of the R2 sequence (Roberts 2018) in units of 2^-32: powers of the inverse of the real root of x^3 = x + 1.
 LENS_STEPS = (3242174889, 2447445414)
 HASH_ROUNDS = 8  # after 4, numbers of neighbouring pixels are not yet uniform
+_PIECES = 32  # of an edge, where nothing is known of how it bends
+_STEP_RAD = 1e-4  # of numerical derivatives
 
 
 @dataclass(frozen=True)
@@ -37,16 +35,16 @@ class Rays:
 
     origin_m: Floats  # (*S, 3)
     direction: Floats  # (*S, 3) unit
-    valid: NDArray[np.bool_]  # (*S,) False outside of a fisheye's circle
+    valid: Bools  # (*S,) False where the image shows nothing: outside of a fisheye's circle
 
 
 @dataclass(frozen=True)
 class WorldRays:
     """Rays through the centres of all pixels, world."""
 
-    origin_m: Floats  # (3,), or (H, W, 3) of an orthographic camera
+    origin_m: Floats  # (3,), or (H, W, 3) of parallel rays
     direction: Floats  # (H, W, 3) unit
-    valid: NDArray[np.bool_]  # (H, W) False outside of a fisheye's circle
+    valid: Bools  # (H, W) False where the image shows nothing
 
 
 @dataclass(frozen=True)
@@ -56,33 +54,273 @@ class Pixels:
     x_px: Floats  # (*S,)
     y_px: Floats  # (*S,)
     depth_m: Floats  # (*S,)
-    in_front: NDArray[np.bool_]  # (*S,) False where the camera cannot see: behind it, or outside of a fisheye's circle
+    in_front: Bools  # (*S,) False where the camera cannot see: behind it, or outside of a fisheye's circle
+
+
+@dataclass(frozen=True)
+class DeviceRays:
+    """R rays of a camera, as device arrays; single precision."""
+
+    direction: Any  # Vector3f, unit; of the camera's axes, or world
+    depth_share: Any  # Float, depth by distance: the direction's share along z, or 1 where depth runs along the ray
+    shift_m: Any | None = None  # Vector3f: from the camera's place to where the ray begins; None: all begin there
+    valid: Any | None = None  # Bool, False where the image shows nothing; None: all are
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """A camera of the renderer's own."""
+
+    plugin: Mapping[str, Any]  # its type and optics
+    scale: float = 1.0  # of its x and y axes
+
+
+@dataclass(frozen=True)
+class Exchange:
+    """A projection as nerfstudio and COLMAP name it."""
+
+    camera_model: str
+    distortion: tuple[str, ...]  # keys of its distortion, which are 0
+    has_k: bool = True  # focal lengths are those of K; otherwise image coordinates run from -1 to 1 and -1/2 to 1/2
+
+
+class Projection:
+    """A projection: its keys, its rays, where points appear, how files describe it.
+
+    It has no state. `rays` and `project` must be given, which undo each other; all else follows from them, numerically,
+    unless it is overridden. Image points are counted in pixels from the image's middle, right and down.
+    """
+
+    name: str  # that recipes use: the registry's
+    Parameters: type[CameraSection]  # its cameras in recipes: keys, defaults and checks
+    model: str  # in camera.json
+    is_pinhole: bool = False  # (x, y) = focal_px (X, Y) / Z, as K has it
+    is_parallel: bool = False  # rays are parallel to z and begin in the plane of the camera; the sky has no place
+    is_equidistant: bool = False  # pixels from the middle are proportional to the angle from the axis
+    depth_is_distance: bool = True  # depth runs along the ray; otherwise along z
+    wraps_x: bool = False  # the last column neighbours the first
+    exchange: Exchange | None = None  # for formats that name cameras as others do
+
+    def rays(self, camera: Camera, x: Floats, y: Floats) -> Rays:
+        """Rays through image points; a lens' are those through its middle."""
+        raise NotImplementedError
+
+    def project(self, camera: Camera, x: Floats, y: Floats, z: Floats) -> Pixels:
+        """Image points of points in the camera's axes, metres; of one at the camera's own place `in_front` is False."""
+        raise NotImplementedError
+
+    def device_rays(self, camera: Camera, x: Any, y: Any, lens: Any | None, mi: Any, dr: Any) -> DeviceRays | None:
+        """`rays` as code of the tracer, in the camera's axes; None: the tracer takes those of `rays`.
+
+        Parameters
+        ----------
+        x, y : device arrays.
+        lens : Point2f of the unit disc, through which a thin lens' rays go; None: through its middle.
+        mi, dr : the renderer's modules, which only `forestgen.render` imports.
+        """
+        return None
+
+    def sensor(self, camera: Camera) -> Sensor | None:
+        """The renderer's own camera of this kind; None: its images are assembled from views by `rays`, `project`."""
+        return None
+
+    def pixels_per_sr(self, camera: Camera, toward: Floats) -> Floats:
+        """(*S,) image pixels for each steradian around (*S, 3) unit directions."""
+        (a, b), (c, d) = self._pixels_a_radian(camera, toward)
+        return np.asarray(np.maximum(np.abs(a * d - b * c), 1e-9))
+
+    def _pixels_a_radian(self, camera: Camera, toward: Floats) -> list[tuple[Floats, Floats]]:
+        """By how many pixels the image point of each direction moves, along x and y, for a turn in each of two ways."""
+        side = np.cross(toward, np.where(np.abs(toward[..., :1]) < 0.6, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]))
+        side /= np.linalg.norm(side, axis=-1, keepdims=True)
+        steps = []
+        for step in (side, np.cross(toward, side)):
+            ends = [self.project(camera, *np.moveaxis(toward + sign * _STEP_RAD * step, -1, 0)) for sign in (-1, 1)]
+            across = ends[1].x_px - ends[0].x_px
+            if self.wraps_x:
+                across = across - camera.size_px[0] * np.round(across / camera.size_px[0])
+            steps.append((across / (2 * _STEP_RAD), (ends[1].y_px - ends[0].y_px) / (2 * _STEP_RAD)))
+        return steps
+
+    def step_rad(self, camera: Camera, x: Floats, y: Floats, step_px: tuple[float, float]) -> float:
+        """At least the angle between diagonal neighbours of an image's grid: columns x (M,), rows y (N,), in steps."""
+        toward = self.rays(camera, *np.meshgrid(x, y)).direction
+        corners = (toward[:-1, :-1], toward[1:, 1:]), (toward[:-1, 1:], toward[1:, :-1])
+        return max(float(2 * np.arcsin(np.linalg.norm(a - b, axis=-1).max() / 2)) for a, b in corners)
+
+    def hull_boxes(self, camera: Camera, seen: Floats, edges: NDArray[np.int64]) -> tuple[Floats, Bools]:
+        """Boxes (N, 4) of hulls, left, top, right, bottom in pixels; and which of them may be seen anywhere (N,).
+
+        Here all may be, which costs time: how edges bend is not known.
+
+        Parameters
+        ----------
+        seen : (N, V, 3) vertices of each instance's hull in the camera's axes, metres.
+        edges : (E, 2) of vertices.
+        """
+        share = (np.arange(_PIECES + 1) / _PIECES)[:, None]
+        a, b = seen[:, edges[:, 0], None], seen[:, edges[:, 1], None]
+        at = self.project(camera, *np.moveaxis(a + share * (b - a), -1, 0))
+        width, height = camera.size_px
+        x, y = at.x_px.reshape(len(seen), -1) + width / 2, at.y_px.reshape(len(seen), -1) + height / 2
+        hidden = ~at.in_front.reshape(len(seen), -1)
+        low = [np.where(hidden, np.inf, one).min(axis=1, initial=np.inf) for one in (x, y)]
+        high = [np.where(hidden, -np.inf, one).max(axis=1, initial=-np.inf) for one in (x, y)]
+        box = np.stack([*low, *high], axis=1)
+        return np.where(np.isfinite(box), box, np.nan), np.ones(len(seen), dtype=np.bool_)
+
+    def finest_pixel_m(self, camera: Camera, distance_m: Floats) -> Floats:
+        """(N,) the least that a pixel covers at distances from the camera, across, metres."""
+        # In the way in which the image is stretched least: at a panorama's poles, more columns show no more.
+        x, y = (((np.arange(_PIECES) + 0.5) / _PIECES - 0.5) * size for size in camera.size_px)
+        found = self.rays(camera, *np.meshgrid(x, y))
+        (a, b), (c, d) = self._pixels_a_radian(camera, found.direction[found.valid])
+        total, area = a * a + b * b + c * c + d * d, np.abs(a * d - b * c)
+        most = np.sqrt((total + np.sqrt(np.maximum(total**2 - 4 * area**2, 0.0))) / 2)
+        return np.asarray(distance_m / (area / most).max())
+
+    def intrinsics(self, camera: Camera) -> Floats | None:
+        """(3, 3) K, with pixel centres at +0.5, as OpenCV has it for its models; None: it has none."""
+        return None
+
+    def world_to_ndc(self, camera: Camera, near_m: float) -> Floats | None:
+        """(4, 4) from the camera's axes to OpenEXR's ``NDC``, for column vectors; None: no matrix does that."""
+        return None
+
+    def screen_window_width(self, camera: Camera) -> float:
+        """OpenEXR's ``screenWindowWidth``: of the view at distance 1, or of parallel rays; 1 where there is none."""
+        return 1.0
+
+    def file_keys(self, camera: Camera) -> dict[str, Any]:
+        """What camera.json has of it, beside the keys of all cameras."""
+        return {"hfov_deg": float(camera.hfov_deg), "numbers": dict(camera.numbers)}
+
+    def read(self, values: Mapping[str, Any], size_px: tuple[int, int]) -> FileGeometry:
+        """The geometry that camera.json describes; what is missing or no number raises KeyError, ValueError, TypeError.
+
+        A projection that comes along computes it otherwise than `rays` and `project`, so that each checks the other.
+        """
+        found = OwnGeometry(self, values, size_px, (1.0, 1.0), (size_px[0] / 2, size_px[1] / 2))
+        found.rays((1, 1))  # raises now what it would raise later
+        return found
+
+
+@dataclass(frozen=True)
+class FileGeometry:
+    """Rays and pixels by the numbers of a camera.json, in the camera's axes."""
+
+    projection: Projection
+    values: Mapping[str, Any]
+    size_px: tuple[int, int]
+    focal_px: tuple[float, float]  # along x and y: pixels a slope, a radian, or a metre of parallel rays
+    centre_px: tuple[float, float]
+
+    def project(self, points_m: Floats) -> tuple[Floats, Floats]:
+        """(..., 2) pixels and (...) depths of (..., 3) points; what is not in front has no positive depth."""
+        raise NotImplementedError
+
+    def rays(self, size_px: tuple[int, int]) -> Floats:
+        """(H, W, 3) through the pixels' centres, of depth 1."""
+        raise NotImplementedError
+
+    def starts(self, size_px: tuple[int, int]) -> Floats:
+        """(H, W, 3) from the camera's place to where the pixels' rays begin."""
+        return np.zeros((size_px[1], size_px[0], 3))
+
+    def sees(self, size_px: tuple[int, int]) -> Bools:
+        """(H, W) whether a pixel's centre has a ray."""
+        beyond_px = self.beyond_rim_px(pixel_centres(size_px))
+        return np.ones(size_px[::-1], dtype=np.bool_) if beyond_px is None else np.asarray(beyond_px <= 0)
+
+    def beyond_rim_px(self, at_px: Floats) -> Floats | None:
+        """(...) how far (..., 2) image points lie outside of what the image shows; None: it shows all of itself."""
+        return None
+
+    def focal_of_angle(self) -> float | None:
+        """What `focal_px` should be by hfov_deg; None: the two have nothing to do with each other."""
+        return None
+
+    def flat(self, size_px: tuple[int, int]) -> Floats:
+        """(H, W, 2) of the pixels' centres: slopes, metres or radians."""
+        return np.asarray((pixel_centres(size_px) - self.centre_px) / self.focal_px)
+
+
+class OwnGeometry(FileGeometry):
+    """That of the projection's own `rays` and `project`."""
+
+    @property
+    def _camera(self) -> Camera:
+        numbers = {key: float(value) for key, value in self.values.get("numbers", {}).items()}
+        angle = float(self.values.get("hfov_deg", 0.0))
+        name = self.projection.name
+        return Camera("", (0.0, 0.0, 0.0), np.eye(3), self.size_px, angle, projection=name, numbers=numbers)
+
+    def project(self, points_m: Floats) -> tuple[Floats, Floats]:
+        at = project(self._camera, points_m)
+        return np.stack([at.x_px, at.y_px], axis=-1), np.where(at.in_front, at.depth_m, -at.depth_m)
+
+    def rays(self, size_px: tuple[int, int]) -> Floats:
+        return rays(self._camera, *np.moveaxis(pixel_centres(size_px), -1, 0)).direction
+
+    def sees(self, size_px: tuple[int, int]) -> Bools:
+        return rays(self._camera, *np.moveaxis(pixel_centres(size_px), -1, 0)).valid
+
+
+def pixel_centres(size_px: tuple[int, int]) -> Floats:
+    """(H, W, 2) image points."""
+    width, height = size_px
+    return np.stack(np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5), axis=-1)
+
+
+def matrix_k(camera: Camera, focal_px: float) -> Floats:
+    """(3, 3) with square pixels and the image's middle, pixel centres at +0.5."""
+    width, height = camera.size_px
+    return np.array([[focal_px, 0.0, width / 2.0], [0.0, focal_px, height / 2.0], [0.0, 0.0, 1.0]])
+
+
+def read_k(values: Mapping[str, Any]) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Focal lengths and the image's centre of a camera.json's K; ValueError: it is none without skew."""
+    k = np.asarray(values["K"], dtype=np.float64)
+    if k.shape != (3, 3) or not np.isfinite(k).all():
+        raise ValueError("expected (3, 3) finite numbers")
+    if not (k[0, 0] > 0 and k[1, 1] > 0) or (k[[0, 1, 2, 2], [1, 0, 0, 1]] != 0).any() or k[2, 2] != 1:
+        raise ValueError("K is not of a camera without skew")
+    return (float(k[0, 0]), float(k[1, 1])), (float(k[0, 2]), float(k[1, 2]))
+
+
+def load_projection(name: str, *, where: str | None = None) -> Projection:
+    """The projection of a name.
+
+    Raises
+    ------
+    RecipeError : there is none, or what is registered under the name is no projection of this name.
+    """
+    found = PROJECTIONS.load(name, where=where)
+    if not isinstance(found, Projection) or getattr(found, "name", None) != name:
+        raise RecipeError(
+            "what is registered under this name is no projection of this name",
+            where=where,
+            expected=f"a Projection whose name is {name!r}",
+            got=f"{found!r:.100}",
+        )
+    return found
+
+
+def projection_of_model(model: str) -> Projection | None:
+    """The projection whose name in camera.json is `model`; None: there is none."""
+    return next((one for one in map(load_projection, PROJECTIONS) if one.model == model), None)
+
+
+def projection_of(camera: Camera) -> Projection:
+    """The projection of a camera."""
+    return load_projection(camera.projection)
 
 
 def rays(camera: Camera, x_px: Floats, y_px: Floats) -> Rays:
     """Rays through image points; a lens' are those through its middle."""
     width, height = camera.size_px
     x, y = np.broadcast_arrays(np.asarray(x_px, np.float64) - width / 2, np.asarray(y_px, np.float64) - height / 2)
-    origin, valid = np.zeros((*x.shape, 3)), np.ones(x.shape, dtype=bool)
-    if camera.projection == "perspective":
-        direction = np.stack([x / camera.focal_px, y / camera.focal_px, np.ones_like(x)], axis=-1)
-        direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
-    elif camera.projection == "orthographic":
-        origin[..., 0], origin[..., 1] = x * camera.width_m / width, y * camera.width_m / width
-        direction = np.zeros_like(origin)
-        direction[..., 2] = 1.0
-    elif camera.projection == "fisheye":
-        valid = in_circle(camera, x, y)
-        radius = np.hypot(x, y)
-        theta = radius / fisheye_focal_px(camera)
-        sine = np.divide(np.sin(theta), radius, out=np.zeros_like(radius), where=radius > 0)
-        direction = np.stack([x * sine, y * sine, np.cos(theta)], axis=-1)
-    else:
-        longitude, latitude = x / width * 2 * np.pi, y / height * np.pi
-        direction = np.stack(
-            [np.sin(longitude) * np.cos(latitude), np.sin(latitude), np.cos(longitude) * np.cos(latitude)], axis=-1
-        )
-    return Rays(origin, direction, valid)
+    return projection_of(camera).rays(camera, x, y)
 
 
 def centre_rays(camera: Camera) -> Rays:
@@ -97,7 +335,7 @@ def world_rays(camera: Camera, rows: slice | None = None) -> WorldRays:
     own = rays(camera, *np.meshgrid(np.arange(width) + 0.5, np.arange(height)[rows or slice(None)] + 0.5))
     axes = np.asarray(camera.world_from_camera, dtype=np.float64)
     origin = np.asarray(camera.position_m, dtype=np.float64)
-    if camera.projection == "orthographic":
+    if projection_of(camera).is_parallel:
         origin = own.origin_m @ axes.T + origin
     return WorldRays(origin, own.direction @ axes.T, own.valid)
 
@@ -105,58 +343,23 @@ def world_rays(camera: Camera, rows: slice | None = None) -> WorldRays:
 def project(camera: Camera, points_m: Floats) -> Pixels:
     """Image points of (*S, 3) points in the camera's axes; of a point at the camera's own place, `in_front` is False.
 
-    Where `in_front` is False the image point of a perspective or orthographic camera means nothing; a fisheye's is
-    where its map goes on beyond the circle.
+    Where `in_front` is False the image point of a pinhole or of parallel rays means nothing; a fisheye's is where its
+    map goes on beyond the circle.
     """
     width, height = camera.size_px
     x, y, z = np.moveaxis(np.asarray(points_m, dtype=np.float64), -1, 0)
-    if camera.projection == "perspective":
-        seen = z > 0
-        safe = np.where(seen, z, 1.0)
-        u, v, depth = x / safe * camera.focal_px, y / safe * camera.focal_px, z
-    elif camera.projection == "orthographic":
-        scale = width / camera.width_m
-        u, v, depth, seen = x * scale, y * scale, z, z > 0
-    elif camera.projection == "fisheye":
-        across = np.hypot(x, y)
-        radius = np.arctan2(across, z) * fisheye_focal_px(camera)
-        sideways = across > 0
-        u = radius * np.divide(x, across, out=np.ones_like(across), where=sideways)
-        v = radius * np.divide(y, across, out=np.zeros_like(across), where=sideways)
-        depth = np.hypot(across, z)
-        # Rounding may carry a point of the circle itself across.
-        seen = (radius <= width / 2 * (1 + 1e-12)) & (depth > 0)
-    else:
-        level = np.hypot(x, z)
-        depth = np.hypot(level, y)
-        u = np.arctan2(x, z) / (2 * np.pi) * width
-        v = np.arctan2(y, level) / np.pi * height  # not by the sine's inverse, which is blind near the poles
-        seen = depth > 0
-    return Pixels(u + width / 2, v + height / 2, depth, seen)
+    at = projection_of(camera).project(camera, x, y, z)
+    return Pixels(at.x_px + width / 2, at.y_px + height / 2, at.depth_m, at.in_front)
 
 
 def depth_is_distance(camera: Camera) -> bool:
     """Whether depth runs along the ray; otherwise it runs along z."""
-    return camera.projection in ("fisheye", "panorama")
+    return projection_of(camera).depth_is_distance
 
 
-def fisheye_focal_px(camera: Camera) -> float:
-    """Pixels a radian."""
-    return camera.size_px[0] / float(np.radians(camera.hfov_deg))
-
-
-def in_circle(camera: Camera, x: Floats, y: Floats) -> NDArray[np.bool_]:
-    """Whether points, pixels from the middle of a fisheye's image, lie in its circle. Exact for pixel centres."""
-    return np.asarray(x * x + y * y <= (camera.size_px[0] / 2) ** 2)
-
-
-def image_circle(camera: Camera) -> NDArray[np.bool_]:
+def image_circle(camera: Camera) -> Bools:
     """(H, W) pixels whose centre sees something: all but those outside of a fisheye's circle."""
-    width, height = camera.size_px
-    if camera.projection != "fisheye":
-        return np.ones((height, width), dtype=np.bool_)
-    x, y = np.meshgrid(np.arange(width) + 0.5 - width / 2, np.arange(height) + 0.5 - height / 2)
-    return in_circle(camera, x, y)
+    return centre_rays(camera).valid
 
 
 def lens_points(column: NDArray[np.integer], row: NDArray[np.integer], number: NDArray[np.integer]) -> Floats:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, Literal
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from forestgen.core.spectrum import Band, Spectrum
 from forestgen.geometry.mesh import Mesh
 from forestgen.plants.bark.texture import SurfaceTexture
 from forestgen.plants.exemplar import Exemplar
+from forestgen.recipe.registries import DEFAULT_PROJECTION
 from forestgen.scene.exposure import Exposure
 
 
@@ -111,9 +112,6 @@ class Lens:
     focus_m: float  # distance of the plane of focus along the camera's axis
 
 
-Projection = Literal["perspective", "orthographic", "fisheye", "panorama"]
-
-
 @dataclass(frozen=True)
 class Camera:
     """A camera. OpenCV axes: x right, y down, z forward; pixel centres at +0.5. scene/projection.py has its rays."""
@@ -122,18 +120,19 @@ class Camera:
     position_m: tuple[float, float, float]
     world_from_camera: NDArray[np.float64]  # (3, 3) rotation; columns are the camera's axes in the world
     size_px: tuple[int, int]  # width, height
-    hfov_deg: float  # perspective, fisheye: across the width; unused by the others
+    hfov_deg: float  # across the width; unused by projections that have no such angle
     sequence: str | None = None  # cameras of one name are the frames of a path, in their order
     time_s: float = 0.0  # in its sequence; plants stand as the wind holds them then
-    projection: Projection = "perspective"
-    width_m: float = 0.0  # orthographic: of the image, in the world
-    lens: Lens | None = None  # perspective: None is a pinhole
+    projection: str = DEFAULT_PROJECTION  # its registered name; scene/projection.py finds it
+    width_m: float = 0.0  # of parallel rays: of the image, in the world
+    lens: Lens | None = None  # None is a pinhole
     bands: tuple[Band, ...] = ()  # what its sensor answers to; none: colour, linear Rec. 709
     exposure: Exposure | None = None  # for a raw-like image beside the linear one
+    numbers: Mapping[str, float] = field(default_factory=dict)  # what else its projection needs
 
     @property
     def focal_px(self) -> float:
-        """Focal length in pixels, the same along x and y: pixels are square. Of a perspective camera."""
+        """Focal length in pixels, the same along x and y: pixels are square. Of a pinhole."""
         return self.size_px[0] / 2.0 / float(np.tan(np.radians(self.hfov_deg) / 2.0))
 
     @property

@@ -21,6 +21,7 @@ from forestgen.dataset.settings import DatasetSettings
 from forestgen.labels.channels.channel import ChannelView, LabelChannel, Layers, layer
 from forestgen.labels.labelled import LabelledFrame
 from forestgen.render.frame import Frame
+from forestgen.scene.projection import Projection
 
 SHARD, WHOLE = "size.json", "sizes.json"
 
@@ -30,8 +31,10 @@ class Sizes(DatasetFormat):
 
     name = "sizes"
     bytes_per_plant = 1
-    projections = ("perspective",)
     split_file_names = ("sizes.txt", "sizes_of_test.txt")
+
+    def holds(self, projection: Projection) -> bool:
+        return projection.is_pinhole
 
     def write_frame(self, folder: Path, labelled: LabelledFrame, settings: DatasetSettings) -> None:
         write_shard(folder / SHARD, {"size_px": list(labelled.frame.camera.size_px)})

@@ -16,7 +16,7 @@ from forestgen.render.light import envmap
 from forestgen.render.sensors import FilmWindow
 from forestgen.render.skies.model import map_directions
 from forestgen.render.variant import BLOCK_PX, SCALAR, mitsuba, using
-from forestgen.scene.projection import fisheye_focal_px, project, rays
+from forestgen.scene.projection import project, rays
 from forestgen.scene.spec import Camera, Lens
 
 HERE = (0.0, 0.0, 0.0)
@@ -165,8 +165,9 @@ def test_a_fisheye_gives_the_irradiance_of_its_hemisphere() -> None:
     toward = np.array([0.0, 0.6, 0.8])
     image = seen(scene_of(sky=tilted_sky(toward)), FISHEYE, 16)[..., 0]
     x, y = (np.arange(count) + 0.5 for count in FISHEYE.size_px)
-    theta = np.hypot(x - 48, y[:, None] - 48) / fisheye_focal_px(FISHEYE)
-    solid_angle = np.sinc(theta / np.pi) / fisheye_focal_px(FISHEYE) ** 2
+    focal_px = 96 / np.radians(FISHEYE.hfov_deg)
+    theta = np.hypot(x - 48, y[:, None] - 48) / focal_px
+    solid_angle = np.sinc(theta / np.pi) / focal_px**2
     irradiance = float((image * np.cos(theta) * solid_angle).sum())
     assert irradiance == pytest.approx(np.pi + 0.8 * 0.8 * 2 * np.pi / 3, rel=1e-3)
 

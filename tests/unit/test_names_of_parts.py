@@ -17,6 +17,7 @@ from forestgen.recipe.registries import (
     GROUND_COVERS,
     LABEL_CHANNELS,
     PACKS,
+    PROJECTIONS,
     SKIES,
     TERRAINS,
 )
@@ -30,6 +31,7 @@ REGISTRIES = (
     SKIES,
     TERRAINS,
     GROUND_COVERS,
+    PROJECTIONS,
 )
 # Where names of a kind are looked for, if they are common words.
 FOLDERS = {"label channel": ("labels/", "dataset/", "stages/", "pipeline.py")}
@@ -60,6 +62,8 @@ OTHER_MEANINGS = {  # file -> names that are no part's in it, or a default
     "render/clear_view.py": {"clear"},  # a stream of random numbers
     "scene/spec.py": {"clear"},  # the default
     "scene/terrain.py": {"litter"},  # the default
+    "render/irradiance.py": {"perspective"},  # a plugin of the renderer
+    "render/sensors.py": {"perspective"},  # the same
     "stages/light.py": {"points"},  # a stage of the progress bar, and a key of a table
     "stages/resume.py": {"flat"},  # a history's word for ground without a height function
 }

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from forestgen.dataset.check.camera_file import PANORAMA
 from forestgen.dataset.check.check import DatasetCheck, FrameCheck
 from forestgen.dataset.check.finding import Finding, number, numbers
 from forestgen.dataset.check.frame_data import FrameData
@@ -51,10 +50,11 @@ def transforms(frame: FrameData) -> Iterator[Finding]:
         yield Finding(file, problem, numbers(expected), numbers(got), frame.name)
     width, height = camera.size_px
     # A panorama's are so that (x - cx) / fl_x runs from -1 to 1 and (y - cy) / fl_y from -1/2 to 1/2.
-    focal = (width / 2, height) if camera.model == PANORAMA else camera.focal_px
+    exchange, geometry = camera.projection.exchange, camera.geometry
+    focal = geometry.focal_px if exchange is None or exchange.has_k else (width / 2, height)
     for key, value in (
         *(("w", width), ("h", height), ("fl_x", focal[0]), ("fl_y", focal[1])),
-        *(("cx", camera.centre_px[0]), ("cy", camera.centre_px[1])),
+        *(("cx", geometry.centre_px[0]), ("cy", geometry.centre_px[1])),
     ):
         if not abs(float(share[key]) - float(value)) <= _TOLERANCE * max(1.0, abs(float(value))):
             yield Finding(file, f"{key} is not camera.json's", number(value), number(share[key]), frame.name)

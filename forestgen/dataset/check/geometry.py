@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.parts import Part
-from forestgen.dataset.check.camera_file import FISHEYE, PINHOLE
 from forestgen.dataset.check.finding import Finding, number
 from forestgen.dataset.check.frame_data import CAMERA, EXR, FrameData
 from forestgen.dataset.check.pixels import wrong_pixels
+from forestgen.scene.projection import pixel_centres
 
 _RELATIVE = 1e-3  # of the distance: how far a reprojected point may lie from the stored one
 _FLOAT32 = 2e-6  # relative rounding of stored world coordinates, with a margin
@@ -27,21 +27,22 @@ def depth(frame: FrameData) -> Iterator[Finding]:
         distance = frame.exr["depth"]["distance"].astype(np.float64)
         agree = (distance >= z * (1 - _FLOAT32)) & (np.isinf(distance) == np.isinf(z))
         yield from wrong_pixels(frame, EXR, ~agree, "the distance is shorter than the depth", z, distance)
-        if frame.has(CAMERA) and not frame.camera.along_axis:
+        if frame.has(CAMERA) and frame.camera.projection.depth_is_distance:
             problem = "the depth is not the distance, as it is in a fisheye's image and in a panorama"
             yield from wrong_pixels(frame, EXR, z != distance, problem, distance, z)
 
 
 def circle(frame: FrameData) -> Iterator[Finding]:
     """Outside of a fisheye's circle nothing is seen: no surface, and no plant in pixels that lie outside as a whole."""
-    if frame.camera.model != FISHEYE:
+    geometry = frame.camera.geometry
+    beyond_px = geometry.beyond_rim_px(pixel_centres(frame.size_px))
+    if beyond_px is None:
         return
-    radius = frame.camera.radius(frame.size_px)
-    outside = ~frame.camera.sees(frame.size_px)
+    outside = ~geometry.sees(frame.size_px)
     z = frame.exr["depth"]["Z"]
     wrong = outside & ~np.isinf(z)
     yield from wrong_pixels(frame, EXR, wrong, "a surface outside of the fisheye's circle", "depth inf", z)
-    wholly = radius > frame.camera.size_px[0] / 2 + 0.75  # a pixel reaches 0.71 from its centre
+    wholly = beyond_px > 0.75  # a pixel reaches 0.71 from its centre
     wrong = wholly & (frame.instance != 0)
     yield from wrong_pixels(frame, EXR, wrong, "a plant outside of the fisheye's circle", "0", frame.instance)
     if frame.has_part("radiance", *"RGB"):
@@ -162,14 +163,11 @@ def camera(frame: FrameData) -> Iterator[Finding]:
 
 def _angle(frame: FrameData) -> Iterator[Finding]:
     """hfov_deg is that of K."""
-    model = frame.camera
-    if "hfov_deg" not in model.values or model.model not in (PINHOLE, FISHEYE):
-        return
-    half = np.radians(float(model.values["hfov_deg"])) / 2
-    expected = model.size_px[0] / 2 / (np.tan(half) if model.model == PINHOLE else half)
-    if not abs(expected - model.focal_px[0]) <= 1e-6 * expected:
+    geometry = frame.camera.geometry
+    expected, got = geometry.focal_of_angle(), geometry.focal_px[0]
+    if expected is not None and not abs(expected - got) <= 1e-6 * expected:
         problem = "the focal length of K is not that of hfov_deg"
-        yield frame.finding(CAMERA, problem, expected=number(expected), got=number(model.focal_px[0]))
+        yield frame.finding(CAMERA, problem, expected=number(expected), got=number(got))
 
 
 def _equal(one: Any, other: Any) -> bool:

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.dataset.check.camera_file import FISHEYE, PANORAMA
 from forestgen.dataset.check.finding import Finding, number, numbers
 from forestgen.dataset.check.frame_data import CAMERA, PLANTS, FrameData
 
@@ -47,16 +46,16 @@ def places(frame: FrameData) -> Iterator[Finding]:
     plants, camera = frame.plants, frame.camera
     place = np.stack([plants[f"{axis}_m"].astype(np.float64) for axis in "xyz"], axis=1)
     own = (place - camera.position_m) @ camera.rotation.T
-    expected, depth = camera.project_own(own)
+    expected, depth = camera.geometry.project(own)
     got = np.stack([plants[f"stem_base_{axis}_px"].astype(np.float64) for axis in "xy"], axis=1)
     off = np.abs(got - expected)
-    if camera.model == PANORAMA:
+    if camera.projection.wraps_x:
         off[:, 0] = np.minimum(off[:, 0], np.abs(off[:, 0] - camera.size_px[0]))  # at the seam: either end
     there = ~np.isnan(got).any(axis=1)
     sure = np.abs(depth) > _GRAZING * np.sqrt((own**2).sum(axis=1))
-    if camera.model == FISHEYE:
-        radius = np.sqrt(((expected - camera.centre_px) ** 2).sum(axis=1))
-        sure = np.abs(radius - camera.size_px[0] / 2) > _TOLERANCE_PX
+    beyond_px = camera.geometry.beyond_rim_px(expected)
+    if beyond_px is not None:
+        sure = np.abs(beyond_px) > _TOLERANCE_PX
     wrong = sure & (there != (depth > 0))
     wrong |= there & sure & ~(off <= _TOLERANCE_PX + _RELATIVE * np.abs(expected)).all(axis=1)
     for row in np.flatnonzero(wrong):

@@ -13,6 +13,8 @@ from forestgen.dataset.check.finding import Finding, UnreadableError, number
 from forestgen.dataset.check.frame_data import EXR, FrameData
 from forestgen.dataset.check.pixels import wrong_pixels
 from forestgen.dataset.safe_path import load_json
+from forestgen.recipe.registries import PROJECTIONS
+from forestgen.scene.projection import load_projection
 
 RAW, _PREVIEW = "raw.json", "preview.png"
 _RADIANCE = ("radiance", "radiance.variance", "radiance.denoised")
@@ -128,7 +130,8 @@ def _expected(
                 own = (rows % 2 == row) & (columns % 2 == column)
                 values[own] = light[pattern[row][column]][own] / scale[pattern[row][column]]
     strength = facts["vignetting"]
-    if strength and facts["projection"] == "perspective":
+    name = str(facts["projection"])
+    if strength and name in PROJECTIONS and load_projection(name).is_pinhole:
         width, height = frame.size_px
         focal = width / 2 / np.tan(np.radians(facts["hfov_deg"]) / 2)
         slope = np.hypot(columns + 0.5 - width / 2, rows + 0.5 - height / 2) / focal

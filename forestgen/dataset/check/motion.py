@@ -14,11 +14,11 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.dataset.check.camera_file import FISHEYE, ORTHOGRAPHIC, PANORAMA
 from forestgen.dataset.check.finding import Finding, UnreadableError
 from forestgen.dataset.check.frame_data import CAMERA, EXR, FrameData
 from forestgen.dataset.check.pixels import wrong_pixels
 from forestgen.dataset.check.sequences import UNKNOWN
+from forestgen.scene.projection import pixel_centres
 
 _TOLERANCE_PX = 0.02
 _RELATIVE = 1e-3  # of the way, for points that fly past the camera
@@ -57,7 +57,7 @@ def motion(frame: FrameData) -> Iterator[Finding]:
     )
     still = ~unknown & ~behind & sure
     off = np.sqrt(((vector - way) ** 2).sum(axis=-1))
-    if following.camera.model == PANORAMA:
+    if following.camera.projection.wraps_x:
         turn = np.abs(np.abs(vector[..., 0] - way[..., 0]) - following.camera.size_px[0])
         off = np.minimum(off, np.hypot(turn, vector[..., 1] - way[..., 1]))  # half around: either way
     wrong = still & ~(off <= _TOLERANCE_PX + _RELATIVE * np.sqrt((way**2).sum(axis=-1)))
@@ -87,14 +87,14 @@ def _by_cameras(
     shift = frame.camera.position_m - next_position_m + frame.camera.starts(frame.size_px)
     away = np.where(solid[..., None], rays * np.where(solid, z, 0.0)[..., None] + shift, rays)
     seen = away @ following.camera.rotation.T
-    pixel, depth = following.camera.project_own(seen)
-    if following.camera.model == ORTHOGRAPHIC:
+    pixel, depth = following.camera.geometry.project(seen)
+    if following.camera.projection.is_parallel:
         depth = np.where(solid, depth, -np.inf)  # parallel rays meet no direction
-    depth = np.where(frame.camera.sees(frame.size_px), depth, -np.inf)
+    depth = np.where(frame.camera.geometry.sees(frame.size_px), depth, -np.inf)
     width, height = frame.size_px
     x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
     way = pixel - np.stack([x, y], axis=-1)
-    if following.camera.model == PANORAMA:
+    if following.camera.projection.wraps_x:
         around = following.camera.size_px[0]
         way[..., 0] = (way[..., 0] + around / 2) % around - around / 2
     return way, depth, np.sqrt((seen**2).sum(axis=-1))
@@ -102,13 +102,10 @@ def _by_cameras(
 
 def _at_circle(frame: FrameData, following: FrameData, way: NDArray[np.float64]) -> NDArray[np.bool_]:
     """(H, W) whether a point lands so near to a fisheye's circle that rounding decides on which side."""
-    camera = following.camera
-    if camera.model != FISHEYE:
+    beyond_px = following.camera.geometry.beyond_rim_px(pixel_centres(frame.size_px) + way)
+    if beyond_px is None:
         return np.zeros(frame.instance.shape, dtype=bool)
-    width, height = frame.size_px
-    centres = np.stack(np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5), axis=-1)
-    radius = np.sqrt(((centres + way - camera.centre_px) ** 2).sum(axis=-1))
-    return np.asarray(np.abs(radius - camera.size_px[0] / 2) < _TOLERANCE_PX)
+    return np.asarray(np.abs(beyond_px) < _TOLERANCE_PX)
 
 
 def _landings(

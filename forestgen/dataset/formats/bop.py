@@ -42,7 +42,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.errors import OutputError
-from forestgen.dataset.camera import camera_from_world, intrinsics
+from forestgen.dataset.camera import camera_from_world
 from forestgen.dataset.files import make_folder
 from forestgen.dataset.formats.depth_png import BEYOND, encode_depth
 from forestgen.dataset.formats.format import DatasetFormat
@@ -59,6 +59,7 @@ from forestgen.dataset.settings import DatasetSettings
 from forestgen.labels.amodal import AmodalMasks
 from forestgen.labels.labelled import LabelledFrame
 from forestgen.labels.masks import rows_of
+from forestgen.scene.projection import Projection, projection_of
 
 FOLDER_NAME, SPLIT_NAME, SHARD_NAME = "bop", "train_pbr", "shard.json"
 SCENE_FILES = ("scene_camera", "scene_gt", "scene_gt_info")
@@ -76,8 +77,10 @@ class Bop(DatasetFormat):
     name = "bop"
     check_module = "forestgen.dataset.check.bop"
     bytes_per_pixel, bytes_per_plant = 7, 6000
-    projections = ("perspective",)
     label_channels: Mapping[str, str] = {"amodal": NEEDS_AMODAL}
+
+    def holds(self, projection: Projection) -> bool:
+        return projection.is_pinhole
 
     def write_frame(self, folder: Path, labelled: LabelledFrame, settings: DatasetSettings) -> None:
         """Write the frame's poses and pictures into its folder.
@@ -166,9 +169,11 @@ def _write_entry(stream: IO[str], image: int, content: Any) -> None:
 
 
 def _camera_entry(labelled: LabelledFrame, depth_unit_m: float) -> dict[str, Any]:
-    pose = camera_from_world(labelled.frame.camera)
+    camera = labelled.frame.camera
+    pose, k = camera_from_world(camera), projection_of(camera).intrinsics(camera)
+    assert k is not None  # of those that the format holds
     return {
-        "cam_K": intrinsics(labelled.frame.camera).ravel().tolist(),
+        "cam_K": k.ravel().tolist(),
         "cam_R_w2c": pose[:3, :3].ravel().tolist(),
         "cam_t_w2c": (pose[:3, 3] * 1000.0).tolist(),
         "depth_scale": depth_unit_m * 1000.0,

@@ -14,7 +14,8 @@ from forestgen.core.errors import RecipeError
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.labels.labelled import LabelledFrame
 from forestgen.recipe.load import DrawnRecipe
-from forestgen.recipe.registries import DATASET_FORMATS
+from forestgen.recipe.registries import DATASET_FORMATS, PROJECTIONS
+from forestgen.scene.projection import Projection, load_projection
 
 if TYPE_CHECKING:
     from forestgen.dataset.check.check import DatasetCheck, FrameCheck
@@ -29,7 +30,6 @@ class DatasetFormat:
     name: str  # that recipes use: the registry's
     bytes_per_pixel: int = 0  # upper estimate of what a frame's files and its share of the merged ones take on the disk
     bytes_per_plant: int = 0  # of each plant in view, the same
-    projections: tuple[str, ...] | None = None  # kinds of cameras that it has words for; None: all
     label_channels: Mapping[str, str] = {}  # of labels.channels, those that it needs -> why
     check_module: str | None = None  # with FRAME_CHECKS and DATASET_CHECKS, imported when a data set is verified
     split_file_names: tuple[str, ...] = ()  # all names that `split_files` may have
@@ -39,7 +39,7 @@ class DatasetFormat:
 
         Raises
         ------
-        RecipeError : with the key's place; a label channel is missing, or a camera is of none of the `projections`.
+        RecipeError : with the key's place; a label channel is missing, or it does not hold a camera's projection.
         """
         recipe = drawn.recipe
         for channel, why in self.label_channels.items():
@@ -53,14 +53,20 @@ class DatasetFormat:
                     hint=f"labels: {{channels: [..., {channel}]}}, or leave {self.name} out of dataset.formats",
                 )
         for index, camera in enumerate(recipe.cameras):
-            if self.projections is not None and camera.kind not in self.projections:
+            where = drawn.where("cameras", index, "kind")
+            if not self.holds(load_projection(camera.kind, where=where)):
+                kinds = [name for name in PROJECTIONS if self.holds(load_projection(name))]
                 raise RecipeError(
                     f"{self.name} has no such camera",
-                    where=drawn.where("cameras", index, "kind"),
-                    expected=f"a kind that the format {self.name} can hold: {', '.join(self.projections)}",
+                    where=where,
+                    expected=f"a kind that the format {self.name} can hold: {', '.join(kinds)}",
                     got=drawn.drawn_from(camera.kind, "cameras", index, "kind"),
                     hint=f"leave {self.name} out of dataset.formats, or the camera out of this recipe",
                 )
+
+    def holds(self, projection: Projection) -> bool:
+        """Whether the format has words for cameras of a projection."""
+        return True
 
     def check_ids(self, plant_id: NDArray[np.uint32], where: str) -> None:
         """Refuse plant ids that the format cannot hold, before the light is traced.

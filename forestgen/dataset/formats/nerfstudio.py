@@ -42,12 +42,10 @@ from forestgen.dataset.formats.depth_png import FORMAT as DEPTH
 from forestgen.dataset.formats.format import DatasetFormat
 from forestgen.dataset.formats.shards import damaged, in_order, read_shard
 from forestgen.dataset.settings import DatasetSettings
+from forestgen.scene.projection import Exchange, Projection, projection_of_model
 
 CAMERA_NAME = "camera.json"
 DEPTH_NAME = "depth.png"
-
-MODELS = {"pinhole": "OPENCV", "fisheye": "OPENCV_FISHEYE", "equirectangular": "EQUIRECTANGULAR"}
-_DISTORTION = {"pinhole": ("k1", "k2", "p1", "p2"), "fisheye": ("k1", "k2", "k3", "k4"), "equirectangular": ()}
 
 _SHARD: dict[str, type] = {"model": str, "size_px": list[int], "world_from_camera": list[list[Any]]}
 
@@ -57,7 +55,9 @@ class Nerfstudio(DatasetFormat):
 
     name = "nerfstudio"
     check_module = "forestgen.dataset.check.cameras"
-    projections = ("perspective", "fisheye", "panorama")
+
+    def holds(self, projection: Projection) -> bool:
+        return projection.exchange is not None
 
     def merge(self, root: Path, folders: Iterable[Path | str], settings: DatasetSettings) -> None:
         """Write the transforms of each image.
@@ -87,7 +87,7 @@ def _camera(root: Path, folder: str) -> dict[str, Any]:
     """A frame's camera.json."""
     path = root / folder / CAMERA_NAME
     camera = read_shard(path, _SHARD)
-    if camera["model"] not in MODELS:
+    if _exchange(camera["model"]) is None:
         raise OutputError(
             f"nerfstudio has no {camera['model']} cameras",
             where=str(path),
@@ -96,9 +96,17 @@ def _camera(root: Path, folder: str) -> dict[str, Any]:
     return camera
 
 
+def _exchange(model: str) -> Exchange | None:
+    """What nerfstudio calls a model of camera.json; None: it has no such cameras."""
+    projection = projection_of_model(model)
+    return None if projection is None else projection.exchange
+
+
 def _transforms(root: Path, model: str, folders: Sequence[str], settings: DatasetSettings) -> dict[str, Any]:
+    exchange = _exchange(model)
+    assert exchange is not None
     content: dict[str, Any] = {
-        "camera_model": MODELS[model],
+        "camera_model": exchange.camera_model,
         "frames": [_checked_frame(root, folder, settings) for folder in folders],
     }
     if DEPTH.name in settings.formats:
@@ -115,12 +123,13 @@ def _checked_frame(root: Path, folder: str, settings: DatasetSettings) -> dict[s
 
 
 def _frame(root: Path, folder: str, settings: DatasetSettings) -> dict[str, Any]:
-    camera = _camera(root, folder)
-    width, height = camera["size_px"]
+    camera, path = _camera(root, folder), root / folder / CAMERA_NAME
+    (width, height), exchange = camera["size_px"], _exchange(camera["model"])
+    assert exchange is not None
     opencv_from_opengl = np.diag([1.0, -1.0, -1.0, 1.0])
     focal = (width / 2.0, float(height))
-    if camera["model"] != "equirectangular":
-        k = read_shard(root / folder / CAMERA_NAME, {"K": list[list[Any]]})["K"]
+    if exchange.has_k:
+        k = read_shard(path, {"K": list[list[Any]]})["K"]
         focal = (k[0][0], k[1][1])
     frame = {
         "file_path": f"{folder}/preview.png",
@@ -131,7 +140,7 @@ def _frame(root: Path, folder: str, settings: DatasetSettings) -> dict[str, Any]
         "cy": height / 2.0,
         "w": width,
         "h": height,
-        **dict.fromkeys(_DISTORTION[camera["model"]], 0.0),
+        **dict.fromkeys(exchange.distortion, 0.0),
     }
     if DEPTH.name in settings.formats:
         frame["depth_file_path"] = f"{folder}/{DEPTH_NAME}"

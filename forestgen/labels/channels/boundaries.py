@@ -29,7 +29,7 @@ from forestgen.core.compiled import compiled
 from forestgen.labels.channels.channel import LabelChannel, Layers, layer
 from forestgen.labels.labelled import LabelledFrame
 from forestgen.render.frame import Surface
-from forestgen.scene.projection import world_rays
+from forestgen.scene.projection import projection_of, world_rays
 from forestgen.scene.spec import Camera
 
 _STEEPER = 1.25  # than both tangent planes
@@ -53,17 +53,17 @@ CHANNEL = Boundaries()
 def occlusion_boundaries(surface: Surface, camera: Camera) -> NDArray[np.bool_]:
     """(H, W) whether a pixel's surface hides what a neighbouring pixel sees; see above."""
     found = np.zeros(surface.depth_m.shape, dtype=np.bool_)
-    if camera.projection == "orthographic":
+    projection = projection_of(camera)
+    if projection.is_parallel:
         pixel_m = camera.width_m / camera.size_px[0]
         steps = np.ascontiguousarray(camera.world_from_camera.T * [[pixel_m], [pixel_m], [1.0]], dtype=np.float64)
         least = _PIXEL_TOLERANCE * pixel_m
         _mark_parallel(surface.depth_m, surface.normal, steps, _STEEPER, _DEPTH_TOLERANCE, least, found)
         return found
-    if camera.projection != "perspective":
+    if not projection.is_pinhole:
         rays = world_rays(camera)
-        around = camera.projection == "panorama"
-        direction = np.ascontiguousarray(rays.direction)
-        _mark_around(surface.distance_m, surface.normal, direction, rays.valid, around, _STEEPER, _TOLERANCE, found)
+        direction, wraps = np.ascontiguousarray(rays.direction), projection.wraps_x
+        _mark_around(surface.distance_m, surface.normal, direction, rays.valid, wraps, _STEEPER, _TOLERANCE, found)
         return found
     rotation = np.ascontiguousarray(camera.world_from_camera, dtype=np.float64)
     _mark(surface.depth_m, surface.normal, rotation, camera.focal_px, _STEEPER, _TOLERANCE, found)

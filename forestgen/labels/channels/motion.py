@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from forestgen.labels.channels.channel import ChannelView, LabelChannel, Layers, layers
 from forestgen.labels.labelled import LabelledFrame
 from forestgen.render.frame import Frame, Surface
-from forestgen.scene.projection import project, world_rays
+from forestgen.scene.projection import project, projection_of, world_rays
 from forestgen.scene.spec import Camera, Instances
 
 _NEAREST = 1e-6  # of the distance: a point nearer to the next camera's plane than this has no place in its image
@@ -85,7 +85,7 @@ def motion_px(
         )
     landing, known = _landing(next_camera, point @ next_camera.world_from_camera, seen)
     motion = landing - centre
-    if next_camera.projection == "panorama":
+    if projection_of(next_camera).wraps_x:
         motion[..., 0] -= next_camera.size_px[0] * np.round(motion[..., 0] / next_camera.size_px[0])
     motion[~(known & rays.valid)] = np.nan
     return np.asarray(motion, dtype=np.float32)
@@ -98,11 +98,12 @@ def _landing(
 
     Parameters
     ----------
-    near : (H, W) False for the sky, of which there is a direction alone: an orthographic camera has no place for it.
+    near : (H, W) False for the sky, of which there is a direction alone: parallel rays have no place for it.
     """
-    if camera.projection != "perspective":
+    projection = projection_of(camera)
+    if not projection.is_pinhole:
         found = project(camera, points_m)
-        known = found.in_front & (near | (camera.projection != "orthographic"))
+        known = found.in_front & (near | (not projection.is_parallel))
         return np.stack([found.x_px, found.y_px], axis=-1), known
     right, down, depth = np.moveaxis(points_m, -1, 0)
     in_front = depth > _NEAREST * np.maximum(np.hypot(right, down), 1e-300)

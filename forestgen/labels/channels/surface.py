@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from forestgen.labels.channels.channel import LabelChannel, Layers, layer, layers
 from forestgen.labels.labelled import LabelledFrame
-from forestgen.scene.projection import centre_rays
+from forestgen.scene.projection import centre_rays, projection_of
 from forestgen.scene.spec import Camera
 
 
@@ -51,7 +51,7 @@ CHANNEL = SurfaceChannel()
 def camera_position_m(depth_m: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
     """(H, W, 3) in the camera's axes, of pixel centres: exact far from the world's origin too; NaN for the sky."""
     depth = np.where(np.isfinite(depth_m), depth_m, np.nan).astype(np.float64)
-    if camera.projection != "perspective":
+    if not projection_of(camera).is_pinhole:
         rays = centre_rays(camera)
         return (rays.origin_m + rays.direction * depth[..., None]).astype(np.float32)
     x, y = camera.pixel_slopes

@@ -14,7 +14,7 @@ from forestgen.render.identity.tables import NONE
 from forestgen.render.identity.tracer import Hits, SceneTracer
 from forestgen.render.skies.model import sky_model_of
 from forestgen.render.variant import drjit, mitsuba
-from forestgen.scene.projection import world_rays
+from forestgen.scene.projection import projection_of, world_rays
 from forestgen.scene.spec import Camera
 
 # Of the largest coordinate, a metre at least: shadow rays start this far above their surface. Single precision places
@@ -66,7 +66,7 @@ def trace_rows(tracer: SceneTracer, camera: Camera, rows: slice, surface: Surfac
 
 def positions(camera: Camera, rows: slice, distance_m: NDArray[np.float32]) -> NDArray[np.float32]:
     """(rows, W, 3) world, in double precision from the distances along pixel centres' rays; NaN for the sky."""
-    if camera.projection != "perspective":
+    if not projection_of(camera).is_pinhole:
         rays = world_rays(camera, rows)
         far = np.where(np.isfinite(distance_m), distance_m, np.nan)[..., None]
         return (rays.origin_m + rays.direction * far).astype(np.float32)

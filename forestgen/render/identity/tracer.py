@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from forestgen.render.build import load, origin_of, plants_dict, to_mesh
 from forestgen.render.identity.tables import HitTables, hit_tables
 from forestgen.render.variant import LLVM, drjit, mitsuba, require, tracing_variant, using
-from forestgen.scene.projection import HASH_ROUNDS, LENS_STEPS, fisheye_focal_px
+from forestgen.scene.projection import HASH_ROUNDS, LENS_STEPS, DeviceRays, Projection, Rays, projection_of
 from forestgen.scene.spec import Camera, SceneSpec
 
 
@@ -23,16 +23,6 @@ def sample_offsets(samples: int) -> NDArray[np.float64]:
         raise ValueError(f"samples must be a perfect square, got {samples}")
     steps = (np.arange(side) + 0.5) / side
     return np.stack([np.tile(steps, side), np.repeat(steps, side)], axis=1)
-
-
-@dataclass(frozen=True)
-class DeviceRays:
-    """R rays of a camera, as device arrays; single precision."""
-
-    direction: Any  # Vector3f, world, unit
-    depth_share: Any  # Float, depth by distance: the direction's share along z, or 1 where depth runs along the ray
-    shift_m: Any | None  # Vector3f, world: from the camera's place to where the ray begins; None: all begin there
-    valid: Any | None  # Bool, False outside of a fisheye's circle; None: all are
 
 
 def camera_rays(camera: Camera, offset: NDArray[np.float64], first_row: int, rows: int) -> DeviceRays:
@@ -69,42 +59,22 @@ def pixel_rays(camera: Camera, column: Any, row: Any, dx: Any, dy: Any, number: 
     width, height = camera.size_px
     axes = mi.Matrix3f([[dr.opaque(mi.Float, float(value)) for value in line] for line in camera.world_from_camera])
     x, y = mi.Float(column) + dx - width / 2, mi.Float(row) + dy - height / 2
-    if camera.projection == "orthographic":
-        scale = dr.opaque(mi.Float, camera.width_m / width)
-        return DeviceRays(
-            axes @ mi.Vector3f(0.0, 0.0, 1.0), mi.Float(1.0), axes @ mi.Vector3f(x * scale, y * scale, 0.0), None
-        )
-    if camera.projection == "fisheye":
-        return DeviceRays(axes @ _fisheye(camera, x, y), mi.Float(1.0), None, _in_circle(camera, x, y))
-    if camera.projection == "panorama":
-        sine, cosine = dr.sincos(x * dr.opaque(mi.Float, 2 * np.pi / width))
-        up, level = dr.sincos(y * dr.opaque(mi.Float, np.pi / height))
-        return DeviceRays(axes @ mi.Vector3f(sine * level, up, cosine * level), mi.Float(1.0), None, None)
-    scale = dr.opaque(mi.Float, float(np.float32(1) / np.float32(camera.focal_px)))  # in single precision throughout
-    slope = mi.Vector3f(x * scale, y * scale, 1.0)
-    if camera.lens is None or number is None:
-        along = dr.normalize(slope)
-        return DeviceRays(axes @ along, along.z, None, None)
-    across = _lens_points(column, row, number) * dr.opaque(mi.Float, camera.lens.aperture_radius_m)
-    start = mi.Vector3f(across.x, across.y, 0.0)
-    along = dr.normalize(slope * dr.opaque(mi.Float, camera.lens.focus_m) - start)
-    return DeviceRays(axes @ along, along.z, axes @ start, None)
+    lens = None if camera.lens is None or number is None else _lens_points(column, row, number)
+    projection = projection_of(camera)
+    own = projection.device_rays(camera, x, y, lens, mi, dr)
+    if own is None:
+        own = _uploaded(projection.rays(camera, *(np.array(one, dtype=np.float64) for one in (x, y))), projection)
+    shift_m = None if own.shift_m is None else axes @ own.shift_m
+    return DeviceRays(axes @ own.direction, own.depth_share, shift_m, own.valid)
 
 
-def _fisheye(camera: Camera, x: Any, y: Any) -> Any:
-    """Unit directions in the camera's axes of points, pixels from the image's middle."""
-    mi, dr = mitsuba(), drjit()
-    radius = dr.sqrt(x * x + y * y)
-    sine, cosine = dr.sincos(radius * dr.opaque(mi.Float, 1 / fisheye_focal_px(camera)))
-    sine = dr.select(radius > 0, sine / radius, 0.0)
-    return mi.Vector3f(x * sine, y * sine, cosine)
-
-
-def _in_circle(camera: Camera, x: Any, y: Any) -> Any:
-    """As `scene.projection.in_circle`: in double precision, in which squares of pixels are exact."""
-    mi, dr = mitsuba(), drjit()
-    double = dr.float64_array_t(mi.Float)
-    return double(x) * double(x) + double(y) * double(y) <= dr.opaque(double, (camera.size_px[0] / 2) ** 2)
+def _uploaded(rays: Rays, projection: Projection) -> DeviceRays:
+    """Rays (R,) of a projection that has no code for the tracer."""
+    mi = mitsuba()
+    direction = mi.Vector3f(*(mi.Float(axis) for axis in rays.direction.T))
+    depth_share = mi.Float(1.0) if projection.depth_is_distance else direction.z
+    shift_m = mi.Vector3f(*(mi.Float(axis) for axis in rays.origin_m.T)) if projection.is_parallel else None
+    return DeviceRays(direction, depth_share, shift_m, None if rays.valid.all() else mi.Bool(rays.valid))
 
 
 def _lens_points(column: Any, row: Any, number: Any) -> Any:

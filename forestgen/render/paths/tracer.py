@@ -19,13 +19,14 @@ from numpy.typing import NDArray
 
 from forestgen.render.identity import SceneTracer
 from forestgen.render.identity.surface import LIFT
-from forestgen.render.identity.tracer import DeviceRays, pixel_rays
+from forestgen.render.identity.tracer import pixel_rays
 from forestgen.render.paths.light import Sky, Sun
 from forestgen.render.paths.scattering import Surfaces
 from forestgen.render.paths.sequence import Sequence, sequence_of
 from forestgen.render.settings import ROULETTE_DEPTH
 from forestgen.render.tracing import renderer_errors
 from forestgen.render.variant import drjit, mitsuba
+from forestgen.scene.projection import DeviceRays
 from forestgen.scene.spec import Camera
 
 _PATHS_AT_ONCE = 1_500_000

@@ -10,8 +10,9 @@ from format_shots import all_bytes, awkward_masks, drawn, written
 from PIL import Image
 
 from forestgen.core.errors import OutputError
-from forestgen.dataset.camera import camera_from_world, intrinsics
+from forestgen.dataset.camera import camera_from_world
 from forestgen.dataset.formats import bop
+from forestgen.scene.projection import projection_of
 
 FRAMES = {
     "000003-b": make_shot(range(1, 9), seed=1).labelled,
@@ -73,7 +74,7 @@ def test_camera_and_poses_project_the_stem_base(dataset):
         _, camera, gt, _ = scene_of(dataset, scene)
         entry = camera[str(image)]
         k = np.array(entry["cam_K"]).reshape(3, 3)
-        np.testing.assert_array_equal(k, intrinsics(labelled.frame.camera))
+        np.testing.assert_array_equal(k, projection_of(labelled.frame.camera).intrinsics(labelled.frame.camera))
         pose = camera_from_world(labelled.frame.camera)
         point = np.array([1.0, 2.0, 3.0])
         ours = pose[:3, :3] @ point + pose[:3, 3]

@@ -13,13 +13,14 @@ from forestgen.core.errors import OutputError
 from forestgen.core.spectrum import Band, Spectrum
 from forestgen.dataset import exr
 from forestgen.dataset.bands import centre_nm, width_nm
-from forestgen.dataset.camera import camera_from_world, intrinsics, screen_window_width, world_to_camera, world_to_ndc
+from forestgen.dataset.camera import camera_from_world, world_to_camera, world_to_ndc
 from forestgen.dataset.check import light_files
 from forestgen.dataset.check.frame_data import FrameData, FrameTask
 from forestgen.dataset.exr import read_exr, read_exr_attributes, write_exr
 from forestgen.labels.channels.boundaries import occlusion_boundaries
 from forestgen.recipe.registries import DEFAULT_CHANNELS
 from forestgen.render.frame import Radiance
+from forestgen.scene.projection import projection_of
 
 POINTS = (
     np.random.default_rng(0).uniform(-5, 5, (50, 3)) + np.array([3.0, -4.0, 12.0]) + 40 * np.array([0.6, 0.7, -0.2])
@@ -83,7 +84,7 @@ def test_camera_positions_are_rays_times_depth(tmp_path, shot):
     assert 0 < sky.sum() < sky.size
     assert np.isnan(seen[sky]).all()
     np.testing.assert_array_equal(seen[~sky, 2], depth[~sky])
-    pixel = seen[~sky].astype(float) @ intrinsics(shot.frame.camera).T
+    pixel = seen[~sky].astype(float) @ projection_of(shot.frame.camera).intrinsics(shot.frame.camera).T
     y, x = np.nonzero(~sky)
     np.testing.assert_allclose(pixel[:, :2] / pixel[:, 2:], np.stack([x, y], axis=1) + 0.5, atol=1e-4)
 
@@ -146,7 +147,7 @@ def test_attributes(tmp_path, shot):
     assert names == {"0": "nothing", "1": "ground", "2": "poplar", "3": "spruce", "4": "oak"}
     assert json.loads(header["forestgen/parts"])["7"] == "dead_wood"
     model = json.loads(header["forestgen/camera"])
-    np.testing.assert_array_equal(model["K"], intrinsics(camera))
+    np.testing.assert_array_equal(model["K"], projection_of(camera).intrinsics(camera))
     np.testing.assert_array_equal(model["camera_from_world"], camera_from_world(camera))
     np.testing.assert_array_equal(header["worldToCamera"], world_to_camera(camera))
     np.testing.assert_array_equal(header["worldToNDC"], world_to_ndc(camera))
@@ -181,7 +182,7 @@ def test_openexr_matrices_agree_with_the_opencv_camera():
     homogeneous = np.column_stack([POINTS, np.ones(len(POINTS))])
     in_camera = (camera_from_world(camera) @ homogeneous.T).T[:, :3]
     assert in_camera[:, 2].min() > 0
-    pixel = in_camera @ intrinsics(camera).T
+    pixel = in_camera @ projection_of(camera).intrinsics(camera).T
     pixel = pixel[:, :2] / pixel[:, 2:]
 
     renderman = homogeneous @ world_to_camera(camera).astype(float)  # row vectors; y up, z forward
@@ -192,7 +193,7 @@ def test_openexr_matrices_agree_with_the_opencv_camera():
     np.testing.assert_allclose(ndc[:, :2] / ndc[:, 3:] * [WIDTH, HEIGHT], pixel, atol=1e-3)
 
     # The screen window, at distance 1: x = ±width/2 at the image's left and right borders.
-    x = renderman[:, 0] / renderman[:, 2] / screen_window_width(camera)
+    x = renderman[:, 0] / renderman[:, 2] / projection_of(camera).screen_window_width(camera)
     np.testing.assert_allclose((x + 0.5) * WIDTH, pixel[:, 0], atol=1e-3)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from forestgen.core.errors import RecipeError
-from forestgen.recipe.cameras import Camera
+from forestgen.recipe.cameras import camera_section
 from forestgen.recipe.load import DrawnRecipe, dump_yaml, load_recipe
 
 QUICKSTART = Path(__file__).parents[3] / "recipes" / "quickstart.yaml"
@@ -46,19 +46,19 @@ def test_what_a_kind_has_by_default() -> None:
         drawn(text).recipe.cameras[0] for text in (GOOD[1], "{kind: panorama}", GOOD[3], "{}")
     )
     assert (fisheye.look, fisheye.size_px, fisheye.field_of_view_deg) == ("up", (512, 512), 180)
-    assert (panorama.look, panorama.size_px, panorama.hfov_deg) == ("north", (1024, 512), None)
+    assert (panorama.look, panorama.size_px, panorama.field_of_view_deg) == ("north", (1024, 512), 0)
     assert (chart.look, chart.position_m) == ("down", (60, 60, 100))
     assert (plain.look, plain.size_px, plain.hfov_deg) == (None, (640, 360), 60)
 
 
 def test_a_lens_by_its_focal_length_and_by_its_angle() -> None:
     keys = {"name": "c", "position_m": (0, 0, 2), "look_at_m": (0, 9, 2), "f_number": 2.0, "focus_m": 5.0}
-    by_length = Camera(**keys, focal_length_mm=50)
+    by_length = camera_section({**keys, "focal_length_mm": 50})
     assert by_length.field_of_view_deg == pytest.approx(39.598, abs=1e-3)  # of 36 mm
     assert by_length.lens_mm == (12.5, 50)
-    by_angle = Camera(**keys, hfov_deg=by_length.field_of_view_deg)
+    by_angle = camera_section({**keys, "hfov_deg": by_length.field_of_view_deg})
     assert by_angle.lens_mm == pytest.approx((12.5, 50))
-    small = Camera(**keys, focal_length_mm=8.8, sensor_width_mm=13.2)
+    small = camera_section({**keys, "focal_length_mm": 8.8, "sensor_width_mm": 13.2})
     assert small.field_of_view_deg == pytest.approx(2 * math.degrees(math.atan(0.75)))
 
 

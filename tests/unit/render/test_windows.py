@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 from forestgen.geometry.hull import Hull, hull_of
-from forestgen.render.windows import BEYOND, NEAR_M, outlines
+from forestgen.render.windows import BEYOND, outlines
 from forestgen.scene.projection import project
 from forestgen.scene.spec import Camera
 from support.cameras import camera_of
 from support.scenes import camera_at, random_transforms, simple_tree
 
 SIZE_PX = (64, 36)
+NEAR_M = 1e-3
 CAMERA = camera_at((10.0, -9.0, 3.0), (12.0, 10.0, 4.0), SIZE_PX)
 
 

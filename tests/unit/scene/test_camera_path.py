@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from forestgen.core.errors import RecipeError
-from forestgen.recipe.cameras import Camera
+from forestgen.recipe.cameras import Camera, camera_section
 from forestgen.recipe.load import load_recipe
 from forestgen.scene.camera_path import expand, next_frame, place_cameras
 from forestgen.scene.terrain import HeightField
@@ -22,7 +22,7 @@ WAVY = Waves((100.0, 100.0), np.array([[0.1, 0.03]]), np.array([5.0]), np.array(
 
 
 def section(path: dict[str, Any] | None, **keys: Any) -> Camera:
-    return Camera(**{"name": "walk", "position_m": (0, 0, 2), "look_at_m": (0, 50, 2), "path": path, **keys})
+    return camera_section({"name": "walk", "position_m": (0, 0, 2), "look_at_m": (0, 50, 2), "path": path, **keys})
 
 
 def positions(camera: Camera, height: HeightField = FLAT) -> np.ndarray:

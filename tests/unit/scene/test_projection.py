@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 from forestgen.scene.projection import (
+    Projection,
     centre_rays,
     depth_is_distance,
     image_circle,
-    in_circle,
     lens_points,
     pixel_hash,
     project,
+    projection_of,
     rays,
     world_rays,
 )
@@ -142,7 +143,7 @@ def test_the_image_circle_is_that_of_its_pixels_centres(size_px):
     ]
     np.testing.assert_array_equal(image_circle(camera), expected)
     assert image_circle(camera_of("panorama", size_px, POSITION_M)).all()
-    assert in_circle(camera, np.array(width / 2), np.array(0.0))
+    assert rays(camera, np.array(width), np.array(height / 2)).valid
 
 
 def test_lens_points_fill_the_disc_evenly_for_each_sample_and_within_each_pixel():
@@ -168,3 +169,52 @@ def test_neighbouring_pixels_go_through_other_points_of_the_lens():
         assert np.abs((point[1:] * point[:-1]).mean()) < 0.02
         assert np.sqrt((step**2).sum(axis=-1)).mean() > 0.8
     assert len(np.unique(pixel_hash(column, row)[0])) == 64 * 64
+
+
+@pytest.mark.parametrize("kind", ["fisheye", "panorama", "perspective"])
+def test_what_follows_from_rays_and_points_is_what_a_projection_computes_itself(kind):
+    """The numerical defaults of `Projection`, which projections of other packages have, against closed forms."""
+    camera, rng = camera_of(kind, (64, 32), POSITION_M, **{"hfov_deg": 120.0}), np.random.default_rng(3)
+    own = projection_of(camera)
+    x, y = (one - size / 2 for one, size in zip(random_points(camera, 500, rng), camera.size_px, strict=True))
+    distance = np.array([3.0, 50.0])
+    finest = own.finest_pixel_m(camera, distance)
+    np.testing.assert_allclose(Projection.finest_pixel_m(own, camera, distance), finest, rtol=0.25)
+    if kind == "perspective":
+        return
+    toward = own.rays(camera, x, y).direction
+    expected = own.pixels_per_sr(camera, toward)
+    np.testing.assert_allclose(Projection.pixels_per_sr(own, camera, toward), expected, rtol=1e-2)  # at the poles
+    columns, rows = np.linspace(-30, 30, 20), np.linspace(-15, 15, 20)
+    steps = (columns[1] - columns[0], rows[1] - rows[0])
+    found = Projection.step_rad(own, camera, columns, rows, steps)
+    assert 0.5 < found / own.step_rad(camera, columns, rows, steps) < 1.05
+
+
+@pytest.mark.parametrize("kind", ["fisheye", "panorama", "perspective", "orthographic"])
+def test_boxes_of_any_projection_hold_what_is_seen_of_hulls(kind):
+    camera, rng = camera_of(kind, (64, 32), POSITION_M), np.random.default_rng(4)
+    cube = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3), axis=-1).reshape(-1, 3)
+    edges = np.array([(a, b) for a in range(8) for b in range(a)])
+    seen = cube + rng.normal(size=(40, 1, 3)) + [0.0, 0.0, 9.0]
+    own = projection_of(camera)
+    (box, anywhere), (expected, _) = (
+        Projection.hull_boxes(own, camera, seen, edges),
+        own.hull_boxes(camera, seen, edges),
+    )
+    assert anywhere.all()
+    np.testing.assert_allclose(box, expected, atol=0.05)
+
+
+@pytest.mark.parametrize("kind", ["fisheye", "panorama"])
+def test_files_of_any_projection_are_read_by_its_own_formulas(kind):
+    camera, rng = camera_of(kind, (64, 32), POSITION_M), np.random.default_rng(5)
+    own = projection_of(camera)
+    values = {"hfov_deg": camera.hfov_deg}
+    default = Projection.read(own, values, camera.size_px)
+    special = own.read({**own.file_keys(camera)}, camera.size_px)
+    points = rng.normal(size=(200, 3))
+    for found, expected in zip(default.project(points), special.project(points), strict=True):
+        np.testing.assert_allclose(found, expected, atol=1e-9)
+    np.testing.assert_allclose(default.rays((8, 6)), special.rays((8, 6)), atol=1e-12)
+    np.testing.assert_array_equal(default.sees((64, 32)), special.sees((64, 32)))

@@ -1,0 +1,157 @@
+"""Fisheye cameras: equidistant, up to all around.
+
+theta = r / f from the axis at r pixels from the middle, with f = W / hfov in pixels a radian; no ray beyond the circle
+of radius W / 2, which is that of hfov / 2. Depth is the distance along the ray. What is straight behind a fisheye of
+360 degrees is to the right.
+
+| key | |
+|---|---|
+| hfov_deg | the whole angle of the circle, at most 360; default 180: the circle that a square image holds |
+| position_m | default: eye level amid the site |
+| look | default: up |
+| size_px | default: [512, 512] |
+
+camera.json: `model: fisheye` with `hfov_deg`, `K` and `distortion` (the k1 k2 k3 k4 of OpenCV's fisheye, all 0);
+pixel = f theta (x, y) / hypot(x, y) + size / 2 with theta = atan2(hypot(x, y), z) and f = K[0][0].
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar
+
+import numpy as np
+from pydantic import Field
+
+from forestgen.recipe.camera_keys import Look
+from forestgen.recipe.cameras import Camera as CameraSection
+from forestgen.recipe.fields import Number, Point
+from forestgen.scene.projection import DeviceRays, Exchange, FileGeometry, Floats, Pixels, Rays, matrix_k, read_k
+from forestgen.scene.projections.curved import CurvedProjection, lies_over
+from forestgen.scene.spec import Camera
+
+
+class FisheyeCamera(CameraSection):
+    """An equidistant fisheye."""
+
+    default_size_px: ClassVar[tuple[int, int]] = (512, 512)
+    default_look: ClassVar[Look | None] = "up"
+    default_place: ClassVar[Point] = (0.5, 0.5, 1.7)
+
+    hfov_deg: Annotated[
+        Number, Field(ge=0.1, le=360, description="Whole angle of the circle, which is as wide as the image, degrees.")
+    ] = 180.0
+
+    @property
+    def field_of_view_deg(self) -> float:
+        return self.hfov_deg
+
+
+class Fisheye(CurvedProjection):
+    """Equidistant from the axis."""
+
+    name = "fisheye"
+    Parameters = FisheyeCamera
+    model = "fisheye"
+    is_equidistant = True
+    exchange = Exchange("OPENCV_FISHEYE", ("k1", "k2", "k3", "k4"))
+
+    def rays(self, camera: Camera, x: Floats, y: Floats) -> Rays:
+        radius = np.hypot(x, y)
+        theta = radius / self.focal_px(camera)
+        sine = np.divide(np.sin(theta), radius, out=np.zeros_like(radius), where=radius > 0)
+        direction = np.stack([x * sine, y * sine, np.cos(theta)], axis=-1)
+        # Exact for pixel centres.
+        return Rays(np.zeros((*x.shape, 3)), direction, np.asarray(x * x + y * y <= (camera.size_px[0] / 2) ** 2))
+
+    def project(self, camera: Camera, x: Floats, y: Floats, z: Floats) -> Pixels:
+        across = np.hypot(x, y)
+        radius = np.arctan2(across, z) * self.focal_px(camera)
+        sideways = across > 0
+        u = radius * np.divide(x, across, out=np.ones_like(across), where=sideways)
+        v = radius * np.divide(y, across, out=np.zeros_like(across), where=sideways)
+        depth = np.hypot(across, z)
+        # Rounding may carry a point of the circle itself across.
+        return Pixels(u, v, depth, (radius <= camera.size_px[0] / 2 * (1 + 1e-12)) & (depth > 0))
+
+    def device_rays(self, camera: Camera, x: Any, y: Any, lens: Any | None, mi: Any, dr: Any) -> DeviceRays:
+        radius = dr.sqrt(x * x + y * y)
+        sine, cosine = dr.sincos(radius * dr.opaque(mi.Float, 1 / self.focal_px(camera)))
+        sine = dr.select(radius > 0, sine / radius, 0.0)
+        double = dr.float64_array_t(mi.Float)  # squares of pixels are exact in double precision
+        inside = double(x) * double(x) + double(y) * double(y) <= dr.opaque(double, (camera.size_px[0] / 2) ** 2)
+        return DeviceRays(mi.Vector3f(x * sine, y * sine, cosine), mi.Float(1.0), None, inside)
+
+    def focal_px(self, camera: Camera) -> float:
+        """Pixels a radian."""
+        return camera.size_px[0] / float(np.radians(camera.hfov_deg))
+
+    def pixels_a_radian(self, camera: Camera) -> tuple[float, float]:
+        return self.focal_px(camera), self.focal_px(camera)
+
+    def everywhere(self, camera: Camera) -> Floats:
+        (width, height), reach = camera.size_px, np.pi * self.focal_px(camera)
+        return np.array([width / 2 - reach, height / 2 - reach, width / 2 + reach, height / 2 + reach])
+
+    def stretch_sine(self, seen: Floats, distance_m: Floats) -> Floats:
+        return np.where(seen[..., 2] < 0, np.hypot(seen[..., 0], seen[..., 1]) / distance_m, 1.0)
+
+    def torn_boxes(self, camera: Camera, box: Floats, unit: Floats) -> Floats:
+        """A hull straight behind is in all directions around the circle, out to pi radians."""
+        box[lies_over(unit, np.array([0.0, 0.0, -1.0]))] = self.everywhere(camera)
+        return box
+
+    def pixels_per_sr(self, camera: Camera, toward: Floats) -> Floats:
+        theta = np.arccos(np.clip(toward[..., 2], -1.0, 1.0))
+        return np.asarray(self.focal_px(camera) ** 2 / np.maximum(np.sinc(theta / np.pi), 1e-9))
+
+    def step_rad(self, camera: Camera, x: Floats, y: Floats, step_px: tuple[float, float]) -> float:
+        return float(np.hypot(*step_px)) / self.focal_px(camera)
+
+    def finest_pixel_m(self, camera: Camera, distance_m: Floats) -> Floats:
+        # Around the axis a pixel covers sin(theta) / theta of what it covers away from it; 0 straight behind.
+        edge = min(np.radians(camera.hfov_deg) / 2, 0.75 * np.pi)
+        return np.asarray(distance_m * np.sin(edge) / edge / self.focal_px(camera))
+
+    def intrinsics(self, camera: Camera) -> Floats:
+        return matrix_k(camera, self.focal_px(camera))
+
+    def file_keys(self, camera: Camera) -> dict[str, Any]:
+        k = self.intrinsics(camera).tolist()
+        return {"hfov_deg": float(camera.hfov_deg), "K": k, "distortion": [0.0] * 4}
+
+    def read(self, values: Mapping[str, Any], size_px: tuple[int, int]) -> FileGeometry:
+        float(values["hfov_deg"])
+        return FisheyeFile(self, values, size_px, *read_k(values))
+
+
+class FisheyeFile(FileGeometry):
+    """A fisheye by a camera.json."""
+
+    def project(self, points_m: Floats) -> tuple[Floats, Floats]:
+        x, y, z = np.moveaxis(points_m, -1, 0)
+        distance, aside = np.sqrt((points_m**2).sum(axis=-1)), x + 1j * y
+        # Half angles: 2 atan2(|a - b|, |a + b|) of the axis and the direction, exact at both ends.
+        angle = 2 * np.arctan2(
+            np.sqrt(np.abs(aside) ** 2 + (distance - z) ** 2), np.sqrt(np.abs(aside) ** 2 + (distance + z) ** 2)
+        )
+        turn = np.where(aside == 0, 1.0, aside / np.where(aside == 0, 1.0, np.abs(aside)))
+        flat = np.stack([turn.real * angle, turn.imag * angle], axis=-1)
+        # Rounding at the circle itself is judged by whoever asks.
+        widest = np.radians(float(self.values["hfov_deg"])) / 2
+        return flat * self.focal_px + self.centre_px, np.where(angle > widest, -distance, distance)
+
+    def rays(self, size_px: tuple[int, int]) -> Floats:
+        x, y = np.moveaxis(self.flat(size_px), -1, 0)
+        angle = np.sqrt(x * x + y * y)
+        sine = np.sinc(angle / np.pi)  # sin(angle) / angle
+        return np.stack([x * sine, y * sine, np.cos(angle)], axis=-1)
+
+    def beyond_rim_px(self, at_px: Floats) -> Floats:
+        return np.asarray(np.sqrt(((at_px - self.centre_px) ** 2).sum(axis=-1)) - self.size_px[0] / 2)
+
+    def focal_of_angle(self) -> float:
+        return self.size_px[0] / 2 / (float(np.radians(float(self.values["hfov_deg"]))) / 2)
+
+
+PROJECTION = Fisheye()

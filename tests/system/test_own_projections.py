@@ -1,0 +1,101 @@
+"""The projection of examples/plugin is drawn, labelled, written, verified and refused like those that come along."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from batch_runs import RECIPE, recipe
+
+import forestgen as fg
+from forestgen.core import registry
+from forestgen.recipe.registries import PROJECTIONS
+
+PLUGIN = str(Path(__file__).parents[2] / "examples" / "plugin")
+WIDTH, HEIGHT, HFOV_DEG, HORIZON = 40, 20, 200.0, 0.4
+POSITION_M = np.array([3.0, 2.0, 1.5])
+CAMERA = (
+    f"  - {{name: round, kind: cylindrical, size_px: [{WIDTH}, {HEIGHT}], hfov_deg: {HFOV_DEG}, horizon: {HORIZON}, "
+    f"position_m: {POSITION_M.tolist()}}}\n"
+)
+OWN = RECIPE[: RECIPE.index("  - {name: left")] + CAMERA + RECIPE[RECIPE.index("render:") :]
+
+
+@pytest.fixture(autouse=True)
+def _registered(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """What a test registers is forgotten."""
+    entries, registered = dict(PROJECTIONS._entries), list(registry._registered)
+    monkeypatch.syspath_prepend(PLUGIN)
+    fg.register("projection", "cylindrical", "forestgen_plantation.cylindrical:PROJECTION", "a turning slit camera")
+    yield
+    PROJECTIONS._entries.clear()
+    PROJECTIONS._entries.update(entries)
+    registry._registered[:] = registered
+    for name in [name for name in sys.modules if name.startswith("forestgen_plantation")]:
+        del sys.modules[name]
+
+
+def test_labels_are_those_of_its_own_formulas(tmp_path: Path) -> None:
+    """What a pixel's centre sees lies on the ray that the definition gives it; `verify` finds nothing."""
+    run = fg.load(recipe(tmp_path, OWN)).batch(tmp_path / "set", 1, workers=1, threads=1, progress=False)
+    root = Path(run.target)
+    (folder,) = (root / "train").glob("*-round")
+    camera = json.loads((folder / "camera.json").read_text())
+    assert (camera["model"], camera["hfov_deg"], camera["numbers"]) == ("cylindrical", HFOV_DEG, {"horizon": HORIZON})
+    (frame,) = fg.Dataset(root / "train")
+    position, radiance = frame.position.astype(float), frame.radiance
+    solid = np.isfinite(position).all(axis=-1)
+    assert 100 < solid.sum() < solid.size
+    away = position[solid] - POSITION_M
+    longitude, slope = np.arctan2(away[:, 0], away[:, 1]), -away[:, 2] / np.hypot(away[:, 0], away[:, 1])
+    focal_px = WIDTH / np.radians(HFOV_DEG)
+    row, column = np.nonzero(solid)
+    np.testing.assert_allclose(focal_px * longitude + WIDTH / 2, column + 0.5, atol=2e-3)
+    np.testing.assert_allclose(focal_px * slope + HORIZON * HEIGHT, row + 0.5, atol=2e-3)
+    np.testing.assert_allclose(frame.depth[solid], np.linalg.norm(away, axis=1), rtol=1e-5)
+    assert len(np.unique(frame.instance)) > 1
+    assert (radiance[solid].mean(axis=-1) > 0).mean() > 0.9
+    assert fg.verify(root, workers=1, progress=False).findings == ()
+
+
+@pytest.mark.parametrize(
+    ("keys", "where", "words"),
+    [
+        ("kind: cylindrical, horizon: 2", "horizon", "at most 1"),
+        ("kind: cylindrical, hfov_deg: 360", "hfov_deg", "at most 350"),
+        ("kind: cylindrical, width_m: 3", "width_m", "a cylindrical camera has no width_m"),
+        ("kind: fisheye, horizon: 0.5", "horizon", "choose kind: cylindrical"),
+        ("kind: cylindrical, horizn: 0.5", "horizn", "did you mean 'horizon'"),
+        ("kind: cylindrical, look: down", "look", "is level"),
+    ],
+)
+def test_its_keys_are_checked(tmp_path: Path, keys: str, where: str, words: str) -> None:
+    text = OWN.replace(CAMERA, f"  - {{{keys}}}\n")
+    with pytest.raises(fg.RecipeError, match=words) as refused:
+        fg.load(recipe(tmp_path, text)).validate()
+    assert str(refused.value.where).endswith(f"cameras.0.{where}")
+
+
+def test_it_is_listed_with_its_page_and_in_the_schema(tmp_path: Path) -> None:
+    (entry,) = fg.models("cylindrical")
+    assert (entry.kind, entry.description) == ("projection", "a turning slit camera")
+    assert "upright lines stay straight" in entry.page
+    keys = fg.schema()["$defs"]["Camera"]["properties"]
+    assert "horizon" in keys
+    assert "cylindrical" in json.dumps(keys["kind"])
+
+
+def test_a_format_without_words_for_it_refuses_it(tmp_path: Path) -> None:
+    text = OWN.replace("formats: []", "formats: [nerfstudio]")
+    with pytest.raises(fg.RecipeError, match="nerfstudio has no such camera") as refused:
+        fg.load(recipe(tmp_path, text)).validate()
+    assert "perspective, fisheye, panorama" in str(refused.value.expected)
+
+
+def test_what_is_no_projection_is_not_registered() -> None:
+    with pytest.raises(fg.RecipeError, match="this is no projection: it has no "):
+        fg.register("projection", "none", "forestgen_plantation:MODEL")
