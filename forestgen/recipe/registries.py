@@ -1,6 +1,5 @@
 """Interchangeable parts by the name that a recipe uses: the recipe's schema needs their names, not their code."""
 
-"""Data set formats and cameras' projections, by their names in recipes, whose schema needs no more of most of them."""
 
 from __future__ import annotations
 
