@@ -132,7 +132,7 @@ def test_parts_on_level_ground_add_up() -> None:
     light = daylight_of(sky)
     np.testing.assert_allclose(light.sun_on_level.value, 0.5 * light.sun.value)
     np.testing.assert_allclose(light.on_level.value, 0.5 * light.sun.value + light.sky.value)
-    same = daylight(30.0, 3.0, 0.2, "clear", 500.0, sun_distance_au=1.01, precipitable_water_mm=20.0, ozone_du=300.0)
+    same = daylight(30.0, 3.0, 0.2, 500.0, sun_distance_au=1.01, precipitable_water_mm=20.0, ozone_du=300.0)
     np.testing.assert_array_equal(same.sun.value, light.sun.value)
 
 

@@ -129,7 +129,7 @@ def test_duplicate_keys_name_both_lines(tmp_path: Path) -> None:
         ("community={steps: 3}", ["'model' is missing"]),
         ("sky.sun.elevation_deg=0", ["greater than 0"]),
         ("sky.turbidity=11", ["at most 10"]),
-        ("sky.clouds=altostratus", ["'cumulus'", "'noise'", "or 'none'"]),
+        ("sky.clouds=altostratus", ["sky.clouds.type", "cumulus", "noise, none", "did you mean 'stratus'"]),
         ("cameras=[]", ["at least 1 entry"]),
         ("cameras=3", ["a list"]),
         ("cameras.0.size_px=[7, 100]", ["at least 8"]),

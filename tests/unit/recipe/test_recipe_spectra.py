@@ -85,7 +85,7 @@ def test_seasons_may_be_drawn(tmp_path):
             ["colours beside a spectrum", "leave one out"],
         ),
         ("species.birch.materials.leaf.gloss=0.2", ["at most 0.08"]),
-        ("site.ground=lava", ["'litter', 'soil_dry'"]),
+        ("site.ground=lava", ["litter, rock"]),
     ],
 )
 def test_mistakes_are_told_when_the_recipe_is_loaded(tmp_path, override, told):
