@@ -73,13 +73,14 @@ def models(name: str | None = None, *, kind: str | None = None) -> list[Entry]:
     if kind is not None and text_of(kind, "kind") not in kinds:
         hint = did_you_mean(kind, kinds)
         expected = "one of " + ", ".join(kinds)
-        raise RecipeError("no such kind", where="kind", expected=expected, got=repr(kind), hint=hint)
+        raise RecipeError("no such kind", parameter="kind", expected=expected, got=repr(kind), hint=hint)
     found = [one for one in _entries() if kind in (None, one.kind)]
     named = [one for one in found if name is None or one.name == text_of(name, "name")]
     if name is not None and not named:
         known = [one.name for one in found]
         raise RecipeError(
             "there is no page of this name",
+            parameter="name",
             expected="one of " + ", ".join(known),
             got=repr(name),
             hint=did_you_mean(name, known),
@@ -170,17 +171,15 @@ def register(kind: str, name: str, part: object, description: str = "") -> None:
         hint = did_you_mean(kind, list(_REGISTRIES))
         raise RecipeError(
             "no such kind of part",
-            where="kind",
+            parameter="kind",
             expected="one of " + ", ".join(_REGISTRIES),
             got=shown(kind),
             hint=hint,
         )
     text_of(name, "name")
-    is_path = isinstance(part, str)
-    found = part_at(part) if isinstance(part, str) else part
-    path = part if isinstance(part, str) else _path_of(part)
+    found, path = (part_at(part), part) if isinstance(part, str) else (part, _path_of(part))
     check_part(kind, found)
-    text = text_of(description, "description") or ("" if is_path else (inspect.getdoc(part) or "").partition("\n")[0])
+    text = text_of(description, "description") or (inspect.getdoc(found) or "").partition("\n")[0]
     _REGISTRIES[kind].register(name, path, text)
 
 
@@ -194,6 +193,7 @@ def _path_of(part: object) -> str:
             return f"{module}:{found[0]}"
     raise RecipeError(
         "the part cannot be imported again by worker processes",
+        parameter="part",
         expected="an object at the top of a module",
         got=f"{part!r:.80} of {module}",
         hint="put it into a module of its own, or pass its place: 'package.module:NAME'",

@@ -57,12 +57,12 @@ def part_at(path: str) -> object:
 
 
 def _error(problem: str, path: str, hint: str | None = None) -> RecipeError:
-    return RecipeError(problem, where="part", expected="'package.module:NAME'", got=shown(path), hint=hint)
+    return RecipeError(problem, parameter="part", expected="'package.module:NAME'", got=shown(path), hint=hint)
 
 
 def _failed(path: str, module: str, error: Exception) -> RecipeError:
     said = " ".join(f"{type(error).__name__}: {error}".split())[:300]
-    return RecipeError(f"the module {module} cannot be imported", where="part", expected=f"{path!r:.200}", got=said)
+    return RecipeError(f"the module {module} cannot be imported", parameter="part", expected=f"{path!r:.200}", got=said)
 
 
 def check_part(kind: str, part: object) -> None:
@@ -70,7 +70,7 @@ def check_part(kind: str, part: object) -> None:
     contract, parameters = _CONTRACTS[kind]
     if isinstance(part, type):
         hint = f"an object of it: MODEL = {part.__name__}(), at the top of its module"
-        raise RecipeError("this is a class", where="part", expected="an object", got=shown(part), hint=hint)
+        raise RecipeError("this is a class", parameter="part", expected="an object", got=shown(part), hint=hint)
     own = {**getattr(contract, "__annotations__", {}), **vars(contract)}
     names = sorted(name for name in own if not name.startswith("_"))
     missing = [name for name in names if not hasattr(part, name)]
@@ -79,10 +79,10 @@ def check_part(kind: str, part: object) -> None:
     wanted = f"{contract.__module__}.{contract.__name__}"
     if missing:
         problem = f"this is no {kind.replace('_', ' ')}: it has no {', '.join(missing)}"
-        raise RecipeError(problem, where="part", expected=f"what {wanted} asks for", got=shown(part))
+        raise RecipeError(problem, parameter="part", expected=f"what {wanted} asks for", got=shown(part))
     if parameters is None:
         return
     given = getattr(part, "Parameters")  # noqa: B009 - its type is not known
     if not (isinstance(given, type) and issubclass(given, parameters)):
         expected = f"a class based on {parameters.__module__}.{parameters.__name__}"
-        raise RecipeError("its Parameters are none", where="part", expected=expected, got=shown(given))
+        raise RecipeError("its Parameters are none", parameter="part", expected=expected, got=shown(given))

@@ -87,9 +87,10 @@ class Registry:
             return
         if not _NAME.fullmatch(name):
             expected = "letters, digits and underscores, a letter first"
-            raise RecipeError(f"no name for a {self.kind}", expected=expected, got=repr(name))
+            raise RecipeError(f"no name for a {self.kind}", parameter="name", expected=expected, got=repr(name))
         if name in self._entries:
-            raise RecipeError(f"there is a {self.kind} of this name already", expected="another name", got=repr(name))
+            problem = f"there is a {self.kind} of this name already"
+            raise RecipeError(problem, parameter="name", expected="another name", got=repr(name))
         self._entries[name] = (path, description)
         _registered.append(entry)
 

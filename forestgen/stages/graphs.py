@@ -25,7 +25,7 @@ def check_graphs(plan: Plan, paths: Sequence[Path]) -> None:
     if paths and not isinstance(plan.model_parameters, BranchModulesParameters):
         raise RecipeError(
             "plants of this community have no branches of their own",
-            where="graphs",
+            parameter="graphs",
             expected="community.model: branch_modules",
             got=plan.drawn.recipe.community.model,
             hint="forestgen plant NAME --out exports a single plant",
@@ -34,7 +34,7 @@ def check_graphs(plan: Plan, paths: Sequence[Path]) -> None:
         if path.suffix.lower() not in GRAPH_FORMATS:
             raise RecipeError(
                 "no format for skeletal graphs",
-                where="graphs",
+                parameter="graphs",
                 expected=f"a name that ends with {', '.join(GRAPH_FORMATS)}",
                 got=str(path),
             )

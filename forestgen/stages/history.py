@@ -160,7 +160,7 @@ def check_map_steps(plan: Plan, map_steps: Sequence[int], first: int = 0) -> Non
     for step in map_steps:
         if not first <= step <= plan.steps:
             expected = f"a step from {first} to {plan.steps}"
-            raise RecipeError("no such step", where="map_steps", expected=expected, got=str(step))
+            raise RecipeError("no such step", parameter="map_steps", expected=expected, got=str(step))
 
 
 def map_colours(plan: Plan) -> dict[str, str]:

@@ -57,7 +57,7 @@ def packing_of(
         whole_of(seed, "seed", 0, MOST_SEEDS)
     chosen = next((one for one in FORMATS if one == form), None)
     if chosen is None:
-        raise RecipeError("there is no such format", where="format", expected=" or ".join(FORMATS), got=form)
+        raise RecipeError("there is no such format", parameter="format", expected=" or ".join(FORMATS), got=form)
     names = None if channels is None else tuple(channels)
     return Packing(chosen, parse_bytes(shard_size, "shard_size"), names, tuple(splits), seed)
 
@@ -80,8 +80,8 @@ def pack(root: Path, target: Path, packing: Packing, *, overwrite: bool = False,
 
     Raises
     ------
-    DatasetError : `root` is no data set, or a file of it is missing or damaged.
-    RecipeError : there is no such folder, or the data set has no such channel or split.
+    DatasetError : a file of the data set is missing or damaged.
+    RecipeError : the data set has no such channel or split.
     OutputError : the pack cannot be written.
     """
     source = open_source(root, packing.splits)
@@ -149,7 +149,7 @@ def _split_names(source: Source, form: Format) -> dict[str, str]:
     if len(set(names.values())) < len(names):
         raise RecipeError(
             "two splits would have the same name, for hyphens become underscores",
-            where="splits",
+            parameter="splits",
             got=", ".join(names),
             hint="pack them one by one",
         )
