@@ -26,7 +26,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from forestgen.dataset.png import read_instance
+from support.data_sets import read_instance
 
 ROOT = Path(__file__).resolve().parents[1]
 SETTINGS = ("render.samples=1", "cameras.0.size_px=[320, 180]", "dataset.formats=[coco, yolo]", "images=2")

@@ -129,7 +129,7 @@ class SimulationSummary:
         for note in shown:
             yield f"note: {note}"
         if len(self.notes) > len(shown):
-            yield f"note: {len(self.notes) - len(shown)} more notes; --verbose prints all"
+            yield f"note: {len(self.notes) - len(shown)} more notes: `verbose` shows all"
         yield f"simulated in {seconds(self.timings_s['community'])}"
 
 

@@ -92,6 +92,7 @@ def models(name: str | None = None, *, kind: str | None = None) -> list[Entry]:
         known = [one.name for one in found]
         raise RecipeError(
             "there is no page of this name",
+            parameter="name",
             expected="one of " + ", ".join(known),
             got=repr(name),
             hint=did_you_mean(name, known),
@@ -180,18 +181,16 @@ def register(kind: str, name: str, part: object, description: str = "") -> None:
     """
     _check_kind(kind, tuple(_REGISTRIES))
     text_of(name, "name")
-    is_path = isinstance(part, str)
-    found = part_at(part) if isinstance(part, str) else part
-    path = part if isinstance(part, str) else _path_of(part)
+    found, path = (part_at(part), part) if isinstance(part, str) else (part, _path_of(part))
     _REGISTRIES[kind].check_part(name, found)
-    text = text_of(description, "description") or ("" if is_path else (inspect.getdoc(part) or "").partition("\n")[0])
+    text = text_of(description, "description") or (inspect.getdoc(found) or "").partition("\n")[0]
     _REGISTRIES[kind].register(name, path, text)
 
 
 def _check_kind(kind: str, known: tuple[str, ...]) -> None:
     if text_of(kind, "kind") not in known:
         expected, hint = "one of " + ", ".join(known), did_you_mean(kind, known)
-        raise RecipeError("no such kind", where="kind", expected=expected, got=shown(kind), hint=hint)
+        raise RecipeError("no such kind", parameter="kind", expected=expected, got=shown(kind), hint=hint)
 
 
 def _path_of(part: object) -> str:
@@ -204,6 +203,7 @@ def _path_of(part: object) -> str:
             return f"{module}:{found[0]}"
     raise RecipeError(
         "the part cannot be imported again by worker processes",
+        parameter="part",
         expected="an object at the top of a module",
         got=f"{part!r:.80} of {module}",
         hint="put it into a module of its own, or pass its place: 'package.module:NAME'",

@@ -70,7 +70,7 @@ class Dataset(Sequence[Frame]):
         self._split = split
         self._rows = _rows_of(self.folder)
         if split is not None:
-            if split not in self.splits:
+            if text_of(split, "split") not in self.splits:
                 raise self._no_split(split)
             self._rows = self._rows.filter(np.asarray(self._rows["split"]) == split)
 
@@ -130,8 +130,8 @@ class Dataset(Sequence[Frame]):
 
     def frame(self, name: str) -> Frame:
         """The frame of a name such as 000000-camera0."""
-        if name not in self._numbers:
-            raise RecipeError("the data set has no such frame", where=str(self.folder), got=shown(name))
+        if text_of(name, "name") not in self._numbers:
+            raise RecipeError("the data set has no such frame", parameter="name", got=shown(name))
         return self[self._numbers[name]]
 
     def verify(
@@ -230,17 +230,19 @@ class Dataset(Sequence[Frame]):
         return {name: number for number, name in enumerate(self._rows["frame"].to_pylist())}
 
     def _no_split(self, name: str) -> RecipeError:
-        """What is told of a split that no image is in."""
+        """The error for a split that no image is in."""
         expected = "one of " + ", ".join(self.splits)
         declared = {split: share for one in self.info["recipes"] for split, share in one["splits"].items()}
         if name not in declared:
             hint = did_you_mean(str(name), self.splits)
-            return RecipeError("the data set has no such split", expected=expected, got=shown(name), hint=hint)
+            return RecipeError(
+                "the data set has no such split", parameter="split", expected=expected, got=shown(name), hint=hint
+            )
         share, total = declared[name], sum(declared.values())
         part = f"about {100 * share / total:.2g} % of the images are for it; " if share > 0 and total > 0 else ""
         hint = f"{part}make more, with `resume=True`"
         problem = "the data set has no such split yet: its recipe declares it, but no image of it is there"
-        return RecipeError(problem, expected=expected, got=shown(name), hint=hint)
+        return RecipeError(problem, parameter="split", expected=expected, got=shown(name), hint=hint)
 
     @cached_property
     def _legend(self) -> Mapping[str, Any]:

@@ -53,8 +53,9 @@ def display_of(progress: bool | Progress | None) -> Display:
         return Bars() if _in_terminal() else Lines(_LINE_EVERY_S)
     if not callable(getattr(progress, "stage", None)) or isinstance(progress, type):
         expected = "None, True, False, or an object with a method stage(title, total)"
-        raise RecipeError("this shows no progress", where="progress", expected=expected, got=shown(progress))
-    return cast(Display, progress) if hasattr(progress, "running") else _Wrapped(progress)
+        raise RecipeError("this shows no progress", parameter="progress", expected=expected, got=shown(progress))
+    is_display = all(callable(getattr(progress, name, None)) for name in ("running", "say", "show"))
+    return cast(Display, progress) if is_display else _Wrapped(progress)
 
 
 class SilentDisplay:

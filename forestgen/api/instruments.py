@@ -52,7 +52,7 @@ def measure_light(
         _check_ending(out, _LIGHT_FILES)
         check_writable([out], overwrite=overwrite)
     points = [point_of(one) for one in listed(at, "at", "points")]
-    directions = [normal_of(one) for one in listed(normals, "normals", "directions")]
+    directions = [normal_of(one, "normals") for one in listed(normals, "normals", "directions")]
     display = display_of(progress)
     with display.running():
         meters = light.light_at(
@@ -90,7 +90,7 @@ def simulate_weather(
     for one in out:
         _check_ending(one, _WEATHER_FILES)
     if picture is not None and picture.suffix.lower() != ".png":
-        raise RecipeError("no such kind of picture", where="picture", expected=".png", got=str(picture))
+        raise RecipeError("no such kind of picture", parameter="picture", expected=".png", got=str(picture))
     check_writable([*out, *([picture] if picture else [])], overwrite=overwrite)
     number = loaded.images if count is None else whole_of(count, "count", 1, 10**8)
     display = display_of(progress)
@@ -124,7 +124,7 @@ def calibrate(
     from forestgen.stages.calibration_files import write_calibration
 
     width_px, samples = whole_of(width_px, "width_px", 64, 1024), whole_of(samples, "samples", 4, 65536)
-    point, towards = (None if at is None else point_of(at)), normal_of(normal)
+    point, towards = (None if at is None else point_of(at)), normal_of(normal, "normal")
     folder = out or path_of(free_folder(Path("outputs") / f"{loaded.path.stem}-calibration"), "out", output=True)
     timings, display = Timings(), display_of(progress)
     with display.running(), OutputFolder(folder, overwrite=overwrite) as staging:
@@ -152,19 +152,19 @@ def calibrate(
 
 
 def point_of(values: Sequence[float | str]) -> Point:
-    """A point of three finite numbers, metres. Raises `RecipeError`."""
+    """A point of three numbers, metres, whose place is not checked. Raises `RecipeError`."""
     try:
         x, y, z = (float(one) for one in values)
     except (TypeError, ValueError, OverflowError):
         several = values if isinstance(values, list | tuple) else [values]
         got = " ".join(f"{one:.100}" if isinstance(one, str) else shown(one) for one in several)
         raise RecipeError(
-            "this is no point", where="at", expected="three numbers, metres, such as 30 40 1.5", got=got
+            "this is no point", parameter="at", expected="three numbers, metres, such as 30 40 1.5", got=got
         ) from None
     return x, y, z
 
 
-def normal_of(direction: str | Sequence[float]) -> Point:
+def normal_of(direction: str | Sequence[float], parameter: str) -> Point:
     """Unit vector of a direction, by its name or its components. Raises `RecipeError`."""
     if isinstance(direction, str) and direction.lower() in DIRECTIONS:
         return DIRECTIONS[direction.lower()]
@@ -176,7 +176,7 @@ def normal_of(direction: str | Sequence[float]) -> Point:
     if not (math.isfinite(length) and length > 1e-9):
         expected = ", ".join(DIRECTIONS) + ", or x,y,z such as 0,0.5,1"
         got = direction if isinstance(direction, str) else shown(direction)
-        raise RecipeError("this is no direction", where="normals", expected=expected, got=got)
+        raise RecipeError("this is no direction", parameter=parameter, expected=expected, got=got)
     return x / length, y / length, z / length
 
 
@@ -196,7 +196,7 @@ def _save_weather(path: Path, report: Weather) -> None:
 
 def _check_ending(path: Path, endings: Sequence[str]) -> None:
     if path.suffix.lower() not in endings:
-        raise RecipeError("no such kind of file", where="out", expected=" or ".join(endings), got=str(path))
+        raise RecipeError("no such kind of file", parameter="out", expected=" or ".join(endings), got=str(path))
 
 
 __all__ = ["LightReadings", "Weather", "calibrate", "measure_light", "normal_of", "point_of", "simulate_weather"]

@@ -32,7 +32,7 @@ def torch_frames(frames: Sequence[Frame], channels: Sequence[str], transform: Tr
         if name not in _ARRAYS:
             expected, hint = "one of " + ", ".join(_ARRAYS), did_you_mean(str(name), _ARRAYS)
             raise RecipeError(
-                "frames have no such array", where="channels", expected=expected, got=repr(name), hint=hint
+                "frames have no such array", parameter="channels", expected=expected, got=repr(name), hint=hint
             )
     torch = _library("torch")
     data = _library("torch.utils.data")
@@ -105,7 +105,7 @@ def _for_torch(name: str, values: Any) -> Any:
     """A copy that may be written to, as tensors may."""
     if values is None:
         hint = "labels.channels of the recipe chooses them"
-        raise RecipeError("the data set has no such channel", where="channels", got=name, hint=hint)
+        raise RecipeError("the data set has no such channel", parameter="channels", got=name, hint=hint)
     array = np.moveaxis(values, -1, 0) if values.ndim == 3 else values
     return np.array(array, dtype=np.int64 if array.dtype == np.uint32 else array.dtype, order="C")
 

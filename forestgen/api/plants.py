@@ -98,7 +98,7 @@ def grow_files(
     RecipeError, AssetError, OutputError
     """
     source = str(path_of(species, "species"))
-    outputs = tuple(paths_of(out, "out", output=True)) if out else default_outputs(source)
+    outputs = tuple(paths_of(() if out is None else out, "out", output=True)) or default_outputs(source)
     order = Order(
         source,
         outputs,
@@ -109,7 +109,7 @@ def grow_files(
         frames_per_s,
         detail,
         wood_triangles,
-        Shot(size_px, samples, distance_m, look_at_m),
+        Shot(size_px, samples, distance_m, look_at_m).check(),
         overwrite,
     )
     display = display_of(progress)
@@ -209,11 +209,12 @@ class Plant:
         distance_m : from the camera to the plant; by default as far as a normal lens asks for.
         look_at_m : look at this height through a normal lens, not at the whole plant.
         """
-        shot = Shot(size_px, samples, distance_m, look_at_m)
-        shot.check()
+        shot = Shot(size_px, samples, distance_m, look_at_m).check()
         display = display_of(progress)
         with display.running():
-            return picture_of(self._plan, self._exemplar, camera_of(self._exemplar, shot), samples, self.seed, display)
+            return picture_of(
+                self._plan, self._exemplar, camera_of(self._exemplar, shot), shot.samples, self.seed, display
+            )
 
     def sway(self, frames: int, frames_per_s: float = 12.0) -> list[Plant]:
         """The plant's poses in the wind, of a species whose generator is strands.

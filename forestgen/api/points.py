@@ -135,7 +135,7 @@ def fit_kernel(
     if species is not None and text_of(species, "species") not in library:
         raise RecipeError(
             "no such species",
-            where="species",
+            parameter="species",
             expected=", ".join(sorted(library)),
             got=repr(species[:60]),
             hint="a fit says where plants stand; `species`, what they look like",
@@ -170,7 +170,7 @@ def _on_species(stand: MeasuredStand, library: set[str], species: str | None) ->
     if species is not None or not strange:
         return []
     who = ", ".join(strange) if any(strange) else "new plants"
-    return [f"{who}: drawn as {_SPECIES}, since no --species says what they look like; places do not depend on it"]
+    return [f"{who}: drawn as {_SPECIES}, since no `species` says what they look like; places do not depend on it"]
 
 
 def _on_fit(fit: Fit) -> list[str]:

@@ -120,7 +120,9 @@ def _values(settings: Mapping[str, Value] | Sequence[str] | None) -> dict[str, V
         except ValueError:
             numbers = []
         if not equals or not name.strip() or not numbers:
-            raise LsystemError("not a setting", where="set", expected="NAME=NUMBER or NAME=NUMBER,NUMBER", got=setting)
+            raise LsystemError(
+                "not a setting", parameter="set", expected="NAME=NUMBER or NAME=NUMBER,NUMBER", got=setting
+            )
         values[name.strip()] = numbers if "," in text else numbers[0]
     return values
 

@@ -9,8 +9,7 @@ from pathlib import Path
 from forestgen.api.datasets import Run
 from forestgen.api.display import Display, display_of
 from forestgen.api.frames import MadeFrame
-from forestgen.core.arguments import address_of, shown
-from forestgen.core.errors import RecipeError
+from forestgen.core.arguments import address_of, whole_of
 from forestgen.core.progress import Progress
 from forestgen.core.threads import cores, limit_cores
 from forestgen.core.timing import Timings
@@ -34,19 +33,11 @@ def frames_of(
     progress: bool | Progress | None,
 ) -> Iterator[Frame]:
     """See `Recipe.frames`. Arguments are checked at once, and nothing is set while the caller looks at a frame."""
-    total = loaded.images if count is None else count
-    if type(total) is not int or total < 0:
-        raise RecipeError("no such number of images", where="count", expected="0 or more", got=shown(total))
-    if type(first) is not int or first < 0:
-        raise RecipeError("no such image", where="first", expected="0 or more", got=shown(first))
-    RunOptions(threads=threads, device=device).check()
+    end = NUMBERS_END - int(loaded.complete["first_image"])
+    first = whole_of(first, "first", 0, end - 1)
+    total = whole_of(loaded.images if count is None else count, "count", 0, end - first)
+    threads = RunOptions(threads=threads, device=device).check().threads
     check_plan(loaded)
-    most = NUMBERS_END - int(loaded.complete["first_image"])
-    if first + total > most:
-        where, got = ("first", first) if first >= most else ("count", total)
-        raise RecipeError(
-            "there are no images of such numbers", where=where, expected=f"numbers below {NUMBERS_END}", got=str(got)
-        )
     return _frames(loaded, range(first, first + total), threads, device, display_of(progress))
 
 
@@ -83,24 +74,24 @@ def _tracing(threads: int | None, device: str | None) -> Iterator[None]:
 
 def render_run(loaded: LoadedRecipe, out: str | None, options: RunOptions, progress: bool | Progress | None) -> Run:
     """See `Recipe.render`."""
-    target = out or address_of(free_folder(Path("outputs") / loaded.path.stem), "out")
+    target = address_of(free_folder(Path("outputs") / loaded.path.stem), "out") if out is None else out
     display = display_of(progress)
     with display.running():
-        return Run(start.render(loaded, target, options, display))
+        return Run(start.render(loaded, target, options.check(), display))
 
 
 def batch_run(loaded: LoadedRecipe, out: str, options: RunOptions, progress: bool | Progress | None) -> Run:
     """See `Recipe.batch`."""
     display = display_of(progress)
     with display.running():
-        return Run(start.batch(loaded, out, options, display))
+        return Run(start.batch(loaded, out, options.check(), display))
 
 
 def estimate_run(loaded: LoadedRecipe, out: str, options: RunOptions, progress: bool | Progress | None) -> DryRun:
     """See `Recipe.estimate`."""
     display = display_of(progress)
     with display.running():
-        return start.dry_run(loaded, out, options, display)
+        return start.dry_run(loaded, out, options.check(), display)
 
 
 def free_folder(wanted: Path) -> Path:

@@ -127,7 +127,7 @@ def _axes_of(ax: Any) -> Any:
 
     if ax is None or isinstance(ax, Axes):
         return ax
-    raise RecipeError("these are no axes", where="ax", expected="matplotlib Axes, one pair", got=shown(ax))
+    raise RecipeError("these are no axes", parameter="ax", expected="matplotlib Axes, one pair", got=shown(ax))
 
 
 def simulated(
@@ -143,7 +143,9 @@ def simulated(
 ) -> Stand:
     """See `Recipe.simulate`."""
     if from_step is not None and resume is None:
-        raise RecipeError("no history to go on from", where="from_step", expected="`resume='history.parquet'` with it")
+        raise RecipeError(
+            "no history to go on from", parameter="from_step", expected="`resume='history.parquet'` with it"
+        )
     steps = [whole_of(one, "map_steps", -_MOST_STEPS, _MOST_STEPS) for one in listed(map_steps, "map_steps", "steps")]
     first = None if from_step is None else whole_of(from_step, "from_step", -_MOST_STEPS, _MOST_STEPS)
     display = display_of(progress)

@@ -28,7 +28,7 @@ import typer
 
 from forestgen.cli.option_names import in_options
 from forestgen.core.errors import ForestgenError, OutputError, ResourceError, plain
-from forestgen.core.streams import leave_streams, output_failure
+from forestgen.core.streams import output_failure, redirect_failed_streams
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -179,7 +179,7 @@ def errors_for_people(names: Callable[[], Mapping[str, str]] = dict) -> Iterator
     except (typer.Exit, typer.Abort, _UsageError):
         raise  # typer's own way out: --version, a misspelt option
     except ForestgenError as error:
-        fail(in_options(error.text("error: "), names()), error.exit_code)
+        fail(error.text("error: ", lambda one: in_options(one, names())), error.exit_code)
     except MemoryError:
         hint = "make images or the site smaller, or take fewer species or exemplars"
         fail(f"error: {ResourceError('memory ran out', hint=hint)}", ResourceError.exit_code)
@@ -200,7 +200,7 @@ def errors_for_people(names: Callable[[], Mapping[str, str]] = dict) -> Iterator
             INTERNAL_ERROR,
         )
     finally:
-        leave_streams()
+        redirect_failed_streams()
 
 
 @contextmanager

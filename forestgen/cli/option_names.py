@@ -1,6 +1,6 @@
 """Parameters of Python's calls as options: errors name the former, and the command line shows the latter.
 
-In an error a parameter is its place, ``count: no such number``, or stands between backticks, `` `overwrite=True` ``.
+An error has its `parameter`; in its words a parameter stands between backticks, `` `overwrite=True` ``.
 """
 
 from __future__ import annotations
@@ -11,16 +11,16 @@ from typing import Any
 
 import typer
 
-_PLACE = re.compile(r"(?P<before>(?:error: )?)(?P<name>[a-z][a-z0-9_]*)(?:=(?P<value>\w+))?(?=: )")
-_QUOTED = re.compile(r"`(?P<name>[a-z][a-z0-9_]*)(?:=(?P<value>[^`]+))?`")
-_OVERRIDE = re.compile(r"(?P<before>^(?:error: )?|\(named by )set (?=\S*=|\S+: not an override)")
+from forestgen.core.errors import ForestgenError
+
+_QUOTED = re.compile(r"`([a-z][a-z0-9_]*(?:='.*?'|=[^'`][^`]*)?)`", re.DOTALL)
 #: Of other commands than the one that fails, such as that which made a data set.
 _ELSEWHERE = {
     "resume": "--resume",
     "workers": "--workers",
     "split": "--split",
     "set": "--set",
-    "allow_folders": "--allow-folder",
+    "allow_folders": "forestgen --allow-folder",  # before the command's name
 }
 _SOURCE = {"source": "RECIPE", "sources": "DIR..."}  # arguments by the names that they have in Python
 
@@ -38,8 +38,8 @@ def names_of(command: Any) -> dict[str, str]:
     return found
 
 
-def in_options(text: str, names: Mapping[str, str]) -> str:
-    """The text of errors with options in place of parameters.
+def in_options(error: ForestgenError, names: Mapping[str, str]) -> str:
+    """The text of one error with options in place of parameters; what it got is a user's and stays.
 
     Parameters
     ----------
@@ -47,23 +47,20 @@ def in_options(text: str, names: Mapping[str, str]) -> str:
     """
     known = {**_ELSEWHERE, **_SOURCE, **names}
 
-    def shown(found: re.Match[str], join: str) -> str | None:
-        option, value = known.get(found["name"]), found["value"]
-        if option is None or value in (None, "True"):
-            return option
-        value = value.strip("'\"")
-        return f"{option}{join}'{value}'" if " " in value else f"{option}{join}{value}"
+    def option(parameter: str) -> str | None:
+        """``workers=8`` as ``--workers 8``; None if there is no such option."""
+        name, _, value = parameter.partition("=")
+        if name not in known or value in ("", "True"):
+            return known.get(name)
+        value = value[1:-1] if value.startswith("'") else value
+        return f"{known[name]} '{value}'" if " " in value else f"{known[name]} {value}"
 
-    def place(found: re.Match[str]) -> str:
-        option = shown(found, " ")
-        return found[0] if option is None else found["before"] + option
+    def words(text: str | None) -> str | None:
+        return text and _QUOTED.sub(lambda found: option(found[1]) or found[0], text)
 
-    lines = []
-    for line in text.split("\n"):
-        if not line.startswith("  "):
-            line = _OVERRIDE.sub(r"\g<before>--set ", line)
-            line = _PLACE.sub(place, line, count=1) if _PLACE.match(line) else line
-        if not line.startswith("  got"):
-            line = _QUOTED.sub(lambda found: shown(found, " ") or found[0], line)
-        lines.append(line)
-    return "\n".join(lines)
+    where = words(error.where)
+    if error.parameter is not None:
+        where = option(error.parameter) or error.parameter
+    problem = words(error.problem) or ""
+    expected, hint = words(error.expected), words(error.hint)
+    return str(ForestgenError(problem, where=where, expected=expected, got=error.got, hint=hint))

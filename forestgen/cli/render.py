@@ -65,7 +65,7 @@ def render(
     from forestgen.api.rendering import free_folder
 
     loaded = load(recipe, set=with_first(overrides, first))
-    target = out or free_folder(Path("outputs") / recipe.stem)
+    target = free_folder(Path("outputs") / recipe.stem) if out is None else out
     if dry_run:
         shown = progress_of(quiet)
         options: dict[str, Any] = {"workers": 1, "threads": threads, "overwrite": overwrite, "device": device}

@@ -152,7 +152,9 @@ def _radii(given: Sequence[float | str], table: PointTable) -> NDArray[np.float6
     most = greatest_radius(window)
     radii = [_radius(one, most) for text in given for one in str(text).split(",") if one.strip()]
     if not 0 < len(radii) <= _MOST_RADII:
-        raise RecipeError("so many radii", where="radii", expected=f"1 to {_MOST_RADII}", got=str(len(radii)))
+        raise RecipeError(
+            "too few or too many radii", parameter="radii", expected=f"1 to {_MOST_RADII}", got=str(len(radii))
+        )
     return np.array(radii)
 
 
@@ -161,7 +163,7 @@ def _check_pairs(points_m: NDArray[np.float64], most_m: float) -> None:
     if pairs > _MOST_PAIRS:
         raise ResourceError(
             "too many pairs of points lie within the greatest radius",
-            where="radii",
+            parameter="radii",
             expected=f"at most {_MOST_PAIRS:,}",
             got=f"{pairs:,} within {most_m:g} m",
             hint="lower the greatest radius",
@@ -177,7 +179,7 @@ def _radius(text: str, most: float) -> float:
         return radius
     raise RecipeError(
         "this radius is too large for the window" if radius > most else "this is no radius",
-        where="radii",
+        parameter="radii",
         expected=f"metres, 0 to {most:g}: beyond, nothing can correct for the window's edges",
         got=text.strip(),
     )

@@ -80,7 +80,7 @@ def read_points(
         chosen = _bounding_box(path, points)
         notes = (
             f"the window is the points' bounding box, {chosen}: too tight, and all values lean towards regular; "
-            "state the true one by --window x0 x1 y0 y1 or in a comment of the file",
+            "state the true one by `window` or in a comment of the file",
         )
     _check_inside(path, points, rows, chosen)
     first, second = _pairs_of_one_place(points, rows)
@@ -99,7 +99,7 @@ def _given_window(window: tuple[float, float, float, float]) -> Window:
     except (ValueError, TypeError, OverflowError) as error:
         raise RecipeError(
             "this is no window",
-            where="window",
+            parameter="window",
             expected="x0 x1 y0 y1 in metres, with x0 < x1 and y0 < y1, 1e-6 to 1e9 m wide and high",
             got=" ".join(f"{one:g}" if isinstance(one, float) else shown(one) for one in window)
             if isinstance(window, list | tuple)

@@ -93,7 +93,7 @@ def first_state(
     return State(parameters, tuple(species), seed, 0, 1 + n, plants, tuple(notes), dict(found or {}))
 
 
-class Standing:
+class FixedPopulation:
     """The part of `CommunityModel` that follows `init`."""
 
     def step(self, state: State) -> State:

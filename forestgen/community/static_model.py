@@ -20,7 +20,7 @@ from forestgen.community.arrivals import of_species
 from forestgen.community.disturbance import planted
 from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.model import CommunityParameters, Site
-from forestgen.community.standing import Standing, State, first_state
+from forestgen.community.standing import FixedPopulation, State, first_state
 from forestgen.core.randomness import child_rng
 from forestgen.recipe.fields import Whole
 
@@ -55,7 +55,7 @@ class Placement:
             raise ValueError(f"species, position_m, radius_m and height_m must be of {n} plants, got shapes {found}")
 
 
-class StaticModel(Standing, ABC, Generic[P]):
+class StaticModel(FixedPopulation, ABC, Generic[P]):
     """A `CommunityModel` whose plants are placed in step 0.
 
     A subclass sets `Parameters` and has the methods `place` and `most_plants`.

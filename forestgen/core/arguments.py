@@ -1,8 +1,4 @@
-"""Arguments of calls: what is no path, no number, or out of range is told at once, by the parameter's name.
-
-In the words of an error a parameter stands between backticks, such as `` `overwrite=True` ``; the command line shows
-its option.
-"""
+"""Arguments of calls: what is no path, no number, or out of range is told at once, by the parameter's name."""
 
 from __future__ import annotations
 
@@ -10,7 +6,8 @@ import errno
 import math
 import os
 import unicodedata
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from contextlib import suppress
 from numbers import Integral, Real
 from pathlib import Path
 from typing import Any
@@ -33,12 +30,12 @@ def shown(value: object) -> str:
     return text if len(text) <= 100 else f"{text[:97]}..."
 
 
-def path_of(value: Any, where: str, *, output: bool = False) -> Path:
+def path_of(value: Any, parameter: str, *, output: bool = False) -> Path:
     """The path that an argument names.
 
     Parameters
     ----------
-    where : the parameter's name.
+    parameter : its name.
     output : whether something is written there: the name must then be UTF-8 without control characters.
 
     Raises
@@ -46,33 +43,33 @@ def path_of(value: Any, where: str, *, output: bool = False) -> Path:
     RecipeError : this is no path, or no system can have a file there.
     OutputError : the latter, of an output.
     """
-    return Path(_checked(value, where, OutputError if output else RecipeError, output=output))
+    return Path(_checked(value, parameter, OutputError if output else RecipeError, output=output))
 
 
-def paths_of(values: Any, where: str, *, output: bool = False) -> list[Path]:
+def paths_of(values: Any, parameter: str, *, output: bool = False) -> list[Path]:
     """Several paths; one alone is welcome. See `path_of`."""
-    return [path_of(one, where, output=output) for one in listed(values, where, "paths")]
+    return [path_of(one, parameter, output=output) for one in listed(values, parameter, "paths")]
 
 
-def address_of(value: Any, where: str) -> str:
+def address_of(value: Any, parameter: str) -> str:
     """The same of an output that may be the address of an object store."""
-    return _checked(value, where, OutputError, output=True)
+    return _checked(value, parameter, OutputError, output=True)
 
 
-def _checked(value: Any, where: str, error: type[ForestgenError], *, output: bool) -> str:
+def _checked(value: Any, parameter: str, error: type[ForestgenError], *, output: bool) -> str:
     try:
         text = os.fspath(value)
     except TypeError:
         text = None
     if not isinstance(text, str):
-        raise RecipeError("this is no path", where=where, expected="a text or a pathlib.Path", got=shown(value))
+        raise RecipeError("this is no path", parameter=parameter, expected="a text or a pathlib.Path", got=shown(value))
     expected = "a name of UTF-8 characters, none of them a control character" if output else "a file's or folder's name"
     wrong = any(unicodedata.category(one) in ("Cc", "Cs") for one in text) if output else "\0" in text
-    if wrong or not _encodes(text):
-        raise error("no file has such a name", where=where, expected=expected, got=f"{text!a:.100}")
+    if not text or wrong or not _encodes(text):
+        raise error("no file has such a name", parameter=parameter, expected=expected, got=f"{text!a:.100}")
     if "://" not in text and _too_long(text):
         got = f"{os.strerror(errno.ENAMETOOLONG)}: {len(text):,} characters, {text!r:.60}..."
-        raise error("the name is too long", where=where, expected="a shorter one", got=got)
+        raise error("the name is too long", parameter=parameter, expected="a shorter one", got=got)
     return text
 
 
@@ -94,50 +91,61 @@ def _encodes(text: str) -> bool:
     return True
 
 
-def listed(values: Any, where: str, what: str) -> list[Any]:
+def listed(values: Any, parameter: str, what: str) -> list[Any]:
     """The entries of a list; a text or a path alone is a list of itself. Raises `RecipeError`."""
     if isinstance(values, str | os.PathLike):
         return [values]
-    if not isinstance(values, Sequence) and (isinstance(values, Mapping) or not hasattr(values, "__iter__")):
-        raise RecipeError(f"this is no list of {what}", where=where, expected="a list", got=shown(values))
-    return list(values)
+    try:
+        if not isinstance(values, Mapping):
+            return list(values)
+    except TypeError:  # also of an array without dimensions, which has an __iter__
+        pass
+    raise RecipeError(f"this is no list of {what}", parameter=parameter, expected="a list", got=shown(values))
 
 
-def whole_of(value: Any, where: str, least: int, most: int) -> int:
+def whole_of(value: Any, parameter: str, least: int, most: int) -> int:
     """A whole number from `least` to `most`; True and 1.0 are none. Raises `RecipeError`."""
     if _is_a(Integral, value) and least <= value <= most:
         return int(value)
-    raise _no_number(value, where, least, most, "a whole number, ")
+    raise _no_number(value, parameter, least, most, "a whole number, ")
 
 
-def number_of(value: Any, where: str, least: float = -math.inf, most: float = math.inf) -> float:
+def number_of(value: Any, parameter: str, least: float = -math.inf, most: float = math.inf) -> float:
     """A number from `least` to `most`, which NaN is not; without these any number. Raises `RecipeError`."""
     if _is_a(Real, value) and (least <= value <= most or least == -most == -math.inf):
-        return float(value)
-    raise _no_number(value, where, least, most, "")
+        with suppress(OverflowError):  # of a whole number beyond all floats
+            return float(value)
+    raise _no_number(value, parameter, least, most, "")
+
+
+def flag_of(value: Any, parameter: str) -> bool:
+    """True or False; texts and numbers, which Python takes for either, are none. Raises `RecipeError`."""
+    if not isinstance(value, bool):
+        raise RecipeError("this is neither yes nor no", parameter=parameter, expected="True or False", got=shown(value))
+    return value
 
 
 def _is_a(kind: type, value: Any) -> bool:
     return isinstance(value, kind) and not isinstance(value, bool)
 
 
-def _no_number(value: Any, where: str, least: float, most: float, kind: str) -> RecipeError:
+def _no_number(value: Any, parameter: str, least: float, most: float, kind: str) -> RecipeError:
     whole = _is_a(Integral, value)
     low, high = (f"{one:,}" if isinstance(one, int) else f"{one:,.6g}" for one in (least, most))
     expected = f"{'' if whole else kind}{low} to {high}" if math.isfinite(least + most) else "a number"
-    return RecipeError("no such number", where=where, expected=expected, got=shown(value))
+    return RecipeError("no such number", parameter=parameter, expected=expected, got=shown(value))
 
 
-def text_of(value: Any, where: str) -> str:
+def text_of(value: Any, parameter: str) -> str:
     """A text. Raises `RecipeError`."""
     if not isinstance(value, str):
-        raise RecipeError("this is no text", where=where, expected="a text", got=shown(value))
+        raise RecipeError("this is no text", parameter=parameter, expected="a text", got=shown(value))
     return value
 
 
-def texts_of(values: Any, where: str) -> list[str]:
+def texts_of(values: Any, parameter: str) -> list[str]:
     """Several texts; one alone is welcome. Raises `RecipeError`."""
-    return [text_of(one, where) for one in listed(values, where, "texts")]
+    return [text_of(one, parameter) for one in listed(values, parameter, "texts")]
 
 
 def plain_copy(value: Any, where: str) -> Any:

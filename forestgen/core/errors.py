@@ -17,7 +17,7 @@ ours: the command line turns it into exit code 130.
 from __future__ import annotations
 
 import unicodedata
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 MOST_SHOWN = 50
@@ -39,8 +39,12 @@ class ForestgenError(Exception):
     ----------
     problem : one sentence: what is wrong.
     where : file, line and key, such as ``stand.yaml:12: site.size_m``.
+    parameter : in place of `where`: that of the call whose value is wrong, ``count`` or ``workers=8``.
     expected, got : what a valid value looks like, and the value found.
     hint : what to do about it.
+
+    In the words of an error a parameter stands between backticks, such as `` `overwrite=True` ``. The command line
+    shows its options instead.
     """
 
     code = "forestgen"  # the kind of error, for programs
@@ -51,12 +55,14 @@ class ForestgenError(Exception):
         problem: str,
         *,
         where: str | None = None,
+        parameter: str | None = None,
         expected: str | None = None,
         got: str | None = None,
         hint: str | None = None,
     ) -> None:
         self.problem = problem
-        self.where = where
+        self.where = parameter if where is None else where
+        self.parameter = parameter
         self.expected = expected
         self.got = got
         self.hint = hint
@@ -72,9 +78,9 @@ class ForestgenError(Exception):
         """The error itself; of `RecipeErrors`, each of them."""
         return (self,)
 
-    def text(self, prefix: str = "") -> str:
+    def text(self, prefix: str = "", message: Callable[[ForestgenError], str] = str) -> str:
         """The message behind a word such as ``error: ``."""
-        return f"{prefix}{self}"
+        return f"{prefix}{message(self)}"
 
     def __str__(self) -> str:
         head = f"{self.where}: {self.problem}" if self.where else self.problem
@@ -96,14 +102,15 @@ class RecipeErrors(RecipeError):  # noqa: N818 - a group
         self._errors = tuple(errors)
         first = self._errors[0]
         super().__init__(first.problem, where=first.where, expected=first.expected, got=first.got, hint=first.hint)
+        self.parameter = first.parameter
 
     @property
     def errors(self) -> tuple[ForestgenError, ...]:
         return self._errors
 
-    def text(self, prefix: str = "") -> str:
+    def text(self, prefix: str = "", message: Callable[[ForestgenError], str] = str) -> str:
         """All errors, each as it would be alone and behind `prefix`, and their number."""
-        shown = [f"{prefix}{error}" for error in self._errors[:MOST_SHOWN]]
+        shown = [error.text(prefix, message) for error in self._errors[:MOST_SHOWN]]
         if len(self._errors) > MOST_SHOWN:
             shown.append(f"... and {len(self._errors) - MOST_SHOWN} more")
         return "\n\n".join([*shown, f"{len(self._errors)} errors"])

@@ -61,4 +61,4 @@ def parse_bytes(size: int | str, option: str) -> int:
         number = int(float(found[1]) * _UNITS[unit])
         if number > 0:
             return number
-    raise RecipeError("this is no size", where=option, expected="such as 500MB, 1.5GB or 256MiB", got=shown(size))
+    raise RecipeError("this is no size", parameter=option, expected="such as 500MB, 1.5GB or 256MiB", got=shown(size))

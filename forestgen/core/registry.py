@@ -106,20 +106,22 @@ class Registry:
         """
         if not _NAME.fullmatch(name):
             expected = "letters, digits and underscores, a letter first"
-            raise RecipeError(f"no name for a {self.kind}", expected=expected, got=repr(name))
+            raise RecipeError(f"no name for a {self.kind}", parameter="name", expected=expected, got=repr(name))
         if self._entries.setdefault(name, (path, description))[0] != path or name in self._shipped:
-            raise RecipeError(f"there is a {self.kind} of this name already", expected="another name", got=repr(name))
+            problem = f"there is a {self.kind} of this name already"
+            raise RecipeError(problem, parameter="name", expected="another name", got=repr(name))
         entry = Registration(self.kind, name, *self._entries[name])
         if entry not in _registered:
             _registered.append(entry)
 
-    def check(self, name: str, *, where: str | None = None) -> None:
+    def check(self, name: str, *, where: str | None = None, parameter: str | None = None) -> None:
         """Raise `RecipeError` that lists the valid names for an unknown one; imports no part."""
         if name not in self:
             near = difflib.get_close_matches(name, known := self.ids(), n=1)
             raise RecipeError(
                 f"unknown {self.kind}",
                 where=where,
+                parameter=parameter,
                 expected="one of " + ", ".join(known),
                 got=repr(name),
                 hint=f"did you mean {near[0]!r}?" if near else None,
@@ -176,22 +178,22 @@ class Registry:
         contract = part_at(self._contract)
         if isinstance(part, type):
             hint = f"an object of it: MODEL = {part.__name__}(), at the top of its module"
-            raise RecipeError("this is a class", where="part", expected="an object", got=shown(part), hint=hint)
+            raise RecipeError("this is a class", parameter="part", expected="an object", got=shown(part), hint=hint)
         own = {**getattr(contract, "__annotations__", {}), **vars(contract)}
         names = sorted(one for one in own if not one.startswith("_"))
         missing = [one for one in names if not (hasattr(part, one) or hasattr(part, self._instead.get(one, one)))]
         if missing:
             problem, expected = f"this is no {self.kind}: it has no {', '.join(missing)}", f"what {self._contract} has"
-            raise RecipeError(problem, where="part", expected=expected, got=shown(part))
+            raise RecipeError(problem, parameter="part", expected=expected, got=shown(part))
         if "name" in own and (other := getattr(part, "name")) != name:  # noqa: B009 - its type is not known
-            raise RecipeError("it has another name", where="part", expected=repr(name), got=shown(other))
+            raise RecipeError("it has another name", parameter="part", expected=repr(name), got=shown(other))
         if "Parameters" in own:
             (base,) = get_args(get_type_hints(contract)["Parameters"])
             base = getattr(base, "__bound__", base)  # of a type variable
             given = getattr(part, "Parameters")  # noqa: B009
             if not (isinstance(given, type) and issubclass(given, base)):
                 expected = f"a class based on {base.__module__}.{base.__name__}"
-                raise RecipeError("its Parameters are none", where="part", expected=expected, got=shown(given))
+                raise RecipeError("its Parameters are none", parameter="part", expected=expected, got=shown(given))
 
     def _entry(self, name: str) -> tuple[str, str]:
         return self._entries.get(name) or self._installed()[name]
@@ -248,9 +250,9 @@ def part_at(path: str) -> Any:
 
 
 def _error(problem: str, path: str, hint: str | None = None) -> RecipeError:
-    return RecipeError(problem, where="part", expected="'package.module:NAME'", got=shown(path), hint=hint)
+    return RecipeError(problem, parameter="part", expected="'package.module:NAME'", got=shown(path), hint=hint)
 
 
 def _failed(path: str, module: str, error: Exception) -> RecipeError:
     said = " ".join(f"{type(error).__name__}: {error}".split())[:300]
-    return RecipeError(f"the module {module} cannot be imported", where="part", expected=f"{path!r:.200}", got=said)
+    return RecipeError(f"the module {module} cannot be imported", parameter="part", expected=f"{path!r:.200}", got=said)

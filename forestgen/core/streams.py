@@ -58,8 +58,8 @@ def output_failure() -> OSError | None:
     return raw.failure if isinstance(raw, _Output) else None
 
 
-def leave_streams() -> None:
-    """Drop what standard streams cannot write: Python would complain when it flushes them at exit."""
+def redirect_failed_streams() -> None:
+    """Let standard streams that take no more lead nowhere: Python would complain when it flushes them at exit."""
     for stream in (sys.stdout, sys.stderr):
         try:
             stream.flush()

@@ -232,7 +232,7 @@ class Frame:
 
         target = Path(folder) / self.name
         if not overwrite and _is_frame_folder(target):
-            hint = "choose another folder, or overwrite=True"
+            hint = "choose another folder, or `overwrite=True`"
             raise OutputError("the frame is there already", where=str(target), hint=hint)
         with OutputFolder(target, overwrite=overwrite, is_ours=_is_frame_folder) as staging:
             self._source.save(staging, Path(folder))

@@ -209,7 +209,9 @@ def open_index(path: Path, needed: Sequence[str]) -> Iterator[Any]:
             yield file
     except FileNotFoundError as error:
         raise DatasetError(
-            "there is no index", where=str(path), hint="the command that made the data set, with --resume, writes it"
+            "there is no index",
+            where=str(path),
+            hint="the command that made the data set, with `resume=True`, writes it",
         ) from error
     except (OSError, ValueError, pa.ArrowException) as error:  # ValueError: texts that are no UTF-8
         raise DatasetError(

@@ -62,12 +62,6 @@ def write_instance(path: Path, instance: NDArray[np.uint32]) -> None:
     write_rgb(path, np.stack([(instance >> shift) & 0xFF for shift in (0, 8, 16)], axis=-1).astype(np.uint8))
 
 
-def read_instance(path: Path) -> NDArray[np.uint32]:
-    """(H, W) uint32 plant ids of an instance PNG."""
-    content = path.read_bytes()
-    return instance_of(content, _size_of(content))
-
-
 def semantic_of(content: bytes, size_px: tuple[int, int]) -> NDArray[np.uint8]:
     """(H, W) uint8 classes of a semantic PNG's bytes; see `rgb_of`."""
     with _opened(content, size_px) as image:

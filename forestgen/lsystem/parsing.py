@@ -31,13 +31,6 @@ _MOST_FUNCTIONS = 1000
 _MOST_GROUPS = 1_000_000
 
 
-def parse_word(text: str, name: str) -> tuple[Module, ...]:
-    """A string of modules, such as ``A(2)[B(0.5)]``."""
-    reader = Reader(name, Place(1, 1))
-    tree = reader.parse(text, "word")
-    return reader.modules(tree.children[0]) if is_tree(tree) else ()
-
-
 def parse_file(path: Path) -> Listing:
     """The program in a file; see `parse_text`."""
     return parse_text(read_program(path), str(path))

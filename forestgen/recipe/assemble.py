@@ -59,7 +59,7 @@ def spell_out(data: dict[str, Any]) -> None:
 def apply_override(data: dict[str, Any], sources: SourceMap, text: str) -> None:
     """Set one ``key.path=value`` of the command line in place; the value is YAML, a list's entry goes by its number."""
     path, equals, written = text.partition("=")
-    place = Place(f"set {text}" if len(text) <= 100 else f"set {text[:97]}...")
+    place = Place(f"`set='{text}'`" if len(text) <= 100 else f"`set='{text[:97]}...'`")
     parts = path.strip().split(".")
     if not equals or not all(parts):
         raise RecipeError(

@@ -64,7 +64,13 @@ def _files(kind: str) -> dict[str, Path]:
 
 
 def find_asset(
-    kind: str, name: str, *, folder: Path | None = None, root: Path | None = None, where: str | None = None
+    kind: str,
+    name: str,
+    *,
+    folder: Path | None = None,
+    root: Path | None = None,
+    where: str | None = None,
+    parameter: str | None = None,
 ) -> Path:
     """The file of a named part.
 
@@ -77,6 +83,7 @@ def find_asset(
         name comes from the command line; any path goes, relative to the working directory.
     root : the recipe's folder, where `folder` is a species file's.
     where : place in the recipe that names the part, for messages.
+    parameter : of a call, that names the part in place of a recipe.
 
     Raises
     ------
@@ -89,7 +96,8 @@ def find_asset(
             return path
         if _shipped(kind, name) is None:
             hint = did_you_mean(name, list_assets(kind))
-            raise AssetError(f"no such {kind} file", where=where, expected="an existing file", got=str(path), hint=hint)
+            problem, expected = f"no such {kind} file", "an existing file"
+            raise AssetError(problem, where=where, parameter=parameter, expected=expected, got=str(path), hint=hint)
     shipped = _shipped(kind, name)
     if shipped is not None:
         return shipped
@@ -99,6 +107,7 @@ def find_asset(
         raise AssetError(
             f"nothing in {kind} has this name",
             where=where,
+            parameter=parameter,
             expected=f"one of {', '.join(names) or '(there are none)'}, or a path such as {path_like}",
             got=repr(name),
             hint=did_you_mean(name, names),

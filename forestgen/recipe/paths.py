@@ -38,7 +38,9 @@ def allow_folders(folders: list[Path]) -> None:
     """
     for folder in folders:
         if not folder.is_dir():
-            raise AssetError("no such folder", where="allow_folders", expected="an existing folder", got=str(folder))
+            raise AssetError(
+                "no such folder", parameter="allow_folders", expected="an existing folder", got=str(folder)
+            )
     together = [*allowed_folders(), *(folder.absolute() for folder in folders)]
     if together:
         os.environ[ALLOWED] = os.pathsep.join(str(folder) for folder in together)
@@ -84,5 +86,5 @@ def _out(written: str, where: str | None) -> AssetError:
         where=where,
         expected=_RELATIVE,
         got=f"{written!r:.80}",
-        hint="put the file beside the recipe; or allow its folder: forestgen --allow-folder DIR COMMAND ...",
+        hint="put the file beside the recipe; or allow its folder: `allow_folders='DIR'`",
     )

@@ -1,6 +1,5 @@
 """Interchangeable parts by the name that a recipe uses: the recipe's schema needs their names, not their code."""
 
-
 from __future__ import annotations
 
 from forestgen.core.registry import Registry

@@ -1,4 +1,4 @@
-"""Where each key of a recipe was written: a file's line, or an override, ``set key=value``."""
+"""Where each key of a recipe was written: a file's line, or an override, `` `set='key=value'` ``."""
 
 from __future__ import annotations
 

@@ -78,11 +78,6 @@ class ExactView:
             gap = None if is_assembled(camera) else clear_air_m(spec, float(ray_corners_m(camera)[:, 2].max()))
             self._parts = None if gap is None else _Parts(shot, painted, surfaces, bricks, gap, timer)
 
-    @property
-    def is_parted(self) -> bool:
-        """Whether clouds and scene are traced apart."""
-        return self._parts is not None
-
     def take(self, channels: Channels, samples: int, number: tuple[int, int]) -> Floats:
         with using(SCALAR):
             return self._take(channels, samples, number)

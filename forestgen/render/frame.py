@@ -51,11 +51,6 @@ class Amodal:
     hits: NDArray[np.uint16]  # (first[M],) samples of the pixel that hit the plant alone
     full_box_px: NDArray[np.float64]  # (M, 4) left, top, right, bottom of the projected plant, to 16 image sizes away
 
-    def hits_of(self, row: int) -> NDArray[np.uint16]:
-        """(h, w) counts of the window of a row."""
-        _, _, width, height = self.window_px[row]
-        return self.hits[self.first[row] : self.first[row + 1]].reshape(height, width)
-
 
 @dataclass(frozen=True)
 class Branches:

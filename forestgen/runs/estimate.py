@@ -264,7 +264,7 @@ def _check_memory(expected: Estimate) -> None:
         fits = max(1, int(free / need))
         raise ResourceError(
             "so many workers would need more memory than is free",
-            where=f"workers={expected.wanted}",
+            parameter=f"workers={expected.wanted}",
             expected=f"at most {show_bytes(free)} in all",
             got=f"about {show_bytes(need * expected.wanted)}: {show_bytes(need)} for each",
             hint=f"`workers={fits}`, or leave it out",

@@ -8,9 +8,9 @@ import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
-from typing import Protocol
+from typing import Any, Protocol
 
-from forestgen.core.arguments import shown
+from forestgen.core.arguments import flag_of, shown, whole_of
 from forestgen.core.errors import DatasetError, RecipeError
 from forestgen.core.figures import count, parse_bytes, seconds
 from forestgen.core.progress import Progress
@@ -59,17 +59,28 @@ class RunOptions:
     resources: Mapping[str, float] = field(default_factory=dict)  # that each image takes of a Dask worker
     device: str | None = None  # what traces rays, llvm or cuda; None: what FORESTGEN_TRACING says
 
-    def check(self) -> None:
-        """Raise `RecipeError` for values that are none, and options that exclude one another."""
-        for name, least, most in (("count", 1, 10**8), ("threads", 1, 4096), ("workers", 1, 1024), ("retries", 0, 100)):
-            value = getattr(self, name)
-            if (value is not None or name == "retries") and not (type(value) is int and least <= value <= most):
-                raise RecipeError("no such number", where=name, expected=f"{least:,} to {most:,}", got=shown(value))
+    def check(self) -> RunOptions:
+        """The same with Python's own numbers.
+
+        Raises
+        ------
+        RecipeError : values that are none, or options that exclude one another.
+        """
+        numbers: dict[str, Any] = {"retries": whole_of(self.retries, "retries", 0, 100)}
+        for name, most in (("count", 10**8), ("threads", 4096), ("workers", 1024)):
+            if getattr(self, name) is not None:
+                numbers[name] = whole_of(getattr(self, name), name, 1, most)
+        for name in ("resume", "discard", "overwrite"):
+            flag_of(getattr(self, name), name)
         if self.device is not None and self.device not in DEVICES:
-            raise RecipeError("no such device", where="device", expected=" or ".join(DEVICES), got=shown(self.device))
+            raise RecipeError(
+                "no such device", parameter="device", expected=" or ".join(DEVICES), got=shown(self.device)
+            )
         if self.engine not in ENGINES:
-            raise RecipeError("no such engine", where="engine", expected=" or ".join(ENGINES), got=shown(self.engine))
-        for wrong, where, why in (
+            raise RecipeError(
+                "no such engine", parameter="engine", expected=" or ".join(ENGINES), got=shown(self.engine)
+            )
+        for wrong, option, why in (
             (self.discard and not self.resume, "discard", "it belongs to `resume`"),
             (self.resume and self.overwrite, "overwrite", "it replaces the data set, which `resume` goes on with"),
             (
@@ -90,13 +101,14 @@ class RunOptions:
             ),
         ):
             if wrong:
-                raise RecipeError(f"this option cannot be used here: {why}", where=where)
+                raise RecipeError(f"this option cannot be used here: {why}", parameter=option)
         amounts = self.resources.items() if isinstance(self.resources, Mapping) else [(None, self.resources)]
         for name, amount in amounts:
             if not (isinstance(name, str) and isinstance(amount, int | float) and 0 < amount < math.inf):
                 expected, got = "a mapping such as {'GPU': 1}", shown(self.resources)
-                raise RecipeError("these are no resources", where="resources", expected=expected, got=got)
+                raise RecipeError("these are no resources", parameter="resources", expected=expected, got=got)
         _ = self.memory_bytes, self.timeout_s  # which refuse texts that are no size and no duration
+        return replace(self, **numbers)
 
     @property
     def memory_bytes(self) -> int | None:
@@ -106,7 +118,7 @@ class RunOptions:
         if size < _LEAST_BYTES:
             raise RecipeError(
                 "this is too little for a worker",
-                where="worker_memory",
+                parameter="worker_memory",
                 expected="such as 4GB",
                 got=shown(self.worker_memory),
             )
@@ -314,5 +326,7 @@ def seconds_of(duration: float | str, option: str) -> float:
         return float(duration)
     found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*(s|min|h)\s*", duration if isinstance(duration, str) else "")
     if found is None or not float(found[1]):
-        raise RecipeError("no such duration", where=option, expected="such as 90s, 30min or 2h", got=shown(duration))
+        raise RecipeError(
+            "no such duration", parameter=option, expected="such as 90s, 30min or 2h", got=shown(duration)
+        )
     return float(found[1]) * {"s": 1, "min": 60, "h": 3600}[found[2]]

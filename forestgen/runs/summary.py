@@ -64,7 +64,7 @@ class RunSummary:
         for note in shown:
             yield f"note: {note}"
         if len(notes) > len(shown):
-            yield f"note: {len(notes) - len(shown)} more notes; --verbose prints all"
+            yield f"note: {len(notes) - len(shown)} more notes: `verbose` shows all"
         total = sum(self.stages_s.values())
         if total:
             stages = list(self.stages_s.items())[: None if verbose else _MOST_STAGES]

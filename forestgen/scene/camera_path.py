@@ -22,22 +22,6 @@ Floats = NDArray[np.float64]
 NO_BANDS: Mapping[SensorFile, tuple[Band, ...]] = {}
 
 
-def place_cameras(
-    sections: Sequence[CameraSection],
-    height: HeightField,
-    trunks: Trunks | None = None,
-    bands: Mapping[SensorFile, tuple[Band, ...]] = NO_BANDS,
-) -> tuple[Camera, ...]:
-    """The cameras of all images, in the recipe's order, a path's frames in the order of time.
-
-    Parameters
-    ----------
-    trunks : that walks go around; without them they go straight.
-    bands : of the sensors that cameras name.
-    """
-    return tuple(camera for section in sections for camera in expand(section, height, trunks, bands))
-
-
 def expand(
     section: CameraSection,
     height: HeightField,
@@ -48,6 +32,11 @@ def expand(
 
     Points of a path are counted as the camera's own: where z is a height above ground, each frame's position and
     look-at point are lifted by the ground under them, so that a camera walks over a hill and not through it.
+
+    Parameters
+    ----------
+    trunks : that walks go around; without them they go straight.
+    bands : of the sensors that cameras name.
     """
     poses = poses_of(section, height, trunks)
     stereo = section.rig if isinstance(section.rig, Stereo) else None

@@ -212,7 +212,7 @@ def find_regions(spec: SceneSpec, camera: Camera, progress: Progress) -> tuple[N
         few = [names[k] for k in np.flatnonzero(pixels < _FEWEST_PX)]
         raise RecipeError(
             "the colour chart is hidden from its camera, 0.8 m in front of it",
-            where="at",
+            parameter="at",
             expected="a place with free sight",
             got=f"{100 * hidden:.0f}% of it hidden, among it {', '.join(few[:3])}",
             hint="choose another `at`, higher or in a gap; without `at` it lies above all plants",
@@ -235,7 +235,7 @@ def judge(images: ChartImages, regions: NDArray[np.int64], meter: LightMeter, no
     light = Spectrum(WAVELENGTHS_NM, np.pi * radiance[grey] / checker.GREY)
     white = checker.white_of(light)
     if not white.luminance_cd_per_m2 > 0:
-        raise RecipeError("no light reaches the colour chart", where="at", hint="choose another place")
+        raise RecipeError("no light reaches the colour chart", parameter="at", hint="choose another place")
     scale = 100.0 / white.luminance_cd_per_m2
     pictures = {
         "wavelengths": scale * checker.xyz_of_radiance(WAVELENGTHS_NM, images.wavelengths),

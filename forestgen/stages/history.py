@@ -162,7 +162,7 @@ def check_map_steps(plan: Plan, map_steps: Sequence[int], first: int = 0) -> Non
     for step in map_steps:
         if not first <= step <= plan.steps:
             expected = f"a step from {first} to {plan.steps}"
-            raise RecipeError("no such step", where="map_steps", expected=expected, got=str(step))
+            raise RecipeError("no such step", parameter="map_steps", expected=expected, got=str(step))
 
 
 def map_colours(plan: Plan) -> dict[str, str]:
@@ -175,7 +175,7 @@ def check_graphs(plan: Plan, paths: Sequence[Path]) -> None:
     if paths and capability(plan.model, OwnSkeletons) is None:
         raise RecipeError(
             "plants of this community have no branches of their own",
-            where="graphs",
+            parameter="graphs",
             expected=f"community.model: {models_with(OwnSkeletons)}",
             got=plan.drawn.recipe.community.model,
             hint="forestgen plant NAME --out exports a single plant",
@@ -184,7 +184,7 @@ def check_graphs(plan: Plan, paths: Sequence[Path]) -> None:
         if path.suffix.lower() not in GRAPH_FORMATS:
             raise RecipeError(
                 "no format for skeletal graphs",
-                where="graphs",
+                parameter="graphs",
                 expected=f"a name that ends with {', '.join(GRAPH_FORMATS)}",
                 got=str(path),
             )

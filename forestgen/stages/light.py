@@ -99,7 +99,9 @@ def light_at(
         wrong.
     """
     if not 0 < len(points) <= MOST_POINTS:
-        raise RecipeError("so many points", where="at", expected=f"1 to {MOST_POINTS}", got=str(len(points)))
+        raise RecipeError(
+            "too few or too many points", parameter="at", expected=f"1 to {MOST_POINTS}", got=str(len(points))
+        )
     plan = check_plan(loaded)
     places = [place(plan, point, above_ground=above_ground) for point in points]  # before anything is simulated
     plan, built = prepare(loaded, progress, timings)
@@ -137,13 +139,13 @@ def place(plan: Plan, point: Point, *, above_ground: bool) -> tuple[Point, float
     beyond = max(-point[0], point[0] - width, -point[1], point[1] - depth, 0.0)
     if not (all(math.isfinite(value) for value in point) and max(beyond, abs(point[2])) <= _FARTHEST_M):
         expected = f"metres, within {_FARTHEST_M:,.0f} m of the site, which is {width:g} x {depth:g} m"
-        raise RecipeError("this is no point of the site", where="at", expected=expected, got=said)
+        raise RecipeError("this is no point of the site", parameter="at", expected=expected, got=said)
     ground_m = float(height_field(plan.drawn)(np.array(point[0]), np.array(point[1])))
     z = point[2] + (ground_m if above_ground else 0.0)
     if z <= ground_m:
         raise RecipeError(
             "this point does not lie above the ground",
-            where="at",
+            parameter="at",
             expected="z above 0" if above_ground else f"z above {ground_m:.3f} m",
             got=said,
             hint="z counts from the ground below; with `absolute_z` from z = 0",
@@ -151,7 +153,7 @@ def place(plan: Plan, point: Point, *, above_ground: bool) -> tuple[Point, float
     base_m = cloud_source_of(plan.drawn).known_base_m(plan.drawn)
     if base_m is not None and z >= base_m:
         raise RecipeError(
-            "this point lies in or above the clouds", where="at", expected=f"z below {base_m:g} m", got=said
+            "this point lies in or above the clouds", parameter="at", expected=f"z below {base_m:g} m", got=said
         )
     return (point[0], point[1], z), z - ground_m
 

@@ -29,7 +29,7 @@ def check_wood_triangles(number: int | None) -> None:
         return
     if whole_of(number, "wood_triangles", -_MOST_TRIANGLES, _MOST_TRIANGLES) < FEWEST_TRIANGLES:
         expected = f"at least {FEWEST_TRIANGLES}"
-        raise RecipeError("too few triangles", where="wood_triangles", expected=expected, got=str(number))
+        raise RecipeError("too few triangles", parameter="wood_triangles", expected=expected, got=str(number))
 
 
 def with_light_wood(

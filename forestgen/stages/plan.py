@@ -12,6 +12,8 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
+import numpy as np
+
 from forestgen.atmosphere.clouds.source import cloud_source_of
 from forestgen.community.capabilities import (
     HasObstacles,
@@ -29,14 +31,15 @@ from forestgen.core.error_list import ErrorList
 from forestgen.core.errors import RecipeError, ResourceError
 from forestgen.core.figures import show_bytes
 from forestgen.core.memory import free_bytes
+from forestgen.plants.budget import most_triangles
 from forestgen.plants.parameters import PlantParameters
-from forestgen.plants.registry import is_built
+from forestgen.plants.registry import GENERATORS, is_built
 from forestgen.recipe.load import DrawnRecipe, LoadedRecipe
 from forestgen.recipe.registries import DATASET_FORMATS, LABEL_CHANNELS
 from forestgen.recipe.sources import Keys
 from forestgen.recipe.suggestions import did_you_mean
 from forestgen.scene.exemplars import check_traits
-from forestgen.stages.ground import check_wet_soil, community_site
+from forestgen.stages.ground import check_wet_soil, community_site, height_field
 from forestgen.stages.own_plants import clothing_of, generator_parameters, own_triangles
 from forestgen.stages.sky import check_sun
 from forestgen.stages.views import below_ground, check_above_ground, check_outside_of_houses, drawn_cameras
@@ -51,15 +54,13 @@ _BYTES_PER_PIXEL = 800  # radiance sums in double precision, buffers, channels o
 _BYTES_PER_TRIANGLE = 200  # mesh, the scene with its tree, normals' table
 # Of plants with branches of their own: 267 measured on tall spruces.
 _BYTES_PER_OWN_TRIANGLE = 300
-# More of the same under clouds, by render.clouds: exact ones have scenes of their own.
-_BYTES_PER_TRIANGLE_UNDER_CLOUDS = {"farfield": 0, "exact": 160, "auto": 160}
-# Of a mature plant, over its height times its width squared: poplar 280, spruce 310; of wide crowns fewer: beech 73,
-# maple 47, oak 60, which have 264,000, 265,000 and 436,000 in all at 24 m; and of a herb in all.
-_TRIANGLES_PER_M3, _TRIANGLES_OF_A_HERB = 320, 20_000
-_TRIANGLES_OF_A_WIDE_CROWN, _TRIANGLES_PER_M3_OF_IT = 230_000, 40
-_DETAIL_OF_ALL_LEVELS = 2.0  # a size at every level of detail, against one with all detail
+_BYTES_PER_TRIANGLE_UNDER_CLOUDS = 160  # more, where light goes through clouds exactly: they have scenes of their own
+_DETAIL_OF_ALL_LEVELS = 2.0  # a size at every level of detail, over `most_triangles`; measured up to 1.8
 _BYTES_PER_PLANT = 7_000  # an instance in the scene; 500,000 of benchmarks/labels.py take 4 kB each
-_BYTES_PER_PLANT_UNDER_CLOUDS = {"farfield": 0, "exact": 27_000, "auto": 27_000}
+_BYTES_PER_PLANT_UNDER_CLOUDS = 27_000  # more, as above
+# Clouds that are so much higher than they must be are surely far: plants differ in height, and the ground in places.
+_SURELY_FAR_M = 200.0
+_GROUND_POINTS = 33  # along a side, at which the ground's height is looked up
 _GROUND_CELL_M, _MOST_GROUND_CELLS, _GROUND_BEYOND = 0.75, 1200, 160  # see scene/terrain.py
 _FILM_BYTES = 60_000_000  # numbers and pictures that stages/history.py keeps
 
@@ -334,9 +335,9 @@ def estimate_bytes(plan: Plan, *, simulate_only: bool = False, plants: int = 0) 
     if simulate_only:
         return {"community": community + _FILM_BYTES, "libraries": _LOADED_SIMULATOR_BYTES}
     pixels = max(camera.size_px[0] * camera.size_px[1] for camera in recipe.cameras)
-    cloudy = recipe.sky.clouds.has_clouds
-    per_plant = _BYTES_PER_PLANT + cloudy * _BYTES_PER_PLANT_UNDER_CLOUDS[recipe.render.clouds]
-    clouds_per_triangle = cloudy * _BYTES_PER_TRIANGLE_UNDER_CLOUDS[recipe.render.clouds]
+    exact = recipe.sky.clouds.has_clouds and _may_be_exact(plan.drawn)
+    per_plant = _BYTES_PER_PLANT + exact * _BYTES_PER_PLANT_UNDER_CLOUDS
+    clouds_per_triangle = exact * _BYTES_PER_TRIANGLE_UNDER_CLOUDS
     per_triangle = _BYTES_PER_TRIANGLE + clouds_per_triangle
     own = own_triangles(plan.module_parameters, recipe.plants)
     across, along = (
@@ -362,20 +363,31 @@ def _located(cause: RecipeError | ResourceError, drawn: DrawnRecipe) -> RecipeEr
     return type(cause)(cause.problem, where=where, expected=cause.expected, got=cause.got, hint=cause.hint)
 
 
+def _may_be_exact(drawn: DrawnRecipe) -> bool:
+    """Whether the light of a recipe with clouds may be traced through them; see `render.transport`."""
+    from forestgen.render.cloud_heights import GAP_OF_SITE, LEAST_GAP_M
+
+    recipe, base_m = drawn.recipe, cloud_source_of(drawn).known_base_m(drawn)
+    if recipe.render.clouds != "auto" or base_m is None:
+        return recipe.render.clouds != "farfield"
+    x_m, y_m = np.meshgrid(*(np.linspace(0.0, side_m, _GROUND_POINTS) for side_m in recipe.site.size_m))
+    plants_m = max((species.mature_height_m for species in drawn.species.values()), default=0.0)
+    tops_m = [float(height_field(drawn)(x_m, y_m).max()) + plants_m]
+    tops_m += [camera.position_m[2] for cameras in drawn_cameras(drawn) for camera in cameras]
+    return base_m < max(tops_m) + max(LEAST_GAP_M, GAP_OF_SITE * math.hypot(*recipe.site.size_m)) + _SURELY_FAR_M
+
+
 def _exemplar_triangles(plan: Plan) -> int:
     """Triangles of all exemplars, as if each were a mature plant of its species; see `own_triangles` for the others."""
     section = plan.drawn.recipe.plants
     each = section.exemplars_per_species * section.variants_per_size * (_DETAIL_OF_ALL_LEVELS if section.levels else 1)
-    boxes_m3 = [
-        species.mature_height_m * float(species.allometry.width(species.ecology.max_radius_m)) ** 2
-        for name, species in plan.drawn.species.items()
-        if name not in plan.module_parameters and not is_built(species.plant.generator)
-    ]
-    plants = (
-        min(_TRIANGLES_PER_M3 * box_m3, _TRIANGLES_OF_A_WIDE_CROWN + _TRIANGLES_PER_M3_OF_IT * box_m3)
-        for box_m3 in boxes_m3
-    )
-    return int(each * sum(_TRIANGLES_OF_A_HERB + triangles for triangles in plants))
+    total = 0.0
+    for name, species in plan.drawn.species.items():
+        if name not in plan.module_parameters and not is_built(species.plant.generator):
+            has_crown = GENERATORS.load(species.plant.generator).has_crown
+            width_m = float(species.allometry.width(species.ecology.max_radius_m)) if has_crown else 0.0
+            total += most_triangles(species.mature_height_m, width_m)
+    return int(each * total)
 
 
 def _check_traits(plan: Plan) -> None:

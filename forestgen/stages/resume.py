@@ -92,7 +92,7 @@ def snapshot_to_resume(plan: Plan, path: Path, step: int | None) -> Population:
     chosen = steps[-1] if step is None else step
     if chosen not in steps:
         expected = f"a step from {steps[0]} to {steps[-1]}"
-        raise RecipeError(f"{path} has no such step", where="from_step", expected=expected, got=str(step))
+        raise RecipeError(f"{path} has no such step", parameter="from_step", expected=expected, got=str(step))
     _check_same_simulation(plan, dict(history.origin), chosen, path)
     if chosen >= plan.steps:
         raise RecipeError(
@@ -105,7 +105,7 @@ def snapshot_to_resume(plan: Plan, path: Path, step: int | None) -> Population:
     if history.grows_by_modules and not history.has_modules:
         raise RecipeError(
             f"{path} has no modules, from which alone its plants can go on",
-            where="resume",
+            parameter="resume",
             expected=f"a history with {NAME} beside it",
             got="one row a plant",
             hint="simulate it again with `set='community.history_modules=true'`, and resume that",
@@ -150,7 +150,7 @@ def _check_same_simulation(plan: Plan, theirs: Mapping[str, Any], step: int, pat
     """Raise `RecipeError` unless both simulations have one future from `step` on, but for what is still to come."""
     if not theirs:
         got = "nothing"
-        raise RecipeError(f"{path} does not say what it was started with", where="resume", expected="that", got=got)
+        raise RecipeError(f"{path} does not say what it was started with", parameter="resume", expected="that", got=got)
     parameters = type(plan.model_parameters)
     now = dict(_until(origin(plan), parameters, step))
     try:
@@ -171,7 +171,7 @@ def _check_same_simulation(plan: Plan, theirs: Mapping[str, Any], step: int, pat
     timed = ", ".join(others) + " and " * bool(others) + last
     raise RecipeError(
         f"{path} is the history of another simulation",
-        where="resume",
+        parameter="resume",
         expected="; ".join(f"{one.key} {shown(one.before)}" for one in told) + ", as in the history",
         got="; ".join(f"{one.key} {shown(one.now)}" for one in told) + (f", and {more} more" if more > 0 else ""),
         hint=f"only community.steps and later {timed} may change; leave `resume` out to start anew",

@@ -132,19 +132,18 @@ def check_numbers(order: Order) -> None:
         if number is not None:
             whole_of(number, option, 1, _MOST_FILES)
     if order.frames is not None and order.count > 1:
-        raise RecipeError("frames are of one plant", where="frames", expected="`count` or `frames`, not both")
+        raise RecipeError("frames are of one plant", parameter="frames", expected="`count` or `frames`, not both")
     if not 0 < number_of(order.frames_per_s, "frames_per_s") <= 1000:
         got = f"{order.frames_per_s:g}"
-        raise RecipeError("no such pace", where="frames_per_s", expected="above 0, at most 1000", got=got)
+        raise RecipeError("no such pace", parameter="frames_per_s", expected="above 0, at most 1000", got=got)
     if whole_of(order.seed, "seed", 0, _MOST_SEEDS) + order.count > _MOST_SEEDS:
         expected = f"less than {_MOST_SEEDS - order.count + 1}"
-        raise RecipeError("no such seed", where="seed", expected=expected, got=str(order.seed))
+        raise RecipeError("no such seed", parameter="seed", expected=expected, got=str(order.seed))
     if order.detail is not None:
         whole_of(order.detail, "detail", 0, 2)
     if order.height_m is not None:
         number_of(order.height_m, "height_m")
     check_wood_triangles(order.wood_triangles)
-    order.shot.check()
 
 
 def check_formats(outputs: Sequence[Path]) -> None:
@@ -153,10 +152,10 @@ def check_formats(outputs: Sequence[Path]) -> None:
     for path in outputs:
         if path.suffix.lower() not in wanted:
             expected = ", ".join(wanted[:-1]) + f" or {wanted[-1]}"
-            raise RecipeError("unknown format", where="out", expected=expected, got=f"{str(path)!r:.200}")
+            raise RecipeError("unknown format", parameter="out", expected=expected, got=f"{str(path)!r:.200}")
     if len(set(outputs)) < len(outputs):
         twice = next(path for path in outputs if list(outputs).count(path) > 1)
-        raise RecipeError("the same file twice", where="out", got=str(twice))
+        raise RecipeError("the same file twice", parameter="out", got=str(twice))
 
 
 def name_of(species: str) -> str:
@@ -175,7 +174,7 @@ def drawn_of(species: str, seed: int) -> DrawnRecipe:
     is_file = path.suffix in SUFFIXES["species"]
     source = f"./{path.name}" if is_file else species  # a file of the user's own may lie anywhere
     if not is_file:
-        find_asset("species", species, where="species")
+        find_asset("species", species, parameter="species")
     alone = {"species": {name_of(species): {"from": source}}, "community": {"model": "none"}}
     folder = path.parent if is_file else Path()
     return load_recipe_data({"forestgen": 1, "seed": seed, **alone}, "forestgen plant", folder).draw(0)
@@ -221,14 +220,14 @@ def radius_of_m(species: Species, height_m: float | None) -> float:
     tallest_m = min(_TALLEST * species.mature_height_m, TALLEST_M)  # a slip of the pen makes gigabytes of leaves
     if not (math.isfinite(height_m) and _SHORTEST_M <= height_m <= tallest_m):
         expected = f"{_SHORTEST_M:g} to {tallest_m:.3g} m; a mature plant has {species.mature_height_m:.3g} m"
-        raise RecipeError("no such plant", where="height_m", expected=expected, got=f"{height_m:g}")
+        raise RecipeError("no such plant", parameter="height_m", expected=expected, got=f"{height_m:g}")
     law = species.allometry.height_m
     if law.exponent:
         return law.inverse(height_m)
     if not math.isclose(height_m, law.scale, rel_tol=0.01):
         raise RecipeError(
             "plants of this species are all of one height",
-            where="height_m",
+            parameter="height_m",
             expected=f"{law.scale:g} m",
             got=f"{height_m:g} m",
             hint="leave `height_m` out",

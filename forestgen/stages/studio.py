@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.core.arguments import listed, number_of, shown, whole_of
+from forestgen.core.arguments import listed, number_of, whole_of
 from forestgen.core.errors import RecipeError
 from forestgen.core.frames import look_at
 from forestgen.core.progress import Progress
@@ -60,19 +60,19 @@ class Shot:
     look_at_m: float | None = None  # height looked at through a normal lens; None: the whole plant
     window_m: float | None = None  # height of the window at that place, in place of a normal lens'
 
-    def check(self) -> None:
-        """Raise `RecipeError` for a picture or a view that is none."""
-        sides = listed(self.size_px, "size_px", "two numbers")
-        if len(sides) != 2 or not all(type(side) is int and 8 <= side <= 8192 for side in sides):
-            got = " ".join(map(shown, sides))
-            expected = "two whole numbers, 8 to 8192 pixels each"
-            raise RecipeError("no such picture", where="size_px", expected=expected, got=got)
-        whole_of(self.samples, "samples", 1, 65536)
+    def check(self) -> Shot:
+        """The same with Python's own numbers. Raises `RecipeError` for a picture or a view that is none."""
+        sides = [whole_of(side, "size_px", 8, 8192) for side in listed(self.size_px, "size_px", "two numbers")]
+        if len(sides) != 2:
+            got = " ".join(map(str, sides))
+            raise RecipeError("no such picture", parameter="size_px", expected="width and height, pixels", got=got)
+        samples = whole_of(self.samples, "samples", 1, 65536)
         if self.distance_m is not None and not 1e-3 <= number_of(self.distance_m, "distance_m") <= 1e4:
             got = f"{self.distance_m:g}"
-            raise RecipeError("no such distance", where="distance_m", expected="0.001 to 10000 m", got=got)
+            raise RecipeError("no such distance", parameter="distance_m", expected="0.001 to 10000 m", got=got)
         if self.look_at_m is not None:
             number_of(self.look_at_m, "look_at_m")
+        return replace(self, size_px=(sides[0], sides[1]), samples=samples)
 
 
 def photograph(
@@ -149,7 +149,7 @@ def _fitted(position: tuple[float, float, float], points: Floats, shot: Shot) ->
     if not np.all(way[:, 1] > 0.0):
         raise RecipeError(
             "the camera stands in the plant",
-            where="distance_m",
+            parameter="distance_m",
             expected=f"more than {-points[:, 1].min():.3g} m, or `look_at_m` with it",
             got=f"{-position[1]:g}",
         )
@@ -165,7 +165,7 @@ def _fitted(position: tuple[float, float, float], points: Floats, shot: Shot) ->
     if not (np.all(seen[:, 2] > 0.0) and widest < _WIDEST_DEG):
         raise RecipeError(
             "no lens holds the whole plant from there",
-            where="distance_m",
+            parameter="distance_m",
             expected="a larger distance, or `look_at_m` with it",
             got=f"{-position[1]:g}",
         )
@@ -177,7 +177,7 @@ def _close(exemplar: Exemplar, shot: Shot) -> Camera:
     level = 0.6 * height if shot.look_at_m is None else shot.look_at_m
     if not 0 <= level <= height:
         raise RecipeError(
-            "the plant is not so tall", where="look_at_m", expected=f"0 to {height:.4g} m", got=f"{level:g}"
+            "the plant is not so tall", parameter="look_at_m", expected=f"0 to {height:.4g} m", got=f"{level:g}"
         )
     target = _nearest_point(exemplar, level, size_of_m(exemplar))
     distance = shot.distance_m or (3.5 * shot.window_m if shot.window_m else 0.35 * size_of_m(exemplar))

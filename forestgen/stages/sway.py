@@ -24,7 +24,7 @@ def check_sways(species_name: str, parameters: Any) -> None:
     if parameters.generator != _SWAYING or parameters.variation is not None:
         raise RecipeError(
             "plants of this species cannot sway",
-            where="frames",
+            parameter="frames",
             expected=f"a species of the generator {_SWAYING}, without variation",
             got=f"{species_name}, of the generator {parameters.generator}",
             hint="`forestgen plant --list` shows generators; or leave `frames` out",

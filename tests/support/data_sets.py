@@ -12,6 +12,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
+from PIL import Image
 
 from forestgen.dataset import png
 from forestgen.dataset.index import INDEX_NAME, write_index
@@ -22,6 +23,12 @@ from forestgen.recipe.splits import split_of
 SPLITS = {"train": 8.0, "val": 1.0, "test": 1.0}
 SIZE_PX = (48, 36)
 STAGES = {"community": 2.1, "plants": 1.4, "radiance": 9.0, "identity": 1.1, "labels": 0.6, "write": 0.4}
+
+
+def read_instance(path: Path) -> NDArray[np.uint32]:
+    """(H, W) plant ids of an instance PNG."""
+    with Image.open(path) as picture:
+        return np.asarray(picture).astype(np.uint32) @ np.array([1, 256, 65536], np.uint32)
 
 
 def write_data_set(

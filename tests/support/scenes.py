@@ -12,6 +12,7 @@ from forestgen.core.frames import look_at
 from forestgen.core.parts import Part
 from forestgen.geometry.mesh import Mesh, surface_area_m2
 from forestgen.plants.exemplar import Exemplar, OrganMesh
+from forestgen.render.frame import Amodal
 from forestgen.scene.spec import Camera, Instances, Material, SceneSpec, Sky, Terrain
 from forestgen.scene.terrain import HeightField, build_terrain
 
@@ -102,6 +103,12 @@ _MATERIALS = {
     "bark": Material((0.15, 0.12, 0.09)),
     "leaf": Material((0.05, 0.10, 0.03), (0.04, 0.09, 0.02)),
 }
+
+
+def window_hits(found: Amodal, row: int) -> NDArray[np.uint16]:
+    """(h, w) counts of the window of a row."""
+    _, _, width, height = found.window_px[row]
+    return found.hits[found.first[row] : found.first[row + 1]].reshape(height, width)
 
 
 def random_transforms(count: int, size_m: float, rng: np.random.Generator) -> NDArray[np.float64]:

@@ -19,7 +19,7 @@ from forestgen.render.frame import Amodal
 from forestgen.render.identity import SceneTracer, sample_offsets
 from forestgen.render.variant import drjit, mitsuba
 from forestgen.scene.spec import Camera, SceneSpec
-from support.scenes import camera_at, dyadic_scene, plain_ground, scattered_scene
+from support.scenes import camera_at, dyadic_scene, plain_ground, scattered_scene, window_hits
 from support.twins import Oracle
 
 UNHEARD: dict[str, Any] = {"timer": Timings(), "advance": lambda rows: None}
@@ -40,7 +40,7 @@ def image_of(found: Amodal, row: int, camera: Camera) -> np.ndarray:
     """(H, W) counts of one plant; the window is tight."""
     image = np.zeros(camera.size_px[::-1], dtype=np.uint16)
     x, y, width, height = found.window_px[row]
-    hits = found.hits_of(row)
+    hits = window_hits(found, row)
     image[y : y + height, x : x + width] = hits
     if width:
         assert hits[0].any()
@@ -221,7 +221,7 @@ def test_order_of_plants_and_size_of_blocks_do_not_matter(monkeypatch):
     for row, plant in enumerate(again.plant_id):
         other = int(np.searchsorted(once.plant_id, plant))
         np.testing.assert_array_equal(again.window_px[row], once.window_px[other])
-        np.testing.assert_array_equal(again.hits_of(row), once.hits_of(other))
+        np.testing.assert_array_equal(window_hits(again, row), window_hits(once, other))
 
 
 def test_two_cameras_share_one_tracer():

@@ -135,7 +135,7 @@ def test_a_data_set_is_a_sequence_of_its_frames(data_set: fg.Dataset) -> None:
         with pytest.raises(IndexError, match=f"{len(names)} frames"):
             data_set[outside]
     assert data_set.frame(names[4]).name == names[4]
-    with pytest.raises(fg.RecipeError, match="no such frame"):
+    with pytest.raises(fg.RecipeError, match="name: the data set has no such frame"):
         data_set.frame("000009-near")
     assert data_set.index.column("frame").to_pylist() == names
     assert data_set.classes[data_set[0].semantic.max()] in ("ground", "fireweed")
@@ -152,6 +152,12 @@ def test_a_split_is_its_frames_alone(data_set: fg.Dataset) -> None:
     with pytest.raises(fg.RecipeError, match="no such split") as refused:
         data_set.split("test")
     assert "train, val" in str(refused.value)
+    assert refused.value.parameter == "split"
+    for wrong in (["train"], 3):
+        with pytest.raises(fg.RecipeError, match="split: this is no text"):
+            fg.Dataset(data_set.folder, split=wrong)  # type: ignore[arg-type]
+        with pytest.raises(fg.RecipeError, match="name: this is no text"):
+            data_set.frame(wrong)  # type: ignore[arg-type]
     with pytest.raises(fg.RecipeError, match="no such frame"):
         parts["val"].frame(parts["train"][0].name)
 

@@ -144,7 +144,7 @@ def test_a_worker_that_takes_too_much_memory_is_stopped(tmp_path: Path, faults: 
     summary = local(str(path), str(target), 4, make, retries=1, memory_bytes=500_000_000)
     assert [(failed.job.image, failed.kind, failed.attempt) for failed in summary.failed] == [(1, "memory", 2)]
     assert "more than the 0.50 GB" in summary.failed[0].message
-    assert "--worker-memory" in summary.failed[0].message
+    assert "`worker_memory`" in summary.failed[0].message
     assert assert_records_hold(target) == {0, 2, 3}
     (faults / "hoard-1").unlink()
     local(str(path), str(target), 4, make)

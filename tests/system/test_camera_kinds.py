@@ -20,7 +20,7 @@ from forestgen.render.variant import mitsuba, using
 from forestgen.scene.projection import depth_is_distance, image_circle, lens_points
 from forestgen.scene.spec import Camera, SceneSpec
 from support.cameras import KINDS, camera_of
-from support.scenes import dyadic_scene, plain_ground
+from support.scenes import dyadic_scene, plain_ground, window_hits
 from support.twins import Oracle, trace_twin
 
 WIDTH, HEIGHT, SAMPLES = 20, 14, 4
@@ -146,7 +146,7 @@ def test_amodal_counts_are_brute_forces_of_the_plant_alone(name, spec, seen):
     for row, plant in enumerate(ids):
         image = np.zeros(mask.shape, dtype=np.uint16)
         x, y, width, height = found.window_px[row]
-        image[y : y + height, x : x + width] = found.hits_of(row)
+        image[y : y + height, x : x + width] = window_hits(found, row)
         assert ((identity.plant_id == plant).sum(axis=2) <= image).all()
         left, top, right, bottom = found.full_box_px[row]
         assert np.floor(left) <= x

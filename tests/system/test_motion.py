@@ -18,7 +18,7 @@ from forestgen.recipe.camera_keys import CameraPath
 from forestgen.recipe.cameras import Camera as CameraSection
 from forestgen.recipe.load import load_recipe
 from forestgen.render.frame import Surface
-from forestgen.scene.camera_path import place_cameras
+from forestgen.scene.camera_path import expand
 from forestgen.scene.spec import Camera, SceneSpec
 from forestgen.scene.terrain import HeightField
 from forestgen.scene.wind import Sway, posed, sway_in
@@ -151,7 +151,7 @@ def test_the_scene_at_a_time_is_one_object_and_the_next_frames_is_kept_beside_it
     section = CameraSection(
         name="walk", position_m=(8, -4, 2), look_at_m=(8, 8, 4), path=CameraPath(frames=5, position_m=((8, -3, 2),))
     )
-    cameras = place_cameras([section], HeightField((16.0, 16.0)))
+    cameras = tuple(expand(section, HeightField((16.0, 16.0))))
     nobody = np.zeros(0, dtype=np.uint8)
     empty = Population(0.0, (), nobody, nobody, np.zeros((0, 3)), nobody, nobody, nobody, nobody)
     built = BuiltScene(replace(stand, cameras=cameras), empty, [], wind)

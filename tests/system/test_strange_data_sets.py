@@ -211,7 +211,7 @@ def test_a_split_that_is_yet_to_come_is_no_typo(root: Path) -> None:
     with pytest.raises(fg.RecipeError, match="its recipe declares it, but no image of it is there") as refused:
         fg.Dataset(root).split("test")
     assert "10 % of the images" in str(refused.value.hint)
-    with pytest.raises(fg.RecipeError, match="no such split\n") as refused:
+    with pytest.raises(fg.RecipeError, match="split: the data set has no such split\n") as refused:
         fg.Dataset(root).split("vall")
     assert refused.value.hint == "did you mean 'val'?"
 

@@ -149,7 +149,7 @@ def _check_reach(stand: MeasuredStand, reach_m: float | None) -> None:
     if reach_m is not None and not stand.spacing_m / 4 <= reach_m <= most:
         raise RecipeError(
             "this reach does not suit the stand",
-            where="reach_m",
+            parameter="reach_m",
             expected=f"{stand.spacing_m / 4:.3g} (a quarter of the plants' spacing) to {most:.3g} m (half the window)",
             got=f"{reach_m:g}",
         )

@@ -43,7 +43,7 @@ def in_words(fit: Fit) -> str:
     off = [what for name, what in _FUNCTIONS if fit.held(name) < enough[name]]
     inside = ", ".join(f"{name} ({what}) in {fit.held(name)} of {sets}" for name, what in _FUNCTIONS)
     verdict = f"differ from the measured one in {' and '.join(off)}" if off else "agree with the measured one"
-    more = "; a single set is severe: --checks 20 tells more" if off and sets == 1 else ""
+    more = "; a single set is severe: `checks=20` tells more" if off and sets == 1 else ""
     sort = "fresh set" if sets == 1 else "fresh sets"
     return f"new stands {verdict}: inside the envelope at all {RADII} distances are {inside} {sort}{more}"
 

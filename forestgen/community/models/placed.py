@@ -63,7 +63,7 @@ from forestgen.community.disturbance import Ground, planted
 from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.inventory import PlacedPlant, rows
 from forestgen.community.model import CommunityParameters, Site
-from forestgen.community.standing import Plants, Standing, State, azimuth_of
+from forestgen.community.standing import FixedPopulation, Plants, State, azimuth_of
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.fields import Whole
 from forestgen.recipe.sources import Keys
@@ -189,7 +189,7 @@ def _size(plant: PlacedPlant, species: SpeciesEcology, where: str) -> tuple[floa
     return min(radius, largest), plant.height_m
 
 
-class Placed(Standing):
+class Placed(FixedPopulation):
     """The model; see the module's page."""
 
     Parameters = PlacedParameters

@@ -27,7 +27,7 @@ from forestgen.community.placement.densities import (
 )
 from forestgen.community.placement.stands import PlacementParameters
 from forestgen.community.population import Population
-from forestgen.community.standing import Standing, State, first_state
+from forestgen.community.standing import FixedPopulation, State, first_state
 from forestgen.core.randomness import child_rng
 
 _BYTES_PER_PLANT = 400  # a state, its successor, a snapshot, what a placement holds meanwhile
@@ -144,7 +144,7 @@ def _bars(parameters: PlacementParameters, site: Site, name: str) -> str | None:
     return conditions or "the map, the conditions and keep_out bar the whole site"
 
 
-class PlacementModel(Standing):
+class PlacementModel(FixedPopulation):
     """A `CommunityModel` but for its Parameters and `init`, which draws from `placement_rng`."""
 
     def expected_plants(self, parameters: PlacementParameters, site: Site, species: Sequence[SpeciesEcology]) -> float:

@@ -136,11 +136,6 @@ def plant_names(species: Sequence[str], plant_id: NDArray[np.uint32]) -> list[st
     return names
 
 
-def plant_id_of(name: str) -> int:
-    """The plant_id in a name of CryptoPlant: for those who read the files."""
-    return int(name.rpartition("_")[2])
-
-
 def crypto_ids(names: Sequence[str]) -> NDArray[np.uint32]:
     """(N,) uint32: bits of the float32 that the standard gives each name."""
     import mmh3

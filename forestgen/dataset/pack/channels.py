@@ -19,7 +19,7 @@ from forestgen.dataset.safe_path import SafePath, load_json, unreadable
 
 Kind = Literal["picture", "objects", "bytes"]
 EXR_FILE, CAMERA_FILE = "frame.exr", "camera.json"
-REMEDY = "forestgen verify finds what is damaged, the command that made the data set makes it again with --resume"
+REMEDY = "forestgen verify finds what is damaged, the command that made the data set makes it again with `resume=True`"
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ def choose_channels(folders: Sequence[SafePath], wanted: Sequence[str] | None) -
         usual = [CHANNELS[name] for name in _DEFAULT]
         return tuple(one for one in usual if any((folder / one.file).is_file() for folder in folders))
     if not wanted:
-        raise RecipeError("no channel is named", where="channels", expected=", ".join(CHANNELS))
+        raise RecipeError("no channel is named", parameter="channels", expected=", ".join(CHANNELS))
     folder = folders[0]
     # A part of frame.exr is looked for only where an array is asked for: to read the file takes a while.
     needs_exr = any(name not in CHANNELS or CHANNELS[name].part for name in wanted)
@@ -104,7 +104,7 @@ def _any_has(folders: Sequence[SafePath], channel: Channel) -> bool:
 def _no_such_channel(name: str, known: Sequence[str]) -> RecipeError:
     hint = "take depth_m, or make the data set with dataset.formats: [depth_png]" if name == "depth" else None
     problem = "the data set has no such channel" if name in CHANNELS else "there is no such channel"
-    return RecipeError(problem, where="channels", expected="of " + ", ".join(known), got=name, hint=hint)
+    return RecipeError(problem, parameter="channels", expected="of " + ", ".join(known), got=name, hint=hint)
 
 
 def measure_frame(folder: SafePath, channels: Sequence[Channel]) -> int:

@@ -51,7 +51,7 @@ def packing_of(
     """
     if seed is not None:
         whole_of(seed, "seed", 0, MOST_SEEDS)
-    PACKS.check(form, where="format")
+    PACKS.check(form, parameter="format")
     names = None if channels is None else tuple(channels)
     return Packing(form, parse_bytes(shard_size, "shard_size"), names, tuple(splits), seed)
 
@@ -74,8 +74,8 @@ def pack(root: Path, target: Path, packing: Packing, *, overwrite: bool = False,
 
     Raises
     ------
-    DatasetError : `root` is no data set, or a file of it is missing or damaged.
-    RecipeError : there is no such folder, or the data set has no such channel or split.
+    DatasetError : a file of the data set is missing or damaged.
+    RecipeError : the data set has no such channel or split.
     OutputError : the pack cannot be written.
     """
     form: Pack = PACKS.load(packing.format)
@@ -128,7 +128,7 @@ def _split_names(source: Source, form: Pack) -> dict[str, str]:
     if len(set(names.values())) < len(names):
         raise RecipeError(
             "two splits would have the same name, for hyphens become underscores",
-            where="splits",
+            parameter="splits",
             got=", ".join(names),
             hint="pack them one by one",
         )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +13,7 @@ from forestgen.dataset.index_values import plain_rows
 from forestgen.dataset.legend import FILE_NAME as CLASSES_FILE
 from forestgen.dataset.legend import read_legend
 from forestgen.dataset.pack.channels import read_json
-from forestgen.dataset.safe_path import SafePath, check_folder
+from forestgen.dataset.safe_path import SafePath
 
 LAST_FILE = "dataset.json"  # that a run writes
 
@@ -52,32 +51,14 @@ def open_source(root: Path, splits: Sequence[str] = ()) -> Source:
 
     Parameters
     ----------
-    root : its folder.
+    root : its folder, which `Dataset` has checked.
     splits : those to pack, by default all.
 
     Raises
     ------
-    DatasetError : the folder is no data set, is not finished, or is damaged.
-    RecipeError : there is no such folder, or the data set has no such split.
+    DatasetError : a file of it is missing or damaged.
+    RecipeError : the data set has no such split.
     """
-    elsewhere = "packs are made of folders of this machine: copy the data set here first" if ":/" in str(root) else None
-    check_folder(root, "a folder that forestgen render, batch or merge made", elsewhere)
-    if not os.path.lexists(root / INDEX_NAME) or not os.path.lexists(root / LAST_FILE):
-        raise _no_data_set(root)
-    return _opened(root, splits)
-
-
-def _no_data_set(root: Path) -> DatasetError:
-    if (root / INDEX_NAME).exists() or (root / ".forestgen").is_dir():
-        missing = LAST_FILE if (root / INDEX_NAME).is_file() else INDEX_NAME
-        hint: str | None = "the command that made it, with --resume, goes on with it"
-        return DatasetError(f"the data set is not finished: it has no {missing} yet", where=str(root), hint=hint)
-    hint = f"name {root.parent}, with `splits='{root.name}'`" if (root.parent / LAST_FILE).is_file() else None
-    expected = "a folder that forestgen render, batch or merge made"
-    return DatasetError("this is no data set", where=str(root), expected=expected, hint=hint)
-
-
-def _opened(root: Path, wanted: Sequence[str]) -> Source:
     index = whole_index(root / INDEX_NAME)
     names = list(zip(index["split"].to_pylist(), index["frame"].to_pylist(), strict=True))
     told = read_json(SafePath(root, LAST_FILE)).get("splits")
@@ -85,17 +66,20 @@ def _opened(root: Path, wanted: Sequence[str]) -> Source:
     frames: dict[str, list[str]] = {}
     for split, frame in names:
         frames.setdefault(split, []).append(frame)
-    for name in wanted:
+    for name in splits:
         if name not in frames:
             raise RecipeError(
-                "the data set has no such split", where="splits", expected="of " + ", ".join(sorted(frames)), got=name
+                "the data set has no such split",
+                parameter="splits",
+                expected="of " + ", ".join(sorted(frames)),
+                got=name,
             )
-    chosen = sorted(set(wanted) or frames, key=lambda name: (order.index(name) if name in order else len(order), name))
-    splits = tuple(Split(name, SafePath(root, name), tuple(sorted(frames[name]))) for name in chosen)
-    if not splits:
+    chosen = sorted(set(splits) or frames, key=lambda name: (order.index(name) if name in order else len(order), name))
+    found = tuple(Split(name, SafePath(root, name), tuple(sorted(frames[name]))) for name in chosen)
+    if not found:
         raise DatasetError("the data set has no frame", where=str(root))
     numbers = {frame: number for number, (_, frame) in enumerate(names)}
-    return Source(root, splits, _common_classes(splits), index, numbers)
+    return Source(root, found, _common_classes(found), index, numbers)
 
 
 def _common_classes(splits: Sequence[Split]) -> dict[str, Any]:

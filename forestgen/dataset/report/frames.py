@@ -79,7 +79,7 @@ def read_frames(path: Path) -> Frames:
     try:
         frames = Frames(open_table(path, _NEEDED))
     except DatasetError as error:
-        hint = "the command that made the data set, with --resume, writes it again"
+        hint = "the command that made the data set, with `resume=True`, writes it again"
         raise DatasetError(
             error.problem, where=error.where, expected=error.expected, got=error.got, hint=hint
         ) from error

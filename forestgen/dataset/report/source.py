@@ -60,7 +60,7 @@ def open_source(folder: Path) -> Source:
         frames = read_frames(folder / INDEX_NAME)
     elif card or (folder / RUN_NAME).is_dir():
         frames = frames_of([])
-        notes.append("index.parquet is missing: the run has not ended. The same command with --resume goes on with it.")
+        notes.append("index.parquet is missing: the run has not ended, and can be resumed.")
     else:
         hint = "name a folder that forestgen render, batch or merge wrote"
         raise DatasetError("this is no data set of forestgen", where=str(folder), hint=hint)

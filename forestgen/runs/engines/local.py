@@ -154,7 +154,7 @@ class LocalEngine:
                     worker,
                     "memory",
                     f"the worker took {used / 1e9:.2f} GB of memory, more than the {bound / 1e9:.2f} GB it may have\n"
-                    "  try       a larger --worker-memory with fewer workers, smaller images or a smaller site",
+                    "  try       a larger `worker_memory` with fewer workers, smaller images or a smaller site",
                 )
 
     def _check_time(self) -> None:
@@ -168,7 +168,7 @@ class LocalEngine:
                     worker,
                     "time",
                     f"the image was not done after {taken_s:.0f} s\n"
-                    "  try       a larger --timeout, if the image is only slow; a worker's first image takes longest",
+                    "  try       a larger `timeout`, if the image is only slow; a worker's first image takes longest",
                 )
 
     def _fail(self, worker: _Worker, kind: FailureKind, message: str) -> None:
@@ -194,7 +194,7 @@ def _cause_of_death(exit_code: int | None) -> str:
         if name == "SIGKILL":
             return (
                 "the worker process was killed (SIGKILL), most likely because memory ran out\n"
-                "  try       fewer workers, or --worker-memory to see which images take so much"
+                "  try       fewer workers, or `worker_memory` to see which images take so much"
             )
         return f"the worker process crashed ({name})"
     return f"the worker process was ended by signal {-exit_code}"

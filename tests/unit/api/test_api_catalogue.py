@@ -35,8 +35,9 @@ def test_a_registered_model_is_used_like_a_shipped_one(part: object) -> None:
     assert (sent.name, sent.path) == ("own", "own_parts:MODEL")  # what worker processes import
 
 
-def test_its_description_is_its_documentations_first_line() -> None:
-    fg.register("community_model", "own", own_parts.MODEL)
+@pytest.mark.parametrize("part", [own_parts.MODEL, "own_parts:MODEL"])
+def test_its_description_is_its_documentations_first_line(part: object) -> None:
+    fg.register("community_model", "own", part)
     assert fg.models("own")[0].description == "Plants at random, by another name."
 
 
@@ -120,6 +121,7 @@ def test_a_part_that_lacks_what_its_kind_has_is_refused(kind: str, part: str, la
 
 @pytest.mark.parametrize("kind", list(catalogue._REGISTRIES))
 def test_all_shipped_parts_pass_the_check(kind: str) -> None:
+    assert catalogue._REGISTRIES[kind].ids()
     for name in catalogue._REGISTRIES[kind].ids():
         catalogue._REGISTRIES[kind].check_part(name, catalogue._REGISTRIES[kind].load(name))
 

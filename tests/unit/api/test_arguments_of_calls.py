@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import copy
 from typing import Any
 
+import numpy as np
 import pytest
 from api_recipe import STAND
 
 import forestgen as fg
+from forestgen.api.plants import grow_files
+from forestgen.community.models.uniform import MODEL as UNIFORM
+from forestgen.runs.start import RunOptions
 from forestgen.stages.studio import Shot
 
 Call = Callable[[Any], Any]
@@ -62,13 +67,43 @@ def recipe() -> Any:
         ("samples", lambda _: Shot(samples=10**9).check()),
         ("size_px", lambda _: Shot((32,)).check()),  # type: ignore[arg-type]
         ("size_px", lambda _: Shot((32.5, 32)).check()),  # type: ignore[arg-type]
+        ("out", lambda r: r.batch("")),
+        ("out", lambda r: r.render("")),
+        ("out", lambda r: r.simulate("")),
+        ("out", lambda _: grow_files("fireweed", "")),
+        ("source", lambda _: fg.load("")),
+        ("resume", lambda r: r.render("x", resume="no")),
+        ("discard", lambda r: r.batch("x", discard=1)),
+        ("overwrite", lambda r: r.batch("x", overwrite=None)),
+        ("retries", lambda r: r.batch("x", retries=None)),
+        ("workers", lambda r: r.batch("x", workers=2.0)),
+        ("count", lambda r: r.frames(-1)),
+        ("first", lambda r: r.frames(1, first=2**40)),
+        ("normal", lambda r: r.calibrate(normal="uff")),
+        ("normals", lambda r: r.light([(1, 2, 3)], normals=["uff"])),
+        ("at", lambda r: r.light(np.array(3))),
+        ("height_m", lambda _: fg.plant("fireweed", 10**400)),
+        ("kind", lambda _: fg.models(kind="specie")),
+        ("name", lambda _: fg.models("sprce")),
+        ("name", lambda _: fg.register("community_model", "1st", UNIFORM)),
+        ("name", lambda _: fg.register("community_model", "uniform", UNIFORM)),
+        ("part", lambda _: fg.register("community_model", "mine", copy(UNIFORM))),
     ],
 )
 def test_a_wrong_argument_is_named(place: str, call: Call, recipe: Any) -> None:
     with pytest.raises(fg.ForestgenError) as caught:
         call(recipe)
     assert caught.value.where == place
+    assert caught.value.parameter == (None if ": " in place else place)
     assert caught.value.__cause__ is None or not type(caught.value.__cause__).__module__.startswith("pydantic")
+
+
+def test_whole_numbers_may_be_those_of_numpy(recipe: Any) -> None:
+    options = RunOptions(count=np.int64(3), threads=np.int32(1), workers=np.uint8(2), retries=np.int64(0)).check()  # type: ignore[arg-type]
+    assert {type(one) for one in (options.count, options.threads, options.workers, options.retries)} == {int}
+    shot = Shot((np.int64(32), np.int64(24)), samples=np.int64(4)).check()  # type: ignore[arg-type]
+    assert {type(one) for one in (*shot.size_px, shot.samples)} == {int}
+    assert list(recipe.frames(np.int64(0))) == []
 
 
 def test_one_text_is_no_list_of_letters(recipe: Any) -> None:

@@ -156,5 +156,8 @@ def test_the_display_is_that_of_the_place(monkeypatch: pytest.MonkeyPatch) -> No
         advance(2)
     wrapped.say("not heard")
     assert listener.heard == [("community", 2)]
+    listener.running = True  # type: ignore[attr-defined]  # an attribute of this name makes no display
+    with display_of(listener).running() as shown:
+        shown.say("not heard")
     monkeypatch.setattr(display, "_in_notebook", lambda: True)
     assert type(display_of(None)) is NotebookDisplay

@@ -132,7 +132,7 @@ def test_two_species_and_sizes_give_a_kernel_for_each_direction(quick, points, t
     result = run(points(rows, "# window 0 10 0 10\nx,y,radius_m,species"), "-o", tmp_path / "two.yaml")
     assert result.exit_code == 0, result.output
     assert "K(r) of fern tree to oak" in result.output
-    note = "note: fern tree: drawn as poplar, since no --species says what they look like"
+    note = "note: fern tree: drawn as poplar, since no `species` says what they look like"
     assert result.output.index(note) < result.output.index("40 plants in 10 x 10 m")
     assert "G(r) of oak to fern tree" in result.output
     community = load_recipe(tmp_path / "two.yaml", []).draw(0)

@@ -8,20 +8,31 @@ from typing import Any
 import numpy as np
 import pytest
 
-from forestgen.core.arguments import address_of, number_of, path_of, paths_of, plain_copy, shown, texts_of, whole_of
+from forestgen.core.arguments import (
+    address_of,
+    flag_of,
+    listed,
+    number_of,
+    path_of,
+    paths_of,
+    plain_copy,
+    shown,
+    texts_of,
+    whole_of,
+)
 from forestgen.core.errors import OutputError, RecipeError
 
 LONG = "a" * 300
 
 
-@pytest.mark.parametrize("value", [None, 5, b"a", 1.5, object(), [], LONG, f"x/{LONG}/y", "a\0", "/tmp/\ud800"])
+@pytest.mark.parametrize("value", [None, 5, b"a", 1.5, object(), [], LONG, f"x/{LONG}/y", "a\0", "/tmp/\ud800", ""])
 def test_what_is_no_path(value: Any) -> None:
     with pytest.raises(RecipeError) as caught:
         path_of(value, "folder")
     assert caught.value.where == "folder"
 
 
-@pytest.mark.parametrize("value", [LONG, "a\0", "a\nb.obj", "a\udcff", "/tmp/\ud800", "a\x1b"])
+@pytest.mark.parametrize("value", [LONG, "a\0", "a\nb.obj", "a\udcff", "/tmp/\ud800", "a\x1b", ""])
 def test_what_is_no_output(value: str) -> None:
     for check in (address_of, lambda one, where: path_of(one, where, output=True)):
         with pytest.raises(OutputError) as caught:
@@ -44,6 +55,18 @@ def test_what_is_no_whole_number(value: Any) -> None:
         whole_of(value, "count", 1, 10)
 
 
+@pytest.mark.parametrize("value", [3, None, {"a": 1}, np.array(3), object()])
+def test_what_is_no_list(value: Any) -> None:
+    with pytest.raises(RecipeError, match="x: this is no list of steps"):
+        listed(value, "x", "steps")
+
+
+@pytest.mark.parametrize("value", ["no", 0, 1, None, np.True_])
+def test_what_is_no_flag(value: Any) -> None:
+    with pytest.raises(RecipeError, match="resume: this is neither yes nor no"):
+        flag_of(value, "resume")
+
+
 def test_a_huge_number_is_told() -> None:
     with pytest.raises(RecipeError, match="a huge whole number"):
         whole_of(10**5000, "count", 1, 10)
@@ -54,7 +77,7 @@ def test_numbers_may_be_those_of_numpy() -> None:
     assert number_of(np.float32(0.5), "x", 0, 1) == 0.5
     assert number_of(2, "x") == 2.0
     assert np.isnan(number_of(float("nan"), "x"))  # left to a check of its own
-    for value in ("1 m", None, False):
+    for value in ("1 m", None, False, 10**400):
         with pytest.raises(RecipeError, match="x: no such number"):
             number_of(value, "x")
 

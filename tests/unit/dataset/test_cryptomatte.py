@@ -14,7 +14,7 @@ from dataset_shots import SETTINGS, make_shot
 from forestgen.core.errors import OutputError
 from forestgen.core.parts import Part
 from forestgen.dataset.formats import cryptomatte
-from forestgen.dataset.formats.cryptomatte import crypto_ids, plant_id_of, plant_names, write_cryptomatte
+from forestgen.dataset.formats.cryptomatte import crypto_ids, plant_names, write_cryptomatte
 from forestgen.labels.classes import ClassMap
 
 # MurmurHash3_x86_32 of seed 0 (Wikipedia's test cases), and the floats of the reference decoder's own tests.
@@ -32,6 +32,10 @@ FLOATS = {
     "равнина": -1.3192631212399999468e-25,
     "mädchen": 6.2361298211599995797e25,
 }
+
+
+def plant_id_of(name):
+    return int(name.rpartition("_")[2])
 
 
 def murmur3(key):

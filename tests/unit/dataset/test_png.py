@@ -15,7 +15,7 @@ from forestgen.dataset.tonemap import MIDDLE_GREY, tone_map
 def test_instance_round_trip_at_the_limit(tmp_path):
     ids = np.array([[0, 1, 255, 256], [65535, 65536, 2**24 - 2, 2**24 - 1]], np.uint32)
     png.write_instance(tmp_path / "i.png", ids)
-    np.testing.assert_array_equal(png.read_instance(tmp_path / "i.png"), ids)
+    np.testing.assert_array_equal(png.instance_of((tmp_path / "i.png").read_bytes(), (4, 2)), ids)
     with Image.open(tmp_path / "i.png") as image:
         rgb = np.asarray(image).astype(int)
     np.testing.assert_array_equal(rgb @ [1, 256, 65536], ids)  # COCO panoptic's rgb2id

@@ -14,12 +14,13 @@ import pytest
 from dataset_shots import SETTINGS, make_shot
 
 from forestgen.core.errors import OutputError
-from forestgen.dataset import manifest, png, tables
+from forestgen.dataset import manifest, tables
 from forestgen.dataset.exr import read_exr
 from forestgen.dataset.files import write_bytes, write_json
 from forestgen.dataset.tables import write_plants
 from forestgen.dataset.writer import frame_bytes, frame_folder_name, write_dataset, write_frame
 from forestgen.recipe.registries import DATASET_FORMATS
+from support.data_sets import read_instance
 
 FILES = {
     "camera.json", "frame.exr", "instance.png", "overlay.png", "plants.parquet", "preview.png", "recipe.yaml",
@@ -37,7 +38,7 @@ def test_all_files_agree(tmp_path, shot):
     assert folder.name == "000000-camera0"
     assert {path.name for path in folder.iterdir()} >= FILES
     identity = read_exr(folder / "frame.exr")["identity"]
-    np.testing.assert_array_equal(identity["plant_id"], png.read_instance(folder / "instance.png"))
+    np.testing.assert_array_equal(identity["plant_id"], read_instance(folder / "instance.png"))
     assert (folder / "recipe.yaml").read_text(encoding="utf-8") == "seed: 7  # ü\n"
     # The population lists oak first, the recipe third: class 2 + 2.
     oak = shot.population.plant_id[shot.population.species == 0]

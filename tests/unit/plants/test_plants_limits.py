@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from types import SimpleNamespace
 from typing import Any
 
@@ -15,10 +16,12 @@ from ruamel.yaml import YAML
 from forestgen.core.errors import RecipeError
 from forestgen.core.parts import Part
 from forestgen.core.randomness import child_rng
+from forestgen.plants.budget import most_triangles
 from forestgen.plants.build import build_exemplar, size_m
 from forestgen.plants.exemplar import Exemplar
 from forestgen.plants.generators.strands import Parameters as StrandParameters
 from forestgen.plants.organs.shapes import organ_shape
+from forestgen.plants.registry import GENERATORS
 from forestgen.recipe.curves import Curve
 
 
@@ -94,3 +97,16 @@ def test_a_stalk_is_none_or_long_enough_to_be_one() -> None:
         assert area.min() > 0.0
     with pytest.raises(ValidationError, match="0 for none"):
         organ_shape({**keys, "stalk_m": 1e-12})
+
+
+def test_the_estimate_of_triangles_holds_for_all_shipped_species() -> None:
+    """Each grown to its full size (docs/species.json), with room for seeds that grow more branches."""
+    measured = json.loads((SPECIES.parents[1] / "docs" / "species.json").read_text(encoding="utf-8"))
+    assert len(measured) > 15
+    for name, about in measured.items():
+        data = YAML(typ="safe").load((SPECIES / f"{name}.yaml").read_text(encoding="utf-8"))
+        laws = {key: SimpleNamespace(**law) for key, law in data["allometry"].items()}
+        height_m, width_m = size_m(SimpleNamespace(allometry=SimpleNamespace(**laws)), data["ecology"]["max_radius_m"])  # type: ignore[arg-type]
+        has_crown = GENERATORS.load(data["plant"]["generator"]).has_crown
+        assert most_triangles(height_m, width_m if has_crown else 0.0) > 1.15 * about["triangles"], name
+    assert most_triangles(1.54, 0.53) < 25_000  # fireweed: stands have thousands, and few other species

@@ -170,7 +170,7 @@ def test_bad_values(write: Write, override: str, parts: list[str]) -> None:
     with pytest.raises((RecipeError, AssetError)) as caught:
         load_recipe(write(), [override])
     message = str(caught.value)
-    for part in (*parts, "set " + override[:40]):
+    for part in (*parts, "set='" + override[:40]):
         assert part in message
     for jargon in ("Input should", "pydantic", "validation error", "type="):
         assert jargon not in message

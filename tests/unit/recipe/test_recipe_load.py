@@ -57,7 +57,7 @@ def test_override_reaches_the_default_camera_and_an_empty_section(write: Write) 
 def test_another_generator_leaves_the_files_keys_behind(write: Write) -> None:
     drawn = load_recipe(write(), ["species.oak.plant={generator: cone, angle: 3}"]).draw(0)
     assert drawn.data["species"]["oak"]["plant"] == {"generator": "cone", "angle": 3}
-    assert "set species" in drawn.where("species", "oak", "plant", "generator")
+    assert "set='species" in drawn.where("species", "oak", "plant", "generator")
     assert "leaves" not in drawn.data["species"]["oak"]["plant"]
 
 
@@ -79,7 +79,7 @@ def test_places(write: Write, tmp_path: Path) -> None:
     assert drawn.where("species", "elm", "ecology", "growth_m_per_yr").startswith(f"{recipe}:13: ")
     assert drawn.where("species", "elm", "ecology", "max_radius_m").startswith(f"{species}:4: ")
     assert drawn.where("species", "elm", "plant", "leaves").startswith(f"{species}:13: ")
-    assert drawn.where("species", "elm", "ecology", "shade_tolerance").startswith("set species.elm.ecology.shade_")
+    assert drawn.where("species", "elm", "ecology", "shade_tolerance").startswith("`set='species.elm.ecology.shade_")
 
 
 @settings(max_examples=15, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -200,7 +200,7 @@ def test_parse_validates_a_models_own_keys(write: Write) -> None:
     with pytest.raises(RecipeError) as caught:
         bad.parse(Lattice, bad.recipe.community.parameters, ("community",))
     message = str(caught.value)
-    assert "set community.step=3: community.step: unknown key 'step'" in message
+    assert "`set='community.step=3'`: community.step: unknown key 'step'" in message
     assert "did you mean 'steps'?" in message
     assert "from {uniform: [1, 2]}" in message
     assert dotted(("a", 0, "b")) == "a.0.b"

@@ -86,7 +86,7 @@ def test_without_a_date_angles_count_and_have_defaults(write: Write, sun: str, a
 def test_mistakes_are_told_with_their_place(write: Write, sun: str, parts: list[str]) -> None:
     with pytest.raises(RecipeError) as caught:
         load_recipe(write(), [f"sky.sun={sun}", *PLACE])
-    for part in (*parts, "set sky.sun="):
+    for part in (*parts, "set='sky.sun="):
         assert part in str(caught.value)
 
 
@@ -102,7 +102,7 @@ def test_a_date_needs_a_place(write: Write, places: list[str], missing: str) -> 
     with pytest.raises(RecipeError, match="needs a place on earth") as caught:
         load_recipe(write(), ["sky.sun={date: 2026-06-21T12:00Z}", *places])
     assert missing in str(caught.value)
-    assert "stand.yaml" in str(caught.value) or "set site" in str(caught.value)
+    assert "stand.yaml" in str(caught.value) or "set='site" in str(caught.value)
 
 
 def test_an_overcast_sky_has_no_cumulus(write: Write) -> None:

@@ -75,7 +75,7 @@ def test_seasons_may_be_drawn(tmp_path):
     ("override", "told"),
     [
         ("species.birch.materials.leaf.spectrum=leaves/brich", ["no such spectra file", "'leaves/birch'"]),
-        ("species.birch.materials.leaf.spectrum=bad.csv", ["bad.csv:4 (named by set", "0.6 + 0.47 at 800 nm"]),
+        ("species.birch.materials.leaf.spectrum=bad.csv", ["bad.csv:4 (named by `set='", "0.6 + 0.47 at 800 nm"]),
         ("species.birch.materials.leaf={spectrum: summer.csv, season: dry}", ["summer.csv has no dry", "summer"]),
         ("plants.season=winter", ["'spring', 'summer', 'autumn' or 'dry'"]),
         ("species.birch.materials.leaf.spectrum=null", ["a material without colour"]),

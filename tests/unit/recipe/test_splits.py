@@ -90,7 +90,7 @@ def test_one_stand_may_not_be_in_two_splits(write: Write) -> None:
     with pytest.raises(RecipeError) as caught:
         check_splits(load_recipe(write(), ["same_stand=true"]), ["train", "val", "test"])
     message = str(caught.value)
-    assert "set same_stand=true: same_stand: one stand cannot be in several splits" in message
+    assert "`set='same_stand=true'`: same_stand: one stand cannot be in several splits" in message
     assert "train, val, test" in message
     assert "by_split" in message
 

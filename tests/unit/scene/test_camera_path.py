@@ -11,7 +11,7 @@ import pytest
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.cameras import Camera, camera_section
 from forestgen.recipe.load import load_recipe
-from forestgen.scene.camera_path import expand, next_frame, place_cameras
+from forestgen.scene.camera_path import expand, next_frame
 from forestgen.scene.terrain import HeightField
 from forestgen.scene.terrains.rolling import Waves
 from forestgen.stages.plan import check_plan, views_below_ground
@@ -68,7 +68,7 @@ def test_names_times_and_who_follows_whom() -> None:
     still = section(None, name="still")
     walk = section({"frames": 3, "frames_per_s": 4.0, "position_m": [[1, 0, 2]]})
     run = section({"frames": 2, "position_m": [[1, 0, 2]]}, name="run")
-    cameras = place_cameras([walk, still, run], FLAT)
+    cameras = [camera for one in (walk, still, run) for camera in expand(one, FLAT)]
     assert [one.name for one in cameras] == ["walk-0000", "walk-0001", "walk-0002", "still", "run-0000", "run-0001"]
     assert [one.sequence for one in cameras] == ["walk"] * 3 + [None] + ["run"] * 2
     assert [one.time_s for one in cameras] == [0.0, 0.25, 0.5, 0.0, 0.0, 1 / 24]
@@ -87,7 +87,7 @@ def test_a_walker_keeps_his_height_above_the_ground() -> None:
 
 
 def test_a_camera_without_a_path_is_the_one_frame_of_before() -> None:
-    (camera,) = place_cameras([section(None)], WAVY)
+    (camera,) = expand(section(None), WAVY)
     assert (camera.name, camera.sequence, camera.time_s) == ("walk", None, 0.0)
     assert camera.position_m[2] == pytest.approx(2.0 + float(WAVY(np.zeros(1), np.zeros(1))[0]))
 

@@ -130,8 +130,8 @@ def test_bad_overrides_are_told_with_the_rest(tmp_path: Path) -> None:
         load_checked(path, ["seed.x=3", "site.size_m=[1, 0]"])
     assert [error.where for error in caught.value.errors] == [
         f"{path}:8: community.stepz",
-        "set seed.x=3",
-        "set site.size_m=[1, 0]: site.size_m.1",
+        "`set='seed.x=3'`",
+        "`set='site.size_m=[1, 0]'`: site.size_m.1",
     ]
 
 

@@ -49,7 +49,7 @@ def test_a_sun_below_the_horizon_is_told_before_anything_is_simulated(sun: str, 
         check_plan(recipe)
     message = str(caught.value)
     assert got in message
-    assert "set sky.sun" in message
+    assert "set='sky.sun" in message
     assert "utc_offset_h" in message
 
 

@@ -10,7 +10,15 @@ import pytest
 from forestgen.core.errors import RecipeError, ResourceError
 from forestgen.recipe.load import load_recipe
 from forestgen.stages import plan
-from forestgen.stages.plan import Plan, check_memory, check_plan, estimate_bytes, views_below_ground, why_barren
+from forestgen.stages.plan import (
+    Plan,
+    check_memory,
+    check_plan,
+    estimate_bytes,
+    make_plan,
+    views_below_ground,
+    why_barren,
+)
 
 QUICKSTART = Path(__file__).parents[3] / "recipes" / "quickstart.yaml"
 PERIOD = "model: multiset_lsystem, program: self_thinning"
@@ -82,10 +90,27 @@ def test_more_needs_more_memory(part: str) -> None:
 
 
 def test_plants_and_clouds_above_them_need_memory() -> None:
-    clear, cloudy = (planned(f"sky.clouds={kind}") for kind in ("none", "noise"))
+    clear, far, near, asked = (
+        planned(*one)
+        for one in (
+            ("sky.clouds=none",),
+            ("sky.clouds=noise",),
+            ("sky.clouds={type: noise, base_m: 250}",),
+            ("sky.clouds=noise", "render.clouds=exact"),
+        )
+    )
     assert estimate_bytes(clear, plants=0)["plants"] == 0
-    assert estimate_bytes(cloudy, plants=1000)["plants"] > estimate_bytes(clear, plants=1000)["plants"] > 1_000_000
+    for part in ("plants", "exemplars"):
+        sizes = [estimate_bytes(one, plants=1000)[part] for one in (clear, far, near, asked)]
+        assert 1_000_000 < sizes[0] == sizes[1] < sizes[2] == sizes[3]  # far clouds are not traced with the plants
     assert set(estimate_bytes(clear, simulate_only=True)) == {"community", "libraries"}
+
+
+def test_the_memory_of_shipped_recipes_is_within_that_of_usual_machines() -> None:
+    for name, most in (("quickstart", 3.3e9), ("mixed_stand", 7.7e9), ("vista", 7.0e9)):
+        loaded = load_recipe(QUICKSTART.with_name(f"{name}.yaml"))
+        need = max(sum(estimate_bytes(make_plan(drawn)).values()) for drawn in loaded.probes())
+        assert need < most, (name, need)
 
 
 def test_the_limit_is_exact_and_the_message_names_the_largest_part(monkeypatch: pytest.MonkeyPatch) -> None:

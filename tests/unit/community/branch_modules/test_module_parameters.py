@@ -36,7 +36,8 @@ def told(**keys: Any) -> str:
 
 def test_defaults_are_200_steps_of_a_year_and_every_species_own_climate() -> None:
     parameters = made()
-    assert (parameters.steps, parameters.step_yr, parameters.has_climate) == (200, 1.0, False)
+    assert (parameters.steps, parameters.step_yr) == (200, 1.0)
+    assert parameters.temperature_c is parameters.precipitation_mm_per_yr is None
 
 
 @pytest.mark.parametrize("total", [0, 1, 7, 1000])
