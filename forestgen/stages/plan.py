@@ -53,10 +53,12 @@ _BYTES_PER_TRIANGLE = 200  # mesh, the scene with its tree, normals' table
 _BYTES_PER_OWN_TRIANGLE = 300
 # More of the same under clouds, by render.clouds: exact ones have scenes of their own.
 _BYTES_PER_TRIANGLE_UNDER_CLOUDS = {"farfield": 0, "exact": 160, "auto": 160}
-# Of a mature plant, over its height times its width squared: poplar 280, spruce 310; of wide crowns fewer: beech 73,
-# maple 47, oak 60, which have 264,000, 265,000 and 436,000 in all at 24 m; and of a herb in all.
-_TRIANGLES_PER_M3, _TRIANGLES_OF_A_HERB = 320, 20_000
-_TRIANGLES_OF_A_WIDE_CROWN, _TRIANGLES_PER_M3_OF_IT = 230_000, 40
+# Of a mature tree, over its height times its width squared: birch 380, poplar 300, spruce 280, besides those of any.
+# Crowns that are wide for their height have fewer: pine 180, maple 80, beech 67, oak 64, which have 207,000 to 436,000.
+_TRIANGLES_PER_M3, _TRIANGLES_OF_ANY = 360, 20_000
+_WIDTH_OF_A_WIDE_CROWN, _TRIANGLES_OF_A_WIDE_CROWN, _TRIANGLES_PER_M3_OF_IT = 0.32, 230_000, 40
+# Herbs and shrubs have more: bracken 49,000, bramble 25,000, and at most 199,000 and 174,000 in all.
+_HIGHEST_SHRUB_M, _TRIANGLES_PER_M3_OF_A_SHRUB, _TRIANGLES_OF_A_SHRUB = 5.0, 50_000, 220_000
 _DETAIL_OF_ALL_LEVELS = 2.0  # a size at every level of detail, against one with all detail
 _BYTES_PER_PLANT = 7_000  # an instance in the scene; 500,000 of benchmarks/labels.py take 4 kB each
 _BYTES_PER_PLANT_UNDER_CLOUDS = {"farfield": 0, "exact": 27_000, "auto": 27_000}
@@ -339,16 +341,21 @@ def _exemplar_triangles(plan: Plan) -> int:
     """Triangles of all exemplars, as if each were a mature plant of its species; see `own_triangles` for the others."""
     section = plan.drawn.recipe.plants
     each = section.exemplars_per_species * section.variants_per_size * (_DETAIL_OF_ALL_LEVELS if section.levels else 1)
-    boxes_m3 = [
-        species.mature_height_m * float(species.allometry.width(species.ecology.max_radius_m)) ** 2
-        for name, species in plan.drawn.species.items()
-        if name not in plan.module_parameters and not is_built(species)
-    ]
-    plants = (
-        min(_TRIANGLES_PER_M3 * box_m3, _TRIANGLES_OF_A_WIDE_CROWN + _TRIANGLES_PER_M3_OF_IT * box_m3)
-        for box_m3 in boxes_m3
-    )
-    return int(each * sum(_TRIANGLES_OF_A_HERB + triangles for triangles in plants))
+    species = (one for name, one in plan.drawn.species.items() if name not in plan.module_parameters)
+    return int(each * sum(mature_triangles(one) for one in species if not is_built(one)))
+
+
+def mature_triangles(species: Species) -> float:
+    """Of a mature plant: an upper estimate by its size, the shape of its crown, and whether it has one."""
+    height_m = species.mature_height_m
+    width_m = float(species.allometry.width(species.ecology.max_radius_m))
+    box_m3 = height_m * width_m**2
+    if height_m <= _HIGHEST_SHRUB_M and GENERATORS.load(species.plant.generator).has_crown:
+        return max(_TRIANGLES_OF_ANY, min(_TRIANGLES_PER_M3_OF_A_SHRUB * box_m3, _TRIANGLES_OF_A_SHRUB))
+    more = _TRIANGLES_PER_M3 * box_m3
+    if width_m > _WIDTH_OF_A_WIDE_CROWN * height_m:
+        more = min(more, _TRIANGLES_OF_A_WIDE_CROWN + _TRIANGLES_PER_M3_OF_IT * box_m3)
+    return _TRIANGLES_OF_ANY + more
 
 
 def _check_traits(plan: Plan) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -10,7 +11,15 @@ import pytest
 from forestgen.core.errors import RecipeError, ResourceError
 from forestgen.recipe.load import load_recipe
 from forestgen.stages import plan
-from forestgen.stages.plan import Plan, check_memory, check_plan, estimate_bytes, views_below_ground, why_barren
+from forestgen.stages.plan import (
+    Plan,
+    check_memory,
+    check_plan,
+    estimate_bytes,
+    mature_triangles,
+    views_below_ground,
+    why_barren,
+)
 
 QUICKSTART = Path(__file__).parents[3] / "recipes" / "quickstart.yaml"
 PERIOD = "model: multiset_lsystem, program: self_thinning"
@@ -79,6 +88,17 @@ def test_more_needs_more_memory(part: str) -> None:
     less, more = (estimate_bytes(planned("sky.clouds=noise", override)) for override in MORE[part])
     assert more[part] > less[part] > 0
     assert {name for name in more if more[name] != less[name]} <= {part, "ground", "community"}
+
+
+def test_no_shipped_species_has_more_triangles_than_estimated() -> None:
+    """The numbers of docs/species.md, which are measured on plants that were grown."""
+    page = (QUICKSTART.parents[1] / "docs" / "species.md").read_text()
+    rows = re.findall(r"^\| \[(\w+)\]\(.*?\) \|.*?\| [\d.]+ \| [\d.]+ \| ([\d,]+) \|", page, re.MULTILINE)
+    grown = {name: int(triangles.replace(",", "")) for name, triangles in rows}
+    assert grown["bracken"] > grown["poplar"] > 100_000
+    drawn = load_recipe(QUICKSTART, [f"species={{{', '.join(f'{name}: ' for name in grown)}}}"]).draw(0)
+    few = {name: triangles for name, triangles in grown.items() if mature_triangles(drawn.species[name]) < triangles}
+    assert few == {}
 
 
 def test_plants_and_clouds_above_them_need_memory() -> None:
