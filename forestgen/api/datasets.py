@@ -61,8 +61,8 @@ class Dataset(Sequence[Frame]):
 
     Raises
     ------
-    RecipeError : there is no such folder.
-    DatasetError : the folder holds no data set, or one that is not finished or damaged.
+    RecipeError : there is no such folder, or it holds no data set, or one that is not finished.
+    DatasetError : the data set is damaged.
     """
 
     def __init__(self, folder: PathLike, split: str | None = None) -> None:
@@ -335,12 +335,5 @@ def merge(
 def _rows_of(folder: Path) -> Any:
     from forestgen.runs.verify import open_data_set
 
-    try:
-        open_data_set(folder)
-    except RecipeError as error:  # it says what the folder is instead
-        if not folder.is_dir():
-            raise
-        raise DatasetError(
-            error.problem, where=error.where, expected=error.expected, got=error.got, hint=error.hint
-        ) from error
+    open_data_set(folder)
     return whole_index(folder / INDEX_NAME)

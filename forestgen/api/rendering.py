@@ -77,21 +77,21 @@ def render_run(loaded: LoadedRecipe, out: str | None, options: RunOptions, progr
     target = address_of(free_folder(Path("outputs") / loaded.path.stem), "out") if out is None else out
     display = display_of(progress)
     with display.running():
-        return Run(start.render(loaded, target, options.check(), display))
+        return Run(start.render(loaded, target, options, display))
 
 
 def batch_run(loaded: LoadedRecipe, out: str, options: RunOptions, progress: bool | Progress | None) -> Run:
     """See `Recipe.batch`."""
     display = display_of(progress)
     with display.running():
-        return Run(start.batch(loaded, out, options.check(), display))
+        return Run(start.batch(loaded, out, options, display))
 
 
 def estimate_run(loaded: LoadedRecipe, out: str, options: RunOptions, progress: bool | Progress | None) -> DryRun:
     """See `Recipe.estimate`."""
     display = display_of(progress)
     with display.running():
-        return start.dry_run(loaded, out, options.check(), display)
+        return start.dry_run(loaded, out, options, display)
 
 
 def free_folder(wanted: Path) -> Path:

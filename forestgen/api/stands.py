@@ -18,10 +18,10 @@ from forestgen.core.arguments import listed, shown, whole_of
 from forestgen.core.errors import RecipeError
 from forestgen.core.progress import Progress
 from forestgen.core.timing import Timings
-from forestgen.pipeline import SimulationSummary
 from forestgen.recipe.load import LoadedRecipe
 from forestgen.recipe.suggestions import did_you_mean
 from forestgen.stages.history import map_colours
+from forestgen.stages.simulation_summary import SimulationSummary
 
 _MOST_STEPS = 10**9
 

@@ -10,7 +10,7 @@ import typer
 
 from forestgen.cli.arguments import Json, Overwrite, Quiet, Seed, progress_of
 from forestgen.cli.console import Printer
-from forestgen.core.figures import count, table_lines
+from forestgen.core.figures import count, show_bytes, table_lines, three_digits
 
 if TYPE_CHECKING:
     from forestgen.stages.single_plant import SinglePlant
@@ -175,9 +175,9 @@ def _print_many(made: Sequence[SinglePlant], say: Printer, *, frames: bool) -> N
 
 
 def _print_files(files: dict[Path, int], say: Printer) -> None:
-    shown = [f"{path} ({_size(size)})" for path, size in files.items()]
+    shown = [f"{path} ({show_bytes(size)})" for path, size in files.items()]
     if len(shown) > _MOST_FILES:
-        total = _size(sum(files.values()))
+        total = show_bytes(sum(files.values()))
         shown = [shown[0], "...", f"{shown[-1]}; {len(shown)} files, {total}"]
     say("files: " + ", ".join(shown))
 
@@ -186,19 +186,8 @@ def _mass(kilograms: float) -> str:
     """Three digits, in the unit that reads best."""
     for unit, size in (("t", 1e3), ("kg", 1.0), ("g", 1e-3)):
         if kilograms >= size:
-            return f"{_three_digits(kilograms / size)} {unit}"
-    return f"{_three_digits(kilograms * 1e6)} mg" if kilograms else "none"
-
-
-def _size(size: int) -> str:
-    for unit, step in (("GB", 10**9), ("MB", 10**6), ("kB", 10**3)):
-        if size >= step:
-            return f"{_three_digits(size / step)} {unit}"
-    return f"{size} bytes"
-
-
-def _three_digits(value: float) -> str:
-    return f"{value:.0f}" if value >= 99.95 else f"{value:.1f}" if value >= 9.995 else f"{value:.2f}"
+            return f"{three_digits(kilograms / size)} {unit}"
+    return f"{three_digits(kilograms * 1e6)} mg" if kilograms else "none"
 
 
 def _library(as_json: bool) -> None:

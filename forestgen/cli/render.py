@@ -68,8 +68,18 @@ def render(
     target = free_folder(Path("outputs") / recipe.stem) if out is None else out
     if dry_run:
         shown = progress_of(quiet)
-        options: dict[str, Any] = {"workers": 1, "threads": threads, "overwrite": overwrite, "device": device}
-        Printer(quiet)(str(loaded.estimate(target, images, progress=shown, **options)))
+        expected = loaded.estimate(
+            target,
+            images,
+            workers=1,
+            threads=threads,
+            resume=resume,
+            discard=discard,
+            overwrite=overwrite,
+            device=device,
+            progress=shown,
+        )
+        Printer(quiet)(str(expected))
         return
     display = _display(quiet)
     with stops_keep(lambda: kept(display, overwrite=overwrite, if_none="nothing was written")):
@@ -164,9 +174,15 @@ def batch(
     options: dict[str, Any] = {
         "workers": workers,
         "threads": threads,
+        "resume": resume,
+        "discard": discard,
         "overwrite": overwrite,
         "worker_memory": worker_memory,
+        "timeout": timeout,
+        "retries": retries,
         "engine": engine,
+        "scheduler": scheduler,
+        "resources": amounts,
         "device": device,
     }
     if dry_run:
@@ -174,18 +190,7 @@ def batch(
         return
     display = _display(quiet)
     with stops_keep(lambda: kept(display, overwrite=overwrite)):
-        run = loaded.batch(
-            out,
-            images,
-            resume=resume,
-            discard=discard,
-            timeout=timeout,
-            retries=retries,
-            scheduler=scheduler,
-            resources=amounts,
-            progress=display,
-            **options,
-        )
+        run = loaded.batch(out, images, progress=display, **options)
     Printer(quiet)("\n".join(run.summary.lines(verbose=verbose)))
 
 
@@ -200,6 +205,8 @@ def kept(display: Display, *, overwrite: bool = False, if_none: str = "") -> str
     meter = display.meter
     if meter is None:
         return "nothing was written"
+    if not meter.done and overwrite:
+        return "nothing was written; a previous data set is back"
     if not meter.done and if_none:
         return if_none
     total = count(meter.total, "image")

@@ -11,7 +11,7 @@ import typer
 
 from forestgen.cli.arguments import Count, Overrides, Overwrite, Quiet, RecipePath, progress_of
 from forestgen.cli.console import Printer
-from forestgen.core.figures import seconds
+from forestgen.core.figures import seconds, table_lines
 
 if TYPE_CHECKING:
     from forestgen.api.instruments import Weather
@@ -81,9 +81,8 @@ def _print(reports: Sequence[Weather], say: Printer) -> None:
                 f"{one.updraught_m_per_s:.1f}",
             )
         )
-    widths = [max(len(row[k]) for row in rows) for k in range(len(names))]
-    for row in rows:
-        say("  ".join(text.rjust(width) for text, width in zip(row, widths, strict=True)))
+    for line in table_lines(rows, names_left=False):
+        say(line)
     say(
         "base, top: above the ground, where droplets are 0.01 g/kg and more; depth: optical, straight up, of cloudy "
         "columns; cloud, rain: mean water of a column; fallen: rain on the ground so far; up: the strongest updraught"

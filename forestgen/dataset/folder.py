@@ -234,21 +234,14 @@ def _is_alive(pid: int, started: str) -> bool:
     return bool(psutil.pid_exists(pid)) and _started(pid) in (started, "")
 
 
-def hidden_beside(target: Path, kind: str) -> list[Path]:
-    """What processes of any machine have, or have left, beside `target`; sorted."""
-    if not _exists(target.parent):
-        return []
-    return sorted(path for path in target.parent.iterdir() if path.name.startswith(f"{_stem(target)}{kind}-"))
-
-
 def leftovers(target: Path, kind: str) -> list[Path]:
-    """Of `hidden_beside`, what processes of this machine have left that are dead."""
+    """What processes of this machine that are dead have left beside `target`; sorted."""
     found = []
-    for path in hidden_beside(target, kind):
+    for path in sorted(target.parent.iterdir()) if _exists(target.parent) else ():
         host, *process = path.name.removeprefix(f"{_stem(target)}{kind}-").split("-")
-        if host != _host() or len(process) != 3 or not process[0].isdecimal():
+        if not path.name.startswith(f"{_stem(target)}{kind}-") or host != _host():
             continue
-        if not _is_alive(int(process[0]), process[1]):
+        if len(process) == 3 and process[0].isdecimal() and not _is_alive(int(process[0]), process[1]):
             found.append(path)
     return found
 

@@ -16,6 +16,8 @@ The data set's folder::
         lock                       held by the run that writes here
         jobs/KEY.json              the records
         staging/                   work in progress; what lies here when a run starts is left from a dead one
+        previous/                  while a run replaces it: the data set that was there
+        written.json               files over all images, in the splits and beside them
       run/                         how it went: log.jsonl, jobs.parquet. With report.html all that two runs differ in
 
 Everything outside `run/`, `report.html` and `.forestgen/` is the same to the last byte for the same recipe, count and

@@ -15,18 +15,16 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 
 from forestgen.core.errors import DatasetError
 from forestgen.dataset.manifest import package_versions
-from forestgen.dataset.safe_path import load_json
+from forestgen.dataset.safe_path import is_frame, load_json
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.dataset.thumbnails import FOLDER_NAME as THUMBNAILS
 from forestgen.recipe.dataset import SplitName
-from forestgen.recipe.registries import DATASET_FORMATS
 from forestgen.runs.keys import versions_hash
 from forestgen.runs.ledger import FileSum, Ledger
 
 MOST_IMAGES = 10_000_000  # of a recipe; a number from a stranger's file is counted up to
 DATASET_NAME = "dataset.json"
 SCHEMA = "forestgen-dataset/1"
-_FRAME = re.compile(r"\d{6,}-.+")
 
 Range = tuple[int, int]  # first and last image number
 
@@ -179,7 +177,7 @@ def _group(path: str) -> str:
         return parts[0]
     if len(parts) == 2:
         return f"SPLIT/{parts[1]}"
-    return "/".join(("SPLIT", *(("FRAME", parts[2]) if _FRAME.fullmatch(parts[1]) else parts[1:2])))
+    return "/".join(("SPLIT", *(("FRAME", parts[2]) if is_frame(parts[1]) else parts[1:2])))
 
 
 def dataset_bytes(description: Mapping[str, Any]) -> bytes:
@@ -273,9 +271,8 @@ _SettingsSaid = create_model("_SettingsSaid", __base__=_Part, **_SETTINGS)
 def _check_settings(settings: DatasetSettings) -> None:
     """Refuse settings of wrong types, or that contradict each other, with a `ValueError`."""
     _SettingsSaid.model_validate(asdict(settings))
-    unknown = {name for name in settings.formats if name not in DATASET_FORMATS}
-    if unknown or len(settings.species_category) != len(settings.species_names):
-        raise ValueError(f"settings: no such format {unknown}" if unknown else "settings: not a category a species")
+    if len(settings.species_category) != len(settings.species_names):
+        raise ValueError("settings: not a category a species")
     if not all(0 <= number < len(settings.category_names) for number in settings.species_category):
         raise ValueError("settings: a species is of no category")
     if settings.depth_unit_m <= 0 or settings.point_stride < 1:

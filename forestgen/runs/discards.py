@@ -22,7 +22,7 @@ _MANY = 1000  # images whose comparison takes long enough to say so
 
 
 @dataclass(frozen=True)
-class Standing:
+class ResumeDiff:
     """The finished images of a batch, as a run with another recipe or count would find them."""
 
     kept: int
@@ -47,9 +47,9 @@ class Standing:
         return "; ".join(f"{number:,} {reason}" for number, reason in parts if number)
 
 
-def standing(
+def resume_diff(
     place: Place, loaded: LoadedRecipe, images: range, mark: str, versions: str, say: Callable[[str], None]
-) -> Standing:
+) -> ResumeDiff:
     """Compare the finished images with what is wanted now; removes nothing.
 
     Parameters
@@ -64,15 +64,15 @@ def standing(
     beyond = len(recorded - mine.keys())
     unrecorded = images_in_frames(place, loaded.splits) - recorded
     if is_made_from(place, mark):
-        return Standing(len(mine), beyond, frozenset(), len(unrecorded.difference(images)))
+        return ResumeDiff(len(mine), beyond, frozenset(), len(unrecorded.difference(images)))
     if len(mine) >= _MANY:
         say(f"comparing {len(mine):,} finished images with the recipe, which has changed")
     stale = frozenset(image for image in mine if _key(loaded, image - images.start, versions) not in keys)
     changes = _changes(place, loaded) if stale else ""
-    return Standing(len(mine) - len(stale), beyond, stale, len(unrecorded), changes)
+    return ResumeDiff(len(mine) - len(stale), beyond, stale, len(unrecorded), changes)
 
 
-def check_discards(found: Standing, where: str, *, agreed: bool) -> None:
+def check_discards(found: ResumeDiff, where: str, *, agreed: bool) -> None:
     """Refuse to throw finished images away unasked.
 
     Raises

@@ -9,7 +9,6 @@ from __future__ import annotations
 import copy
 import hashlib
 import os
-import re
 import shutil
 import stat
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -27,7 +26,7 @@ from forestgen.dataset.foreign import tool_of
 from forestgen.dataset.formats.format import known_formats, load_formats
 from forestgen.dataset.index import INDEX_NAME, DrawTypes, write_index
 from forestgen.dataset.maps import write_map
-from forestgen.dataset.safe_path import SafePath
+from forestgen.dataset.safe_path import SafePath, is_frame
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.dataset.thumbnails import FOLDER_NAME as THUMBNAILS
 from forestgen.recipe.hashing import recipe_hash
@@ -48,11 +47,10 @@ from forestgen.runs.description import (
     settings_of,
     this_version,
 )
+from forestgen.runs.folder import note_written
 from forestgen.runs.ledger import FileSum, Ledger
 from forestgen.runs.records import JOBS, record_path
 from forestgen.runs.split_files import write_split
-
-_FRAME = re.compile(r"\d{6,}-.+")
 
 
 @dataclass(frozen=True)
@@ -231,8 +229,7 @@ def _remove_strangers(place: Place, folders: Sequence[str], ledger: Ledger) -> N
         parts = path.split("/")
         above = ("/".join(parts[:depth]) for depth in range(1, len(parts)))
         gone = next((folder for folder in above if not ledger.has_below(folder)), path)
-        is_frame = gone != path and _FRAME.fullmatch(gone.rpartition("/")[2]) is not None
-        if tool_of(path) is not None and not is_frame:
+        if tool_of(path) is not None and (gone == path or not is_frame(gone.rpartition("/")[2])):
             continue
         removed = gone
         place.remove(removed)
@@ -257,6 +254,7 @@ def _write_whole(
     place: Place, ledger: Ledger, kept: Mapping[str, bytes], description: dict[str, Any], scratch: Path
 ) -> None:
     """The files of the whole data set; dataset.json comes last, and says that all others are there."""
+    note_written(place, kept)
     for path, content in kept.items():
         place.write(path, content)
     counts = _write_index(place, ledger, scratch)

@@ -5,12 +5,11 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import re
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 
 from forestgen.core.errors import DatasetError, OutputError
-from forestgen.dataset.safe_path import SafePath, is_frame, is_split, load_json
+from forestgen.dataset.safe_path import SafePath, is_frame, is_inside, is_split, load_json
 from forestgen.dataset.thumbnails import FOLDER_NAME as THUMBNAILS
 from forestgen.recipe.hashing import recipe_hash
 from forestgen.recipe.load import LoadedRecipe
@@ -20,11 +19,20 @@ from forestgen.runs.places import STAGING, LocalPlace
 from forestgen.runs.records import JOBS, read_record, record_path, records_of
 
 BATCH = f"{HIDDEN}/batch.json"
+PREVIOUS, MOVING, BEGUN = (f"{HIDDEN}/{name}" for name in ("previous", "moving", "begun"))  # see runs/replace.py
+_WRITTEN = f"{HIDDEN}/written.json"
 TAKEN = ("maps", "run", "thumbnails")  # names in the data set's folder that no split can have
 _SCHEMA = "forestgen-batch/1"
-_FOLDERS = (HIDDEN, JOBS, STAGING, RUN)  # without them a run would take finished images for unfinished ones
+_FOLDERS = (
+    HIDDEN,
+    JOBS,
+    STAGING,
+    RUN,
+    PREVIOUS,
+    MOVING,
+    BEGUN,
+)  # without them a run would take finished images for unfinished ones
 _WHOLE = ("dataset.json", "SHA256SUMS")  # they say that the data set is complete: while a run works, it is not
-_FRAME = re.compile(r"\d{6,}-")
 
 
 @dataclass
@@ -185,13 +193,29 @@ def _remove_unvouched(place: Place, listed: dict[str, set[str]], vouched: set[st
     """Frames and thumbnails of jobs that never came to their records."""
     for folder, names in {**listed, THUMBNAILS: set(place.names(THUMBNAILS))}.items():
         for name in sorted(names):
-            if _FRAME.match(name) and f"{folder}/{name}" not in vouched:
+            if is_frame(name.removesuffix(".jpg")) and f"{folder}/{name}" not in vouched:
                 place.remove(f"{folder}/{name}")
 
 
 def _is_batch(place: Place) -> bool:
-    """Whether a batch's file is there or, if a disk has damaged that one, images' records."""
-    return _state(place) is not None or bool(place.names(JOBS))
+    """Whether a batch's file is there or, if a disk has damaged it, images' records; or a data set to be put back."""
+    if _state(place) is not None or place.names(JOBS):
+        return True
+    return any(f"{HIDDEN}/{name}" in (PREVIOUS, MOVING, BEGUN) for name in place.names(HIDDEN))
+
+
+def note_written(place: Place, paths: Iterable[str]) -> None:
+    """Write down that forestgen makes these files or folders over all images, before they get their names."""
+    place.write(_WRITTEN, json.dumps(sorted({*paths, *written_paths(place)})).encode())
+
+
+def written_paths(place: Place) -> list[str]:
+    """What `note_written` was told."""
+    try:
+        listing = load_json(place.read(_WRITTEN) or b"")
+    except ValueError:
+        return []
+    return [path for path in listing if is_inside(path)] if isinstance(listing, list) else []
 
 
 def splits_before(place: Place) -> list[str]:

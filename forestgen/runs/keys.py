@@ -14,10 +14,12 @@ _SOURCES = (
     "architecture", "atmosphere", "community", "core", "dataset", "geometry", "labels", "lsystem", "plants", "recipe",
     "render", "scene", "stages", "__init__.py", "pipeline.py",
 )  # fmt: skip
-# Of these, what only reads frames, or writes the files over all of them.
+# Of these, what only reads frames, writes the files over all of them, or checks and shows what people give and see.
 _WITHOUT = (
+    "community/fitting/fit_text.py", "community/point_statistics.py", "core/arguments.py", "core/streams.py",
     "dataset/balance.py", "dataset/card.py", "dataset/check", "dataset/checksums.py", "dataset/exr_chunks.py",
-    "dataset/frame.py", "dataset/index.py", "dataset/pack", "dataset/report",
+    "dataset/frame.py", "dataset/index.py", "dataset/index_values.py", "dataset/pack", "dataset/report",
+    "stages/light_text.py", "stages/simulation_summary.py",
 )  # fmt: skip
 _COMPUTE_WITH = (
     "numpy", "scipy", "numba", "pvlib", "mitsuba", "drjit", "mitsuba-oidn", "colour-science", "trimesh",

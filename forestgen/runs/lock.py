@@ -17,11 +17,11 @@ from forestgen.core.errors import OutputError
 from forestgen.dataset.files import make_folder, output_error, write_bytes
 from forestgen.dataset.safe_path import SafePath
 
-_LOCK, _HOLDER = "lock", "holder.json"  # the latter says who holds the lock
+LOCK_FILES = _LOCK, _HOLDER = "lock", "holder.json"  # the latter says who holds the lock
 
 
 class LocalLock:
-    """See `contract.Lock`.
+    """See `contract.Lock`. Folders that it has made, and in which nothing else is at its end, go with it.
 
     Parameters
     ----------
@@ -33,10 +33,12 @@ class LocalLock:
     def __init__(self, folder: Path, where: str, say: Callable[[str], None]) -> None:
         self._folder, self._where, self._say = folder, where, say
         self._lock: Any = None
+        self._made: list[Path] = []  # the innermost first
 
     def __enter__(self) -> LocalLock:
         from filelock import FileLock, Timeout
 
+        self._made = [folder for folder in (self._folder, *self._folder.parents) if not os.path.lexists(folder)]
         make_folder(self._folder)
         for name in (_LOCK, _HOLDER):
             _refuse_link(self._folder / name)
@@ -58,8 +60,13 @@ class LocalLock:
     ) -> None:
         with suppress(OSError):
             (self._folder / _HOLDER).unlink(missing_ok=True)
+            if self._made and [path.name for path in self._folder.iterdir()] == [_LOCK]:
+                (self._folder / _LOCK).unlink()
         if self._lock is not None:
             self._lock.release()
+        for folder in self._made:
+            with suppress(OSError):  # something else lies there
+                folder.rmdir()
 
     def check(self) -> None:
         """Nobody takes a lock of the operating system's away."""

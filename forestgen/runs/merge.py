@@ -27,6 +27,7 @@ from forestgen.dataset.manifest import is_run_folder
 from forestgen.dataset.safe_path import SafePath, unreadable
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.recipe.paths import MAPS
+from forestgen.recipe.registries import DATASET_FORMATS
 from forestgen.runs.contract import HIDDEN, JobRecord
 from forestgen.runs.description import DATASET_NAME, MOST_IMAGES, RecipePart, settings_of, union_of
 from forestgen.runs.finish import Finished, write_data_set
@@ -135,6 +136,15 @@ def _piece(root: Path) -> Piece:
 def _check_settings(pieces: Sequence[Piece]) -> None:
     """One file describes all images: species, classes and the dataset section must be the same."""
     first = pieces[0]
+    unknown = [name for name in first.settings.formats if name not in DATASET_FORMATS]
+    if unknown:
+        raise RecipeError(
+            "these data sets have a format that is not registered here",
+            where=str(first.root),
+            expected="formats among " + ", ".join(DATASET_FORMATS.ids()),
+            got=", ".join(unknown),
+            hint="install the package that has the format, or register it with `fg.register`",
+        )
     for other in pieces[1:]:
         for field in fields(DatasetSettings):
             expected, got = getattr(first.settings, field.name), getattr(other.settings, field.name)

@@ -1,166 +1,178 @@
-"""A previous data set makes room for a new one and comes back if nothing takes its place; no empty one stays.
+"""A previous data set makes room for a new one, and comes back if the new one gets no image.
 
-Meanwhile it lies beside the folder, as ``.NAME.previous-HOST-PID-START-RANDOM``.
+All of this happens under the lock of the folder, so what lies in one of these places when a run starts was left by a
+run that was killed, and `recover` finishes what that run had begun:
+
+| in `.forestgen` | |
+|---|---|
+| `previous` | the data set that is replaced, as it was |
+| `moving` | a part of a data set on its way to `previous` or back: the rest is in its folder |
+| `begun` | of a new data set that has no image: users' files in it go back into the folder, the rest is removed |
 """
 
 from __future__ import annotations
 
 import os
-import shutil
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from forestgen.core.errors import OutputError
+from forestgen.core.errors import ForestgenError, OutputError
 from forestgen.dataset.files import output_error
-from forestgen.dataset.folder import clear_leftovers, hidden_beside, hidden_name, leftovers
-from forestgen.runs.contract import Place
-from forestgen.runs.folder import check_ours
-from forestgen.runs.places import LocalPlace
+from forestgen.runs.contract import HIDDEN, Place
+from forestgen.runs.folder import BEGUN, MOVING, PREVIOUS
+from forestgen.runs.foreign_files import check_replaceable, free_name, move_foreign, named
+from forestgen.runs.lock import LOCK_FILES
+from forestgen.runs.places import STAGING, LocalPlace
 from forestgen.runs.records import done_keys
-from forestgen.runs.strays import check_strays, move_strays, named
 
-_KIND = "previous"
+_STAYS = {*LOCK_FILES, *(path.removeprefix(f"{HIDDEN}/") for path in (STAGING, PREVIOUS, MOVING, BEGUN))}
 
 
-def restore_previous(place: Place, say: Callable[[str], None]) -> None:
-    """Finish what a run that was killed while it replaced the data set had begun.
+def previous_note(root: Path) -> str | None:
+    """Where the data set lies that a run was to replace, and what becomes of it; None if there is none."""
+    previous = next((root / name for name in (PREVIOUS, MOVING) if os.path.lexists(root / name)), None)
+    if previous is None:
+        return None
+    with suppress(ForestgenError):
+        if done_keys(LocalPlace(root)) and previous == root / PREVIOUS:
+            return f"{previous} has the data set that was there: the next run removes it; move it away to keep it"
+    return f"{previous} has the data set that was there: unless a run is just replacing it, `resume=True` puts it back"
 
-    The previous data set is put back, or, if the new one has a finished image, removed, but for files of a user's and
-    of other tools: they move into the new one. A folder that holds something else stays, and so does what lies beside.
+
+def recover(place: Place, say: Callable[[str], None]) -> None:
+    """Finish what a run that was killed while it replaced the data set had begun; the caller holds the lock.
+
+    The previous data set is put back or, if the new one has a finished image, removed, but for users' files.
 
     Raises
     ------
-    OutputError : it cannot be moved, or another run writes there.
+    OutputError : something cannot be moved.
     """
-    if not isinstance(place, LocalPlace):
-        return
-    root = _resolved(place)
-    try:
-        clear_leftovers(root)
-        asides = leftovers(root, _KIND)
-    except OSError as error:
-        raise output_error(error, root) from error
-    for aside in asides:
-        try:
-            check_ours(place)
-        except OutputError:  # the run itself says so
-            return
-        if place.names(""):
-            with place.lock():
-                pass  # nobody writes there
-        if done_keys(place):
-            _discard(aside, root, say)
-        else:
-            _put_back(aside, root)
-            say(f"{place.name}: the previous data set is back: a run that was to replace it was killed")
-
-
-def previous_beside(root: Path) -> Path | None:
-    """The data set that a run was to replace, if it lies beside its folder; see the module."""
-    with suppress(OSError, RuntimeError):
-        return next(iter(hidden_beside(root.resolve(), _KIND)), None)
-    return None
+    outcome = _settle(place, say) if isinstance(place, LocalPlace) else None
+    if outcome is not None:
+        say(f"{place.name}: the previous data set is {outcome}: a run that was to replace it was killed")
 
 
 @contextmanager
-def replacing(place: Place, splits: Iterable[str], say: Callable[[str], None] = lambda _: None) -> Iterator[None]:
-    """Move the data set that is in `place` aside while the block makes a new one there.
+def replacing(
+    place: Place, splits: Iterable[str], say: Callable[[str], None], *, overwrite: bool, keep_begun: bool
+) -> Iterator[None]:
+    """Make a data set in the block, whose caller holds the lock of `place`.
 
-    If the block fails before an image is finished, the previous data set is put back. What forestgen has not written
-    moves into the new one.
+    What forestgen has not written moves from the previous data set into the new one.
 
     Parameters
     ----------
     splits : names of the new data set's.
-    say : told of files that were kept.
+    say : told of users' files that were kept, and of what could not be removed.
+    overwrite : replace the data set that is there; if the block fails before an image is finished, it is put back.
+    keep_begun : without `overwrite`, leave what a block has begun that fails before an image is finished: its log.
 
     Raises
     ------
-    OutputError : the folder holds something else, another run writes there, it cannot be moved, or a user's files lie
-        where the new data set has its own.
+    OutputError : users' files lie where the new data set has its own, or something cannot be moved.
     """
+    if overwrite:
+        check_replaceable(place, splits)
     if not isinstance(place, LocalPlace):
-        raise OutputError(
-            "only a folder of this machine can be replaced", where=place.name, hint="remove it there, or choose another"
-        )
-    root = _resolved(place)
-    check_ours(place)
-    if not place.names(""):
         yield
         return
-    with place.lock():
-        pass  # nobody writes there
-    check_strays(root, splits, place.name)
-    aside = root.parent / hidden_name(root, _KIND)
+    drop_begun = False
     try:
-        root.rename(aside)
-    except OSError as error:
-        raise output_error(error, root) from error
-    try:
+        if overwrite:
+            _set_aside(place)
+        drop_begun = (overwrite or not keep_begun) and not any(_content(place.root))
         yield
     except BaseException:
-        if not done_keys(place):
-            _put_back(aside, root)
-            raise
-        _discard(aside, root, say)
+        _settle(place, say, drop_begun=drop_begun)
         raise
-    _discard(aside, root, say)
+    _settle(place, say)
 
 
-def _resolved(place: LocalPlace) -> Path:
+def _settle(place: LocalPlace, say: Callable[[str], None], *, drop_begun: bool = False) -> str | None:
+    """What became of the previous data set: it is back, or removed; None if there was none, or it stays.
+
+    Parameters
+    ----------
+    say : told of users' files that were kept, and of what could not be removed.
+    drop_begun : remove a data set without a finished image also where there was no previous one.
+    """
+    root = place.root
+    outcome: str | None = None
+    previous, moving, begun = root / PREVIOUS, root / MOVING, root / BEGUN
+    with _moving(root):
+        if _move_content(moving, root):
+            outcome = "back"
+        has_image = bool(done_keys(place))
+        if not has_image and (previous.is_dir() or drop_begun):
+            _move_content(root, begun)
+        if not has_image and previous.is_dir():
+            previous.rename(moving)
+            _move_content(moving, root)
+            outcome = "back"
+    if previous.is_dir() and _discard(place, PREVIOUS, say):
+        outcome = "removed"
+    if begun.is_dir():
+        _discard(place, BEGUN, say)
+    return outcome
+
+
+def _set_aside(place: LocalPlace) -> None:
+    """Move all that lies in the folder to `PREVIOUS`."""
+    previous = place.root / PREVIOUS
+    if os.path.lexists(previous):
+        raise OutputError("a data set that was replaced lies there still", where=str(previous), hint="move it away")
+    with _moving(place.root):
+        _move_content(place.root, place.root / MOVING)
+        if (place.root / MOVING).is_dir():
+            (place.root / MOVING).rename(previous)
+
+
+def _content(root: Path) -> Iterator[str]:
+    """Paths of what moves with a data set: all that lies in its folder, and in the hidden one the records."""
+    for folder, stays in ((root, {HIDDEN}), (root / HIDDEN, _STAYS)):
+        names = sorted(path.name for path in folder.iterdir()) if folder.is_dir() else []
+        yield from ((folder / name).relative_to(root).as_posix() for name in names if name not in stays)
+
+
+def _move_content(source: Path, target: Path) -> bool:
+    """Move a data set, or what is left of it, into another folder, where what is in its way gets another name.
+
+    Returns
+    -------
+    Whether there was anything to move.
+    """
+    content = list(_content(source))
+    for path in content:
+        new = target / path
+        new.parent.mkdir(parents=True, exist_ok=True)
+        if os.path.lexists(new):
+            new.rename(free_name(new))
+        (source / path).rename(new)
+    for folder in (source / HIDDEN, source):
+        with suppress(OSError):  # it is not there, or not empty
+            folder.rmdir()
+    return bool(content)
+
+
+def _discard(place: LocalPlace, path: str, say: Callable[[str], None]) -> bool:
+    """Remove a data set, or tell that it stays; what is not forestgen's moves into the one that is there."""
     try:
-        return place.root.resolve()
-    except (OSError, RuntimeError) as error:  # a loop of links
-        raise OutputError("the folder's path cannot be followed", where=place.name, got=str(error)) from error
-
-
-def _put_back(aside: Path, root: Path) -> None:
-    """Give the previous data set its name again; what the new one has begun is removed."""
-    try:
-        if root.is_dir():
-            move_strays(root, aside)
-            shutil.rmtree(root, ignore_errors=True)
-        aside.rename(root)
-    except OSError as error:
-        raise OutputError(
-            "the previous data set could not be put back", where=str(aside), hint=f"rename this folder to {root.name}"
-        ) from error
-
-
-def _discard(aside: Path, root: Path, say: Callable[[str], None]) -> None:
-    """Remove the previous data set; what is not forestgen's moves into the new one, or stays."""
-    try:
-        kept = move_strays(aside, root)
+        kept = move_foreign(place.root / path, place.root)
         if kept:
-            say(f"note: kept of the previous data set, as forestgen has not written it: {named(kept)}")
-        shutil.rmtree(aside, ignore_errors=True)
-    except (OSError, OutputError, RecursionError) as error:  # the last: folders a thousand deep
-        say(f"note: the previous data set stays in {aside}: {error}")
+            say(f"note: kept of {place.name}, as forestgen has not written it: {named(kept)}")
+        place.remove(path)
+        place.clear_staging()
+    except (OSError, ForestgenError, RecursionError) as error:  # the last: folders a thousand deep
+        say(f"note: {place.root / path} stays: {error}")
+        return False
+    return True
 
 
 @contextmanager
-def leaving_no_empty(place: Place) -> Iterator[None]:
-    """Remove the data set that the block has begun in an absent or empty folder, if it fails before an image is made.
-
-    An empty folder that was there before stays, and so does what another run has begun there meanwhile.
-    """
-    if not isinstance(place, LocalPlace) or place.names(""):
-        yield
-        return
-    new = [folder for folder in (place.root, *place.root.parents) if not os.path.lexists(folder)]  # the innermost first
+def _moving(root: Path) -> Iterator[None]:
     try:
         yield
-    except BaseException:
-        if place.root.is_dir() and not done_keys(place):
-            with suppress(OutputError), place.lock():
-                _remove_content(place.root)
-        for folder in new:
-            with suppress(OSError):  # it was never made, or something else lies there
-                folder.rmdir()
-        raise
-
-
-def _remove_content(folder: Path) -> None:
-    for path in folder.iterdir():
-        shutil.rmtree(path, ignore_errors=True)
+    except OSError as error:
+        raise output_error(error, Path(error.filename or root)) from error

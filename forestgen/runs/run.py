@@ -14,7 +14,7 @@ from forestgen.recipe.load import LoadedRecipe
 from forestgen.recipe.splits import used_splits
 from forestgen.runs.contract import TRANSIENT, Done, Engine, Failed, JobRecord, Lock, Notice, Outcome, Place, Work
 from forestgen.runs.damage import damaged_images
-from forestgen.runs.discards import check_discards, standing
+from forestgen.runs.discards import check_discards, resume_diff
 from forestgen.runs.finish import Finished, finish
 from forestgen.runs.folder import TAKEN, check_ours, check_resume, fingerprint, open_batch, settle_batch
 from forestgen.runs.jobs import JobQueue
@@ -23,6 +23,7 @@ from forestgen.runs.log import Log, done_fields, failed_fields
 from forestgen.runs.meter import Listener, Meter, SilentListener
 from forestgen.runs.places import LocalPlace, place_of
 from forestgen.runs.records import done_keys, records_of
+from forestgen.runs.replace import recover, replacing
 from forestgen.runs.summary import RunSummary, write_jobs_table, write_summary
 from forestgen.stages.data_set import check_one_data_set, check_splits, check_stands, data_set_of
 from forestgen.stages.plan import check_plan
@@ -67,6 +68,7 @@ def run_batch(
     engine: Callable[[Work, Notice], Engine],
     resume: bool = False,
     discard: bool = False,
+    overwrite: bool = False,
     retries: int = 2,
     strict: bool = False,
     threads: int | None = None,
@@ -82,8 +84,10 @@ def run_batch(
     resume : go on in a data set that is there; without it, one that is there is refused. Finished images of which a
         file is missing or damaged are made again.
     discard : whether finished images may be thrown away that are too many, or that would be made otherwise now.
+    overwrite : replace a data set that is there, which comes back if no image of the new one is finished.
     retries : attempts after the first, of jobs whose failure may pass.
-    strict : an image that cannot be drawn ends the run with its own error; the others before it are made.
+    strict : an image that cannot be drawn ends the run with its own error; the others before it are made. A run that
+        ends before an image is finished leaves nothing; so does one with `overwrite`.
     threads, memory_bytes : of each worker; None: no bound.
     listener : told how it goes.
 
@@ -99,31 +103,43 @@ def run_batch(
     work = Work(loaded, settings, place_of(target), versions_hash(), threads, memory_bytes)
     check_ours(work.place)
     with work.place.lock(listener.say) as lock:
-        check_resume(work.place, resume=resume)
-        mark = fingerprint(loaded, work.versions)
-        before = standing(work.place, loaded, images, mark, work.versions, listener.say)
-        check_discards(before, work.place.name, agreed=discard)
+        check_resume(work.place, resume=resume or overwrite)
+        recover(work.place, listener.say)
+        with replacing(work.place, splits, listener.say, overwrite=overwrite, keep_begun=not strict):
+            mark = fingerprint(loaded, work.versions)
+            before = resume_diff(work.place, loaded, images, mark, work.versions, listener.say)
+            check_discards(before, work.place.name, agreed=discard)
+            _clear_staging(work.place)
+            used = used_splits(splits, images)
+            damaged = damaged_images(work.place, loaded, images, before.stale, listener.say)
+            with Log(work.place) as log:
+                work.place.discard(work.place.staging())  # what cannot be written is told before anything is removed
+                known = open_batch(work.place, images, used, mark, listener.say, before.stale, damaged)
+                queue = JobQueue(work, images, splits, known)
+                run = _Run(work, lock, log, Meter(count, already=queue.done), queue, listener, retries, strict)
+                log.event(
+                    "start", target=target, recipe=str(loaded.path), images=count, done=queue.done, threads=threads
+                )
+                for image, problem in damaged.items():
+                    log.event("image_damaged", image=image, message=problem)
+                return _make_and_finish(run, engine, images, used, mark)
+
+
+def _make_and_finish(
+    run: _Run, engine: Callable[[Work, Notice], Engine], images: range, splits: list[str], mark: str
+) -> RunSummary:
+    """Make the images that are missing, then the files over all of them; `splits`: that they are in."""
+    work = run.work
+    try:
+        _make_all(run, engine(work, run.notice))
+        settle_batch(work.place, splits, mark)
+        return _finish(run, images)
+    except BaseException as error:
+        _count_unreported(run)
+        _log_stop(run, error)
+        raise
+    finally:
         _clear_staging(work.place)
-        used = used_splits(splits, images)
-        damaged = damaged_images(work.place, loaded, images, before.stale, listener.say)
-        with Log(work.place) as log:
-            work.place.discard(work.place.staging())  # what cannot be written is told before anything is removed
-            known = open_batch(work.place, images, used, mark, listener.say, before.stale, damaged)
-            queue = JobQueue(work, images, splits, known)
-            run = _Run(work, lock, log, Meter(count, already=queue.done), queue, listener, retries, strict)
-            log.event("start", target=target, recipe=str(loaded.path), images=count, done=queue.done, threads=threads)
-            for image, problem in damaged.items():
-                log.event("image_damaged", image=image, message=problem)
-            try:
-                _make_all(run, engine(work, run.notice))
-                settle_batch(work.place, used, mark)
-                return _finish(run, images)
-            except BaseException as error:
-                _count_unreported(run)
-                _log_stop(run, error)
-                raise
-            finally:
-                _clear_staging(work.place)
 
 
 def images_of(loaded: LoadedRecipe, count: int) -> range:

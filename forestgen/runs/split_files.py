@@ -24,6 +24,7 @@ from forestgen.dataset.settings import DatasetSettings
 from forestgen.dataset.writer import write_dataset
 from forestgen.runs.contract import Place
 from forestgen.runs.description import RecipePart
+from forestgen.runs.folder import note_written
 from forestgen.runs.ledger import FileSum, Ledger
 
 _READ = (".json", ".txt")  # endings of what merging reads of a frame; it only places the rest
@@ -127,6 +128,7 @@ def _publish(place: Place, split: str, root: Path, placed: Sequence[tuple[str, s
         remote.upload(root, split)
         return
     home: Any = place
+    note_written(place, (f"{split}/{path.name}" for path in root.iterdir()))
     for path in sorted(root.iterdir()):
         if path.is_dir():
             _keep_foreign(home.root / split / path.name, path)

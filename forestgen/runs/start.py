@@ -6,7 +6,6 @@ import math
 import re
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
@@ -17,16 +16,17 @@ from forestgen.core.progress import Progress
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.recipe.load import LoadedRecipe
 from forestgen.runs.contract import TRANSIENT, Engine, Failed, Notice, Place, Work
-from forestgen.runs.discards import Standing, check_discards, standing
+from forestgen.runs.discards import ResumeDiff, check_discards, resume_diff
 from forestgen.runs.engines.in_process import InProcessEngine
 from forestgen.runs.engines.local import LocalEngine
 from forestgen.runs.estimate import BUDGET_S, LEAST_IMAGES, Estimate, check_disk, check_fits, estimate
 from forestgen.runs.estimate_text import lines
 from forestgen.runs.folder import check_ours, check_resume, fingerprint
+from forestgen.runs.foreign_files import check_replaceable
 from forestgen.runs.keys import versions_hash
 from forestgen.runs.meter import Listener
-from forestgen.runs.places import place_of
-from forestgen.runs.replace import leaving_no_empty, replacing, restore_previous
+from forestgen.runs.places import LocalPlace, place_of
+from forestgen.runs.replace import previous_note, recover
 from forestgen.runs.run import check_recipe, images_of, run_batch
 from forestgen.runs.summary import RunSummary
 from forestgen.runs.work import make_job
@@ -137,21 +137,22 @@ def render(loaded: LoadedRecipe, target: str, options: RunOptions, display: Disp
     RecipeError, AssetError, ResourceError, OutputError, RenderError : what an image or the folder does not allow.
     DatasetError : images are missing at the end.
     """
-    run = _prepared(loaded, _entered(target, options, display), options, display)
+    options = options.check()
+    run = _prepared(loaded, target, options, display)
     check_disk(loaded, run.place, run.count - run.before.kept)
-    with _room_for(loaded, run.place, options, display), leaving_no_empty(run.place):
-        summary = run_batch(
-            loaded,
-            target,
-            count=run.count,
-            engine=lambda work, _: InProcessEngine(work, display),
-            resume=options.resume,
-            discard=options.discard,
-            retries=0,
-            strict=True,
-            threads=options.threads,
-            listener=display,
-        )
+    summary = run_batch(
+        loaded,
+        target,
+        count=run.count,
+        engine=lambda work, _: InProcessEngine(work, display),
+        resume=options.resume,
+        discard=options.discard,
+        overwrite=options.overwrite,
+        retries=0,
+        strict=True,
+        threads=options.threads,
+        listener=display,
+    )
     _check_complete(summary)
     return summary
 
@@ -164,24 +165,25 @@ def batch(loaded: LoadedRecipe, target: str, options: RunOptions, display: Displ
     RecipeError, ResourceError, OutputError : see `forestgen.runs.run.run_batch`.
     DatasetError : images failed, or are missing at the end.
     """
-    run = _prepared(loaded, _entered(target, options, display), options, display)
+    options = options.check()
+    run = _prepared(loaded, target, options, display)
     expected = _expected(loaded, run, options, display, probe=False)
     check_fits(expected, run.place, workers_here=options.engine == "local")
     for text in lines(expected):
         display.say(text)
-    with _room_for(loaded, run.place, options, display):
-        summary = run_batch(
-            loaded,
-            target,
-            count=run.count,
-            engine=_engine(options, expected),
-            resume=options.resume,
-            discard=options.discard,
-            retries=options.retries,
-            threads=options.threads if options.engine == "dask" else expected.threads,  # a Dask worker has its own
-            memory_bytes=options.memory_bytes,
-            listener=display,
-        )
+    summary = run_batch(
+        loaded,
+        target,
+        count=run.count,
+        engine=_engine(options, expected),
+        resume=options.resume,
+        discard=options.discard,
+        overwrite=options.overwrite,
+        retries=options.retries,
+        threads=options.threads if options.engine == "dask" else expected.threads,  # a Dask worker has its own
+        memory_bytes=options.memory_bytes,
+        listener=display,
+    )
     _check_complete(summary)
     return summary
 
@@ -213,9 +215,8 @@ class DryRun:
 
 def dry_run(loaded: LoadedRecipe, target: str, options: RunOptions, display: Display) -> DryRun:
     """Check a batch and estimate its time, memory and disk; nothing is made."""
-    options.check()
-    lenient = options if options.overwrite else replace(options, discard=True, resume=True)
-    run = _prepared(loaded, place_of(target), lenient, display)
+    options = options.check()
+    run = _prepared(loaded, target, options, display, dry=True)
     expected = _expected(loaded, run, options, display, probe=True)
     check_fits(expected, run.place, workers_here=options.engine == "local")
     return DryRun(expected, run.before.discarded, run.before.reasons())
@@ -228,36 +229,37 @@ class _Prepared:
     place: Place
     count: int
     settings: DatasetSettings
-    before: Standing  # finished images that are there
+    before: ResumeDiff  # finished images that are there
 
 
-def _entered(target: str, options: RunOptions, display: Display) -> Place:
-    """Where the data set lies, as it was before a run that was killed while it replaced it."""
-    options.check()
-    place = place_of(target)
-    restore_previous(place, display.say)
-    return place
+def _prepared(
+    loaded: LoadedRecipe, target: str, options: RunOptions, display: Display, *, dry: bool = False
+) -> _Prepared:
+    """Check folder and recipe; before finished images are counted, finish what a run that was killed began.
 
-
-def _prepared(loaded: LoadedRecipe, place: Place, options: RunOptions, display: Display) -> _Prepared:
-    count = options.count or loaded.images
+    Parameters
+    ----------
+    dry : change nothing, and take it that finished images may be kept or discarded.
+    """
+    place, count = place_of(target), options.count or loaded.images
     check_ours(place)
-    if not options.overwrite:
+    if not options.overwrite and not dry:
         check_resume(place, resume=options.resume)
     images = images_of(loaded, count)
-    settings, _ = check_recipe(loaded, images)
+    settings, splits = check_recipe(loaded, images)
+    note = previous_note(place.root) if isinstance(place, LocalPlace) else None
+    if note is not None and dry:
+        display.say(note)
+    elif note is not None:
+        with place.lock(display.say):
+            recover(place, display.say)
     if options.overwrite:
-        return _Prepared(place, count, settings, Standing(0, 0, frozenset()))
+        check_replaceable(place, splits)
+        return _Prepared(place, count, settings, ResumeDiff(0, 0, frozenset()))
     versions = versions_hash()
-    before = standing(place, loaded, images, fingerprint(loaded, versions), versions, display.say)
-    check_discards(before, place.name, agreed=options.discard)
+    before = resume_diff(place, loaded, images, fingerprint(loaded, versions), versions, display.say)
+    check_discards(before, place.name, agreed=options.discard or dry)
     return _Prepared(place, count, settings, before)
-
-
-@contextmanager
-def _room_for(loaded: LoadedRecipe, place: Place, options: RunOptions, display: Display) -> Iterator[None]:
-    with replacing(place, loaded.splits, display.say) if options.overwrite else nullcontext():
-        yield
 
 
 def _expected(loaded: LoadedRecipe, run: _Prepared, options: RunOptions, display: Display, *, probe: bool) -> Estimate:

@@ -25,7 +25,6 @@ from __future__ import annotations
 import hashlib
 import math
 import os
-import re
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
@@ -42,7 +41,7 @@ from forestgen.dataset.check import MOST_NAMED, CheckResult, Finding, check_data
 from forestgen.dataset.formats.format import load_formats
 from forestgen.dataset.index import INDEX_NAME, read_index
 from forestgen.dataset.manifest import is_run_folder
-from forestgen.dataset.safe_path import SafePath, check_folder, unreadable
+from forestgen.dataset.safe_path import SafePath, check_folder, is_frame, unreadable
 from forestgen.dataset.thumbnails import thumbnail_name
 from forestgen.runs import verify_files as files
 from forestgen.runs.contract import JobRecord
@@ -51,13 +50,11 @@ from forestgen.runs.folder import BATCH
 from forestgen.runs.ledger import Ledger
 from forestgen.runs.places import LocalPlace
 from forestgen.runs.records import JOBS, record_path, records_of
-from forestgen.runs.replace import previous_beside
+from forestgen.runs.replace import previous_note
 from forestgen.runs.verify_frames import check_frames, column_findings
 from forestgen.runs.verify_manifests import description_findings, group_findings, manifest_findings, recipe_findings
 from forestgen.runs.verify_renders import check_renders
 from forestgen.runs.verify_report import VerificationReport
-
-_FRAME = re.compile(r"\d{6,}-.+")
 
 
 class _Verifier:
@@ -118,9 +115,7 @@ def verify(
     said = open_data_set(root)
     with TemporaryDirectory(prefix="forestgen-verify-") as scratch, Ledger(Path(scratch)) as ledger:
         verifier = _Verifier(root, ledger, said, workers, progress or Silent())
-        previous = previous_beside(root)
-        if previous is not None:
-            verifier.notes.append(f"{previous} has a data set that a run was to replace, or is just replacing")
+        verifier.notes += filter(None, [previous_note(root)])
         _check_files(verifier, hashes)
         _check_records(verifier)
         _check_index(verifier)
@@ -155,9 +150,7 @@ def open_data_set(root: Path) -> dict[str, Any]:
     DatasetError : dataset.json is damaged.
     """
     refuse_address(root)
-    previous = previous_beside(root)
-    beside = None if previous is None else f"{previous} has the data set that was there: `resume=True` puts it back"
-    check_folder(root, "a folder that forestgen render or batch made", beside)
+    check_folder(root, "a folder that forestgen render or batch made")
     content, hint = root / DATASET_NAME, None
     if os.path.lexists(content):
         try:
@@ -169,15 +162,14 @@ def open_data_set(root: Path) -> dict[str, Any]:
     elif is_run_folder(root):
         got = "a split without its data set, or the output of forestgen simulate or calibrate"
         hint = f"name the folder that has {DATASET_NAME}"
-    elif (root / BATCH).is_file() or (root / JOBS).is_dir():
+    elif (root / BATCH).is_file() or (root / JOBS).is_dir() or previous_note(root):
         got, hint = "a data set that is not finished", "the command that began it, with `resume=True`"
     else:
         inside = sorted(path.parent.name for path in root.glob(f"*/{DATASET_NAME}"))
         got = f"a folder of data sets, such as {inside[0]}" if inside else "no forestgen output"
         hint = f"name {root / inside[0]}" if inside else None
-    raise RecipeError(
-        "this is no data set of forestgen", where=str(root), expected=DATASET_NAME, got=got, hint=beside or hint
-    )
+    hint = "; ".join(filter(None, [hint, previous_note(root)])) or None
+    raise RecipeError("this is no data set of forestgen", where=str(root), expected=DATASET_NAME, got=got, hint=hint)
 
 
 def refuse_address(path: Path) -> None:
@@ -340,7 +332,7 @@ def _frames_without_rows(root: Path, splits: Iterable[str], frames: Mapping[str,
     place = LocalPlace(root)
     for split in sorted(splits):
         for name in place.names(split):
-            if _FRAME.fullmatch(name) and name not in frames.get(split, ()) and (root / split / name).is_dir():
+            if is_frame(name) and name not in frames.get(split, ()) and (root / split / name).is_dir():
                 yield Finding(f"{split}/{name}", "the index has no row of this frame", "a row", "none", image=name)
 
 

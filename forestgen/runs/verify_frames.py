@@ -72,9 +72,7 @@ def column_findings(root: Path, said: Mapping[str, Any]) -> Iterator[Finding]:
         names = file.schema_arrow.names
     for name in names:
         if name not in known:
-            yield Finding(
-                INDEX_NAME, "the index has a column of its own", "those that forestgen writes", f"{name!r:.80}"
-            )
+            yield Finding(INDEX_NAME, "unknown column of the index", "those that forestgen writes", f"{name!r:.80}")
 
 
 def _rows(root: Path) -> Iterator[dict[str, Any]]:

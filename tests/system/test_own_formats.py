@@ -11,6 +11,7 @@ from batch_runs import RECIPE, recipe
 import forestgen as fg
 from forestgen.dataset.check import check_dataset
 from forestgen.recipe.registries import DATASET_FORMATS
+from forestgen.runs.foreign_files import foreign_files
 
 OWN = RECIPE.replace("formats: []", "formats: [coco, sizes]").replace("train: 2", "train: 1")
 
@@ -55,6 +56,22 @@ def test_a_registered_label_channel_and_pack_are_used_like_shipped_ones(tmp_path
     assert packed.channels == ("semantic",)
     assert (tmp_path / "pack" / "val.txt").read_text() == "000001-left semantic\n000001-right semantic\n"
     assert 'Path("PATH/train.txt")' in (tmp_path / "pack" / "README.md").read_text()
+
+
+def test_a_data_set_of_a_format_that_is_not_registered(tmp_path: Path) -> None:
+    """It can be opened, verified and replaced; only to merge it the format must be there."""
+    fg.register("dataset_format", "sizes", "own_formats:FORMAT", "sizes of frames")
+    root = Path(fg.load(recipe(tmp_path, OWN)).render(tmp_path / "set", count=1, progress=False).target)
+    del DATASET_FORMATS._entries["sizes"]
+    assert len(fg.Dataset(root)) == 2
+    assert fg.verify(root, workers=1, progress=False).findings == ()
+    with pytest.raises(fg.RecipeError, match="not registered here") as refused:
+        fg.merge([root], tmp_path / "merged", progress=False)
+    assert refused.value.got == "sizes"
+    (root / "SHA256SUMS").unlink()  # as a run does that resumes
+    assert foreign_files(root) == []
+    (root / "train" / "mine.json").write_text("{}")
+    assert foreign_files(root) == ["train/mine.json"]
 
 
 def test_its_own_rule_refuses_a_camera(tmp_path: Path) -> None:

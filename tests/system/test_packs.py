@@ -264,7 +264,10 @@ def test_memory_does_not_grow_with_the_data_set(data_set, tmp_path, form, few, m
 
 def test_a_split_is_no_data_set_of_its_own(data_set, tmp_path):
     answer = run("pack", data_set / "val", "--format", "webdataset", "--out", tmp_path / "pack")
-    answer.refused(6, "this is no data set", "a part of a data set", f"name {data_set}")
+    answer.refused(2, "this is no data set", "a part of a data set", f"name {data_set}")
+    with pytest.raises(DatasetError, match="this is no data set") as refused:
+        packed(data_set / "val", tmp_path / "pack")
+    assert refused.value.hint == f"name {data_set}, with `splits='val'`"
     assert not (tmp_path / "pack").exists()
 
 
@@ -323,7 +326,7 @@ def test_refusals_say_what_would_do(copy, tmp_path):
     ask("--split", "test").refused(2, "no such split", "train, val", "test")
     for size in ("0MB", "ten", "-5MB", "5XB", "1e9"):
         ask("--shard-size", size).refused(2, "this is no size", size)
-    ask(folder=tmp_path).refused(6, "this is no data set", str(tmp_path))
+    ask(folder=tmp_path).refused(2, "this is no data set", str(tmp_path))
     ask(folder=tmp_path / "none").refused(2, "there is no such folder")
     run("pack", copy, "--format", "webdataset", "--out", copy / "pack").refused(4, "inside the data set")
     for frame in (*frames(copy, "train").values(), *frames(copy, "val").values()):
@@ -334,7 +337,7 @@ def test_refusals_say_what_would_do(copy, tmp_path):
     ask().refused(6, "the index cannot be read", "index.parquet")
     _refused_by_pack(copy, "the index cannot be read")
     (copy / "dataset.json").rename(copy / "aside.json")
-    ask().refused(6, "not finished", "dataset.json", "--resume")
+    ask().refused(2, "not finished", "dataset.json", "--resume")
     _refused_by_pack(copy, "not finished: it has no dataset.json yet")
     (copy / "index.parquet").unlink()
     (copy / "aside.json").rename(copy / "dataset.json")

@@ -15,11 +15,10 @@ from forestgen.core.errors import RecipeError
 from forestgen.dataset.check.files import read_json
 from forestgen.dataset.check.finding import Finding, UnreadableError
 from forestgen.dataset.check.recipe import categories, read_recipe
-from forestgen.dataset.safe_path import SafePath, check_folder
+from forestgen.dataset.safe_path import SafePath, check_folder, is_frame
 
 MANIFEST, COCO, PANOPTIC, TRANSFORMS, BOP = "manifest.json", "coco.json", "panoptic.json", "transforms.json", "bop"
 _BOP_FILES = (("camera", "scene_camera.json"), ("gt", "scene_gt.json"), ("info", "scene_gt_info.json"))
-_FRAME = re.compile(r"\d{6,}-.+")
 _SCHEMA = "forestgen-manifest/"
 
 
@@ -32,9 +31,9 @@ class Merged:
     @cached_property
     def frames(self) -> tuple[str, ...]:
         """Folders of frames, those that are there and those that the manifest lists, sorted."""
-        there = {path.name for path in self.root.iterdir() if _FRAME.fullmatch(path.name) and path.is_dir()}
+        there = {path.name for path in self.root.iterdir() if is_frame(path.name) and path.is_dir()}
         listed = {name.partition("/")[0] for name in self.listed if "/" in name}
-        return tuple(sorted(there | {name for name in listed if _FRAME.fullmatch(name)}))
+        return tuple(sorted(there | {name for name in listed if is_frame(name)}))
 
     @cached_property
     def listed(self) -> dict[str, dict[str, Any]]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from forestgen.core.errors import DatasetError
+from forestgen.core.errors import RecipeError
 from forestgen.dataset.index import INDEX_NAME
 from forestgen.dataset.legend import FILE_NAME as LEGEND_NAME
 from forestgen.dataset.png import class_palette
@@ -50,8 +50,8 @@ def open_source(folder: Path) -> Source:
 
     Raises
     ------
-    RecipeError : there is no such folder.
-    DatasetError : the folder holds none, or its index is damaged.
+    RecipeError : there is no such folder, or it holds no data set.
+    DatasetError : its index is damaged.
     """
     check_folder(folder, "a folder that forestgen render, batch or merge wrote")
     notes: list[str] = []
@@ -63,7 +63,7 @@ def open_source(folder: Path) -> Source:
         notes.append("index.parquet is missing: the run has not ended, and can be resumed.")
     else:
         hint = "name a folder that forestgen render, batch or merge wrote"
-        raise DatasetError("this is no data set of forestgen", where=str(folder), hint=hint)
+        raise RecipeError("this is no data set of forestgen", where=str(folder), hint=hint)
     told = told_by_card(card)
     splits = tuple(dict.fromkeys([*told.splits, *sorted(set(frames.split))]))
     return Source(folder, frames, read_legend(folder, splits, notes), splits, told, read_run(folder), tuple(notes))

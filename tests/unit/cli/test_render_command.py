@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 import typer
+from typer.testing import CliRunner
 
 from forestgen.api.display import SilentDisplay
+from forestgen.cli import app
 from forestgen.cli.render import _amounts, kept
+from forestgen.recipe.assets import recipes_dir
 from forestgen.runs.meter import Meter
 
 
@@ -15,6 +20,19 @@ def test_resources() -> None:
     for bad in ("GPU", "=1", "GPU=-1", "GPU=inf", "GPU=nan", "GPU=0"):
         with pytest.raises(typer.BadParameter):
             _amounts([bad])
+
+
+@pytest.mark.parametrize(
+    "options",
+    [("--timeout", "abc"), ("--discard",), ("--resume", "--overwrite"), ("--scheduler", "tcp://10.0.0.1:8786")],
+)
+def test_a_dry_run_refuses_the_options_that_the_run_refuses(options: tuple[str, ...], tmp_path: Path) -> None:
+    for dry in ((), ("--dry-run",)):
+        arguments = ("batch", str(recipes_dir() / "quickstart.yaml"), "--out", str(tmp_path / "set"), *dry, *options)
+        answer = CliRunner().invoke(app, arguments)
+        assert answer.exit_code == 2, answer.output
+        assert options[-1 if options[0] == "--resume" else 0] in answer.stderr
+    assert not list(tmp_path.iterdir())
 
 
 def test_an_interrupted_run_says_what_stays() -> None:
@@ -26,3 +44,5 @@ def test_an_interrupted_run_says_what_stays() -> None:
     display.show(Meter(5, already=1, made=2))
     assert kept(display) == "3 of 5 images are done and stay; the same command with --resume goes on"
     assert "--resume in place of --overwrite" in kept(display, overwrite=True)
+    display.show(Meter(5))
+    assert kept(display, overwrite=True) == "nothing was written; a previous data set is back"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -11,9 +10,7 @@ from forestgen.core.errors import DatasetError, RecipeError
 from forestgen.core.figures import parse_bytes
 from forestgen.runs import start
 from forestgen.runs.contract import Failed, FailureKind, Job
-from forestgen.runs.discards import Standing
-from forestgen.runs.places import LocalPlace
-from forestgen.runs.replace import leaving_no_empty
+from forestgen.runs.discards import ResumeDiff
 from forestgen.runs.start import RunOptions, seconds_of
 from forestgen.runs.summary import RunSummary
 from support.displays import RecordingDisplay
@@ -26,7 +23,7 @@ def test_measuring_takes_a_minute_and_is_announced(
     given: dict[str, Any] = {}
     monkeypatch.setattr(start, "estimate", lambda *_, **named: given.update(named))
     nothing: Any = None
-    told, prepared = RecordingDisplay(), start._Prepared(nothing, count, nothing, Standing(0, 0, frozenset()))
+    told, prepared = RecordingDisplay(), start._Prepared(nothing, count, nothing, ResumeDiff(0, 0, frozenset()))
     start._expected(nothing, prepared, RunOptions(), told, probe=probe)
     assert ("making some images to measure them" in "".join(told.said)) == said
     assert (given["workers"], given["threads"]) == (None, None)  # the estimate shares the cores out
@@ -37,7 +34,7 @@ def test_finished_images_are_not_estimated(monkeypatch: pytest.MonkeyPatch) -> N
     given: dict[str, Any] = {}
     monkeypatch.setattr(start, "estimate", lambda *_, **named: given.update(named))
     nothing: Any = None
-    prepared = start._Prepared(nothing, 1000, nothing, Standing(960, 0, frozenset()))
+    prepared = start._Prepared(nothing, 1000, nothing, ResumeDiff(960, 0, frozenset()))
     start._expected(nothing, prepared, RunOptions(workers=3, threads=2), RecordingDisplay(), probe=False)
     assert (given["count"], given["workers"], given["threads"]) == (40, 3, 2)
 
@@ -138,56 +135,3 @@ def test_what_is_no_duration(text: str | float) -> None:
     with pytest.raises(RecipeError, match="30min") as caught:
         seconds_of(text, "timeout")
     assert caught.value.where == "timeout"
-
-
-def begin(place: LocalPlace) -> None:
-    """What a run leaves whose first image has failed."""
-    with place.lock():
-        place.write(".forestgen/batch.json", b"{}")
-        place.write("run/log.jsonl", b"{}")
-
-
-def failed(place: LocalPlace, error: type[BaseException], records: int = 0) -> None:
-    """A run that has made so many images when an error ends it."""
-    with leaving_no_empty(place):
-        begin(place)
-        for image in range(records):
-            place.write(f".forestgen/jobs/{image:06d}-{'a' * 40}.json", b"{}")
-        raise error
-
-
-def test_a_run_that_made_nothing_leaves_no_folder(tmp_path: Path) -> None:
-    with pytest.raises(KeyboardInterrupt):
-        failed(LocalPlace(tmp_path / "a" / "b" / "out"), KeyboardInterrupt)
-    assert not list(tmp_path.iterdir())
-
-
-def test_a_folder_that_was_there_stays_empty(tmp_path: Path) -> None:
-    place = LocalPlace(tmp_path / "out")
-    place.root.mkdir()
-    with pytest.raises(ZeroDivisionError):
-        failed(place, ZeroDivisionError)
-    assert list(tmp_path.rglob("*")) == [place.root]
-
-
-def test_finished_images_and_what_was_there_stay(tmp_path: Path) -> None:
-    made, old = LocalPlace(tmp_path / "made"), LocalPlace(tmp_path / "old")
-    begin(old)
-    for place, records in ((made, 1), (old, 0)):
-        with pytest.raises(ZeroDivisionError):
-            failed(place, ZeroDivisionError, records)
-    for place in (made, old):
-        assert place.exists("run/log.jsonl")
-    with leaving_no_empty(LocalPlace(tmp_path / "new")):
-        begin(LocalPlace(tmp_path / "new"))
-    assert (tmp_path / "new" / "run" / "log.jsonl").exists()
-
-
-def test_the_folder_of_another_run_is_not_touched(tmp_path: Path) -> None:
-    place, error = LocalPlace(tmp_path / "out"), ZeroDivisionError()
-    leaving = leaving_no_empty(place)
-    leaving.__enter__()
-    begin(place)
-    with place.lock():  # the other run's
-        assert not leaving.__exit__(ZeroDivisionError, error, None)
-    assert place.exists("run/log.jsonl")

@@ -1,6 +1,7 @@
 """What lies in a data set's folder and is not forestgen's: a user's own files, and those of other tools.
 
-Of a finished data set SHA256SUMS tells; of one that is not, the images' records and the names that forestgen gives.
+Of a finished data set SHA256SUMS tells; of one that is not, the images' records, the names that forestgen gives in any
+data set, and the list of the files over all images that it keeps (`folder.note_written`).
 """
 
 from __future__ import annotations
@@ -9,35 +10,34 @@ import os
 import re
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
+from itertools import chain, count
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from forestgen.core.errors import DatasetError, OutputError
 from forestgen.dataset.check import Finding
 from forestgen.dataset.foreign import tool_of
-from forestgen.dataset.safe_path import SafePath
+from forestgen.dataset.safe_path import SafePath, is_frame
 from forestgen.dataset.thumbnails import FOLDER_NAME as THUMBNAILS
 from forestgen.recipe.paths import MAPS
-from forestgen.runs.contract import HIDDEN, RUN
-from forestgen.runs.folder import splits_before
+from forestgen.runs.contract import HIDDEN, RUN, Place
+from forestgen.runs.folder import splits_before, written_paths
 from forestgen.runs.ledger import FileSum, Ledger
 from forestgen.runs.places import LocalPlace
 from forestgen.runs.records import records_of
 from forestgen.runs.verify_files import enter_sums
 
-_FRAME = r"[0-9]{6,}-[^/]+"
 _MAP = rf"{MAPS}/[0-9a-f]{{16}}\.[^/]+"
 _TOP = re.compile(
     rf"{HIDDEN}/.*|README\.md|dataset\.json|index\.parquet|SHA256SUMS|report\.html|recipe(-[0-9]+)?\.yaml"
-    rf"|yolo_(boxes|segmentation)\.yaml|{_MAP}|{THUMBNAILS}/{_FRAME}\.jpg|{RUN}/(log\.jsonl|jobs\.parquet|summary\.json)"
+    rf"|{_MAP}|{RUN}/(log\.jsonl|jobs\.parquet|summary\.json)"
 )
-_OF_SPLIT = re.compile(rf"(classes|manifest|coco|panoptic|transforms[^/]*)\.json|{_MAP}|{_FRAME}(/.*)?")
-_FORMAT = re.compile(r"(panoptic|yolo|bop)/.*")  # of a split: folders that are full of what merged formats place
+_OF_SPLIT = re.compile(rf"(classes|manifest)\.json|{_MAP}")
 _FOLDERS = (HIDDEN, RUN, MAPS, THUMBNAILS)
 _MOST_NAMED = 10
 
 
-def strays(root: Path) -> list[str]:
+def foreign_files(root: Path) -> list[str]:
     """Paths of what forestgen has not written, sorted; of a folder in which all is, only the folder.
 
     Parameters
@@ -49,7 +49,7 @@ def strays(root: Path) -> list[str]:
     OutputError : it cannot be read, or the disk of temporary files is full.
     """
     place = LocalPlace(root)
-    with TemporaryDirectory(prefix="forestgen-strays-") as scratch, Ledger(Path(scratch)) as ledger:
+    with TemporaryDirectory(prefix="forestgen-foreign-") as scratch, Ledger(Path(scratch)) as ledger:
         refused: list[Finding] = []
         is_whole = enter_sums(root, ledger, refused) and not refused
         splits = set(splits_before(place))
@@ -59,15 +59,21 @@ def strays(root: Path) -> list[str]:
                 with suppress(DatasetError):  # two records, or a record and SHA256SUMS, disagree
                     ledger.add_file(FileSum(path, 0, str(said["sha256"])))
         try:
-            return sorted(_strays_in(root, ledger, splits, is_whole))
+            return sorted(_foreign_in(root, ledger, splits, is_whole))
         except OSError as error:
             raise OutputError(f"cannot read: {error.strerror or error}", where=str(error.filename or root)) from error
 
 
-def _strays_in(root: Path, ledger: Ledger, splits: set[str], is_whole: bool) -> Iterator[str]:
+def _foreign_in(root: Path, ledger: Ledger, splits: set[str], is_whole: bool) -> Iterator[str]:
+    written = tuple(written_paths(LocalPlace(root)))
+
     def is_known(path: str) -> bool:
         """Whether the ledger has all that forestgen has written there."""
         return is_whole or (_is_in_frame(path, splits) and ledger.has_below("/".join(path.split("/")[:2])))
+
+    def may_be_ours(path: str) -> bool:
+        """Whether forestgen gives such names, or has noted that it writes there."""
+        return _is_named(path, splits) or any(path == one or path.startswith(f"{one}/") for one in written)
 
     waiting = [""]
     while waiting:
@@ -82,7 +88,7 @@ def _strays_in(root: Path, ledger: Ledger, splits: set[str], is_whole: bool) -> 
                 continue
             elif is_folder and (ledger.has_below(path) or path in _FOLDERS or path in splits):
                 waiting.append(path)
-            elif is_known(path) or not _may_be_ours(f"{path}/" if is_folder else path, splits):
+            elif is_known(path) or not may_be_ours(f"{path}/" if is_folder else path):
                 yield path
 
 
@@ -98,50 +104,54 @@ def _is_of_run(path: str) -> bool:
     return path in ("SHA256SUMS", "report.html") or (path.startswith(f"{RUN}/") and _TOP.fullmatch(path) is not None)
 
 
-def _may_be_ours(path: str, splits: Iterable[str]) -> bool:
-    """Whether forestgen gives such names."""
-    split, _, inside = path.partition("/")
-    return _is_named(path, splits) or (split in splits and _FORMAT.fullmatch(inside) is not None)
-
-
 def _is_named(path: str, splits: Iterable[str]) -> bool:
-    """The same, but for folders of merged formats, where a name of a user's is not to be expected in its way."""
-    split, _, inside = path.partition("/")
-    return _TOP.fullmatch(path) is not None or (split in splits and _OF_SPLIT.fullmatch(inside) is not None)
+    """Whether forestgen gives such names, whatever the formats of the data set are."""
+    folder, _, inside = path.partition("/")
+    if folder == THUMBNAILS:
+        return inside.endswith(".jpg") and is_frame(inside.removesuffix(".jpg"))
+    of_split = _OF_SPLIT.fullmatch(inside) is not None or _is_in_frame(path, splits)
+    return _TOP.fullmatch(path) is not None or (folder in splits and of_split)
 
 
 def _is_in_frame(path: str, splits: Iterable[str]) -> bool:
+    """Whether it is the folder of a frame, or lies in one."""
     split, _, inside = path.partition("/")
-    return split in splits and re.fullmatch(rf"{_FRAME}(/.*)?", inside) is not None
+    return split in splits and is_frame(inside.partition("/")[0])
 
 
-def check_strays(root: Path, splits: Iterable[str], where: str) -> None:
-    """Refuse to replace a data set whose folder has files of a user's where the new one has its own.
+def check_replaceable(place: Place, splits: Iterable[str]) -> None:
+    """Refuse to replace a data set in an object store, or one with users' files where the new one has its own.
+
+    Files where only some formats have theirs are not refused: they are renamed when the new data set is there.
 
     Parameters
     ----------
-    root : the data set's folder.
     splits : names of the new one's.
 
     Raises
     ------
     OutputError
     """
-    names = {*splits, *splits_before(LocalPlace(root))}
-    own = [path for path in strays(root) if tool_of(path) is None]
-    taken = [path for path in own if any(_is_taken(root, one, names) for one in _files(root, path, names))]
-    if taken:
+    if not isinstance(place, LocalPlace):
+        hint = "remove it there, or choose another"
+        raise OutputError("only a folder of this machine can be replaced", where=place.name, hint=hint)
+    if not place.names(""):
+        return
+    root, names = place.root, {*splits, *splits_before(place)}
+    own = [path for path in foreign_files(root) if tool_of(path) is None]
+    used = [path for path in own if any(_name_is_used(root, one, names) for one in _files(root, path, names))]
+    if used:
         raise OutputError(
             "files that forestgen has not written lie where the new data set has its own",
-            where=where,
+            where=place.name,
             expected="none in frames' folders, and none of a name that forestgen gives",
-            got=named(taken),
+            got=named(used),
             hint="move them away",
         )
 
 
 def _files(root: Path, path: str, names: Iterable[str]) -> Iterator[str]:
-    """A stray and, of a folder that the new data set has as well, what lies in it."""
+    """A path and, of a folder that the new data set has as well, what lies in it."""
     yield path
     if path.partition("/")[0] in (*names, *_FOLDERS) and not (root / path).is_symlink():
         for folder, folders, files in os.walk(root / path):
@@ -149,13 +159,13 @@ def _files(root: Path, path: str, names: Iterable[str]) -> Iterator[str]:
             yield from (f"{inside}/{name}" for name in (*folders, *files) if inside != ".")
 
 
-def _is_taken(root: Path, path: str, splits: set[str]) -> bool:
+def _name_is_used(root: Path, path: str, splits: set[str]) -> bool:
     """Whether the new data set may have a file there, or a folder where this is none."""
     is_folder = path in _FOLDERS or path in splits
     return _is_named(path, splits) or (is_folder and not SafePath(root, path).is_folder())
 
 
-def move_strays(source: Path, target: Path) -> list[str]:
+def move_foreign(source: Path, target: Path) -> list[str]:
     """Move what is not forestgen's from one data set's folder into another's; the paths that it has there.
 
     Files of other tools go only into folders that are there, and not into frames.
@@ -166,7 +176,7 @@ def move_strays(source: Path, target: Path) -> list[str]:
     """
     splits = {*splits_before(LocalPlace(source)), *splits_before(LocalPlace(target))}
     kept: list[str] = []
-    for path in strays(source):
+    for path in foreign_files(source):
         if tool_of(path) is not None and (_is_in_frame(path, splits) or not (target / path).parent.is_dir()):
             continue
         _move(source, target, path, kept.append)
@@ -184,11 +194,15 @@ def _move(source: Path, target: Path, path: str, note: Callable[[str], None]) ->
             for inner in sorted(old.iterdir()):
                 _move(source, target, f"{path}/{inner.name}", note)
             return
-        number = 1
-        while os.path.lexists(new):
-            new, number = (target / path).with_name(f"{old.name}.previous-{number}"), number + 1
+        new = free_name(new)
     old.rename(new)
     note(new.relative_to(target).as_posix())
+
+
+def free_name(path: Path) -> Path:
+    """`path` or, if something lies there, a name beside it."""
+    names = (path.with_name(f"{path.name}.previous-{number}") for number in count(1))
+    return next(one for one in chain([path], names) if not os.path.lexists(one))
 
 
 def named(paths: list[str]) -> str:
