@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numba
 from numba.core import cgutils
+from numba.core.dispatcher import Dispatcher
+from numba.core.extending import _Intrinsic
 from numba.extending import intrinsic
 
 
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     """The function as machine code, which runs without Python's lock.
 
-    Numba notices when the function's own file changes, not when another file does: kernels that call one another
-    belong in one file.
+    It is compiled again when its own file changes, or one that has a kernel or a named tuple that its file imports, or a
+    module that its file imports whole. So take another file's constants from its module: `layout.FIRST`.
     """
     return _compiled(function)
 
@@ -42,10 +47,32 @@ def unchecked(function: Callable[..., Any]) -> Callable[..., Any]:
 
 def _compiled(function: Callable[..., Any], **options: Any) -> Callable[..., Any]:
     try:
-        kernel: Callable[..., Any] = numba.njit(cache=True, nogil=True, **options)(function)
+        kernel: Any = numba.njit(cache=True, nogil=True, **options)(function)
     except RuntimeError:  # neither the package nor the home directory can be written to: no place for a cache
-        kernel = numba.njit(nogil=True, **options)(function)
-    return kernel
+        return numba.njit(nogil=True, **options)(function)  # type: ignore[no-any-return]
+    index, package = kernel._cache._cache_file, function.__module__.partition(".")[0]
+    used = _sources(function.__globals__, f"{package}.", frozenset([function.__module__]))
+    stamps = ((path, Path(path).stat()) for path in sorted(used))
+    index._source_stamp = (index._source_stamp, *((path, stat.st_mtime_ns, stat.st_size) for path, stat in stamps))
+    return kernel  # type: ignore[no-any-return]
+
+
+def _sources(names: dict[str, Any], package: str, seen: frozenset[str]) -> set[str]:
+    """Files of the package's modules to which a module's names refer, or in which they are kernels or tuples."""
+    modules = {_module_of(value) for value in names.values()} - seen
+    found = set()
+    for module in modules:
+        if module.startswith(package) and not hasattr(sys.modules[module], "__path__"):
+            inner = vars(sys.modules[module])
+            found |= {inner["__file__"]} | _sources(inner, package, seen | modules)
+    return found
+
+
+def _module_of(value: object) -> str:
+    if isinstance(value, ModuleType):
+        return value.__name__
+    shapes_kernels = isinstance(value, Dispatcher | _Intrinsic) or (isinstance(value, type) and issubclass(value, tuple))
+    return value.__module__ if shapes_kernels else ""
 
 
 @intrinsic
