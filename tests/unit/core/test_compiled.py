@@ -29,7 +29,7 @@ def test_a_kernel_is_compiled_again_when_another_file_changes(tmp_path: Path, mo
     monkeypatch.setattr(sys, "dont_write_bytecode", True)
 
     def result(added: int, factor: int) -> tuple[int, int]:
-        """The kernel's answer for 10 from files written anew, and how many times its machine code came from the disk."""
+        """The kernel's answer for 10 with these files, and how many times its machine code came from the disk."""
         for name, text in (("helpers", HELPERS.format(added=added)), ("numbers", f"FACTOR = {factor}\n")):
             path = package / f"{name}.py"
             if not path.exists() or path.read_text() != text:
