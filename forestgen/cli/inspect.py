@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from itertools import groupby
-from typing import Annotated, Optional
+from typing import Annotated
 
 import typer
 
@@ -46,20 +46,18 @@ def schema() -> None:
 
 def models(
     name: Annotated[
-        Optional[str],  # noqa: UP045 - typer reads annotations at run time
+        str | None,
         typer.Argument(
             metavar="NAME",
             help="Show the manual page of this model, generator or format, or this species' or recipe's file.",
-            show_default=False,
         ),
     ] = None,
     kind: Annotated[
-        Optional[str],  # noqa: UP045
+        str | None,
         typer.Option(
             "--kind",
             metavar="KIND",
             help="Only these: community_model, environment, plant_generator, dataset_format, species, lsystem, recipe.",
-            show_default=False,
         ),
     ] = None,
     as_json: Json = False,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 
@@ -114,16 +114,23 @@ def run_batch(
             log.event("start", target=target, recipe=str(loaded.path), images=count, done=queue.done, threads=threads)
             for image, problem in damaged.items():
                 log.event("image_damaged", image=image, message=problem)
-            try:
-                _make_all(run, engine(work, run.notice))
-                settle_batch(work.place, used, mark)
-                return _finish(run, images)
-            except BaseException as error:
-                _count_unreported(run)
-                _log_stop(run, error)
-                raise
-            finally:
-                _clear_staging(work.place)
+            return _complete(run, engine, images, used, mark)
+
+
+def _complete(
+    run: _Run, engine: Callable[[Work, Notice], Engine], images: range, used: Sequence[str], mark: str
+) -> RunSummary:
+    """Make all images and the files over them; the log says how it ended."""
+    try:
+        _make_all(run, engine(run.work, run.notice))
+        settle_batch(run.work.place, used, mark)
+        return _finish(run, images)
+    except BaseException as error:
+        _count_unreported(run)
+        _log_stop(run, error)
+        raise
+    finally:
+        _clear_staging(run.work.place)
 
 
 def images_of(loaded: LoadedRecipe, count: int) -> range:
