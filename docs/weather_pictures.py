@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image
 
-from forestgen.atmosphere.parcel import FIG24, Profiles, Sky, thermal_profiles
+from support.parcel import FIG24, Profiles, Sky, thermal_profiles
 
 PICTURES = Path(__file__).parent / "pictures"
 DPI, MOST_BYTES, COLOURS = 110, 400_000, 64

@@ -8,7 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from forestgen.atmosphere.humid_air import (
+from forestgen.atmosphere.sounding import AIR_EXPONENT, GRAVITY_M_PER_S2, LATENT_HEAT_J_PER_KG, saturation_ratio
+from support.dew_point import dew_point_k
+from support.humid_air import (
     buoyancy_m_per_s2,
     density_kg_per_m3,
     dry_adiabat,
@@ -20,8 +22,6 @@ from forestgen.atmosphere.humid_air import (
     mole_fraction_of_ratio,
     saturation_pressure_pa,
 )
-from forestgen.atmosphere.sounding import AIR_EXPONENT, GRAVITY_M_PER_S2, LATENT_HEAT_J_PER_KG, saturation_ratio
-from support.dew_point import dew_point_k
 
 AIR, WATER, R = 28.96, 18.02, 8314.0
 ratios = st.floats(0.0, 0.04, allow_subnormal=False)

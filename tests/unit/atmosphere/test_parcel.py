@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from forestgen.atmosphere.humid_air import dry_adiabat, moist_adiabat
-from forestgen.atmosphere.parcel import FIG24, Sky, Thermal, predict_cloud, prediction_of, thermal_profiles
 from forestgen.atmosphere.sounding import GRAVITY_M_PER_S2, Sounding, check_sounding, geopotential_m, saturation_ratio
 from support.dew_point import dew_point_k
+from support.humid_air import dry_adiabat, moist_adiabat
+from support.parcel import FIG24, Sky, Thermal, predict_cloud, prediction_of, thermal_profiles
 
 PUBLISHED_M = {"stratocumulus": (1800.0, 2000.0), "cumulus": (1500.0, 2500.0), "cumulonimbus": (1500.0, 8000.0)}
 

@@ -34,8 +34,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.atmosphere.humid_air import buoyancy_m_per_s2, density_kg_per_m3, dry_adiabat, moist_adiabat
 from forestgen.atmosphere.sounding import Floats, Sounding, saturation_ratio
+from support.humid_air import buoyancy_m_per_s2, density_kg_per_m3, dry_adiabat, moist_adiabat
 
 _FINE_M, _FINE_UP_TO_M, _COARSE_M = 1.0, 500.0, 10.0  # steps of the heights that are looked at
 
