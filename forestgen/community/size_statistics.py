@@ -110,11 +110,6 @@ def reineke_slope(
     return _log_slope(mean_diameter, density, window or thinning_window(density, mean_diameter))
 
 
-def quadratic_mean(values: NDArray[np.float64]) -> float:
-    """Root of the mean square: of diameters, that of the tree of mean basal area."""
-    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else math.nan
-
-
 def thinning_window(density: NDArray[np.float64], mean_size: NDArray[np.float64]) -> tuple[int, int] | None:
     """First and last index of a trajectory's stretch along the self-thinning line; None where there is none.
 

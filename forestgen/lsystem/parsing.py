@@ -25,21 +25,23 @@ from forestgen.lsystem.syntax import (
     Place,
     Production,
 )
+from forestgen.lsystem.sys_format import parse_sys_file
 
 DIALECTS = ("cpfg", "abop")
 _MOST_FUNCTIONS = 1000
 _MOST_GROUPS = 1_000_000
 
 
-def parse_word(text: str, name: str) -> tuple[Module, ...]:
-    """A string of modules, such as ``A(2)[B(0.5)]``."""
-    reader = Reader(name, Place(1, 1))
-    tree = reader.parse(text, "word")
-    return reader.modules(tree.children[0]) if is_tree(tree) else ()
+def read_listing(path: Path) -> Listing:
+    """The program in a file: .sys as in Randleff-Rasmussen 2004, else in cpfg's conventions.
 
-
-def parse_file(path: Path) -> Listing:
-    """The program in a file; see `parse_text`."""
+    Raises
+    ------
+    AssetError : there is no such file, or it cannot be read.
+    LsystemError : it is not understood; with line and column.
+    """
+    if path.suffix == ".sys":
+        return parse_sys_file(path)
     return parse_text(read_program(path), str(path))
 
 

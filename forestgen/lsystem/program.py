@@ -56,8 +56,3 @@ class Program:
     def place_of(self, address: int) -> Place:
         """Where in the text the instruction at an address comes from."""
         return self.places[(address - self.code_at) // 2]
-
-    def code_of(self, symbol: str, arity: int) -> int | None:
-        """Code of a kind, or None if the program knows none."""
-        kind = Kind(symbol, arity)
-        return self.kinds.index(kind) if kind in self.kinds else None

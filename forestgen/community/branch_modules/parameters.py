@@ -244,11 +244,6 @@ class BranchModulesParameters(CommunityParameters):
             )
         return self
 
-    @property
-    def has_climate(self) -> bool:
-        """Whether temperature and precipitation are given; without, every species has its own optimum."""
-        return self.temperature_c is not None and self.precipitation_mm_per_yr is not None
-
     def blocked_soil(self) -> NDArray[np.bool_] | None:
         """(rows, cols) whether the soil map bars each of its pixels, row 0 at y = 0; None: no map, all is open."""
         return None if self.soil is None else self.soil.values() > BLOCKED_ABOVE

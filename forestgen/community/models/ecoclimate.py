@@ -37,7 +37,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.community.branch_modules.limits import refuse_more_seeds
+from forestgen.community.branch_modules.state import refuse_more_seeds
 from forestgen.community.disturbance import Planting
 from forestgen.community.ecoclimate.months import advanced_ecoclimate, begun
 from forestgen.community.ecoclimate.parameters import EcoclimateParameters, GlobalSeeding, seedings_in_time

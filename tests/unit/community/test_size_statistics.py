@@ -12,7 +12,6 @@ from scipy import stats
 
 from forestgen.community.size_statistics import (
     fit_log_normal,
-    quadratic_mean,
     reineke_slope,
     self_thinning_slope,
     thinning_window,
@@ -127,8 +126,3 @@ def test_a_stand_that_dies_out_is_fitted_while_it_lives():
     density, mass = trajectory()
     dead = np.concatenate([density, np.zeros(5)]), np.concatenate([mass, np.full(5, np.nan)])
     assert self_thinning_slope(*dead) == self_thinning_slope(density, mass)
-
-
-def test_quadratic_mean():
-    assert quadratic_mean(np.array([3.0, 4.0, 5.0])) == pytest.approx(np.sqrt(50 / 3))
-    assert np.isnan(quadratic_mean(np.array([])))

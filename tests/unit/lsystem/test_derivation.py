@@ -16,7 +16,7 @@ from forestgen.lsystem.compiler import compile_listing, with_values
 from forestgen.lsystem.derivation import Derivation, axiom, derive, derive_step, interpret
 from forestgen.lsystem.folding import fold
 from forestgen.lsystem.multiset import Multiset, show_number, words_as_lists, words_as_text
-from forestgen.lsystem.parsing import parse_text, parse_word
+from forestgen.lsystem.parsing import parse_text
 from forestgen.lsystem.program import Program
 
 
@@ -97,7 +97,7 @@ def test_cut_removes_the_rest_of_the_branch() -> None:
 def test_numbers_read_back(value: float) -> None:
     text = show_number(value)
     assert float(text) == value
-    (module,) = parse_word(f"A({text})", "test")
+    ((module,),) = parse_text(f"axiom: A({text})", "test").axiom
     assert fold(module.arguments[0], {}, "test") == value
 
 

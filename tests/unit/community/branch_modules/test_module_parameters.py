@@ -35,7 +35,7 @@ def told(**keys: Any) -> str:
 
 def test_defaults_are_200_steps_of_a_year_and_every_species_own_climate() -> None:
     parameters = made()
-    assert (parameters.steps, parameters.step_yr, parameters.has_climate) == (200, 1.0, False)
+    assert (parameters.steps, parameters.step_yr, parameters.temperature_c) == (200, 1.0, None)
 
 
 @pytest.mark.parametrize("total", [0, 1, 7, 1000])
