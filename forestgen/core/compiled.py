@@ -50,7 +50,7 @@ def _compiled(function: Callable[..., Any], **options: Any) -> Callable[..., Any
         kernel: Any = numba.njit(cache=True, nogil=True, **options)(function)
     except RuntimeError:  # neither the package nor the home directory can be written to: no place for a cache
         return numba.njit(nogil=True, **options)(function)  # type: ignore[no-any-return]
-    if not isinstance(kernel, Dispatcher):  # NUMBA_DISABLE_JIT
+    if not hasattr(kernel, "_cache"):  # NUMBA_DISABLE_JIT
         return kernel  # type: ignore[no-any-return]
     index, package = kernel._cache._cache_file, function.__module__.partition(".")[0]
     used = _sources(function.__globals__, f"{package}.", frozenset([function.__module__]))
@@ -94,7 +94,7 @@ def borrowed(typing_context, arrays):  # type: ignore[no-untyped-def]
 
 
 def _without_claim(context: Any, builder: Any, kind: Any, value: Any) -> Any:
-    if isinstance(kind, types.BaseTuple):
+    if isinstance(kind, types.BaseTuple):  # type: ignore[attr-defined]
         members = cgutils.unpack_tuple(builder, value)
         parts = [_without_claim(context, builder, *one) for one in zip(kind.types, members, strict=True)]
         return context.make_tuple(builder, kind, parts)

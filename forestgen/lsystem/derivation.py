@@ -332,8 +332,8 @@ class _Space:
         else:
             if m[layout.DONE] > self.most_modules or len(self.out.code) > self.most_space:
                 return False
-            done = (layout.DONE, layout.DONE_VALUES)
-            self.out = layout.Modules(*(_grown(one, int(m[at])) for one, at in zip(self.out, done, strict=True)))
+            code, parameter = self.out
+            self.out = layout.Modules(_grown(code, int(m[layout.DONE])), _grown(parameter, int(m[layout.DONE_VALUES])))
         return True
 
     def written(self, m: NDArray[np.int64]) -> list[NDArray[Any]]:

@@ -67,7 +67,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -247,7 +247,7 @@ class ForestFootprints:
         largest = of_species(species, "max_radius_m")[plants.sp]
         size = [parameters.derivation_steps_of.get(one.name, parameters.derivation_steps) for one in species]
         derivation_steps = np.floor(np.array(size, dtype=np.float64)[plants.sp] * (plants.r_m / largest))
-        columns = {
+        columns: dict[str, NDArray[Any]] = {
             "vigour": plants.vigour,
             "health": plants.health,
             "derivation_steps": derivation_steps.astype(np.int32),
