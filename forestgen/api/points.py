@@ -132,14 +132,7 @@ def fit_kernel(
     checks, seed = whole_of(checks, "checks", 1, 1000), whole_of(seed, "seed", 0, MOST_SEEDS)
     reach_m = None if reach_m is None else number_of(reach_m, "reach_m")
     library = set(list_assets("species"))
-    if species is not None and text_of(species, "species") not in library:
-        raise RecipeError(
-            "no such species",
-            parameter="species",
-            expected=", ".join(sorted(library)),
-            got=repr(species[:60]),
-            hint="a fit says where plants stand; `species`, what they look like",
-        )
+    _check_species(species, library)
     if files is not None:
         check_writable(files, overwrite=overwrite)
     table = read_points(source, window, marks=True)
@@ -155,6 +148,17 @@ def fit_kernel(
     if files is not None:
         _write(files, fitted, source, overwrite=overwrite)
     return fitted
+
+
+def _check_species(species: str | None, library: set[str]) -> None:
+    if species is not None and text_of(species, "species") not in library:
+        raise RecipeError(
+            "no such species",
+            parameter="species",
+            expected=", ".join(sorted(library)),
+            got=repr(species[:60]),
+            hint="a fit says where plants stand; `species`, what they look like",
+        )
 
 
 def fit_files(target: Path) -> tuple[Path, Path, Path]:

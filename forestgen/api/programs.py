@@ -12,8 +12,8 @@ from forestgen.core.errors import LsystemError, RecipeError
 from forestgen.lsystem import derivation
 from forestgen.lsystem.compiler import Value, compile_listing, with_values
 from forestgen.lsystem.multiset import words_as_lists, words_as_text
+from forestgen.lsystem.parsing import read_listing
 from forestgen.lsystem.program import Program
-from forestgen.lsystem.reading import read_listing
 from forestgen.recipe.assets import find_asset
 
 _MOST_STEPS = 1_000_000

@@ -22,7 +22,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.architecture.kernels import fill_diameters, fill_nodes, fill_spheres, fill_terminals
+from forestgen.architecture.kernels import (
+    Graphs,
+    Poses,
+    Shapes,
+    fill_diameters,
+    fill_nodes,
+    fill_spheres,
+    fill_terminals,
+)
 from forestgen.architecture.modules import Modules
 from forestgen.architecture.tables import Tables
 from forestgen.core.threads import over_ranges
@@ -39,8 +47,8 @@ class Nodes:
     length_m: NDArray[np.float32]  # (.,) of the segment that the node ends, 0 for root nodes and the unborn
 
 
-def packed(tables: Tables) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Shapes (S, N, 5) and kinds (T, 5) as kernels.place_nodes wants them."""
+def packed(tables: Tables) -> Shapes:
+    """The tables as kernels read them."""
     shapes = np.concatenate([tables.direction, tables.length[..., None], tables.birth[..., None]], axis=-1)
     columns = (
         tables.mature_age,
@@ -49,7 +57,25 @@ def packed(tables: Tables) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         tables.tropism_strength,
         tables.tropism_decay,
     )
-    return np.ascontiguousarray(shapes), np.ascontiguousarray(np.stack(columns, axis=-1))
+    return Shapes(
+        np.ascontiguousarray(shapes), np.ascontiguousarray(np.stack(columns, axis=-1)), tables.parent, tables.nodes,
+        tables.birth, tables.thickness, tables.disused_node, tables.first_child, tables.next_sibling,
+        tables.terminal_index, tables.mature_age, tables.thickening_m, tables.most_terminals,
+    )  # fmt: skip
+
+
+def graphs(modules: Modules, type_of_plant: Types) -> Graphs:
+    """The plants as kernels read them."""
+    kind = np.ascontiguousarray(type_of_plant, dtype=np.uint16)
+    return Graphs(
+        kind, modules.first, modules.parent, modules.node, modules.prototype, modules.age, modules.disused_m2,
+        modules.base_m, modules.rotation,
+    )  # fmt: skip
+
+
+def _poses(modules: Modules, type_of_plant: Types) -> Poses:
+    kind = type_of_module(modules, type_of_plant)
+    return Poses(kind, modules.prototype, modules.age, modules.base_m, modules.rotation)
 
 
 def type_of_module(modules: Modules, type_of_plant: Types) -> NDArray[np.uint16]:
@@ -59,16 +85,12 @@ def type_of_module(modules: Modules, type_of_plant: Types) -> NDArray[np.uint16]
 
 def spheres(tables: Tables, modules: Modules, type_of_plant: Types) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Bounding spheres: centres (M, 3), metres from the plant's foot along the world's axes, and radii (M,), metres."""
-    shapes, kinds = packed(tables)
-    kind = type_of_module(modules, type_of_plant)
+    shapes, poses = packed(tables), _poses(modules, type_of_plant)
     centre = np.empty((len(modules), 3), dtype=np.float32)
     radius = np.empty(len(modules), dtype=np.float32)
 
     def work(first: int, end: int) -> None:
-        fill_spheres(
-            shapes, tables.parent, tables.nodes, kinds, tables.sphere_scale, kind, modules.prototype, modules.age,
-            modules.base_m, modules.rotation, first, end, centre, radius,
-        )  # fmt: skip
+        fill_spheres(shapes, poses, tables.sphere_scale, first, end, centre, radius)
 
     over_ranges(len(modules), work)
     return centre, radius
@@ -89,15 +111,15 @@ def terminal_pose(
     -------
     (K, 3) metres from the plant's foot, and (K, 3) unit; world's axes.
     """
-    shapes, kinds = packed(tables)
-    count = len(prototype)
+    shapes, count = packed(tables), len(prototype)
     position, direction = (np.empty((count, 3), dtype=np.float32) for _ in range(2))
-    inputs = [np.ascontiguousarray(kind, dtype=np.uint16), np.ascontiguousarray(prototype, dtype=np.uint8)]
-    inputs += [np.ascontiguousarray(values, dtype=np.float32) for values in (base_m, rotation)]
+    base_m, rotation = (np.ascontiguousarray(values, dtype=np.float32) for values in (base_m, rotation))
+    kind, prototype = np.ascontiguousarray(kind, dtype=np.uint16), np.ascontiguousarray(prototype, dtype=np.uint8)
+    poses = Poses(kind, prototype, tables.mature_age[kind], base_m, rotation)
     wanted = np.ascontiguousarray(node, dtype=np.int16)
 
     def work(first: int, end: int) -> None:
-        fill_terminals(shapes, tables.parent, tables.nodes, kinds, *inputs, wanted, first, end, position, direction)
+        fill_terminals(shapes, poses, wanted, first, end, position, direction)
 
     over_ranges(count, work)
     return position, direction
@@ -105,18 +127,14 @@ def terminal_pose(
 
 def node_positions(tables: Tables, modules: Modules, type_of_plant: Types, rows: Any = None) -> Nodes:
     """Nodes of the modules of the rows, all if None."""
-    shapes, kinds = packed(tables)
-    kind = type_of_module(modules, type_of_plant)
+    shapes, poses = packed(tables), _poses(modules, type_of_plant)
     chosen = np.arange(len(modules)) if rows is None else np.ascontiguousarray(rows, dtype=np.int64)
     start = np.concatenate([[0], np.cumsum(tables.nodes[modules.prototype[chosen]], dtype=np.int64)])
     position = np.empty((start[-1], 3), dtype=np.float32)
     length = np.empty(start[-1], dtype=np.float32)
 
     def work(first: int, end: int) -> None:
-        fill_nodes(
-            shapes, tables.parent, tables.nodes, kinds, kind, modules.prototype, modules.age, modules.base_m,
-            modules.rotation, chosen, start, first, end, position, length,
-        )  # fmt: skip
+        fill_nodes(shapes, poses, chosen, start, first, end, position, length)
 
     over_ranges(len(chosen), work)
     return Nodes(start, position, length)
@@ -138,14 +156,10 @@ def _diameters(
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     root = np.empty(len(modules), dtype=np.float32)
     node = np.empty(nodes, dtype=np.float32)
-    kind = np.ascontiguousarray(type_of_plant, dtype=np.uint16)
+    shapes, plants = packed(tables), graphs(modules, type_of_plant)
 
     def work(first: int, end: int) -> None:
-        fill_diameters(
-            tables.birth, tables.thickness, tables.parent, tables.nodes, tables.disused_node, tables.mature_age,
-            tables.thickening_m, kind, modules.first, modules.parent, modules.node, modules.prototype, modules.age,
-            modules.disused_m2, tables.terminal_index, tables.most_terminals, first, end, start, root, node,
-        )  # fmt: skip
+        fill_diameters(shapes, plants, first, end, start, root, node)
 
     over_plants(modules, work)
     return root, node

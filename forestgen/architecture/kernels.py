@@ -5,9 +5,53 @@ A module's frame is turned by its unit quaternion. `turned` below is that rotati
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
 
 from forestgen.core.compiled import borrowed, compiled
+
+
+class Shapes(NamedTuple):
+    """`Tables` as kernels read them."""
+
+    shape: Any  # (S, N, 5) of the prototypes: direction x, y, z, length, birth
+    kind: Any  # (T, 5) of the plant types: mature age, length per age, longest segment, tropism's strength and decay
+    parent: Any  # (S, N), as what follows is a column of `Tables`
+    count: Any  # (S,) nodes
+    birth: Any
+    thickness: Any
+    disused_node: Any
+    first_child: Any
+    next_sibling: Any
+    terminal_index: Any
+    mature: Any  # (T,)
+    thickening: Any
+    most_terminals: Any
+
+
+class Poses(NamedTuple):
+    """M modules; columns as in `Modules`."""
+
+    kind: Any  # (M,) index of the plant type
+    prototype: Any
+    age: Any
+    base: Any
+    rotation: Any
+
+
+class Graphs(NamedTuple):
+    """P plants of M modules; columns as in `Modules`."""
+
+    kind: Any  # (P,) index of the plant type
+    first: Any
+    parent: Any
+    node: Any
+    prototype: Any
+    age: Any
+    disused: Any
+    base: Any
+    rotation: Any
 
 
 @compiled
@@ -21,15 +65,15 @@ def matrix_of(rotation, row, turned):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def place_nodes(shape, parent, count, kind, age, turned, place, metres):  # type: ignore[no-untyped-def]
+def place_nodes(shapes, s, type_, age, turned, place, metres):  # type: ignore[no-untyped-def]
     """Fill `place` (N, 3), metres from the module's root along the world's axes, and `metres` (N,), segment lengths.
 
     Parameters
     ----------
-    shape : (N, 5) of the prototype: direction x, y, z, length, birth.
-    kind : (5,) of the plant type: mature age, length per age, longest segment, tropism's strength g_2 and decay g_1.
+    s, type_ : index of the prototype and of the plant type.
     age : the module's physiological age; what passes the mature age does not count.
     """
+    shape, parent, count, kind = shapes.shape[s], shapes.parent[s], shapes.count[s], shapes.kind[type_]
     grown = min(age, kind[0])
     place[0, 0] = place[0, 1] = place[0, 2] = 0.0
     metres[0] = 0.0
@@ -57,16 +101,22 @@ def place_nodes(shape, parent, count, kind, age, turned, place, metres):  # type
 
 
 @compiled
-def fill_spheres(  # type: ignore[no-untyped-def]
-    shapes, parents, counts, kinds, scale, kind_of, prototype, age, base, rotation, first, end, centre, radius
-):
+def place_module(shapes, modules, row, turned, place, metres):  # type: ignore[no-untyped-def]
+    """Fill `turned`, `place` and `metres` for a row of `Poses`."""
+    matrix_of(modules.rotation, row, turned)
+    place_nodes(shapes, modules.prototype[row], modules.kind[row], modules.age[row], turned, place, metres)
+
+
+@compiled
+def fill_spheres(shapes, modules, scale, first, end, centre, radius):  # type: ignore[no-untyped-def]
     """Fill `centre` (M, 3) and `radius` (M,) of modules `first` to `end`."""
-    shapes, parents, counts, kinds = borrowed(shapes), borrowed(parents), borrowed(counts), borrowed(kinds)
-    turned, place, metres = np.empty((3, 3)), np.empty((parents.shape[1], 3)), np.empty(parents.shape[1])
+    shapes, modules = borrowed(shapes), borrowed(modules)
+    base = modules.base
+    n = shapes.parent.shape[1]
+    turned, place, metres = np.empty((3, 3)), np.empty((n, 3)), np.empty(n)
     for row in range(first, end):
-        s, count = prototype[row], counts[prototype[row]]
-        matrix_of(rotation, row, turned)
-        place_nodes(shapes[s], parents[s], count, kinds[kind_of[row]], age[row], turned, place, metres)
+        count = shapes.count[modules.prototype[row]]
+        place_module(shapes, modules, row, turned, place, metres)
         x = y = z = total = 0.0
         for node in range(1, count):
             x += metres[node] * place[node, 0]
@@ -87,84 +137,75 @@ def fill_spheres(  # type: ignore[no-untyped-def]
 
 
 @compiled
-def fill_terminals(  # type: ignore[no-untyped-def]
-    shapes, parents, counts, kinds, kind_of, prototype, base, rotation, wanted, first, end, position, direction
-):
+def fill_terminals(shapes, modules, wanted, first, end, position, direction):  # type: ignore[no-untyped-def]
     """Fill `position` (K, 3) and `direction` (K, 3) of nodes `wanted` of grown modules `first` to `end`."""
-    turned, place, metres = np.empty((3, 3)), np.empty((parents.shape[1], 3)), np.empty(parents.shape[1])
+    shapes, modules = borrowed(shapes), borrowed(modules)
+    n = shapes.parent.shape[1]
+    turned, place, metres = np.empty((3, 3)), np.empty((n, 3)), np.empty(n)
     for row in range(first, end):
-        s, node = prototype[row], wanted[row]
-        kind = kinds[kind_of[row]]
-        matrix_of(rotation, row, turned)
-        place_nodes(shapes[s], parents[s], counts[s], kind, kind[0], turned, place, metres)
-        bearer = parents[s, node]
+        place_module(shapes, modules, row, turned, place, metres)
+        node = wanted[row]
+        bearer = shapes.parent[modules.prototype[row], node]
         for axis in range(3):
-            position[row, axis] = base[row, axis] + place[node, axis]
+            position[row, axis] = modules.base[row, axis] + place[node, axis]
             direction[row, axis] = (place[node, axis] - place[bearer, axis]) / metres[node]
 
 
 @compiled
-def fill_nodes(  # type: ignore[no-untyped-def]
-    shapes, parents, counts, kinds, kind_of, prototype, age, base, rotation, rows, start, first, end, position, length
-):
+def fill_nodes(shapes, modules, rows, start, first, end, position, length):  # type: ignore[no-untyped-def]
     """Fill `position` (., 3) and `length` (.,) of the nodes of modules `rows[first:end]`, the k-th's from start[k]."""
-    turned, place, metres = np.empty((3, 3)), np.empty((parents.shape[1], 3)), np.empty(parents.shape[1])
+    shapes, modules = borrowed(shapes), borrowed(modules)
+    n = shapes.parent.shape[1]
+    turned, place, metres = np.empty((3, 3)), np.empty((n, 3)), np.empty(n)
     for k in range(first, end):
         row = rows[k]
-        s = prototype[row]
-        matrix_of(rotation, row, turned)
-        place_nodes(shapes[s], parents[s], counts[s], kinds[kind_of[row]], age[row], turned, place, metres)
-        for node in range(counts[s]):
+        place_module(shapes, modules, row, turned, place, metres)
+        for node in range(shapes.count[modules.prototype[row]]):
             length[start[k] + node] = metres[node]
             for axis in range(3):
-                position[start[k] + node, axis] = base[row, axis] + place[node, axis]
+                position[start[k] + node, axis] = modules.base[row, axis] + place[node, axis]
 
 
 @compiled
-def add_pipes(  # type: ignore[no-untyped-def]
-    births, thickness, parents, counts, disused_node, mature, thickening, kind, s, age, disused, borne, squared
-):
+def add_pipes(shapes, kind, s, age, disused, borne, squared):  # type: ignore[no-untyped-def]
     """Fill `squared` (N,) with the squared diameters of one module's nodes, m2: the pipe model from its terminals down.
 
     Parameters
     ----------
     borne : (N,) squared diameter of the root node of the module that each terminal bears, m2; -1: none.
     """
-    count = counts[s]
-    grown = min(age, mature[kind])
+    count, mature = shapes.count[s], shapes.mature[kind]
+    grown = min(age, mature)
     for node in range(count):
         squared[node] = -1.0  # of no child yet
     for node in range(count - 1, -1, -1):
         if squared[node] < 0.0:  # a terminal
-            share = min(1.0, max(0.0, grown / mature[kind] - births[s, node]) / (1.0 - births[s, node]))
-            own = thickening[kind] * thickness[s, node] * share
+            birth = shapes.birth[s, node]
+            share = min(1.0, max(0.0, grown / mature - birth) / (1.0 - birth))
+            own = shapes.thickening[kind] * shapes.thickness[s, node] * share
             squared[node] = max(own * own, borne[node])
-        if node == disused_node[s]:
+        if node == shapes.disused_node[s]:
             squared[node] += disused
         if node > 0:
-            bearer = parents[s, node]
+            bearer = shapes.parent[s, node]
             squared[bearer] = max(squared[bearer], 0.0) + squared[node]
 
 
 @compiled
-def fill_diameters(  # type: ignore[no-untyped-def]
-    births, thickness, parents, counts, disused_node, mature, thickening, kind_of_plant,
-    plant_first, parent_of, node_of, prototype, age, disused, terminal_index, most_terminals,
-    first, end, start, root_m, node_m,
-):  # fmt: skip
+def fill_diameters(shapes, plants, first, end, start, root_m, node_m):  # type: ignore[no-untyped-def]
     """Fill `root_m` (M,), diameters of the root nodes of the plants' modules, for plants `first` to `end`.
 
     `node_m` (.,) takes those of all nodes, module row's from start[row]; of no length: not wanted.
     """
-    births, thickness, parents, counts = borrowed(births), borrowed(thickness), borrowed(parents), borrowed(counts)
-    terminal_index = borrowed(terminal_index)
-    n = parents.shape[1]
+    shapes, plants = borrowed(shapes), borrowed(plants)
+    prototype, counts, terminal_index = plants.prototype, shapes.count, shapes.terminal_index
+    n = shapes.parent.shape[1]
     squared, borne = np.empty(n), np.empty(n)
-    joint = np.empty((0, most_terminals))
+    joint = np.empty((0, shapes.most_terminals))
     for plant in range(first, end):
-        begin, size = plant_first[plant], plant_first[plant + 1] - plant_first[plant]
+        begin, size = plants.first[plant], plants.first[plant + 1] - plants.first[plant]
         if size > len(joint):
-            joint = np.empty((2 * size, most_terminals))
+            joint = np.empty((2 * size, shapes.most_terminals))
         joint[:size] = -1.0
         for own in range(size - 1, -1, -1):
             row = begin + own
@@ -172,30 +213,24 @@ def fill_diameters(  # type: ignore[no-untyped-def]
             for node in range(counts[s]):
                 slot = terminal_index[s, node]
                 borne[node] = joint[own, slot] if slot >= 0 else -1.0
-            add_pipes(
-                births, thickness, parents, counts, disused_node, mature, thickening,
-                kind_of_plant[plant], s, age[row], disused[row], borne, squared,
-            )  # fmt: skip
+            add_pipes(shapes, plants.kind[plant], s, plants.age[row], plants.disused[row], borne, squared)
             root_m[row] = np.sqrt(squared[0])
             if len(node_m):
                 for node in range(counts[s]):
                     node_m[start[row] + node] = np.sqrt(squared[node])
-            bearer = parent_of[row]
+            bearer = plants.parent[row]
             if bearer >= 0:
-                slot = terminal_index[prototype[begin + bearer], node_of[row]]
+                slot = terminal_index[prototype[begin + bearer], plants.node[row]]
                 joint[bearer, slot] = squared[0]
 
 
 @compiled
-def fill_sizes(  # type: ignore[no-untyped-def]
-    shapes, parents, counts, kinds, births, thickness, disused_node, mature, thickening, next_sibling, first_child,
-    terminal_index, most_terminals, leaf_area, kind_of_plant, plant_first, parent_of, node_of,
-    prototype, age, disused, base, rotation, first, end, sizes,
-):  # fmt: skip
+def fill_sizes(shapes, plants, leaf_area, first, end, sizes):  # type: ignore[no-untyped-def]
     """Fill `sizes` (P, 6) of plants `first` to `end`, in the order of `PlantSizes`, less the number of modules."""
-    shapes, parents, counts, kinds = borrowed(shapes), borrowed(parents), borrowed(counts), borrowed(kinds)
-    births, thickness, first_child = borrowed(births), borrowed(thickness), borrowed(first_child)
-    terminal_index = borrowed(terminal_index)
+    shapes, plants = borrowed(shapes), borrowed(plants)
+    parents, counts, births, first_child = shapes.parent, shapes.count, shapes.birth, shapes.first_child
+    terminal_index, most_terminals = shapes.terminal_index, shapes.most_terminals
+    parent_of, node_of, prototype, age, base = plants.parent, plants.node, plants.prototype, plants.age, plants.base
     n = parents.shape[1]
     turned, place, metres, borne = np.empty((3, 3)), np.empty((n, 3)), np.empty(n), np.empty(n)
     joint, squared = np.empty((0, most_terminals)), np.empty((0, n))
@@ -203,10 +238,10 @@ def fill_sizes(  # type: ignore[no-untyped-def]
     low, high = np.empty(4), np.empty(4)
     half = np.sqrt(0.5)
     for plant in range(first, end):
-        begin, size = plant_first[plant], plant_first[plant + 1] - plant_first[plant]
+        begin, size = plants.first[plant], plants.first[plant + 1] - plants.first[plant]
         if size == 0:  # an obstacle
             continue
-        kind = kind_of_plant[plant]
+        kind = plants.kind[plant]
         if size > len(joint):
             joint, squared = np.empty((2 * size, most_terminals)), np.empty((2 * size, n))
             child = np.empty((2 * size, most_terminals), dtype=np.int64)
@@ -220,24 +255,21 @@ def fill_sizes(  # type: ignore[no-untyped-def]
         for own in range(size - 1, -1, -1):
             row = begin + own
             s = prototype[row]
-            grown = min(1.0, age[row] / mature[kind])
+            grown = min(1.0, age[row] / shapes.mature[kind])
             for node in range(counts[s]):
                 slot = terminal_index[s, node]
                 borne[node] = joint[own, slot] if slot >= 0 else -1.0
                 if slot >= 0:
-                    share = max(0.0, grown - births[s, node]) / (1.0 - births[s, node]) * thickness[s, node]
+                    share = max(0.0, grown - births[s, node]) / (1.0 - births[s, node]) * shapes.thickness[s, node]
                     leaves += leaf_area[kind, s] * share * share * bare[own, slot]
-            add_pipes(
-                births, thickness, parents, counts, disused_node, mature, thickening,
-                kind, s, age[row], disused[row], borne, squared[own],
-            )  # fmt: skip
+            add_pipes(shapes, kind, s, age[row], plants.disused[row], borne, squared[own])
             if parent_of[row] >= 0:
                 slot = terminal_index[prototype[begin + parent_of[row]], node_of[row]]
                 joint[parent_of[row], slot] = squared[own, 0]
                 child[parent_of[row], slot] = own
                 bare[parent_of[row], slot] = 1.0 - grown
-            matrix_of(rotation, row, turned)
-            place_nodes(shapes[s], parents[s], counts[s], kinds[kind], age[row], turned, place, metres)
+            matrix_of(plants.rotation, row, turned)
+            place_nodes(shapes, s, kind, age[row], turned, place, metres)
             for node in range(1, counts[s]):
                 if metres[node] == 0.0:
                     continue
@@ -254,20 +286,14 @@ def fill_sizes(  # type: ignore[no-untyped-def]
                 low[3], high[3] = min(low[3], y), max(high[3], y)
         sizes[plant, 0] = height
         sizes[plant, 1] = (high - low).sum() / 8.0
-        sizes[plant, 2] = _trunk(
-            shapes, parents, counts, kinds, next_sibling, first_child, terminal_index, kind,
-            begin, prototype, age, base, rotation, squared, child, turned, place, metres,
-        )  # fmt: skip
+        sizes[plant, 2] = _trunk(shapes, plants, kind, begin, squared, child, turned, place, metres)
         sizes[plant, 3] = np.sqrt(squared[0, 0])
         sizes[plant, 4] = volume * np.pi / 12.0
         sizes[plant, 5] = leaves
 
 
 @compiled
-def _trunk(  # type: ignore[no-untyped-def]
-    shapes, parents, counts, kinds, next_sibling, first_child, terminal_index, kind,
-    begin, prototype, age, base, rotation, squared, child, turned, place, metres,
-):  # fmt: skip
+def _trunk(shapes, plants, kind, begin, squared, child, turned, place, metres):  # type: ignore[no-untyped-def]
     """Diameter of the stem 1.3 m above the foot, metres; at the foot where it does not reach so high.
 
     The stem takes the thickest way at each fork, the first of equals.
@@ -275,19 +301,19 @@ def _trunk(  # type: ignore[no-untyped-def]
     own = 0
     while own >= 0:
         row = begin + own
-        s = prototype[row]
-        matrix_of(rotation, row, turned)
-        place_nodes(shapes[s], parents[s], counts[s], kinds[kind], age[row], turned, place, metres)
+        s = plants.prototype[row]
+        matrix_of(plants.rotation, row, turned)
+        place_nodes(shapes, s, kind, plants.age[row], turned, place, metres)
         node = 0
-        while first_child[s, node] >= 0:
-            thickest = first_child[s, node]
-            other = next_sibling[s, thickest]
+        while shapes.first_child[s, node] >= 0:
+            thickest = shapes.first_child[s, node]
+            other = shapes.next_sibling[s, thickest]
             while other >= 0:
                 if squared[own, other] > squared[own, thickest]:
                     thickest = other
-                other = next_sibling[s, other]
+                other = shapes.next_sibling[s, other]
             node = thickest
-            if base[row, 2] + place[node, 2] >= 1.3:
+            if plants.base[row, 2] + place[node, 2] >= 1.3:
                 return np.sqrt(squared[own, node])
-        own = child[own, terminal_index[s, node]]
+        own = child[own, shapes.terminal_index[s, node]]
     return np.sqrt(squared[0, 0])

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.architecture.geometry import Types, over_plants, packed
+from forestgen.architecture.geometry import Types, graphs, over_plants, packed
 from forestgen.architecture.kernels import fill_sizes
 from forestgen.architecture.modules import Modules
 from forestgen.architecture.tables import Tables
@@ -50,19 +50,12 @@ def terminal_leaf_area_m2(tables: Tables) -> NDArray[np.float64]:
 
 def plant_sizes(tables: Tables, modules: Modules, type_of_plant: Types) -> PlantSizes:
     """Sizes of all plants; `type_of_plant` (P,) indexes the tables' plant types."""
-    shapes, kinds = packed(tables)
+    shapes, plants = packed(tables), graphs(modules, type_of_plant)
     sizes = np.zeros((modules.plants, 6))
     leaf_area = terminal_leaf_area_m2(tables)
-    kind = np.ascontiguousarray(type_of_plant, dtype=np.uint16)
 
     def work(first: int, end: int) -> None:
-        fill_sizes(
-            shapes, tables.parent, tables.nodes, kinds, tables.birth, tables.thickness, tables.disused_node,
-            tables.mature_age, tables.thickening_m, tables.next_sibling, tables.first_child, tables.terminal_index,
-            tables.most_terminals, leaf_area, kind, modules.first, modules.parent,
-            modules.node, modules.prototype, modules.age, modules.disused_m2, modules.base_m, modules.rotation,
-            first, end, sizes,
-        )  # fmt: skip
+        fill_sizes(shapes, plants, leaf_area, first, end, sizes)
 
     over_plants(modules, work)
     height, crown, trunk, foot = sizes[:, :4].astype(np.float32).T

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from forestgen.architecture.plant_type import PlantType
 from forestgen.architecture.prototype import MOST_NODES, Prototype
 
+_COLUMNS = ("mature_age", "length_per_age_m", "longest_segment_m", "tropism_strength", "tropism_decay", "opacity")
 SPHERE_AGES = 33  # shares of the mature age in the tables of spheres: 0, 1/32, ..., 1
 
 
@@ -39,9 +40,7 @@ class Tables:
     terminals: NDArray[np.int16]  # (S,) number of terminals, K
     terminal: NDArray[np.int16]  # (S, N) node numbers of the terminals, ascending
     terminal_index: NDArray[np.int16]  # (S, N) place of a node among the terminals; -1: none
-    disused_node: NDArray[
-        np.int16
-    ]  # (S,) last node of the main axis that is no terminal: down from it run disused pipes
+    disused_node: NDArray[np.int16]  # (S,) last node of the main axis that is no terminal: there disused pipes begin
     mature_age: NDArray[np.float64]  # (T,) physiological
     length_per_age_m: NDArray[np.float64]  # (T,)
     longest_segment_m: NDArray[np.float64]  # (T,)
@@ -93,13 +92,9 @@ def tables_of(prototypes: Sequence[Prototype], types: Sequence[PlantType], *, sp
         while first_child[index, first_child[index, disused[index]]] >= 0:
             disused[index] = first_child[index, disused[index]]
     length[:, 0] = 0.0
-
-    def of_types(values: list[float]) -> NDArray[np.float64]:
-        return np.array(values, dtype=np.float64)
-
-    mature = of_types([one.mature_age for one in types])
-    per_age = of_types([one.length_per_age_m for one in types])
-    longest = of_types([one.longest_segment_m for one in types])
+    mature, per_age, longest, strength, decay, opacity = (
+        np.array([getattr(one, name) for one in types], dtype=np.float64) for name in _COLUMNS
+    )
     nodes = np.array([len(prototype) for prototype in prototypes], dtype=np.int16)
     centre, radius = _spheres(parent, direction, length, birth, mature, per_age, longest)
     return Tables(
@@ -119,10 +114,10 @@ def tables_of(prototypes: Sequence[Prototype], types: Sequence[PlantType], *, sp
         mature_age=mature,
         length_per_age_m=per_age,
         longest_segment_m=longest,
-        tropism_strength=of_types([one.tropism_strength for one in types]),
-        tropism_decay=of_types([one.tropism_decay for one in types]),
-        thickening_m=of_types([pipe_diameter_m(one) for one in types]),
-        opacity=of_types([one.opacity for one in types]),
+        tropism_strength=strength,
+        tropism_decay=decay,
+        thickening_m=np.array([pipe_diameter_m(one) for one in types], dtype=np.float64),
+        opacity=opacity,
         sphere_scale=sphere_scale,
         sphere_centre_m=centre,
         sphere_radius_m=radius * sphere_scale,

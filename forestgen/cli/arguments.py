@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Optional
+from typing import Annotated
 
 import typer
 
@@ -14,35 +14,33 @@ DatasetPath = Annotated[
     Path, typer.Argument(metavar="DIR", help="A data set's folder, of render, batch or merge.", show_default=False)
 ]
 Overrides = Annotated[
-    Optional[list[str]],  # noqa: UP045 - typer reads annotations at run time
+    list[str] | None,
     typer.Option(
         "--set", metavar="KEY=VALUE", help="Override a value of the recipe, such as sky.turbidity=5. May be repeated."
     ),
 ]
 Count = Annotated[
-    Optional[int],  # noqa: UP045
+    int | None,
     typer.Option(
         "--count",
         metavar="N",
         min=1,
         max=100_000_000,
         help="How many images, in all; by default as many as the recipe says.",
-        show_default=False,
     ),
 ]
 Threads = Annotated[
-    Optional[int],  # noqa: UP045
+    int | None,
     typer.Option(
         "--threads",
         metavar="N",
         min=1,
         max=4096,
         help="Threads of each worker; by default all cores are shared out. Results do not depend on it.",
-        show_default=False,
     ),
 ]
 Workers = Annotated[
-    Optional[int],  # noqa: UP045
+    int | None,
     typer.Option(
         "--workers",
         "-w",
@@ -50,16 +48,14 @@ Workers = Annotated[
         min=1,
         max=1024,
         help="Worker processes; by default as many as cores and memory allow. Results do not depend on it.",
-        show_default=False,
     ),
 ]
 Device = Annotated[
-    Optional[str],  # noqa: UP045
+    str | None,
     typer.Option(
         "--device",
         metavar="llvm|cuda",
         help="What traces rays: the processor (llvm) or a GPU (cuda); by default FORESTGEN_TRACING, else llvm.",
-        show_default=False,
     ),
 ]
 Resume = Annotated[
@@ -74,15 +70,16 @@ Discard = Annotated[
     ),
 ]
 First = Annotated[
-    Optional[int],  # noqa: UP045
+    int | None,
     typer.Option(
         "--first",
         metavar="N",
         min=0,
         help="Number of the first image; short for --set first_image=N. For parts that are merged later.",
-        show_default=False,
     ),
 ]
+DryRun = Annotated[bool, typer.Option("--dry-run", help="Check and estimate time, memory and disk; make nothing.")]
+AbsoluteZ = Annotated[bool, typer.Option("--absolute-z", help="Count z from z = 0, not from the ground below.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace a previous output of forestgen.")]
 Seed = Annotated[int, typer.Option("--seed", metavar="N", min=0, help="Another seed draws other random numbers.")]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]

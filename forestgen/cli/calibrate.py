@@ -5,54 +5,53 @@ from __future__ import annotations
 import math
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Optional
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from forestgen.cli.arguments import Overrides, Overwrite, Quiet, RecipePath, progress_of
+from forestgen.cli.arguments import AbsoluteZ, Overrides, Overwrite, Quiet, RecipePath, progress_of
 from forestgen.cli.console import Printer
 from forestgen.core.figures import seconds
 
 if TYPE_CHECKING:
     from forestgen.stages.calibrate import Calibration
 
+Folder = Annotated[
+    Path | None,
+    typer.Option(
+        "--out", "-o", metavar="DIR", help="Folder for the sheet; by default outputs/NAME-calibration, ...-2, ..."
+    ),
+]
+Middle = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--at",
+        metavar="X Y Z",
+        help="The board's middle, metres, z above ground; by default over the site's middle, above all plants.",
+    ),
+]
+Normal = Annotated[
+    str,
+    typer.Option(
+        "--normal", metavar="DIRECTION", help="Where the board looks: up, north, east, south, west, or x,y,z."
+    ),
+]
+WidthPx = Annotated[
+    int, typer.Option("--width-px", metavar="N", min=64, max=1024, help="Width of the chart's picture.")
+]
+Samples = Annotated[
+    int, typer.Option("--samples", metavar="N", min=4, max=65536, help="Light paths a pixel, of each light.")
+]
+
 
 def calibrate(
     recipe: RecipePath,
-    out: Annotated[
-        Optional[Path],  # noqa: UP045 - typer reads annotations at run time
-        typer.Option(
-            "--out",
-            "-o",
-            metavar="DIR",
-            help="Folder for the sheet; by default outputs/NAME-calibration, ...-2, ...",
-            show_default=False,
-        ),
-    ] = None,
-    at: Annotated[
-        Optional[list[str]],  # noqa: UP045
-        typer.Option(
-            "--at",
-            metavar="X Y Z",
-            help="The board's middle, metres, z above ground; by default over the site's middle, above all plants.",
-            show_default=False,
-        ),
-    ] = None,
-    normal: Annotated[
-        str,
-        typer.Option(
-            "--normal", metavar="DIRECTION", help="Where the board looks: up, north, east, south, west, or x,y,z."
-        ),
-    ] = "up",
-    width_px: Annotated[
-        int, typer.Option("--width-px", metavar="N", min=64, max=1024, help="Width of the chart's picture.")
-    ] = 96,
-    samples: Annotated[
-        int, typer.Option("--samples", metavar="N", min=4, max=65536, help="Light paths a pixel, of each light.")
-    ] = 64,
-    absolute_z: Annotated[
-        bool, typer.Option("--absolute-z", help="Count z from z = 0, not from the ground below.")
-    ] = False,
+    out: Folder = None,
+    at: Middle = None,
+    normal: Normal = "up",
+    width_px: WidthPx = 96,
+    samples: Samples = 64,
+    absolute_z: AbsoluteZ = False,
     overrides: Overrides = None,
     overwrite: Overwrite = False,
     quiet: Quiet = False,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from itertools import groupby
-from typing import Annotated, Optional
+from typing import Annotated
 
 import typer
 
@@ -36,20 +36,18 @@ def schema() -> None:
 
 def models(
     name: Annotated[
-        Optional[str],  # noqa: UP045 - typer reads annotations at run time
+        str | None,
         typer.Argument(
             metavar="NAME",
             help="Show this part's manual page, or this species' or recipe's file.",
-            show_default=False,
         ),
     ] = None,
     kind: Annotated[
-        Optional[str],  # noqa: UP045
+        str | None,
         typer.Option(
             "--kind",
             metavar="KIND",
             help="Only these, such as community_model or species; an unknown one lists the kinds.",
-            show_default=False,
         ),
     ] = None,
     as_json: Json = False,

@@ -7,11 +7,11 @@ import re
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, Optional
+from typing import Annotated, Any
 
 import typer
 
-from forestgen.cli.arguments import Overrides, Overwrite, Quiet, RecipePath, progress_of
+from forestgen.cli.arguments import AbsoluteZ, Overrides, Overwrite, Quiet, RecipePath, progress_of
 from forestgen.cli.console import Printer
 from forestgen.core.figures import seconds
 
@@ -42,47 +42,45 @@ def join_points(arguments: Sequence[str]) -> list[str]:
     return joined
 
 
+Points = Annotated[
+    list[str] | None,
+    typer.Option("--at", metavar="X Y Z", help="A point, metres, z above ground. May be repeated."),
+]
+Normals = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--normal",
+        metavar="DIRECTION",
+        help="Where the meter looks: up, down, north, east, south, west, or x,y,z. May be repeated.",
+        show_default="up",
+    ),
+]
+Spectrum = Annotated[
+    float | None,
+    typer.Option(
+        "--spectrum",
+        metavar="NM",
+        min=1.0,
+        max=1100.0,
+        help="Tell the spectral irradiance too, 300 to 2500 nm, in steps of NM.",
+    ),
+]
+Samples = Annotated[
+    int,
+    typer.Option(
+        "--samples", metavar="N", min=512, max=100_000_000, help="Light paths of each light at each wavelength."
+    ),
+]
+
+
 def light(
     recipe: RecipePath,
-    at: Annotated[
-        Optional[list[str]],  # noqa: UP045 - typer reads annotations at run time
-        typer.Option(
-            "--at", metavar="X Y Z", help="A point, metres, z above ground. May be repeated.", show_default=False
-        ),
-    ] = None,
-    normals: Annotated[
-        Optional[list[str]],  # noqa: UP045
-        typer.Option(
-            "--normal",
-            metavar="DIRECTION",
-            help="Where the meter looks: up, down, north, east, south, west, or x,y,z. May be repeated.",
-            show_default="up",
-        ),
-    ] = None,
-    spectrum: Annotated[
-        Optional[float],  # noqa: UP045
-        typer.Option(
-            "--spectrum",
-            metavar="NM",
-            min=1.0,
-            max=1100.0,
-            help="Tell the spectral irradiance too, 300 to 2500 nm, in steps of NM.",
-            show_default=False,
-        ),
-    ] = None,
-    out: Annotated[
-        Optional[Path],  # noqa: UP045
-        typer.Option("--out", "-o", metavar="FILE", help="A .csv or .json file.", show_default=False),
-    ] = None,
-    samples: Annotated[
-        int,
-        typer.Option(
-            "--samples", metavar="N", min=512, max=100_000_000, help="Light paths of each light at each wavelength."
-        ),
-    ] = 16384,
-    absolute_z: Annotated[
-        bool, typer.Option("--absolute-z", help="Count z from z = 0, not from the ground below.")
-    ] = False,
+    at: Points = None,
+    normals: Normals = None,
+    spectrum: Spectrum = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", metavar="FILE", help="A .csv or .json file.")] = None,
+    samples: Samples = 16384,
+    absolute_z: AbsoluteZ = False,
     overrides: Overrides = None,
     overwrite: Overwrite = False,
     quiet: Quiet = False,

@@ -6,7 +6,7 @@ import json
 import sys
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Optional
+from typing import Annotated
 
 import typer
 
@@ -18,17 +18,11 @@ _CHUNK = 1 << 20
 
 def lsystem(
     file: Annotated[
-        Path,
-        typer.Argument(metavar="FILE", help="An L-system program: a .lsys or .sys file, or a shipped one's name."),
+        Path, typer.Argument(metavar="FILE", help="An L-system program: a .lsys or .sys file, or a shipped one's name.")
     ],
     steps: Annotated[
-        Optional[int],  # noqa: UP045 - typer reads annotations at run time
-        typer.Option(
-            "--steps",
-            metavar="N",
-            help="Derivation steps; by default the file's derivation length.",
-            show_default=False,
-        ),
+        int | None,
+        typer.Option("--steps", metavar="N", help="Derivation steps; by default the file's derivation length."),
     ] = None,
     seed: Seed = 0,
     form: Annotated[
@@ -36,7 +30,7 @@ def lsystem(
         typer.Option("--format", metavar="string|json|count", help="Words, their modules as JSON, or their number."),
     ] = "string",
     settings: Annotated[
-        Optional[list[str]],  # noqa: UP045
+        list[str] | None,
         typer.Option("--set", metavar="NAME=VALUE", help="Another value of a #define, or of an array: A=1,2,3."),
     ] = None,
     max_modules: Annotated[

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Optional
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -17,86 +17,88 @@ if TYPE_CHECKING:
 
 _MOST_FILES = 6  # named one by one
 
+SpeciesName = Annotated[
+    str | None, typer.Argument(metavar="SPECIES", help="A species' name, see --list, or its YAML file.")
+]
+HeightM = Annotated[
+    float | None, typer.Option("--height-m", metavar="METRES", help="By default that of a mature plant.")
+]
+Out = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--out",
+        "-o",
+        metavar="FILE",
+        help="A mesh: .glb, .ply, .obj (with its .mtl), .usd, .usda, .usdc, .usdz; or a picture: .png. May be "
+        "repeated; by default outputs/SPECIES.glb and .png.",
+    ),
+]
+PlantCount = Annotated[
+    int, typer.Option("--count", metavar="N", help="So many plants, of seeds from --seed on: tree-0001.glb, ...")
+]
+Frames = Annotated[
+    int | None,
+    typer.Option(
+        "--frames",
+        metavar="N",
+        help="So many poses in the wind, of a species of the generator strands: tree-0001.glb, ...",
+    ),
+]
+Detail = Annotated[
+    int | None,
+    typer.Option(
+        "--detail",
+        metavar="0..2",
+        min=0,
+        max=2,
+        help="How finely leaves and flowers are drawn: 2 for close views; by default as the species' file says.",
+    ),
+]
+WoodTriangles = Annotated[
+    int | None,
+    typer.Option(
+        "--wood-triangles",
+        metavar="N",
+        help="In mesh files, wood of about N triangles with one baked texture, for real-time programs.",
+    ),
+]
+SizePx = Annotated[
+    tuple[int, int], typer.Option("--size-px", metavar="W H", help="Size of the picture.", show_default="540 720")
+]
+Samples = Annotated[
+    int, typer.Option("--samples", metavar="N", min=1, max=65536, help="Light paths a pixel of the picture.")
+]
+DistanceM = Annotated[
+    float | None,
+    typer.Option(
+        "--distance-m",
+        metavar="METRES",
+        help="How far the camera stands from the plant; by default as far as a normal lens asks for.",
+    ),
+]
+LookAtM = Annotated[
+    float | None,
+    typer.Option(
+        "--look-at-m", metavar="METRES", help="Look at this height through a normal lens, not at the whole plant."
+    ),
+]
+
 
 def plant(
-    species: Annotated[
-        Optional[str],  # noqa: UP045 - typer reads annotations at run time
-        typer.Argument(metavar="SPECIES", help="A species' name, see --list, or its YAML file.", show_default=False),
-    ] = None,
+    species: SpeciesName = None,
     list_species: Annotated[bool, typer.Option("--list", help="List the species that come with forestgen.")] = False,
-    height_m: Annotated[
-        Optional[float],  # noqa: UP045
-        typer.Option("--height-m", metavar="METRES", help="By default that of a mature plant.", show_default=False),
-    ] = None,
+    height_m: HeightM = None,
     seed: Seed = 0,
-    out: Annotated[
-        Optional[list[Path]],  # noqa: UP045
-        typer.Option(
-            "--out",
-            "-o",
-            metavar="FILE",
-            help="A mesh: .glb, .ply, .obj (with its .mtl), .usd, .usda, .usdc, .usdz; or a picture: .png. May be "
-            "repeated; by default outputs/SPECIES.glb and .png.",
-            show_default=False,
-        ),
-    ] = None,
-    plants: Annotated[
-        int, typer.Option("--count", metavar="N", help="So many plants, of seeds from --seed on: tree-0001.glb, ...")
-    ] = 1,
-    frames: Annotated[
-        Optional[int],  # noqa: UP045
-        typer.Option(
-            "--frames",
-            metavar="N",
-            help="So many poses in the wind, of a species of the generator strands: tree-0001.glb, ...",
-            show_default=False,
-        ),
-    ] = None,
+    out: Out = None,
+    plants: PlantCount = 1,
+    frames: Frames = None,
     frames_per_s: Annotated[float, typer.Option("--frames-per-s", metavar="N", help="Pace of the frames.")] = 12.0,
-    detail: Annotated[
-        Optional[int],  # noqa: UP045
-        typer.Option(
-            "--detail",
-            metavar="0..2",
-            min=0,
-            max=2,
-            help="How finely leaves and flowers are drawn: 2 for close views; by default as the species' file says.",
-            show_default=False,
-        ),
-    ] = None,
-    wood_triangles: Annotated[
-        Optional[int],  # noqa: UP045
-        typer.Option(
-            "--wood-triangles",
-            metavar="N",
-            help="In mesh files, wood of about N triangles with one baked texture, for real-time programs.",
-            show_default=False,
-        ),
-    ] = None,
-    size_px: Annotated[
-        tuple[int, int], typer.Option("--size-px", metavar="W H", help="Size of the picture.", show_default="540 720")
-    ] = (540, 720),
-    samples: Annotated[
-        int, typer.Option("--samples", metavar="N", min=1, max=65536, help="Light paths a pixel of the picture.")
-    ] = 32,
-    distance_m: Annotated[
-        Optional[float],  # noqa: UP045
-        typer.Option(
-            "--distance-m",
-            metavar="METRES",
-            help="How far the camera stands from the plant; by default as far as a normal lens asks for.",
-            show_default=False,
-        ),
-    ] = None,
-    look_at_m: Annotated[
-        Optional[float],  # noqa: UP045
-        typer.Option(
-            "--look-at-m",
-            metavar="METRES",
-            help="Look at this height through a normal lens, not at the whole plant.",
-            show_default=False,
-        ),
-    ] = None,
+    detail: Detail = None,
+    wood_triangles: WoodTriangles = None,
+    size_px: SizePx = (540, 720),
+    samples: Samples = 32,
+    distance_m: DistanceM = None,
+    look_at_m: LookAtM = None,
     overwrite: Overwrite = False,
     as_json: Json = False,
     quiet: Quiet = False,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Optional
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -12,6 +12,7 @@ from forestgen.cli.arguments import (
     Count,
     Device,
     Discard,
+    DryRun,
     First,
     Overrides,
     Overwrite,
@@ -34,13 +35,12 @@ if TYPE_CHECKING:
 def render(
     recipe: RecipePath,
     out: Annotated[
-        Optional[str],  # noqa: UP045 - typer reads annotations at run time
+        str | None,
         typer.Option(
             "--out",
             "-o",
             metavar="DIR",
             help="The data set's folder, or its address in an object store; by default outputs/NAME, ...-2, ...",
-            show_default=False,
         ),
     ] = None,
     images: Count = None,
@@ -48,9 +48,7 @@ def render(
     resume: Resume = False,
     discard: Discard = False,
     overwrite: Overwrite = False,
-    dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Check and estimate time, memory and disk; make nothing.")
-    ] = False,
+    dry_run: DryRun = False,
     first: First = None,
     threads: Threads = None,
     device: Device = None,
@@ -96,74 +94,76 @@ def render(
     Printer(quiet)("\n".join(run.summary.lines(verbose=verbose)))
 
 
+BatchFolder = Annotated[
+    str,
+    typer.Option(
+        "--out",
+        "-o",
+        metavar="DIR",
+        help="The data set's folder, or its address in an object store: s3://bucket/forests.",
+    ),
+]
+WorkerMemory = Annotated[
+    str | None,
+    typer.Option(
+        "--worker-memory",
+        metavar="SIZE",
+        help="What a worker may take, such as 4GB; one that takes more is stopped, and its image tried again.",
+    ),
+]
+Timeout = Annotated[
+    str | None,
+    typer.Option(
+        "--timeout",
+        metavar="TIME",
+        help="What an image may take, such as 30min; one that takes longer is stopped, and tried again.",
+    ),
+]
+Retries = Annotated[
+    int,
+    typer.Option(
+        "--retries",
+        metavar="N",
+        min=0,
+        max=100,
+        help="Further attempts at an image that failed for a reason that may pass.",
+    ),
+]
+Engine = Annotated[
+    str, typer.Option("--engine", metavar="local|dask", help="Who works: this machine, or a Dask cluster.")
+]
+Scheduler = Annotated[
+    str | None, typer.Option("--scheduler", metavar="ADDRESS", help="Of Dask, such as tcp://10.0.0.1:8786.")
+]
+Resources = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--resource",
+        metavar="NAME=AMOUNT",
+        help="That each image takes of a Dask worker, such as GPU=1. May be repeated.",
+    ),
+]
+
+
 def batch(
     recipe: RecipePath,
-    out: Annotated[
-        str,
-        typer.Option(
-            "--out",
-            "-o",
-            metavar="DIR",
-            help="The data set's folder, or its address in an object store: s3://bucket/forests.",
-        ),
-    ],
+    out: BatchFolder,
     images: Count = None,
     overrides: Overrides = None,
     resume: Resume = False,
     discard: Discard = False,
     overwrite: Overwrite = False,
-    dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Check and estimate time, memory and disk; make nothing.")
-    ] = False,
+    dry_run: DryRun = False,
     workers: Workers = None,
     threads: Threads = None,
     device: Device = None,
-    worker_memory: Annotated[
-        Optional[str],  # noqa: UP045
-        typer.Option(
-            "--worker-memory",
-            metavar="SIZE",
-            help="What a worker may take, such as 4GB; one that takes more is stopped, and its image tried again.",
-            show_default=False,
-        ),
-    ] = None,
-    timeout: Annotated[
-        Optional[str],  # noqa: UP045
-        typer.Option(
-            "--timeout",
-            metavar="TIME",
-            help="What an image may take, such as 30min; one that takes longer is stopped, and tried again.",
-            show_default=False,
-        ),
-    ] = None,
-    retries: Annotated[
-        int,
-        typer.Option(
-            "--retries",
-            metavar="N",
-            min=0,
-            max=100,
-            help="Further attempts at an image that failed for a reason that may pass.",
-        ),
-    ] = 2,
+    worker_memory: WorkerMemory = None,
+    timeout: Timeout = None,
+    retries: Retries = 2,
     first: First = None,
-    engine: Annotated[
-        str, typer.Option("--engine", metavar="local|dask", help="Who works: this machine, or a Dask cluster.")
-    ] = "local",
-    scheduler: Annotated[
-        Optional[str],  # noqa: UP045
-        typer.Option(
-            "--scheduler", metavar="ADDRESS", help="Of Dask, such as tcp://10.0.0.1:8786.", show_default=False
-        ),
-    ] = None,
-    resources: Annotated[
-        Optional[list[str]],  # noqa: UP045
-        typer.Option(
-            "--resource",
-            metavar="NAME=AMOUNT",
-            help="That each image takes of a Dask worker, such as GPU=1. May be repeated.",
-        ),
-    ] = None,
+    engine: Engine = "local",
+    scheduler: Scheduler = None,
+    resources: Resources = None,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:

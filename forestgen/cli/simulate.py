@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Optional
+from typing import Annotated
 
 import typer
 
@@ -14,48 +14,36 @@ from forestgen.cli.console import Printer
 def simulate(
     recipe: RecipePath,
     out: Annotated[
-        Optional[Path],  # noqa: UP045 - typer reads annotations at run time
+        Path | None,
         typer.Option(
-            "--out",
-            "-o",
-            metavar="DIR",
-            help="Folder for the results; by default outputs/NAME-community, ...-2, ...",
-            show_default=False,
+            "--out", "-o", metavar="DIR", help="Folder for the results; by default outputs/NAME-community, ...-2, ..."
         ),
     ] = None,
     overrides: Overrides = None,
     map_steps: Annotated[
-        Optional[list[int]],  # noqa: UP045
+        list[int] | None,
         typer.Option(
-            "--map-step",
-            metavar="N",
-            help="Draw a map of this step; by default of the last. May be repeated.",
-            show_default=False,
+            "--map-step", metavar="N", help="Draw a map of this step; by default of the last. May be repeated."
         ),
     ] = None,
     resume: Annotated[
-        Optional[Path],  # noqa: UP045
+        Path | None,
         typer.Option(
             "--resume",
             metavar="HISTORY",
             help="Go on from a snapshot of this history.parquet, which the recipe made with fewer steps.",
-            show_default=False,
         ),
     ] = None,
     from_step: Annotated[
-        Optional[int],  # noqa: UP045
-        typer.Option(
-            "--from-step", metavar="N", help="Resume from this step; by default from the last.", show_default=False
-        ),
+        int | None, typer.Option("--from-step", metavar="N", help="Resume from this step; by default from the last.")
     ] = None,
     graphs: Annotated[
-        Optional[list[Path]],  # noqa: UP045
+        list[Path] | None,
         typer.Option(
             "--graph",
             metavar="FILE",
             help="Export the last step's branches, of a model whose plants have some: .parquet, .csv, .gltf, .glb, "
             ".obj, .usda, .usdc. May be repeated.",
-            show_default=False,
         ),
     ] = None,
     overwrite: Overwrite = False,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Optional
+from typing import Annotated
 
 import typer
 
@@ -19,17 +19,15 @@ def stats(
         ),
     ],
     window: Annotated[
-        Optional[tuple[float, float, float, float]],  # noqa: UP045 - typer reads annotations at run time
+        tuple[float, float, float, float] | None,
         typer.Option(
             "--window",
             metavar="X0 X1 Y0 Y1",
             help="Where points were looked for; by default what a comment `window X0 X1 Y0 Y1` in the file says.",
-            show_default=False,
         ),
     ] = None,
     radii: Annotated[
-        Optional[list[str]],  # noqa: UP045
-        typer.Option("--radii", metavar="R...", help="Radii of Ripley's K, metres: --radii 1 2 4.", show_default=False),
+        list[str] | None, typer.Option("--radii", metavar="R...", help="Radii of Ripley's K, metres: --radii 1 2 4.")
     ] = None,
     as_json: Json = False,
 ) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Optional
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -21,23 +21,21 @@ def weather(
     recipe: RecipePath,
     images: Count = None,
     out: Annotated[
-        Optional[list[Path]],  # noqa: UP045 - typer reads annotations at run time
+        list[Path] | None,
         typer.Option(
             "--out",
             "-o",
             metavar="FILE",
             help="Of the last image: .nc, the state of the air; .vol or .vdb, its extinction for Mitsuba or Blender. "
             "May be repeated.",
-            show_default=False,
         ),
     ] = None,
     picture: Annotated[
-        Optional[Path],  # noqa: UP045
+        Path | None,
         typer.Option(
             "--picture",
             metavar="FILE",
             help="A PNG: clouds from the side, cut through, and from below; a row an image.",
-            show_default=False,
         ),
     ] = None,
     overrides: Overrides = None,

@@ -1,17 +1,100 @@
-"""New plants: how many, where, how large, under which numbers. Shared by the models."""
+"""What the models share: tables of plants and their snapshots; new plants: how many, where, how large, their ids."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.model import Site
+from forestgen.community.population import Population, Status
 from forestgen.core.errors import ResourceError
 
 _LARGEST_ID = 2**32 - 1
+
+
+@dataclass(frozen=True)
+class Rows:
+    """A table: each field is an array with one row a plant."""
+
+    def __len__(self) -> int:
+        return len(next(iter(vars(self).values())))
+
+    def where(self, keep: NDArray[np.bool_] | NDArray[np.int64]) -> Self:
+        """Of these rows, or those that are kept."""
+        return replace(self, **{name: values[keep] for name, values in vars(self).items()})
+
+    def and_then(self, others: Self) -> Self:
+        return replace(self, **{name: np.concatenate([a, getattr(others, name)]) for name, a in vars(self).items()})
+
+
+@dataclass(frozen=True)
+class Circles(Rows):
+    """Circles that grow and age, in order of plant_id; their models add columns."""
+
+    x_m: NDArray[np.float64]  # (N, 2) metres, world x and y
+    r_m: NDArray[np.float64]  # (N,) metres
+    sp: NDArray[np.uint16]  # (N,) index of species
+    plant_id: NDArray[np.uint32]  # (N,)
+    born: NDArray[np.int32]  # (N,) step of arrival
+
+    def population(
+        self,
+        species: Sequence[SpeciesEcology],
+        step: int,
+        step_yr: float,
+        next_id: int,
+        dominated: NDArray[np.bool_],
+        columns: Mapping[str, NDArray[Any]],
+    ) -> Population:
+        """Snapshot; z is 0. `columns` are the model's own, and `next_id` is that of the next plant to arrive."""
+        mature = self.r_m >= of_species(species, "max_radius_m")[self.sp]
+        status = np.where(mature, np.uint8(Status.MATURE), np.uint8(Status.GROWING))
+        status[dominated] = Status.DOMINATED
+        return Population(
+            time_yr=step * step_yr,
+            species_names=tuple(one.name for one in species),
+            plant_id=self.plant_id,
+            species=self.sp,
+            position_m=on_the_ground(self.x_m),
+            radius_m=self.r_m,
+            height_m=heights_m(species, self.sp, self.r_m),
+            age_yr=(step - self.born).astype(np.float64) * step_yr,
+            status=status,
+            columns=columns,
+            step=step,
+            state={"next_id": next_id},
+        )
+
+    @staticmethod
+    def columns_of(population: Population, step_yr: float) -> dict[str, NDArray[Any]]:
+        """The circles of a snapshot: the step of arrival is in the age."""
+        return {
+            "x_m": np.ascontiguousarray(population.position_m[:, :2]),
+            "r_m": population.radius_m,
+            "sp": population.species,
+            "plant_id": population.plant_id,
+            "born": np.int32(population.step) - np.rint(population.age_yr / step_yr).astype(np.int32),
+        }
+
+
+def on_the_ground(x_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(N, 3) of (N, 2) places, z 0."""
+    position_m = np.zeros((len(x_m), 3))
+    position_m[:, :2] = x_m
+    return position_m
+
+
+def heights_m(
+    species: Sequence[SpeciesEcology], sp: NDArray[np.integer], radius_m: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """(N,) heights of plants by their species' allometry, metres."""
+    scale, exponent = (of_species(species, name)[sp] for name in ("height_scale", "height_exponent"))
+    return np.asarray(scale * radius_m**exponent)
 
 
 def of_species(species: Sequence[SpeciesEcology], name: str) -> NDArray[np.float64]:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.community.arrivals import of_species
+from forestgen.community.arrivals import heights_m, on_the_ground
 from forestgen.community.competition.contract import Circles
 from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.model import Site
@@ -127,10 +127,7 @@ def _check_plants(state: State, values: NDArray[np.float64]) -> None:
 
 
 def _heights(state: State, values: NDArray[np.float64]) -> NDArray[np.float64]:
-    sp = values[:, SPECIES].astype(np.int64)
-    scale, exponent = (of_species(state.species, name) for name in ("height_scale", "height_exponent"))
-    heights: NDArray[np.float64] = scale[sp] * values[:, RADIUS] ** exponent[sp]
-    return heights
+    return heights_m(state.species, values[:, SPECIES].astype(np.int64), values[:, RADIUS])
 
 
 def snapshot(state: State, plants: Plants) -> Population:
@@ -143,8 +140,6 @@ def snapshot(state: State, plants: Plants) -> Population:
     largest = np.array([one.max_radius_m for one in state.species])[sp] if len(order) else np.zeros(0)
     status = np.where(values[:, RADIUS] >= largest, np.uint8(Status.MATURE), np.uint8(Status.GROWING))
     status[values[:, form.arity] == 0] = Status.DOMINATED
-    position_m = np.zeros((len(order), 3))
-    position_m[:, :2] = values[:, :2]
     own = np.delete(np.arange(form.values), [0, 1, RADIUS, SPECIES])
     columns: dict[str, NDArray[Any]] = {ORDER: word.astype(np.uint32)}
     columns.update({name: values[:, k].copy() for name, k in zip(form.names, own, strict=True)})
@@ -156,7 +151,7 @@ def snapshot(state: State, plants: Plants) -> Population:
         species_names=tuple(one.name for one in state.species),
         plant_id=words.word_id[word],
         species=sp,
-        position_m=position_m,
+        position_m=on_the_ground(values[:, :2]),
         radius_m=values[:, RADIUS].copy(),
         height_m=_heights(state, values),
         age_yr=(state.step - words.born_step[word]).astype(np.float64) * state.parameters.step_yr,

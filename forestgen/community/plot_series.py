@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.community.plots import colours_of, new_figure, save_figure
+from forestgen.community.plots import colours_of, new_figure, save_figure, tidy
 from forestgen.community.size_statistics import Slope
 from forestgen.community.trajectory import Trajectory
 
@@ -21,12 +21,6 @@ _STYLES = ("-", "--", "-.", ":")  # a second cue beside colour
 _LINE = "#222222"
 
 
-def _tidy(axes: Axes) -> None:
-    axes.grid(color="#DDDDDD", lw=0.6)
-    axes.set_axisbelow(True)
-    axes.spines[["top", "right"]].set_visible(False)
-
-
 def _draw_curves(
     axes: Axes, time_yr: NDArray[np.float64], values: NDArray[np.float64], colours: Mapping[str, str]
 ) -> None:
@@ -35,7 +29,7 @@ def _draw_curves(
     if len(time_yr) > 1 and time_yr[-1] > time_yr[0]:
         axes.set_xlim(time_yr[0], time_yr[-1])
     axes.set_ylim(bottom=0)
-    _tidy(axes)
+    tidy(axes)
 
 
 def plot_curves(trajectory: Trajectory, species_colours: Mapping[str, str], path: Path) -> None:
@@ -80,7 +74,7 @@ def plot_thinning(trajectory: Trajectory, slope: Slope | None, species_colours: 
         axes.plot([], [], "o", color="#777777", mfc="white", mew=1.8, label="first year")
         axes.plot([], [], "o", color="#777777", label="last year")
         figure.legend(loc="outside lower center", ncols=3, frameon=False, fontsize=10)
-    _tidy(axes)
+    tidy(axes)
     save_figure(figure, path)
 
 

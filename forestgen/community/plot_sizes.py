@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.community.plots import colours_of, darker, new_figure, save_figure
+from forestgen.community.plots import colours_of, darker, new_figure, save_figure, tidy
 from forestgen.community.population import Population, Status
 from forestgen.community.size_statistics import fit_log_normal
 from forestgen.community.statistics import plant_mass
@@ -42,7 +42,7 @@ def plot_sizes(population: Population, species_colours: Mapping[str, str], path:
     figure.suptitle(f"{population.time_yr:g} years, {int(shown.sum()):,} plants", fontsize=12)
     grid = figure.add_gridspec(rows, 2)
     plain = figure.add_subplot(grid[:, 0])
-    _tidy(plain)
+    tidy(plain, "y")
     plain.set(xlabel=label, ylabel="plants")
     if by_species:
         _draw_plain(plain, by_species, colours)
@@ -51,7 +51,7 @@ def plot_sizes(population: Population, species_colours: Mapping[str, str], path:
     is_common = all(np.ptp(one) >= _OWN_SHARE * np.ptp(common) for one in own)
     for row in range(rows):
         axes = figure.add_subplot(grid[row, 1], xscale="log")
-        _tidy(axes)
+        tidy(axes, "y")
         for name, mass in shown_there[row : row + 1]:
             edges = common if is_common else own[row]
             _draw_logarithmic(axes, name, mass, edges, colours[name])
@@ -60,12 +60,6 @@ def plot_sizes(population: Population, species_colours: Mapping[str, str], path:
             axes.tick_params(labelbottom=False)
     axes.set_xlabel(label + ", logarithmic")
     save_figure(figure, path)
-
-
-def _tidy(axes: Axes) -> None:
-    axes.grid(axis="y", color="#DDDDDD", lw=0.6)
-    axes.set_axisbelow(True)
-    axes.spines[["top", "right"]].set_visible(False)
 
 
 def _draw_plain(axes: Axes, by_species: Mapping[str, NDArray[np.float64]], colours: Mapping[str, str]) -> None:

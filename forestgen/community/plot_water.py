@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.community.model import Site
-from forestgen.community.plots import colours_of, darker, new_figure, save_figure
+from forestgen.community.plots import colours_of, darker, new_figure, save_figure, tidy
 from forestgen.community.population import Population, Status
 
 if TYPE_CHECKING:
@@ -96,7 +96,7 @@ def _draw_flows(axes: Axes, series: WaterSeries) -> None:
         "means between snapshots" if ends is series.time_yr else _years(ends[1] - ends[0]), fontsize=10, loc="left"
     )
     axes.legend(frameon=False, fontsize=10, ncols=3, loc="lower right", bbox_to_anchor=(1.02, 0.99))
-    _tidy(axes)
+    tidy(axes)
 
 
 def _years(count: float) -> str:
@@ -106,13 +106,7 @@ def _years(count: float) -> str:
 def _draw_store(axes: Axes, series: WaterSeries) -> None:
     axes.plot(series.time_yr, series.stored_mm, color=_STORED, lw=1.0 if len(series.time_yr) > 200 else 1.6)
     axes.set(ylabel="stored in soil and\non the ground (mm)", xlabel="time (years)", ylim=(0, None))
-    _tidy(axes)
-
-
-def _tidy(axes: Axes) -> None:
-    axes.grid(color="#DDDDDD", lw=0.6)
-    axes.set_axisbelow(True)
-    axes.spines[["top", "right"]].set_visible(False)
+    tidy(axes)
 
 
 def _draw_soil(figure: Any, last: Population, site: Site, colours: Mapping[str, str]) -> None:

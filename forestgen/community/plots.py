@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Literal, cast
 
 import numpy as np
 
@@ -69,6 +69,13 @@ def save_figure(figure: Figure, path: Path) -> None:
         figure.savefig(path, format="png", dpi=_DPI, metadata={"Software": None})
     except OSError as error:
         raise OutputError("the picture cannot be written", where=str(path), got=str(error)) from error
+
+
+def tidy(axes: Axes, grid: Literal["both", "y"] = "both") -> None:
+    """A faint grid behind what is drawn, and no frame above and at the right."""
+    axes.grid(axis=grid, color="#DDDDDD", lw=0.6)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
 
 
 def _draw_circles(axes: Axes, population: Population, site: Site, colours: Mapping[str, str], repeat: bool) -> None:

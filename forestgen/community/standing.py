@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.community.arrivals import new_ids, of_species, refuse_overflow
+from forestgen.community.arrivals import Rows, heights_m, new_ids, of_species, on_the_ground, refuse_overflow
 from forestgen.community.disturbance import Planting
 from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.model import CommunityParameters, Site
@@ -25,7 +25,7 @@ _FOUND = ("clustering",)  # keys of what a placement works out for itself
 
 
 @dataclass(frozen=True)
-class Plants:
+class Plants(Rows):
     """One row a plant, in order of plant_id."""
 
     x_m: NDArray[np.float64]  # (N, 2) metres, world x and y
@@ -36,9 +36,6 @@ class Plants:
     first_age_yr: NDArray[np.float64]  # (N,) at the step of arrival
     plant_id: NDArray[np.uint32]  # (N,)
     first_step: NDArray[np.int32]  # (N,) step of arrival
-
-    def __len__(self) -> int:
-        return len(self.r_m)
 
 
 @dataclass(frozen=True)
@@ -104,15 +101,13 @@ class FixedPopulation:
         """Snapshot; z is 0. A plant of its species' largest radius is mature, any other is growing."""
         plants, species = state.plants, state.species
         mature = plants.r_m >= of_species(species, "max_radius_m")[plants.sp] if len(species) else plants.r_m < 0
-        position_m = np.zeros((len(plants), 3))
-        position_m[:, :2] = plants.x_m
         age_yr = plants.first_age_yr + (state.step - plants.first_step) * state.parameters.step_yr
         return Population(
             time_yr=state.step * state.parameters.step_yr,
             species_names=tuple(one.name for one in species),
             plant_id=plants.plant_id,
             species=plants.sp,
-            position_m=position_m,
+            position_m=on_the_ground(plants.x_m),
             radius_m=plants.r_m,
             height_m=plants.height_m,
             age_yr=age_yr,
@@ -167,25 +162,21 @@ class FixedPopulation:
 
     def remove(self, state: State, plant_id: NDArray[np.uint32]) -> State:
         """The others."""
-        keep = ~np.isin(state.plants.plant_id, plant_id)
-        return replace(state, plants=Plants(*(values[keep] for values in vars(state.plants).values())))
+        return replace(state, plants=state.plants.where(~np.isin(state.plants.plant_id, plant_id)))
 
     def plant(self, state: State, planting: Planting) -> State:
         """New plants beside those that are there."""
         n = len(planting)
         refuse_overflow(state.next_id, n)
         ids = new_ids(state.next_id, n)
-        scale = of_species(state.species, "height_scale")[planting.species]
-        exponent = of_species(state.species, "height_exponent")[planting.species]
         new = Plants(
             x_m=planting.position_m,
             r_m=planting.radius_m,
-            height_m=scale * planting.radius_m**exponent,
+            height_m=heights_m(state.species, planting.species, planting.radius_m),
             sp=planting.species,
             azimuth_deg=np.array([azimuth_of(state.seed, int(one)) for one in ids], dtype=np.float64),
             first_age_yr=np.zeros(n),
             plant_id=ids,
             first_step=np.full(n, state.step, dtype=np.int32),
         )
-        both = {name: np.concatenate([a, getattr(new, name)]) for name, a in vars(state.plants).items()}
-        return replace(state, next_id=state.next_id + n, plants=Plants(**both))
+        return replace(state, next_id=state.next_id + n, plants=state.plants.and_then(new))

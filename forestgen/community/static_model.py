@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from forestgen.community.arrivals import of_species
+from forestgen.community.arrivals import heights_m, of_species
 from forestgen.community.disturbance import planted
 from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.model import CommunityParameters, Site
@@ -84,8 +84,7 @@ class StaticModel(FixedPopulation, ABC, Generic[P]):
         _check(placed, site, species)
         height_m = placed.height_m
         if height_m is None:
-            scale, exponent = (of_species(species, key)[placed.species] for key in ("height_scale", "height_exponent"))
-            height_m = scale * placed.radius_m**exponent
+            height_m = heights_m(species, placed.species, placed.radius_m)
         return first_state(
             parameters,
             species,

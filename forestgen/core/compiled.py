@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numba
-from numba.core import cgutils
+from numba.core import cgutils, types
+from numba.core.dispatcher import Dispatcher
+from numba.core.extending import _Intrinsic
 from numba.extending import intrinsic
 
 
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     """The function as machine code, which runs without Python's lock.
 
-    Numba notices when the function's own file changes, not when another file does: kernels that call one another
-    belong in one file.
+    It is compiled again when its own file changes, a file with a kernel or a named tuple that its file imports, or a
+    module that its file imports whole. So take another file's constants from its module: `layout.FIRST`.
     """
     return _compiled(function)
 
@@ -42,15 +47,39 @@ def unchecked(function: Callable[..., Any]) -> Callable[..., Any]:
 
 def _compiled(function: Callable[..., Any], **options: Any) -> Callable[..., Any]:
     try:
-        kernel: Callable[..., Any] = numba.njit(cache=True, nogil=True, **options)(function)
+        kernel: Any = numba.njit(cache=True, nogil=True, **options)(function)
     except RuntimeError:  # neither the package nor the home directory can be written to: no place for a cache
-        kernel = numba.njit(nogil=True, **options)(function)
-    return kernel
+        return numba.njit(nogil=True, **options)(function)  # type: ignore[no-any-return]
+    if not hasattr(kernel, "_cache"):  # NUMBA_DISABLE_JIT
+        return kernel  # type: ignore[no-any-return]
+    index, package = kernel._cache._cache_file, function.__module__.partition(".")[0]
+    used = _sources(function.__globals__, f"{package}.", frozenset([function.__module__]))
+    stamps = ((path.name, path.stat()) for path in map(Path, sorted(used)))
+    index._source_stamp = (index._source_stamp, *((name, one.st_mtime_ns, one.st_size) for name, one in stamps))
+    return kernel  # type: ignore[no-any-return]
+
+
+def _sources(names: dict[str, Any], package: str, seen: frozenset[str]) -> set[str]:
+    """Files of the package's modules to which a module's names refer, or in which they are kernels or tuples."""
+    modules = {_module_of(value) for value in names.values()} - seen
+    found = set()
+    for module in modules:
+        inner = vars(sys.modules[module]) if module.startswith(package) and module in sys.modules else {}
+        if inner and "__path__" not in inner:
+            found |= {inner["__file__"]} | _sources(inner, package, seen | modules)
+    return found
+
+
+def _module_of(value: object) -> str:
+    if isinstance(value, ModuleType):
+        return value.__name__
+    is_tuple = isinstance(value, type) and issubclass(value, tuple)
+    return value.__module__ if is_tuple or isinstance(value, Dispatcher | _Intrinsic) else ""
 
 
 @intrinsic
-def borrowed(typing_context, array):  # type: ignore[no-untyped-def]
-    """The same array without a claim on its memory, inside compiled code.
+def borrowed(typing_context, arrays):  # type: ignore[no-untyped-def]
+    """The same array, or tuple of arrays and numbers, without a claim on its memory, inside compiled code.
 
     Numba counts references to an array in every call that passes it, with two locked instructions a time: in kernels
     that call small functions for each element that is most of the time. Somebody else must keep the original alive:
@@ -59,9 +88,19 @@ def borrowed(typing_context, array):  # type: ignore[no-untyped-def]
     """
 
     def code(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
-        view = context.make_array(array)(context, builder, arguments[0])
-        view.meminfo = cgutils.get_null_value(view.meminfo.type)
-        view.parent = cgutils.get_null_value(view.parent.type)
-        return view._getvalue()
+        return _without_claim(context, builder, arrays, arguments[0])
 
-    return array(array), code
+    return arrays(arrays), code
+
+
+def _without_claim(context: Any, builder: Any, kind: Any, value: Any) -> Any:
+    if isinstance(kind, types.BaseTuple):  # type: ignore[attr-defined]
+        members = cgutils.unpack_tuple(builder, value)
+        parts = [_without_claim(context, builder, *one) for one in zip(kind.types, members, strict=True)]
+        return context.make_tuple(builder, kind, parts)
+    if not isinstance(kind, types.Array):
+        return value
+    view = context.make_array(kind)(context, builder, value)
+    view.meminfo = cgutils.get_null_value(view.meminfo.type)
+    view.parent = cgutils.get_null_value(view.parent.type)
+    return view._getvalue()

@@ -120,3 +120,14 @@ def at_once(jobs: Sequence[Callable[[], T]]) -> list[T]:
         return [job() for job in jobs]
     with _POOL.threads() as pool:
         return list(pool.map(lambda job: job(), jobs))
+
+
+def over_slabs(count: int, cells_each: int, work: Callable[[int, int], None]) -> None:
+    """``work(first, end)`` over 0 ... count in disjoint ranges, on all cores; each of the count has so many cells."""
+
+    def slab(first_cell: int, end_cell: int) -> None:
+        first, end = -(-first_cell // cells_each), -(-end_cell // cells_each)
+        if first < end:
+            work(first, end)
+
+    over_ranges(count * cells_each, slab)

@@ -31,13 +31,11 @@ from numpy.typing import NDArray
 
 from forestgen.core.threads import map_ranges
 from forestgen.geometry.mesh import Mesh
-from forestgen.geometry.sweep_kernel import fill
+from forestgen.geometry.sweep_kernel import Surface, Tubes, Turns, fill
 from forestgen.geometry.sweep_points import frames, keep, starts
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-Floats32 = NDArray[np.float32]
-Indices = NDArray[np.uint32]
 
 MOST_SIDES = 256
 
@@ -151,24 +149,33 @@ def sweep_tubes(
     factor = np.zeros((0, 0)) if radial_factor is None else np.ascontiguousarray(radial_factor, dtype=np.float64)
     if radial_factor is not None and (len(factor) != len(points) or factor.shape[1] < sides.max(initial=0)):
         raise ValueError(f"radial_factor must be ({len(points)}, {sides.max(initial=0)}), got {factor.shape}")
-    ends_in_point = _each(pointed, count, np.bool_)
-    ratio = _each(height_ratio, len(points), np.float64)
-    kept, length = np.empty(len(points), dtype=np.int64), np.empty(count, dtype=np.int64)
-    least = np.empty(count)
-    keep(points, lines.radius_m, lines.offset, kept, length, least)
-    vertex_start, face_start = np.empty(count + 1, dtype=np.int64), np.empty(count + 1, dtype=np.int64)
-    starts(sides, ends_in_point, length, vertex_start, face_start)
-    vertices, normals, uv, faces = _room(int(vertex_start[-1]), int(face_start[-1]))
-    turns = _ring_tables(sides)
+    tubes = _tubes(
+        lines, points, sides, _each(pointed, count, np.bool_), _each(height_ratio, len(points), np.float64), factor
+    )
+    surface = _room(int(tubes.vertex_start[-1]), int(tubes.face_start[-1]))
+    turns, tile = _ring_tables(sides), np.array(tile_m, dtype=np.float64)
 
     def part(first: int, end: int) -> int:
-        tubes = (lines.offset, kept, length, least, sides, ends_in_point, vertex_start, face_start)
-        given = (points, lines.radius_m, ratio, factor, np.array(tile_m, dtype=np.float64))
-        return int(fill(first, end, *given, *tubes, *turns, vertices, normals, uv, faces))
+        return int(fill(first, end, tubes, tile, turns, surface))
+
+    vertices, normals, uv, faces = surface
 
     if sum(map_ranges(count, part)):  # neighbouring rings touched: a triangle without area is not one
         faces = faces[faces[:, 0] != faces[:, 1]]
-    return Mesh(vertices, faces, normals, uv), vertex_start
+    return Mesh(vertices, faces, normals, uv), tubes.vertex_start
+
+
+def _tubes(
+    lines: Polylines, points: Floats, sides: Ints, pointed: NDArray[np.bool_], ratio: Floats, factor: Floats
+) -> Tubes:
+    """The points that are meshed, and where each tube begins in the mesh."""
+    count = len(sides)
+    kept, length, least = np.empty(len(points), dtype=np.int64), np.empty(count, dtype=np.int64), np.empty(count)
+    keep(points, lines.radius_m, lines.offset, kept, length, least)
+    vertex_start, face_start = np.empty(count + 1, dtype=np.int64), np.empty(count + 1, dtype=np.int64)
+    starts(sides, pointed, length, vertex_start, face_start)
+    shape = (points, lines.radius_m, ratio, factor)
+    return Tubes(*shape, lines.offset, kept, length, least, sides, pointed, vertex_start, face_start)
 
 
 def _each(given: object, count: int, kind: type) -> NDArray[Any]:
@@ -177,7 +184,7 @@ def _each(given: object, count: int, kind: type) -> NDArray[Any]:
     return np.ascontiguousarray(values) if values.shape == (count,) else np.full(count, values)
 
 
-def _room(vertices: int, faces: int) -> tuple[Floats32, Floats32, Floats32, Indices]:
+def _room(vertices: int, faces: int) -> Surface:
     """Vertices, normals, texture coordinates and faces, not yet filled, in one block of memory.
 
     One block reaches sooner the size from which NumPy asks for large pages: new small ones take longer than the mesh.
@@ -185,14 +192,14 @@ def _room(vertices: int, faces: int) -> tuple[Floats32, Floats32, Floats32, Indi
     block = np.empty(8 * vertices + 3 * faces, dtype=np.float32)
     position, normal = block[: 3 * vertices].reshape(-1, 3), block[3 * vertices : 6 * vertices].reshape(-1, 3)
     uv, face = block[6 * vertices : 8 * vertices].reshape(-1, 2), block[8 * vertices :].view(np.uint32)
-    return position, normal, uv, face.reshape(-1, 3)
+    return Surface(position, normal, uv, face.reshape(-1, 3))
 
 
-def _ring_tables(sides: Ints) -> tuple[Ints, Floats, Floats]:
+def _ring_tables(sides: Ints) -> Turns:
     """First row of each number of sides, and the cosines and sines round its ring."""
     most = int(sides.max(initial=3))
     used = np.flatnonzero(np.bincount(sides))
     first = np.zeros(most + 1, dtype=np.int64)
     first[used] = np.cumsum(used) - used
     angle = np.concatenate([np.arange(n) * (2.0 * np.pi / n) for n in used] or [np.zeros(0)])
-    return first, np.cos(angle), np.sin(angle)
+    return Turns(first, np.cos(angle), np.sin(angle))

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from typing import NoReturn
 
 from forestgen.core.errors import LsystemError
-from forestgen.lsystem.folding import fold, spell
+from forestgen.lsystem.folding import fold
 from forestgen.lsystem.syntax import Listing, Macro, Module, Name, Place, Production
 
 #: The turtle gives these defaults: they may come with and without parameters.
@@ -123,7 +123,7 @@ def check_probabilities(productions: Sequence[Production], listing: Listing) -> 
         heads = tuple(
             tuple((m.symbol, len(m.arguments)) for m in part) for part in (one.left, one.predecessor, one.right)
         )
-        key = (heads, spell(one.condition), one.group)
+        key = (heads, one.condition, one.group)
         sums[key] = sums.get(key, 0.0) + value
         if sums[key] > 1 + 1e-9:
             _fail(

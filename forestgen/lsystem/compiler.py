@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NoReturn
 
 from forestgen.core.errors import LsystemError
 from forestgen.lsystem.checks import check_arities, check_brackets, check_heads, check_probabilities
-from forestgen.lsystem.emitter import Emitter, Scope
+from forestgen.lsystem.emitter import Emitter, Scope, assigned
 from forestgen.lsystem.folding import fold
 from forestgen.lsystem.functions import points_problem
 from forestgen.lsystem.multiset import RESERVED
 from forestgen.lsystem.packing import Rule, pack
 from forestgen.lsystem.program import Program
 from forestgen.lsystem.syntax import (
-    Assign,
     Expression,
-    If,
     Listing,
     Macro,
     Module,
@@ -96,7 +94,7 @@ class _Compiler:
     def __init__(self, listing: Listing) -> None:
         self.listing = listing
         blocks = (listing.start, listing.start_each, listing.end_each, listing.end)
-        names = dict.fromkeys(one.name for block in blocks for one in _assigned(block))
+        names = dict.fromkeys(name for block in blocks for statement in block for name in assigned(statement))
         self.e = Emitter(listing.name, listing.macros, list(listing.arrays), list(listing.functions), ["", *names])
         self.e.groups |= {production.group for production in listing.productions}
         for kind in RESERVED:
@@ -238,12 +236,3 @@ class _Compiler:
     def length(self) -> int | None:
         given = self.listing.derivation_length
         return None if given is None else self.whole(given, 0, "derivation length")
-
-
-def _assigned(statements: Sequence[Statement]) -> Iterator[Assign]:
-    for one in statements:
-        if isinstance(one, Assign):
-            yield one
-        elif isinstance(one, If):
-            yield from _assigned(one.then)
-            yield from _assigned(one.otherwise)

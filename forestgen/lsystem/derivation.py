@@ -146,11 +146,9 @@ def interpret(program: Program, state: Derivation, seed: int, *, most_modules: i
 
 def percent_meaning(program: Program) -> int:
     """What % does: fragments a multiset's words, cuts a plain string's branches, nothing in rhover's dialect."""
-    from forestgen.lsystem.machine import CUT, FRAGMENT
-
     if program.listing.dialect == "rhover":
         return 0
-    return FRAGMENT if program.listing.is_multiset else CUT
+    return layout.FRAGMENT if program.listing.is_multiset else layout.CUT
 
 
 def _key(seed: int, stage: str, step: int) -> np.uint64:
@@ -189,10 +187,10 @@ def _run(
     out_parameter: NDArray[np.float64],
     step: int,
 ) -> NDArray[np.float64]:
-    from forestgen.lsystem import machine  # late: compiled kernels
+    from forestgen.lsystem.machine_expressions import run  # late: compiled kernels
 
     real, state = _reals(program, glob), _state(program)
-    wrong = machine.run(program.whole, real, state, key, begin, out_code, out_parameter)
+    wrong = run(program.whole, real, state, key, begin, out_code, out_parameter)
     if wrong != op.OK:
         _fail(program, wrong, int(state[layout.FAULT]), step, None)
     return real
@@ -222,18 +220,26 @@ def _rewritten(
     is_drawing: bool = False,
 ) -> Derivation:
     """All words rewritten by `rules`, and what comes out by `inner`; ranges of many words on several threads."""
-    from forestgen.lsystem import machine  # late: compiled kernels
+    from forestgen.lsystem import machine, machine_words  # late: compiled kernels
 
     words, outer = state.multiset, rules or _nothing(program)
     starts = mate = np.zeros(0, np.int64)
     if program.has_contexts and rules is not None:
         starts, mate = words.parameter_start(), np.zeros(len(words.code), np.int64)
-        machine.pair_brackets(words.code, mate)
+        machine_words.pair_brackets(words.code, mate)
+    text = layout.Text(words.code, words.parameter, starts, mate)
     has_outer = outer.address >= 0
     whole = program.whole if has_outer else _with_nothing(program)
-    depth = program.interpretation_depth if is_drawing else program.decomposition_depth
-    percent = 0 if is_drawing else percent_meaning(program)
-    key, group = _key(seed, stage, step), int(state.globals[0])
+    key = _key(seed, stage, step)
+    how = layout.Rewriting(
+        rules=outer.address if has_outer else len(program.whole),
+        inner=inner.address,
+        group=int(state.globals[0]),
+        depth=program.interpretation_depth if is_drawing else program.decomposition_depth,
+        is_strict=not is_drawing,
+        percent=0 if is_drawing else percent_meaning(program),
+        step=step,
+    )
 
     def rewrite(first: int, end: int) -> tuple[int, NDArray[np.int64], _Space]:
         """The words of a range: what went wrong, the machine's state, what was written."""
@@ -242,29 +248,33 @@ def _rewritten(
         m[layout.NEXT_VALUE] = np.bincount(words.code[:begin], minlength=len(program.kinds)) @ words.arity
         m[layout.NEXT_ID] = state.next_id
         space = _Space(program, words.code[begin : words.word_start[end]], end - first, outer, most_modules)
+        memory = layout.Memory(whole, real, m)
+        chosen = layout.Words(words.word_start[first : end + 1], words.word_id[first:end], words.born_step[first:end])
         while True:
-            wrong = machine.rewrite(
-                whole, real, m, key, outer.address if has_outer else len(program.whole), inner.address, group, depth,
-                not is_drawing, percent, step, words.code, words.parameter, starts, mate,
-                words.word_start[first : end + 1], words.word_id[first:end], words.born_step[first:end],
-                *space.buffers(),
-            )  # fmt: skip
+            wrong = machine.rewrite(memory, key, how, text, chosen, space.made, space.pile, space.out, space.words)
             if wrong != op.MORE_SPACE or not space.grow(m):
                 return wrong, m, space
 
     done = map_ranges(len(words), rewrite)
-    for wrong, m, _ in done:
-        if wrong == op.MORE_SPACE:
-            raise _too_many(program, most_modules, step)
-        if wrong != op.OK:
-            _fail(program, wrong, int(m[layout.FAULT]), step, _around(words, int(m[layout.FAULT_MODULE])))
-    if sum(int(m[layout.DONE]) for _, m, _ in done) > min(most_modules, _LARGEST_INDEX):
-        raise _too_many(program, most_modules, step)
+    _check(program, words, [(wrong, m) for wrong, m, _ in done], step, most_modules)
     result, next_id = _joined(program, [(space, m) for _, m, space in done], state.next_id)
     if next_id - 1 > _LARGEST_ID:
         most = f"at most {_LARGEST_ID:,} words in a history"
         raise ResourceError("ids of words are used up", where=program.name, expected=most)
     return Derivation(result, state.step, next_id, state.globals)
+
+
+def _check(
+    program: Program, words: Multiset, done: Sequence[tuple[int, NDArray[np.int64]]], step: int, most_modules: int
+) -> None:
+    """Raise what went wrong in a step, if something did."""
+    for wrong, m in done:
+        if wrong == op.MORE_SPACE:
+            raise _too_many(program, most_modules, step)
+        if wrong != op.OK:
+            _fail(program, wrong, int(m[layout.FAULT]), step, _around(words, int(m[layout.FAULT_MODULE])))
+    if sum(int(m[layout.DONE]) for _, m in done) > min(most_modules, _LARGEST_INDEX):
+        raise _too_many(program, most_modules, step)
 
 
 def _too_many(program: Program, most_modules: int, step: int) -> TooManyModulesError:
@@ -301,41 +311,39 @@ class _Space:
         modules = min(int(counts @ rules.most_modules), self.most_space) + _SLACK
         values = min(int(counts @ rules.most_values), 64 * modules) + _SLACK
         n = n_words + n_words // 16 + _SLACK
-        self.out: list[NDArray[Any]] = [np.empty(modules, np.uint16), np.empty(values)]
-        self.words: list[NDArray[Any]] = [np.empty(n + 1, np.int32), np.empty(n, np.uint32), np.empty(n, np.int32)]
+        self.out = layout.Modules(np.empty(modules, np.uint16), np.empty(values))
+        self.words = layout.Words(np.empty(n + 1, np.int32), np.empty(n, np.uint32), np.empty(n, np.int32))
         longest, most_values = program.longest_successor
-        self.made: list[NDArray[Any]] = [np.empty(longest, np.uint16), np.empty(most_values)]
-        self.pile: list[NDArray[Any]] = [np.empty(_SLACK + longest, np.uint16), np.empty(_SLACK + longest, np.int64)]
-        self.pile.append(np.empty(4 * _SLACK + most_values))
-
-    def buffers(self) -> list[NDArray[Any]]:
-        return [*self.made, *self.pile, *self.out, *self.words]
+        self.made = layout.Modules(np.empty(longest, np.uint16), np.empty(most_values))
+        waiting = _SLACK + longest
+        self.pile = layout.Pile(
+            np.empty(waiting, np.uint16), np.empty(waiting, np.int64), np.empty(4 * _SLACK + most_values)
+        )
 
     def grow(self, m: NDArray[np.int64]) -> bool:
         """Twice the space of what the machine needs, with what was written; False where that exceeds the limit."""
         need = m[layout.NEED]
         if need == layout.NEED_PILE:
-            if len(self.pile[0]) > self.most_space:
+            if len(self.pile.code) > self.most_space:
                 return False
-            self.pile = [_grown(one, 0) for one in self.pile]
+            self.pile = layout.Pile(*(_grown(one, 0) for one in self.pile))
         elif need == layout.NEED_WORDS:
-            self.words = [_grown(one, int(m[layout.WORDS])) for one in self.words]
+            self.words = layout.Words(*(_grown(one, int(m[layout.WORDS])) for one in self.words))
         else:
-            if m[layout.DONE] > self.most_modules or len(self.out[0]) > self.most_space:
+            if m[layout.DONE] > self.most_modules or len(self.out.code) > self.most_space:
                 return False
-            self.out = [
-                _grown(one, int(m[at])) for one, at in zip(self.out, (layout.DONE, layout.DONE_VALUES), strict=True)
-            ]
+            code, parameter = self.out
+            self.out = layout.Modules(_grown(code, int(m[layout.DONE])), _grown(parameter, int(m[layout.DONE_VALUES])))
         return True
 
     def written(self, m: NDArray[np.int64]) -> list[NDArray[Any]]:
         """Codes, parameters, starts, ids and steps of birth; they are held here no longer."""
         n = int(m[layout.WORDS])
         if n == 0:
-            self.words[0][0] = 0
+            self.words.start[0] = 0
         sizes = (int(m[layout.DONE]), int(m[layout.DONE_VALUES]), n + 1, n, n)
-        arrays = [*self.out, *self.words]
-        self.out, self.words = [], []
+        arrays: list[NDArray[Any]] = [*self.out, *self.words]
+        del self.out, self.words
         return [array[:size] for array, size in zip(arrays, sizes, strict=True)]
 
 

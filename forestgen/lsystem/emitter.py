@@ -173,7 +173,7 @@ class Scope:
         self.e.put(op.STORE, place, -1, self.local(name), Region.LOCAL)
 
     def branches(self, one: If) -> None:
-        for name in dict.fromkeys(_assigned(one)):
+        for name in dict.fromkeys(assigned(one)):
             if not self.is_global and name not in self.locals:  # 0 where no branch sets it
                 self.e.constant(0.0, one.place)
                 self.assign_to(name, one.place)
@@ -319,13 +319,13 @@ class Scope:
         self.e.put(op.OPERATORS[one.operator], one.place, -1)
 
 
-def _assigned(one: Statement) -> Iterator[str]:
+def assigned(one: Statement) -> Iterator[str]:
     """Names that a statement may assign."""
     if isinstance(one, Assign):
         yield one.name
     elif isinstance(one, If):
         for inner in (*one.then, *one.otherwise):
-            yield from _assigned(inner)
+            yield from assigned(inner)
 
 
 def number_functions(names: Sequence[str]) -> dict[str, int]:

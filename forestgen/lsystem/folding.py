@@ -100,20 +100,3 @@ class _Folder:
             where = f"{self.name}:{one.place.line}:{one.place.column}"
             raise LsystemError("division by zero", where=where)
         return None if left is None or right is None else _OPERATORS[one.operator](left, right)
-
-
-def spell(expression: Expression | None) -> str:
-    """The expression written in one way, to tell whether two are the same."""
-    if expression is None:
-        return ""
-    if isinstance(expression, Number):
-        return repr(expression.value)
-    if isinstance(expression, Name):
-        return expression.name
-    if isinstance(expression, Call):
-        return f"{expression.name}({','.join(map(spell, expression.arguments))})"
-    if isinstance(expression, Index):
-        return f"{expression.name}[{spell(expression.index)}]"
-    if isinstance(expression, Unary):
-        return f"{expression.operator}({spell(expression.operand)})"
-    return f"({spell(expression.left)}{expression.operator}{spell(expression.right)})"

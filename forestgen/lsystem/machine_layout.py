@@ -1,8 +1,15 @@
-"""Addresses in the tables that `packing` makes and `machine` reads."""
+"""Addresses in the tables that `packing` makes and `machine` reads, and the arrays that pass between them."""
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Codes = NDArray[np.uint16]
+Indices = NDArray[np.int64]
+Values = NDArray[np.float64]
 
 # t, the program in whole numbers: it begins with addresses in t or in v, the program in real numbers
 ARITY: Final = 0  # of the kinds' numbers of parameters
@@ -56,3 +63,58 @@ NEED_WORDS: Final = 1
 NEED_PILE: Final = 2
 
 MOST_EXPANSIONS: Final = 200_000_000  # of a step's decomposition: seconds of work
+
+CUT: Final = 1  # what % does; 0: nothing
+FRAGMENT: Final = 2
+
+
+class Memory(NamedTuple):
+    """The program and the machine's state."""
+
+    t: Indices
+    v: Values
+    m: Indices
+
+
+class Rewriting(NamedTuple):
+    """What a step does."""
+
+    rules: int  # address in t
+    inner: int  # address in t of those that decompose what comes out; -1: none
+    group: int
+    depth: int  # of the decomposition
+    is_strict: bool  # whether a deeper one is an error
+    percent: int  # CUT, FRAGMENT or 0
+    step: int
+
+
+class Text(NamedTuple):
+    """Modules that are read, as in `Multiset`; the last two only for programs with contexts, else of no length."""
+
+    code: Codes
+    parameter: Values
+    start: Indices  # (M,) first parameter of each module
+    mate: Indices  # (M,) partner of each bracket
+
+
+class Words(NamedTuple):
+    """A list of words, as in `Multiset`."""
+
+    start: NDArray[np.int32]  # (W + 1,) first module
+    id: NDArray[np.uint32]
+    born: NDArray[np.int32]
+
+
+class Modules(NamedTuple):
+    """Modules that are written."""
+
+    code: Codes
+    parameter: Values
+
+
+class Pile(NamedTuple):
+    """Modules that wait for their decomposition."""
+
+    code: Codes
+    depth: Indices
+    parameter: Values

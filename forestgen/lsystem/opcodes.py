@@ -100,4 +100,3 @@ PROBABILITIES_OVER_ONE: Final = 7
 TOO_DEEP: Final = 8
 # What the caller has to do
 MORE_SPACE: Final = 20
-TOO_MANY: Final = 21

@@ -25,14 +25,23 @@ from forestgen.lsystem.syntax import (
     Place,
     Production,
 )
+from forestgen.lsystem.sys_format import parse_sys_file
 
 DIALECTS = ("cpfg", "abop")
 _MOST_FUNCTIONS = 1000
 _MOST_GROUPS = 1_000_000
 
 
-def parse_file(path: Path) -> Listing:
-    """The program in a file; see `parse_text`."""
+def read_listing(path: Path) -> Listing:
+    """The program in a file: .sys as in Randleff-Rasmussen 2004, else in cpfg's conventions.
+
+    Raises
+    ------
+    AssetError : there is no such file, or it cannot be read.
+    LsystemError : it is not understood; with line and column.
+    """
+    if path.suffix == ".sys":
+        return parse_sys_file(path)
     return parse_text(read_program(path), str(path))
 
 

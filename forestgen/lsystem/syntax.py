@@ -1,4 +1,7 @@
-"""The parts of an L-system program as the parser finds them; every part knows its place in the text."""
+"""The parts of an L-system program as the parser finds them; every part knows its place in the text.
+
+Expressions are equal if they are written alike, wherever they stand.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,7 @@ FIRST = Place(1, 1)
 @dataclass(frozen=True)
 class Number:
     value: float
-    place: Place
+    place: Place = field(compare=False)
 
 
 @dataclass(frozen=True)
@@ -27,14 +30,14 @@ class Name:
     """A parameter, a local or global variable, or a #define."""
 
     name: str
-    place: Place
+    place: Place = field(compare=False)
 
 
 @dataclass(frozen=True)
 class Call:
     name: str
     arguments: tuple[Expression, ...]
-    place: Place
+    place: Place = field(compare=False)
 
 
 @dataclass(frozen=True)
@@ -43,14 +46,14 @@ class Index:
 
     name: str
     index: Expression
-    place: Place
+    place: Place = field(compare=False)
 
 
 @dataclass(frozen=True)
 class Unary:
     operator: str  # - !
     operand: Expression
-    place: Place
+    place: Place = field(compare=False)
 
 
 @dataclass(frozen=True)
@@ -58,7 +61,7 @@ class Binary:
     operator: str  # || && == != < <= > >= + - * / % ^
     left: Expression
     right: Expression
-    place: Place
+    place: Place = field(compare=False)
 
 
 Expression = Number | Name | Call | Index | Unary | Binary
@@ -68,7 +71,7 @@ Expression = Number | Name | Call | Index | Unary | Binary
 class Assign:
     name: str
     value: Expression
-    place: Place
+    place: Place = field(compare=False)
 
 
 @dataclass(frozen=True)
@@ -76,13 +79,13 @@ class If:
     condition: Expression
     then: tuple[Statement, ...]
     otherwise: tuple[Statement, ...]
-    place: Place
+    place: Place = field(compare=False)
 
 
 @dataclass(frozen=True)
 class UseGroup:
     group: Expression
-    place: Place
+    place: Place = field(compare=False)
 
 
 Statement = Assign | If | UseGroup

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from forestgen.community.soil_water.ground import Floats, Ground, checked_map
-from forestgen.community.soil_water.model import SUBSTEP_DAYS, Map, SoilWater, Water
+from forestgen.community.soil_water.model import SUBSTEP_DAYS, Fields, Map, SoilWater, Water
 from forestgen.community.soil_water.parameters import PlantParameters, SoilWaterParameters
 from forestgen.community.soil_water.transport import Transport
 
@@ -113,7 +113,7 @@ class VegetationWater:
         uptake, loss = np.empty(shape), np.zeros(shape)
         for _ in range(count):
             uptake[:] = 0.0
-            soil, surface = self.soil.substeps(soil, surface, density, rain, uptake, loss, step, 1)
+            soil, surface = self.soil.substeps(Fields(soil, surface, density, rain, uptake, loss), step, 1)
             density = self._spread.over(stays * density + grows * uptake, step)
             density[density < _NONE_G_PER_M2] = 0.0  # numbers that small are slow, and come from nothing that lives
         return Vegetation(density, Water(soil, surface))

@@ -15,8 +15,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.atmosphere.fluid.loops import over_slabs
 from forestgen.core.compiled import borrowed, unchecked
+from forestgen.core.threads import over_slabs
 
 Field = NDArray[np.float32]
 _ZERO, _ONE, _TWO = np.float32(0), np.float32(1), np.float32(2)

@@ -32,11 +32,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.atmosphere.fluid.advection import Transport, fill_sides
-from forestgen.atmosphere.fluid.background import background
+from forestgen.atmosphere.fluid.background import HEAT_CAPACITY_J_PER_KG_K, Background, background
 from forestgen.atmosphere.fluid.boundaries import Boundaries, Velocity, solid_cells
 from forestgen.atmosphere.fluid.buoyancy import carry_rest, lift
 from forestgen.atmosphere.fluid.diagnostics import divergence_per_s, total_energy_j, total_water_kg
-from forestgen.atmosphere.fluid.emission import Ground
 from forestgen.atmosphere.fluid.microphysics import change_phases, fall
 from forestgen.atmosphere.fluid.momentum import advance_velocity
 from forestgen.atmosphere.fluid.parameters import STABLE_COURANT, Physics, Surface, UnstableError
@@ -328,3 +327,32 @@ def _calm_per_s(grid: AirGrid, physics: Physics) -> NDArray[np.float64]:
         return 0.0 * height
     within = np.clip(1 - (1 - height) / physics.sponge_share, 0, 1)
     return np.asarray(physics.sponge_per_s * np.sin(np.pi / 2 * within) ** 2)
+
+
+class Ground:
+    """The lowest air of each column, and what it receives.
+
+    Parameters
+    ----------
+    solid : (Z, Y, X) cells inside the terrain, or None.
+    """
+
+    def __init__(
+        self, grid: AirGrid, surface: Surface | None, solid: NDArray[np.bool_] | None, air: Background
+    ) -> None:
+        z, y, x = grid.shape
+        self.lowest = np.zeros((y, x), np.int64) if solid is None else solid.sum(axis=0)
+        self._at = (np.minimum(self.lowest, z - 1) + 2, *np.indices((y, x)) + 2)
+        self._warming, self._wetting = (np.zeros((y, x), np.float32),) * 2
+        if surface is not None:
+            mass = air.flow_density_kg_per_m3 * grid.cell_m[2]
+            exner = air.temperature_ratio[np.minimum(self.lowest, z - 1)]
+            self._warming = (surface.heat_w_per_m2 / (mass * HEAT_CAPACITY_J_PER_KG_K * exner)).astype(np.float32)
+            self._wetting = (surface.vapour_kg_per_m2_s / mass).astype(np.float32)
+        self._gives = bool(self._warming.any() or self._wetting.any())
+
+    def give(self, heat: Field, vapour: Field, step_s: float) -> None:
+        """Adds a step's emission to fields (Z + 4, Y + 4, X + 4). Dew takes no more vapour than there is."""
+        if self._gives:
+            heat[self._at] += np.float32(step_s) * self._warming
+            vapour[self._at] = np.maximum(vapour[self._at] + np.float32(step_s) * self._wetting, 0)

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.atmosphere.fluid.background import VAPOUR_LIGHTNESS, Background
-from forestgen.atmosphere.fluid.loops import over_slabs
 from forestgen.atmosphere.sounding import GRAVITY_M_PER_S2
 from forestgen.core.compiled import borrowed, unchecked
+from forestgen.core.threads import over_slabs
 
 Field = NDArray[np.float32]
 _HALF = np.float32(0.5)

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.atmosphere.fluid.background import HEAT_CAPACITY_J_PER_KG_K, Background
-from forestgen.atmosphere.fluid.loops import over_slabs
 from forestgen.atmosphere.fluid.parameters import Physics
 from forestgen.atmosphere.sounding import LATENT_HEAT_J_PER_KG
 from forestgen.core.compiled import borrowed, unchecked
+from forestgen.core.threads import over_slabs
 
 Field = NDArray[np.float32]
 _ZERO, _ONE = np.float32(0), np.float32(1)

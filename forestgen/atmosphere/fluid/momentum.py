@@ -13,8 +13,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.atmosphere.fluid.loops import over_slabs
 from forestgen.core.compiled import borrowed, unchecked
+from forestgen.core.threads import over_slabs
 
 Field = NDArray[np.float32]
 _TWO, _THREE, _SEVEN = np.float32(2), np.float32(3), np.float32(7)

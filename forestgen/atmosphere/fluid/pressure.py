@@ -14,11 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.atmosphere.fluid.boundaries import Velocity
-from forestgen.atmosphere.fluid.loops import over_slabs
 from forestgen.atmosphere.fluid.parameters import UnstableError
 from forestgen.atmosphere.weather import AirGrid
 from forestgen.core.compiled import borrowed, unchecked
-from forestgen.core.threads import cores
+from forestgen.core.threads import cores, over_slabs
 
 Field = NDArray[np.float32]
 _MOST_ITERATIONS = 200  # hills take 13, cliffs half as high as the box 35, walls with slots of three cells 130

@@ -15,11 +15,10 @@ from numpy.typing import NDArray
 
 from forestgen.atmosphere.fluid.background import Background
 from forestgen.atmosphere.fluid.boundaries import Velocity
-from forestgen.atmosphere.fluid.loops import over_slabs
 from forestgen.atmosphere.fluid.parameters import Physics, UnstableError
 from forestgen.atmosphere.weather import AirGrid
 from forestgen.core.compiled import borrowed, unchecked
-from forestgen.core.threads import at_once
+from forestgen.core.threads import at_once, over_slabs
 
 Field = NDArray[np.float32]
 WAVE_LIMIT = 1.8  # of step x frequency; 2 is the leapfrog's

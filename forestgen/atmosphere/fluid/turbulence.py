@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.atmosphere.fluid.boundaries import Velocity
-from forestgen.atmosphere.fluid.loops import over_slabs
 from forestgen.atmosphere.weather import AirGrid
 from forestgen.core.compiled import borrowed, unchecked
+from forestgen.core.threads import over_slabs
 
 Field = NDArray[np.float32]
 _HALF, _QUARTER = np.float32(0.5), np.float32(0.25)

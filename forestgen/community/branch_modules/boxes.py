@@ -3,9 +3,6 @@
 A sphere's volume within a box is the integral of disc and rectangle's common area (exact) over height, by Gauss and
 Legendre's rule with 12 points on each of the parts between the heights at which the disc begins or ceases to reach a
 side or corner. Its error is below 1e-5 of the sphere's volume (measured in the tests).
-
-Kernels of other files call those of this one, and Numba's cache sees changes of a kernel's own file only: after a
-change here, touch the files that import it.
 """
 
 from __future__ import annotations

@@ -7,9 +7,9 @@ from collections.abc import Collection, Sequence
 from forestgen.architecture.prototypes import load_prototypes
 from forestgen.architecture.tables import Tables, tables_of
 from forestgen.community.branch_modules.changes import check_changes, parameters_at
-from forestgen.community.branch_modules.limits import no_prototype, not_growing
 from forestgen.community.branch_modules.parameters import BranchModulesParameters
 from forestgen.community.branch_modules.traits import STAND_IN
+from forestgen.community.branch_modules.unknown_names import no_prototype, not_growing
 from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.obstacles import Obstacle
 from forestgen.community.population import Population

@@ -20,8 +20,8 @@ from pydantic import BaseModel
 
 from forestgen.architecture.plant_type import PlantType
 from forestgen.community.branch_modules.change import Change, species_key
-from forestgen.community.branch_modules.limits import no_prototype, not_growing
 from forestgen.community.branch_modules.parameters import BranchModulesParameters
+from forestgen.community.branch_modules.unknown_names import no_prototype, not_growing
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.sources import Keys
 

@@ -18,9 +18,6 @@ more than seedlings, and time and memory are O(M). Each sphere adds up its own n
 the sums do not depend on the number of threads.
 
 On a torus a sphere meets the nearest image of another; spheres should be smaller than a quarter of the site.
-
-Kernels of other files call those of this one, and Numba's cache sees changes of a kernel's own file only: after a
-change here, touch the files that import it.
 """
 
 from __future__ import annotations
@@ -57,21 +54,6 @@ class Cells(NamedTuple):  # a tuple: compiled loops take no dataclass
     level: Floats  # (levels, 9) first column, nx, ny, columns per metre in x and y, x0, y0, layers per metre, most r
     width: float  # of the torus; 0: the plane
     height: float
-
-
-@compiled
-def lent(cells):  # type: ignore[no-untyped-def]
-    """The same cells, in a kernel that passes them on for each sphere; see `borrowed`."""
-    return Cells(
-        borrowed(cells.sphere),
-        borrowed(cells.row),
-        borrowed(cells.start),
-        borrowed(cells.first),
-        borrowed(cells.bottom),
-        borrowed(cells.level),
-        cells.width,
-        cells.height,
-    )
 
 
 @compiled
@@ -158,7 +140,7 @@ def runs(x, y, z, radius, cells, out):  # type: ignore[no-untyped-def]
 @compiled
 def _sum_overlaps(first, end, cells, parent, joints, boxes, total):  # type: ignore[no-untyped-def]
     """Set `total` of the spheres `first` to `end` of the grid to the sum of their common volumes with others, m3."""
-    cells, parent, total, boxes = lent(cells), borrowed(parent), borrowed(total), borrowed(boxes)
+    cells, parent, total, boxes = borrowed(cells), borrowed(parent), borrowed(total), borrowed(boxes)
     sphere, rows, width, height = cells.sphere, cells.row, cells.width, cells.height
     room = np.empty((256, 2), dtype=np.int64)
     run = borrowed(room)

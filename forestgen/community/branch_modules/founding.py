@@ -11,10 +11,17 @@ from numpy.typing import NDArray
 from forestgen.architecture.prototype import Prototype
 from forestgen.community.arrivals import new_ids
 from forestgen.community.branch_modules.kinds import kinds_at
-from forestgen.community.branch_modules.limits import refuse_more_modules
 from forestgen.community.branch_modules.parameters import BranchModulesParameters, is_blocked
 from forestgen.community.branch_modules.seeding import begun
-from forestgen.community.branch_modules.state import Plants, State, appended, no_modules, no_snags, without_modules
+from forestgen.community.branch_modules.state import (
+    Plants,
+    State,
+    appended,
+    no_modules,
+    no_snags,
+    refuse_more_modules,
+    without_modules,
+)
 from forestgen.community.branch_modules.surroundings import boxes_of, ground_at
 from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.model import Site

@@ -36,7 +36,6 @@ from forestgen.community.branch_modules.crowding import (
     Cells,
     SphereGrid,
     cells_of,
-    lent,
     nearest_image,
     runs,
     without,
@@ -186,7 +185,7 @@ def _below(z, r, ground):  # type: ignore[no-untyped-def]
 @compiled
 def _turn(first, end, parity, angle, table, rows, fixed, moving, boxes, at, rotation, new_at, new_rotation):  # type: ignore[no-untyped-def]
     """Best choice of each module at places `first` to `end` of `moving`, of that parity; all are `at`, `rotation`."""
-    table, rows, fixed, moving, at = borrowed(table), borrowed(rows), lent(fixed), lent(moving), borrowed(at)
+    table, rows, fixed, moving, at = borrowed(table), borrowed(rows), borrowed(fixed), borrowed(moving), borrowed(at)
     room, space, shared = np.empty((256, 2), dtype=np.int64), np.empty((4, 256)), np.empty(256)
     run, near, common = borrowed(room), borrowed(space), borrowed(shared)  # the loop reads all three: they live
     c, s, width, height = cos(angle), sin(angle), fixed.width, fixed.height

@@ -14,9 +14,8 @@ from forestgen.architecture.prototypes import choose_prototype
 from forestgen.community.arrivals import new_ids
 from forestgen.community.branch_modules.climate import LocalClimate, adaptation
 from forestgen.community.branch_modules.identity import along, uniform
-from forestgen.community.branch_modules.limits import refuse_more_seeds
 from forestgen.community.branch_modules.parameters import is_blocked
-from forestgen.community.branch_modules.state import Plants, State, seedling_modules
+from forestgen.community.branch_modules.state import Plants, State, refuse_more_seeds, seedling_modules
 from forestgen.community.branch_modules.surroundings import ground_at
 from forestgen.core.compiled import compiled
 

@@ -236,6 +236,17 @@ def _near(at: Floats, middle: float, reach: float, grid: ShadowGrid, axis: int) 
     return near
 
 
+def _check_layers(top: int, grid: ShadowGrid, height: Floats) -> None:
+    if top > _MOST_LAYERS:
+        raise ResourceError(
+            "the trees are too tall for layers of light so thin",
+            where="community.cell_m",
+            expected=f"at most {_MOST_LAYERS:,} layers of {grid.layer_m:g} m",
+            got=f"modules {height.max():,.0f} m above the ground",
+            hint="make cell_m larger",
+        )
+
+
 def shade(
     position_m: NDArray[np.floating],
     height_m: NDArray[np.floating],
@@ -256,16 +267,10 @@ def shade(
     grid : extent.
     boxes : obstacles, each from the local ground up.
 
-    Returns
-    -------
-    Shade
-
     Raises
     ------
-    ResourceError
-        More than 2000 layers.
-    ValueError
-        Positions that are not finite.
+    ResourceError : more than 2000 layers.
+    ValueError : positions that are not finite.
     """
     position, height = np.array(position_m[:, :2], dtype=np.float64), np.ascontiguousarray(height_m, dtype=np.float64)
     radius = np.maximum(np.ascontiguousarray(radius_m, dtype=np.float64), 1e-6)
@@ -279,14 +284,7 @@ def shade(
         raise ValueError("modules need finite positions")
     covers = _Covers(boxes, grid)
     top = max(int(max(height.max(initial=0.0), 0.0) // grid.layer_m) + 1, int(covers.layers.max(initial=0)))
-    if top > _MOST_LAYERS:
-        raise ResourceError(
-            "the trees are too tall for layers of light so thin",
-            where="community.cell_m",
-            expected=f"at most {_MOST_LAYERS:,} layers of {grid.layer_m:g} m",
-            got=f"modules {height.max():,.0f} m above the ground",
-            hint="make cell_m larger",
-        )
+    _check_layers(top, grid, height)
     start, order = np.zeros(top + 2, dtype=np.int64), np.empty(len(height), dtype=np.int64)
     _by_layer(height, grid.layer_m, top, start, order)
     light = np.empty(len(height), dtype=np.float32)

@@ -10,13 +10,17 @@ from numpy.typing import NDArray
 from forestgen.architecture.modules import Modules
 from forestgen.architecture.plant_type import PlantType
 from forestgen.architecture.prototype import Prototype
+from forestgen.community.arrivals import Rows
 from forestgen.community.branch_modules.parameters import BranchModulesParameters
 from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.model import Site
+from forestgen.core.errors import ResourceError
+
+MOST_SEEDS = 20_000_000  # of one step: a gigabyte
 
 
 @dataclass(frozen=True)
-class Plants:
+class Plants(Rows):
     """One row a plant, in order of plant_id; an obstacle is a row without modules."""
 
     plant_id: NDArray[np.uint32]  # (P,)
@@ -28,16 +32,6 @@ class Plants:
     next_number: NDArray[np.uint32]  # (P,) of the next module
     adaptation: NDArray[np.float32]  # (P,) o of Eq. 13 as felt in the last step; 1 before the first, and of obstacles
     tallest_m: NDArray[np.float32]  # (P,) greatest height so far, where the recipe has a dieback_share; else 0
-
-    def __len__(self) -> int:
-        return len(self.plant_id)
-
-    def where(self, keep: NDArray[np.bool_] | NDArray[np.int64]) -> Plants:
-        """Of these rows, or those that are kept."""
-        return Plants(*(values[keep] for values in vars(self).values()))
-
-    def and_then(self, others: Plants) -> Plants:
-        return Plants(*(np.concatenate([a, getattr(others, name)]) for name, a in vars(self).items()))
 
 
 @dataclass(frozen=True)
@@ -138,3 +132,28 @@ def no_modules() -> Modules:
 def no_snags(plants: Plants) -> Snags:
     """None, with the columns of any plants."""
     return Snags(plants.where(np.zeros(len(plants), dtype=np.bool_)), no_modules(), np.zeros(0, dtype=np.int32))
+
+
+def refuse_more_modules(modules: int, most: int) -> None:
+    """Raise `ResourceError` for more modules than `community.most_modules`."""
+    if modules > most:
+        raise ResourceError(
+            "the community has too many branch modules",
+            where="community.most_modules",
+            expected=f"at most {most:,}",
+            got=f"{modules:,}",
+            hint="make the site smaller, or raise most_modules",
+        )
+
+
+def refuse_more_seeds(seeds: float, where: str = "community.step_yr") -> None:
+    """Raise `ResourceError` for more seeds in a step than can be drawn; `where` is the key that asks for them."""
+    if seeds > MOST_SEEDS:
+        raise ResourceError(
+            "more seeds would fall in one step than can be drawn",
+            where=where,
+            expected=f"at most {MOST_SEEDS:,}",
+            got=f"about {seeds:,.0f}",
+            hint="lower species' modules.seeds_per_yr, or seeds_per_ha of global_seeding; make steps shorter, or the "
+            "site smaller",
+        )

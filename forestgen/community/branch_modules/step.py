@@ -14,11 +14,10 @@ from forestgen.community.branch_modules.climate import LocalClimate, adaptation
 from forestgen.community.branch_modules.growth import Rows, grow, on_axis, rows_after
 from forestgen.community.branch_modules.identity import along, uniform
 from forestgen.community.branch_modules.kinds import Kinds, kinds_at
-from forestgen.community.branch_modules.limits import refuse_more_modules
 from forestgen.community.branch_modules.seeding import NOBODY, Arriving, Standing, seedlings
 from forestgen.community.branch_modules.shedding import overgrown, shed
 from forestgen.community.branch_modules.snags import died_back, snags_after
-from forestgen.community.branch_modules.state import Plants, State, appended, rows_of_plants
+from forestgen.community.branch_modules.state import Plants, State, appended, refuse_more_modules, rows_of_plants
 from forestgen.community.branch_modules.surroundings import Surroundings, surroundings_of, turned
 from forestgen.community.branch_modules.vigour import Flow, distribute, net_gain, stature_of
 from forestgen.core.randomness import child_rng

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from forestgen.architecture.plant_type import PlantType
 from forestgen.architecture.tables import Tables
-from forestgen.community.branch_modules.limits import no_prototype
+from forestgen.community.branch_modules.unknown_names import no_prototype
 
 #: What stands in the arrays for a species that does not grow, such as a house.
 STAND_IN = PlantType(life_span_yr=1.0, root_vigour_max=1.0, growth_rate_per_yr=1.0, apical_control=0.5, determinacy=0.5)

@@ -5,9 +5,6 @@ its own box, whatever the two sizes. Cells hold about two centres in the mean, o
 they would have more than three entries each. Circles themselves are copied into an order of tiles, a few thousand on
 the whole site, so that a walk along them reads memory that is still in the cache.
 
-Compiled loops of other files call those of this one, and Numba's cache sees changes of a loop's own file only: after a
-change here, touch the files that import it.
-
 Time and memory are O(N), whatever the size of the site and the mixture of radii.
 """
 

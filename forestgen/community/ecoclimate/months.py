@@ -22,9 +22,8 @@ from functools import lru_cache
 import numpy as np
 
 from forestgen.community.branch_modules.climate import LocalClimate
-from forestgen.community.branch_modules.limits import refuse_more_seeds
 from forestgen.community.branch_modules.seeding import NOBODY, Arriving
-from forestgen.community.branch_modules.state import State
+from forestgen.community.branch_modules.state import State, refuse_more_seeds
 from forestgen.community.branch_modules.step import advanced
 from forestgen.community.ecoclimate.air import Case, Given, case_of, month_of_air
 from forestgen.community.ecoclimate.climate import DAYS_PER_MONTH, MONTHS_PER_YR, Month, month_at

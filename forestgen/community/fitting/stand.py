@@ -77,29 +77,8 @@ def measured_stand(table: PointTable, where: str) -> tuple[MeasuredStand, list[s
     AssetError : too few plants, or of a species; too many species; all on one line; a window larger than any site.
     ResourceError : too many plants.
     """
+    _check_points(table, where)
     n = len(table.points_m)
-    if n < FEWEST:
-        raise AssetError("too few plants for a fit", where=where, expected=f"{FEWEST} at least", got=str(n))
-    if n > MOST:
-        share = math.sqrt(0.9 * MOST / n)
-        raise ResourceError(
-            "too many plants for a fit",
-            where=where,
-            expected=f"at most {MOST:,}: time grows with their number, and a part of the window tells as much",
-            got=f"{n:,}",
-            hint=f"keep the plants of a part of the window, such as {share:.2f} of its width and of its height, "
-            "and state that part as the window",
-        )
-    if max(table.window.size_m) > LARGEST_M:
-        raise AssetError(
-            "the window is too large",
-            where=where,
-            expected=f"sides up to {LARGEST_M:,} m, those of a recipe's site; coordinates in metres",
-            got=str(table.window),
-        )
-    spread = np.linalg.svd(table.points_m - table.points_m.mean(axis=0), compute_uv=False)
-    if spread[1] < 1e-3 * spread[0]:
-        raise AssetError("the plants stand on one line", where=where, expected="plants spread over an area")
     labels = np.array(table.species) if table.species is not None else np.full(n, "")
     names, species, numbers = np.unique(labels, return_inverse=True, return_counts=True)
     if len(names) > MOST_SPECIES:
@@ -132,6 +111,32 @@ def measured_stand(table: PointTable, where: str) -> tuple[MeasuredStand, list[s
         step_m=step_m,
     )
     return stand, _notes(stand)
+
+
+def _check_points(table: PointTable, where: str) -> None:
+    n = len(table.points_m)
+    if n < FEWEST:
+        raise AssetError("too few plants for a fit", where=where, expected=f"{FEWEST} at least", got=str(n))
+    if n > MOST:
+        share = math.sqrt(0.9 * MOST / n)
+        raise ResourceError(
+            "too many plants for a fit",
+            where=where,
+            expected=f"at most {MOST:,}: time grows with their number, and a part of the window tells as much",
+            got=f"{n:,}",
+            hint=f"keep the plants of a part of the window, such as {share:.2f} of its width and of its height, "
+            "and state that part as the window",
+        )
+    if max(table.window.size_m) > LARGEST_M:
+        raise AssetError(
+            "the window is too large",
+            where=where,
+            expected=f"sides up to {LARGEST_M:,} m, those of a recipe's site; coordinates in metres",
+            got=str(table.window),
+        )
+    spread = np.linalg.svd(table.points_m - table.points_m.mean(axis=0), compute_uv=False)
+    if spread[1] < 1e-3 * spread[0]:
+        raise AssetError("the plants stand on one line", where=where, expected="plants spread over an area")
 
 
 def rounding_m(points_m: NDArray[np.float64], spacing_m: float) -> float:

@@ -106,11 +106,10 @@ from forestgen.community.branch_modules.capabilities import ModuleCapabilities, 
 from forestgen.community.branch_modules.changes import numbers_in_time
 from forestgen.community.branch_modules.founding import founded
 from forestgen.community.branch_modules.kinds import kinds_at
-from forestgen.community.branch_modules.limits import refuse_more_modules
 from forestgen.community.branch_modules.parameters import BranchModulesParameters
 from forestgen.community.branch_modules.seeding import begun
 from forestgen.community.branch_modules.snapshot import check_resumable, population_of, state_of
-from forestgen.community.branch_modules.state import State, appended, rows_of_plants
+from forestgen.community.branch_modules.state import State, appended, refuse_more_modules, rows_of_plants
 from forestgen.community.branch_modules.step import advanced
 from forestgen.community.disturbance import Planting, planted
 from forestgen.community.ecology import SpeciesEcology

@@ -153,6 +153,7 @@ from forestgen.community.placement.kernels import (
     KernelSection,
     KernelTable,
     kernel_matrix,
+    kernel_work,
     species_named,
 )
 from forestgen.community.placement.model import (
@@ -164,7 +165,6 @@ from forestgen.community.placement.model import (
     wanted_plants,
 )
 from forestgen.community.placement.stands import PlacementParameters
-from forestgen.community.placement.work import kernel_work
 from forestgen.community.population import Population
 from forestgen.community.standing import State
 from forestgen.recipe.fields import Whole

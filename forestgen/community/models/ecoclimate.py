@@ -39,7 +39,7 @@ from numpy.typing import NDArray
 
 from forestgen.atmosphere.weather import AirGrid, Weather
 from forestgen.community.branch_modules.capabilities import ModuleCapabilities
-from forestgen.community.branch_modules.limits import refuse_more_seeds
+from forestgen.community.branch_modules.state import refuse_more_seeds
 from forestgen.community.capabilities import SoilWaterMaps
 from forestgen.community.disturbance import Planting
 from forestgen.community.ecoclimate.air import grid_of

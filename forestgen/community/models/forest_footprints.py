@@ -67,13 +67,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from forestgen.community.arrivals import new_ids, of_species, refuse_overflow, seedlings, seedlings_per_step
+from forestgen.community.arrivals import Circles, new_ids, of_species, refuse_overflow, seedlings, seedlings_per_step
 from forestgen.community.competition import grid
 from forestgen.community.disturbance import Planting, planted
 from forestgen.community.ecology import SpeciesEcology
@@ -115,26 +115,12 @@ class FootprintParameters(CommunityParameters):
 
 
 @dataclass(frozen=True)
-class Plants:
-    """One row a plant, in order of plant_id."""
+class Plants(Circles):
+    """One row a plant."""
 
-    x_m: NDArray[np.float64]  # (N, 2) metres, world x and y
-    r_m: NDArray[np.float64]  # (N,) metres
-    sp: NDArray[np.uint16]  # (N,) index of species
     vigour: NDArray[np.float64]  # (N,)
     health: NDArray[np.float64]  # (N,) 0 to 1
     dominated: NDArray[np.bool_]  # (N,)
-    plant_id: NDArray[np.uint32]  # (N,)
-    born: NDArray[np.int32]  # (N,) step of arrival
-
-    def __len__(self) -> int:
-        return len(self.r_m)
-
-    def where(self, keep: NDArray[np.bool_]) -> Plants:
-        return Plants(*(values[keep] for values in vars(self).values()))
-
-    def and_then(self, others: Plants) -> Plants:
-        return Plants(*(np.concatenate([a, getattr(others, name)]) for name, a in vars(self).items()))
 
 
 @dataclass(frozen=True)
@@ -213,7 +199,7 @@ def _healthy(
 ) -> Plants:
     n = len(sp)
     free, ids = np.zeros(n, dtype=np.bool_), new_ids(first_id, n)
-    return Plants(x_m, r_m, sp, vigour, np.ones(n), free, ids, np.full(n, born, dtype=np.int32))
+    return Plants(x_m, r_m, sp, ids, np.full(n, born, dtype=np.int32), vigour, np.ones(n), free)
 
 
 def survivors(state: State, u: NDArray[np.float64]) -> Plants:
@@ -257,35 +243,16 @@ class ForestFootprints:
 
     def population(self, state: State) -> Population:
         """Snapshot; z is 0."""
-        plants, species = state.plants, state.species
+        plants, species, parameters = state.plants, state.species, state.parameters
         largest = of_species(species, "max_radius_m")[plants.sp]
-        status = np.where(plants.r_m >= largest, np.uint8(Status.MATURE), np.uint8(Status.GROWING))
-        status[plants.dominated] = Status.DOMINATED
-        position_m = np.zeros((len(plants), 3))
-        position_m[:, :2] = plants.x_m
-        exponent = of_species(species, "height_exponent")[plants.sp]
-        size = [
-            state.parameters.derivation_steps_of.get(one.name, state.parameters.derivation_steps) for one in species
-        ]
+        size = [parameters.derivation_steps_of.get(one.name, parameters.derivation_steps) for one in species]
         derivation_steps = np.floor(np.array(size, dtype=np.float64)[plants.sp] * (plants.r_m / largest))
-        return Population(
-            time_yr=state.step * state.parameters.step_yr,
-            species_names=tuple(one.name for one in species),
-            plant_id=plants.plant_id,
-            species=plants.sp,
-            position_m=position_m,
-            radius_m=plants.r_m,
-            height_m=of_species(species, "height_scale")[plants.sp] * plants.r_m**exponent,
-            age_yr=(state.step - plants.born).astype(np.float64) * state.parameters.step_yr,
-            status=status,
-            columns={
-                "vigour": plants.vigour,
-                "health": plants.health,
-                "derivation_steps": derivation_steps.astype(np.int32),
-            },
-            step=state.step,
-            state={"next_id": state.next_id},
-        )
+        columns: dict[str, NDArray[Any]] = {
+            "vigour": plants.vigour,
+            "health": plants.health,
+            "derivation_steps": derivation_steps.astype(np.int32),
+        }
+        return plants.population(species, state.step, parameters.step_yr, state.next_id, plants.dominated, columns)
 
     def resume(
         self,
@@ -295,17 +262,12 @@ class ForestFootprints:
         seed: int,
         population: Population,
     ) -> State:
-        """The state of a snapshot: who is dominated is in the status, the step of arrival in the age."""
-        age = np.rint(population.age_yr / parameters.step_yr).astype(np.int32)
+        """The state of a snapshot: who is dominated is in the status."""
         plants = Plants(
-            x_m=np.ascontiguousarray(population.position_m[:, :2]),
-            r_m=population.radius_m,
-            sp=population.species,
+            **Plants.columns_of(population, parameters.step_yr),
             vigour=population.columns["vigour"],
             health=population.columns["health"],
             dominated=population.status == Status.DOMINATED,
-            plant_id=population.plant_id,
-            born=np.int32(population.step) - age,
         )
         next_id = int(population.state["next_id"])
         return State(parameters, site, tuple(species), seed, population.step, next_id, plants)

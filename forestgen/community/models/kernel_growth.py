@@ -90,7 +90,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
-from forestgen.community.arrivals import new_ids, of_species, refuse_overflow, seedlings, seedlings_per_step
+from forestgen.community.arrivals import Circles, new_ids, of_species, refuse_overflow, seedlings, seedlings_per_step
 from forestgen.community.disturbance import Planting, planted
 from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.growing.interactions import Interactions, Rivals, establishment, quality
@@ -104,10 +104,10 @@ from forestgen.community.placement.kernels import (
     KernelSection,
     each_kernel,
     kernel_matrix,
+    kernel_work,
     species_named,
 )
-from forestgen.community.placement.work import kernel_work
-from forestgen.community.population import Population, Status
+from forestgen.community.population import Population
 from forestgen.community.snapshot_checks import Limits, arrival_limits, check_columns, check_radii
 from forestgen.core.randomness import child_rng
 from forestgen.recipe.fields import Name, NonNegative, Number, Whole, mistake
@@ -168,24 +168,10 @@ class KernelGrowthParameters(CommunityParameters):
 
 
 @dataclass(frozen=True)
-class Plants:
-    """One row a plant, in order of plant_id."""
+class Plants(Circles):
+    """One row a plant."""
 
-    x_m: NDArray[np.float64]  # (N, 2) metres, world x and y
-    r_m: NDArray[np.float64]  # (N,) metres
-    sp: NDArray[np.uint16]  # (N,) index of species
     quality: NDArray[np.float64]  # (N,) q, 0 to 1
-    plant_id: NDArray[np.uint32]  # (N,)
-    born: NDArray[np.int32]  # (N,) step of arrival
-
-    def __len__(self) -> int:
-        return len(self.r_m)
-
-    def where(self, keep: NDArray[np.bool_]) -> Plants:
-        return Plants(*(values[keep] for values in vars(self).values()))
-
-    def and_then(self, others: Plants) -> Plants:
-        return Plants(*(np.concatenate([a, getattr(others, name)]) for name, a in vars(self).items()))
 
 
 @dataclass(frozen=True)
@@ -221,7 +207,7 @@ def _new(
     x_m: NDArray[np.float64], r_m: NDArray[np.float64], sp: NDArray[np.uint16], first_id: int, born: int
 ) -> Plants:
     n = len(sp)
-    return Plants(x_m, r_m, sp, np.ones(n), new_ids(first_id, n), np.full(n, born, dtype=np.int32))
+    return Plants(x_m, r_m, sp, new_ids(first_id, n), np.full(n, born, dtype=np.int32), np.ones(n))
 
 
 def _arrived(state: State, per_species: NDArray[np.int64], among: Plants, rng: np.random.Generator) -> Plants:
@@ -265,27 +251,9 @@ class KernelGrowth:
 
     def population(self, state: State) -> Population:
         """Snapshot; z is 0."""
-        plants, species = state.plants, state.species
-        largest = of_species(species, "max_radius_m")[plants.sp]
-        status = np.where(plants.r_m >= largest, np.uint8(Status.MATURE), np.uint8(Status.GROWING))
-        status[plants.quality < 0.5] = Status.DOMINATED
-        position_m = np.zeros((len(plants), 3))
-        position_m[:, :2] = plants.x_m
-        exponent = of_species(species, "height_exponent")[plants.sp]
-        return Population(
-            time_yr=state.step * state.parameters.step_yr,
-            species_names=tuple(one.name for one in species),
-            plant_id=plants.plant_id,
-            species=plants.sp,
-            position_m=position_m,
-            radius_m=plants.r_m,
-            height_m=of_species(species, "height_scale")[plants.sp] * plants.r_m**exponent,
-            age_yr=(state.step - plants.born).astype(np.float64) * state.parameters.step_yr,
-            status=status,
-            columns={"quality": plants.quality},
-            step=state.step,
-            state={"next_id": state.next_id},
-        )
+        plants, columns = state.plants, {"quality": state.plants.quality}
+        dominated = plants.quality < 0.5
+        return plants.population(state.species, state.step, state.parameters.step_yr, state.next_id, dominated, columns)
 
     def resume(
         self,
@@ -295,16 +263,9 @@ class KernelGrowth:
         seed: int,
         population: Population,
     ) -> State:
-        """The state of a snapshot: the step of arrival is in the age."""
-        age = np.rint(population.age_yr / parameters.step_yr).astype(np.int32)
-        plants = Plants(
-            x_m=np.ascontiguousarray(population.position_m[:, :2]),
-            r_m=population.radius_m,
-            sp=population.species,
-            quality=population.columns["quality"],
-            plant_id=population.plant_id,
-            born=np.int32(population.step) - age,
-        )
+        """The state of a snapshot."""
+        circles = Plants.columns_of(population, parameters.step_yr)
+        plants = Plants(**circles, quality=population.columns["quality"])
         next_id = int(population.state["next_id"])
         bare = _bare(parameters, site, species, seed)
         return replace(bare, step=population.step, next_id=next_id, plants=plants)

@@ -57,9 +57,14 @@ from scipy.spatial import cKDTree
 
 from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.model import Site
-from forestgen.community.placement.apart import stays_apart
 from forestgen.community.placement.densities import COUNTING_CELLS, grid_shape, plant_counts, species_density
-from forestgen.community.placement.gridded import GriddedModel, GriddedParameters, density_at, read_densities
+from forestgen.community.placement.gridded import (
+    GriddedModel,
+    GriddedParameters,
+    density_at,
+    read_densities,
+    stays_apart,
+)
 from forestgen.community.placement.labelling import choose, deal, label
 from forestgen.community.placement.model import placed_state, placement_rng, wanted_plants
 from forestgen.community.placement.stands import PlacementParameters

@@ -49,7 +49,6 @@ from forestgen.community.placement.field_trees import (
 )
 from forestgen.core.compiled import contracted, inlined
 
-REVISION = 2  # raise it when field_trees.py or field_lanes.py change: machine code on disk is known by this file's text
 AHEAD = 1  # plants between one request for a plant's memory and the next; there are four before it is placed
 MARGIN = 0.03  # cells: a plant will seldom stand farther from where it would when it was asked for
 GUESSES = LANES  # numbers of `_Plan.guesses` for a plant

@@ -1,9 +1,7 @@
 """Eight cells at once: the innermost operations of the probability field as vector instructions.
 
 Numba compiles loops over eight numbers into single steps where it cannot know that arrays do not overlap. These
-operations say it: eight numbers are loaded into a register, worked on, and stored. `core.compiled` keeps kernels on
-disk and notices changes of the text of a kernel's own file only: after a change here empty `__pycache__`, and raise
-REVISION in field_kernel.py.
+operations say it: eight numbers are loaded into a register, worked on, and stored.
 """
 
 from __future__ import annotations

@@ -8,8 +8,6 @@ a block: their sum, number by number, is that of eight rows at once. The sums of
 numbers of one parent a line. A plant changes some rows, and one or two nodes on each level of each of them and above.
 Each node is the sum of its children, taken anew, so that no rounding error grows with the number of plants. A draw
 walks down both trees. What a plant costs grows with the kernel's reach, and with the logarithm of the field's size.
-
-A change here reaches the machine code kept on disk for field_kernel.py when REVISION is raised there (`core.compiled`).
 """
 
 from __future__ import annotations

@@ -58,3 +58,24 @@ def density_at(grid: NDArray[_Kind], position_m: NDArray[np.float64], size_m: tu
     col = np.minimum((position_m[:, 0] * (cols / size_m[0])).astype(np.intp), cols - 1)
     row = np.minimum((position_m[:, 1] * (rows / size_m[1])).astype(np.intp), rows - 1)
     return np.asarray(grid[row, col])
+
+
+def stays_apart(
+    points_m: NDArray[np.float64], distance_m: float, size_m: tuple[float, float], *, periodic: bool
+) -> NDArray[np.bool_]:
+    """(N,) whether a point stays: it does unless it is nearer than the distance to one before it that stays.
+
+    Parameters
+    ----------
+    points_m : (N, 2) metres, in [0, W) x [0, H) if `periodic`.
+    """
+    from scipy.spatial import cKDTree  # slow to import
+
+    keep = np.ones(len(points_m), dtype=np.bool_)
+    if len(points_m) < 2:
+        return keep
+    tree = cKDTree(points_m, boxsize=np.array(size_m) if periodic else None)
+    near = tree.query_pairs(np.nextafter(distance_m, 0.0), output_type="ndarray")
+    for a, b in near[np.lexsort((near[:, 1], near[:, 0]))].tolist():
+        keep[b] = keep[b] and not keep[a]
+    return keep

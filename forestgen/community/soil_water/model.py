@@ -21,19 +21,76 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.community.soil_water.exchange import exchange
 from forestgen.community.soil_water.ground import Floats, Ground, checked_map
 from forestgen.community.soil_water.parameters import SoilWaterParameters
 from forestgen.community.soil_water.transport import Transport
+from forestgen.core.compiled import compiled
 from forestgen.core.threads import over_ranges
 
 Map = NDArray[np.floating] | float
 SUBSTEP_DAYS = 0.5
 _MANNING = 0.5  # power of the gradient
+
+
+class Fields(NamedTuple):
+    """Water and what changes it, (rows, cols) each."""
+
+    soil: Floats  # mm
+    surface: Floats  # mm
+    plants: Floats  # g/m2
+    rain: Floats  # mm/d
+    uptake: Floats  # mm, summed
+    loss: Floats  # mm, summed
+
+
+@compiled
+def exchange(fields, sinks, rates, days, first, end):  # type: ignore[no-untyped-def]
+    """What happens to water within cells [first, end) of flat fields, in place.
+
+    Surface water O decays exactly: dO/dt = R - f O, with f the rate of infiltration at the plants that stand there.
+    Soil water W decays by the rate g B / (W + k1) + r, which is held at its value in the middle of the time (an
+    exponential midpoint rule: second order, exact without plants, and at rest where the equations are). What leaves is
+    what was there and came, less what is left: so water balances, and no time is too long.
+
+    `sinks` is f, 1/d; `rates` are g_max, k1 and r_w.
+    """
+    soil, surface, plants, rain, uptake, loss = fields
+    most, half, lost = rates
+    for i in range(first, end):
+        falls = rain[i] * days
+        there = surface[i] + falls
+        stays, mean = _decay(sinks[i] * days)
+        left = surface[i] * stays + falls * mean
+        left = left if left < there else there
+        surface[i] = left
+        comes, before = there - left, soil[i]
+        drink = most * plants[i] / (before + half)
+        middle = (before + 0.5 * comes) / (1.0 + 0.5 * days * (drink + lost))
+        drink = most * plants[i] / (middle + half)
+        rate = drink + lost
+        there = before + comes
+        stays, mean = _decay(rate * days)
+        left = before * stays + comes * mean
+        left = left if left < there else there
+        soil[i] = left
+        goes = there - left
+        drunk = goes * (drink / rate) if rate > 0.0 else 0.0
+        uptake[i] += drunk
+        loss[i] += goes - drunk
+
+
+@compiled
+def _decay(x):  # type: ignore[no-untyped-def]
+    """What is left after x of what was there, exp(-x), and on the mean of what comes meanwhile, (1 - exp(-x)) / x."""
+    stays = math.exp(-x)
+    if x < 1e-3:  # where the difference would be rounding
+        return stays, 1.0 - x * (0.5 - x * (1.0 / 6.0 - x / 24.0))
+    return stays, (1.0 - stays) / x
 
 
 @dataclass(frozen=True)
@@ -110,33 +167,24 @@ class SoilWater:
         before_mm = _mean(soil) + _mean(surface)
         uptake, loss = np.zeros(shape), np.zeros(shape)
         count = math.ceil(days / substep_days * (1 - 1e-12))
-        soil, surface = self.substeps(soil, surface, plants, rain, uptake, loss, days / count, count)
+        fields = Fields(soil, surface, plants, rain, uptake, loss)
+        soil, surface = self.substeps(fields, days / count, count)
         after_mm = _mean(soil) + _mean(surface)
         budget = Budget(before_mm, _mean(rain) * days, _mean(uptake), _mean(loss), after_mm)
         return Passed(Water(soil, surface), uptake, loss, budget)
 
-    def substeps(
-        self,
-        soil: Floats,
-        surface: Floats,
-        plants: Floats,
-        rain: Floats,
-        uptake: Floats,
-        loss: Floats,
-        days: float,
-        count: int,
-    ) -> tuple[Floats, Floats]:
-        """Soil and surface water after so many sub-steps of so many days; nothing is checked, `uptake` and `loss` grow.
+    def substeps(self, fields: Fields, days: float, count: int) -> tuple[Floats, Floats]:
+        """Soil and surface water after so many sub-steps of so many days; nothing is checked.
 
         The arrays that are given hold anything afterwards, but for plants and rain.
         """
-        sinks = self._infiltration_per_day(plants)
-        self._exchange(soil, surface, plants, rain, sinks, uptake, loss, 0.5 * days)
+        sinks = self._infiltration_per_day(fields.plants)
+        self._exchange(fields, sinks, 0.5 * days)
         for number in range(count):
-            soil, surface = self._soil.over(soil, days), self._surface.over(surface, days)
-            part = days if number + 1 < count else 0.5 * days
-            self._exchange(soil, surface, plants, rain, sinks, uptake, loss, part)
-        return soil, surface
+            soil, surface = self._soil.over(fields.soil, days), self._surface.over(fields.surface, days)
+            fields = fields._replace(soil=soil, surface=surface)
+            self._exchange(fields, sinks, days if number + 1 < count else 0.5 * days)
+        return fields.soil, fields.surface
 
     def _infiltration_per_day(self, plants: Floats) -> Floats:
         p = self.parameters
@@ -145,21 +193,11 @@ class SoilWater:
             p.infiltration_per_day * self._level * (plants + half * p.bare_infiltration) / (plants + half)
         )
 
-    def _exchange(
-        self,
-        soil: Floats,
-        surface: Floats,
-        plants: Floats,
-        rain: Floats,
-        sinks: Floats,
-        uptake: Floats,
-        loss: Floats,
-        days: float,
-    ) -> None:
+    def _exchange(self, fields: Fields, sinks: Floats, days: float) -> None:
         p = self.parameters
-        flat = [one.reshape(-1, copy=False) for one in (soil, surface, plants, rain, sinks, uptake, loss)]
-        most, half, lost = p.uptake_mm_m2_per_g_day, p.half_uptake_mm, p.loss_per_day
-        over_ranges(soil.size, lambda first, end: exchange(*flat, most, half, lost, days, first, end))
+        flat, flat_sinks = Fields(*(one.reshape(-1, copy=False) for one in fields)), sinks.reshape(-1, copy=False)
+        rates = (p.uptake_mm_m2_per_g_day, p.half_uptake_mm, p.loss_per_day)
+        over_ranges(sinks.size, lambda first, end: exchange(flat, flat_sinks, rates, days, first, end))
 
 
 def _mean(field: Floats) -> float:

@@ -95,13 +95,8 @@ def wood_skeleton(
     place[at] = np.arange(len(at))
     parent = np.where(parent < 0, -1, place[np.maximum(parent, 0)])
     curves = _Curves(wood.position_m[at], parent, main[at])
-    pieces = curves.pieces(smooth) if len(at) > 1 else np.ones(len(at), dtype=np.int64)
-    chosen = bearing[at]
-    if crook > 0.0:
-        pieces = np.where(curves.length > _CROOKED_M, np.maximum(pieces, 3), pieces)
-    steps = np.clip(np.round(curves.length / spacing_m), 1, _MOST_PIECES * 4).astype(np.int64)
-    pieces = np.where(chosen, np.maximum(pieces, steps), pieces)
-    pieces[0] = 1
+    chosen, steps = bearing[at], np.clip(np.round(curves.length / spacing_m), 1, _MOST_PIECES * 4).astype(np.int64)
+    pieces = _pieces(curves, smooth, crook, np.where(chosen, steps, 0))
     node = np.repeat(np.arange(len(at)), pieces)
     last = np.cumsum(pieces) - 1
     part = np.arange(len(node)) - (last - pieces + 1)[node] + 1
@@ -130,6 +125,17 @@ def wood_skeleton(
         bears=chosen[node] & stations & ~(ends & free[at][node]) & (parent[node] >= 0),
         free=ends & free[at][node] & (parent[node] >= 0),
     )
+
+
+def _pieces(curves: _Curves, smooth: bool, crook: float, least: Ints) -> Ints:
+    """(N,) pieces of each segment."""
+    count = len(curves.length)
+    pieces = curves.pieces(smooth) if count > 1 else np.ones(count, dtype=np.int64)
+    if crook > 0.0:
+        pieces = np.where(curves.length > _CROOKED_M, np.maximum(pieces, 3), pieces)
+    pieces = np.maximum(pieces, least)
+    pieces[0] = 1
+    return pieces
 
 
 def _seen(wood: ModuleWood, bearing: Bools) -> tuple[ModuleWood, Bools]:

@@ -7,10 +7,29 @@ axis that nothing turns comes out to the bit.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from forestgen.core.compiled import compiled
 
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
 _SENSED_RAD = 1e-12  # an error below this is none
+
+
+class NewNodes(NamedTuple):
+    """What N nodes of a base skeleton became: M nodes, those inserted among them."""
+
+    new_of: Ints  # (N,) new index of each node of the base
+    piece_of: Ints  # (N,) new index of the first piece of its segment
+    point_m: Floats  # (M, 3) the new node's place on the base
+    shift_m: Floats  # (M, 3) its way from there
+    quaternion: Floats  # (M, 4) rotation of the piece that ends in it, w x y z
+    source: Ints  # (M,) node of the base on whose segment it lies
+    share: Floats  # (M,) where on that segment, 1 at the node itself
 
 
 @compiled
@@ -134,28 +153,20 @@ def _sense(q, b, t, row, sensor):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def walk(  # type: ignore[no-untyped-def]
-    position, arc, first, last, bearer, hidden, steps, begin, life, kappa, gains, local,
-    age, sensor, disturbance, turn, target, weight, toward, whole, until,
-    new_of, piece_of, shift, quaternion, point, source, share, signal,
-):  # fmt: skip
+def walk(position, axes, tables, gains, local, toward, new, signal):  # type: ignore[no-untyped-def]
     """Walk along every axis; returns the number of nodes of the varied skeleton.
 
     Parameters
     ----------
-    position : (N, 3) base skeleton, metres; arc : (N,) metres from the axis' start.
-    first, last, bearer : (A,) each axis' nodes and the node that it begins at, -1 for the root's.
-    hidden : (A,) metres at its beginning before growth, inside the bearer.
-    steps, begin : (A,) number of growth steps, 0 for an axis that is carried along stiffly, and the row of the first.
-    life, kappa : (A,); gains : derivative and integral; local : T_M is the bearer's rotation, not the identity.
-    age : (S,) growth steps by which signals have aged, summed; sensor, disturbance : (S, 2) angle and azimuth, radians.
-    turn, target : (S, 3) rotation vectors in the base's frame; weight : (S,) of the direction `toward`.
-    whole, until : (A, 3), (A,) rotation of what has grown before step `until`, with its targets.
-    new_of, piece_of : (N,) out: new index of a node and of the first piece of its segment.
-    shift, quaternion, point, source, share : (M, ...) out: of each new node its shift from `point` on the base, the
-        rotation of the piece that it ends, and where it lies: on the segment of node `source`, at `share` of it.
+    position : (N, 3) base skeleton, metres; axes, tables : see `tables.py`.
+    gains : derivative and integral; local : T_M is the bearer's rotation, not the identity.
+    toward : unit vector to which targets are drawn.
+    new : out, with room for all nodes.
     signal : (longest axis, 3) scratch.
     """
+    first, last, bearer, hidden, arc = axes.first, axes.last, axes.bearer, axes.hidden_m, axes.arc_m
+    steps, begin, life, kappa, age, sensor, disturbance, turn, target, weight, whole, until = tables
+    new_of, piece_of, shift, quaternion = new.new_of, new.piece_of, new.shift_m, new.quaternion
     still = (1.0, 0.0, 0.0, 0.0)
     made = 0
     for a in range(len(first)):
@@ -168,7 +179,7 @@ def walk(  # type: ignore[no-untyped-def]
         else:
             q, s, c = still, (0.0, 0.0, 0.0), (position[j, 0], position[j, 1], position[j, 2])
             new_of[j] = piece_of[j] = made
-            made = _write(made, s, q, c, j, 1.0, shift, quaternion, point, source, share)
+            made = _write(made, s, q, c, j, 1.0, new)
             j += 1
         bearing = q if local else still
         past = _rotor(whole[a, 0], whole[a, 1], whole[a, 2])
@@ -196,7 +207,7 @@ def walk(  # type: ignore[no-untyped-def]
                     if not divided:
                         piece_of[j] = made
                         divided = True
-                    made = _write(made, s, old, c, j, part, shift, quaternion, point, source, share)
+                    made = _write(made, s, old, c, j, part, new)
                 waiting = False
                 bend = (target[row, 0], target[row, 1], target[row, 2]) if len(target) else (0.0, 0.0, 0.0)
                 t = _target(b, bearing, bend, weight[row] if len(weight) else 0.0, toward)
@@ -220,7 +231,7 @@ def walk(  # type: ignore[no-untyped-def]
                 if not divided:
                     piece_of[j] = made
                 new_of[j] = made
-                made = _write(made, s, q, c, j, 1.0, shift, quaternion, point, source, share)
+                made = _write(made, s, q, c, j, 1.0, new)
                 divided = False
                 j += 1
             if not ends and end - at > tolerance:
@@ -244,20 +255,21 @@ def _advanced(s, q, c, p):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _write(made, s, q, c, j, part, shift, quaternion, point, source, share):  # type: ignore[no-untyped-def]
+def _write(made, s, q, c, j, part, new):  # type: ignore[no-untyped-def]
     """Set row `made` of the new nodes; returns the next one."""
     for i in range(3):
-        shift[made, i], point[made, i] = s[i], c[i]
+        new.shift_m[made, i], new.point_m[made, i] = s[i], c[i]
     for i in range(4):
-        quaternion[made, i] = q[i]
-    source[made] = j
-    share[made] = part
+        new.quaternion[made, i] = q[i]
+    new.source[made] = j
+    new.share[made] = part
     return made + 1
 
 
 @compiled
-def carry(frame, node, base_start, base_end, new_of, piece_of, shift, quaternion, point, share, out, new_node):  # type: ignore[no-untyped-def]
+def carry(frame, node, base_start, base_end, new, out, new_node):  # type: ignore[no-untyped-def]
     """Organs moved stiffly with the piece of their segment at which their foot is; frame, out : (M, 3, 4)."""
+    quaternion, point, shift = new.quaternion, new.point_m, new.shift_m
     for i in range(len(frame)):
         j = node[i]
         along = length = 0.0
@@ -266,8 +278,8 @@ def carry(frame, node, base_start, base_end, new_of, piece_of, shift, quaternion
             along += way * (frame[i, c, 3] - base_start[j, c])
             length += way * way
         part = along / length if length > 0.0 else 1.0
-        p = piece_of[j]
-        while p < new_of[j] and share[p] < part - 1e-6:
+        p = new.piece_of[j]
+        while p < new.new_of[j] and new.share[p] < part - 1e-6:
             p += 1
         q = (quaternion[p, 0], quaternion[p, 1], quaternion[p, 2], quaternion[p, 3])
         for column in range(4):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +22,7 @@ _BYTES_PER_STEP = 400  # tables, the new nodes in the loop and in the skeleton
 _MOST_LAG_STEPS = 1e9
 
 
-@dataclass(frozen=True)
-class Axes:
+class Axes(NamedTuple):
     """A axes of a skeleton: runs of nodes that are chained."""
 
     first: Ints  # (A,) node
@@ -37,22 +36,21 @@ class Axes:
     arc_m: Floats  # (N,) of each node, from its axis' start
 
 
-@dataclass(frozen=True)
-class Tables:
-    """See `loop.walk`."""
+class Tables(NamedTuple):
+    """Influences on each of A axes, and on each of S growth steps, axis after axis; (0, ...): none."""
 
-    steps: Ints
-    begin: Ints
-    life: Floats
-    kappa: Floats
-    age: Floats
-    sensor: Floats
-    disturbance: Floats
-    turn: Floats
-    target: Floats
-    weight: Floats
-    whole: Floats
-    until: Ints
+    steps: Ints  # (A,) growth steps; 0: the axis is carried along stiffly
+    begin: Ints  # (A,) row of the first
+    life: Floats  # (A,) of a signal, growth steps
+    kappa: Floats  # (A,)
+    age: Floats  # (S,) growth steps by which signals have aged, summed
+    sensor: Floats  # (S, 2) angle and azimuth, radians
+    disturbance: Floats  # (S, 2) as well
+    turn: Floats  # (S, 3) rotation vectors in the base's frame
+    target: Floats  # (S, 3) as well, of the target
+    weight: Floats  # (S,) of the direction to which the target is drawn
+    whole: Floats  # (A, 3) rotation vector of what has grown before step `until`, with its targets
+    until: Ints  # (A,)
 
 
 def axes_of(skeleton: Skeleton, position: Floats) -> Axes:

@@ -5,7 +5,6 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from forestgen.atmosphere.fluid import loops
 from forestgen.atmosphere.fluid.air import (
     Air,
     Physics,
@@ -19,6 +18,7 @@ from forestgen.atmosphere.fluid.air import (
 from forestgen.atmosphere.fluid.diagnostics import energies_j
 from forestgen.atmosphere.sounding import Sounding
 from forestgen.atmosphere.weather import AirGrid
+from forestgen.core import threads
 from support.plain_air import PlainAir
 
 CALM = Physics(viscosity_m2_per_s=0, confinement=0, sponge_share=0)
@@ -239,7 +239,7 @@ class TestRuns:
             for first in range(0, n, n // 7):
                 work(first, min(n, first + n // 7))
 
-        monkeypatch.setattr(loops, "over_ranges", in_pieces)
+        monkeypatch.setattr(threads, "over_ranges", in_pieces)
         for name, values in arrays(air.step(weather)).items():
             np.testing.assert_array_equal(values, getattr(alone, name), err_msg=name)
 

@@ -18,8 +18,6 @@ from forestgen.lsystem.folding import fold
 from forestgen.lsystem.multiset import Multiset, show_number, words_as_lists, words_as_text
 from forestgen.lsystem.parsing import parse_text
 from forestgen.lsystem.program import Program
-from forestgen.lsystem.statement_reader import Reader
-from forestgen.lsystem.syntax import Place
 
 
 def compiled(text: str) -> Program:
@@ -99,8 +97,7 @@ def test_cut_removes_the_rest_of_the_branch() -> None:
 def test_numbers_read_back(value: float) -> None:
     text = show_number(value)
     assert float(text) == value
-    reader = Reader("test", Place(1, 1))
-    (module,) = reader.modules(reader.parse(f"A({text})", "word").children[0])
+    ((module,),) = parse_text(f"axiom: A({text})", "test").axiom
     assert fold(module.arguments[0], {}, "test") == value
 
 

@@ -9,8 +9,7 @@ import pytest
 from forestgen.core.errors import AssetError, ForestgenError, LsystemError, ResourceError
 from forestgen.lsystem.compiler import compile_listing, with_values
 from forestgen.lsystem.derivation import derive
-from forestgen.lsystem.parsing import parse_text
-from forestgen.lsystem.reading import read_listing
+from forestgen.lsystem.parsing import parse_text, read_listing
 
 
 def run(text: str, steps: int = 3, most_modules: int = 200_000) -> int:

@@ -7,8 +7,7 @@ import pytest
 from forestgen.lsystem.compiler import compile_listing
 from forestgen.lsystem.derivation import derive
 from forestgen.lsystem.multiset import words_as_text
-from forestgen.lsystem.parsing import parse_text
-from forestgen.lsystem.reading import read_listing
+from forestgen.lsystem.parsing import parse_text, read_listing
 from forestgen.recipe.assets import find_asset, list_assets
 
 

@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from forestgen.core.errors import LsystemError
 from forestgen.lsystem.compiler import compile_listing
 from forestgen.lsystem.multiset import RESERVED, Kind
-from forestgen.lsystem.parsing import parse_text
-from forestgen.lsystem.reading import read_listing
+from forestgen.lsystem.parsing import parse_text, read_listing
 from forestgen.lsystem.turtle import draw, options_from
 from forestgen.plants.from_turtle import draw_program, skeleton_of
 from forestgen.plants.meshing import wood_mesh

@@ -276,7 +276,7 @@ def test_a_varied_plant_keeps_lengths_and_contract(name, reference):
 def place_of(base, variation):
     """(N, 3) where the base's own nodes are."""
     found = courses(base, variation, np.random.default_rng(0))
-    return found.position_m[found.new_of]
+    return found.position_m[found.new.new_of]
 
 
 def test_an_axis_begins_where_its_bearer_went_and_then_corrects_what_it_feels():
@@ -295,7 +295,7 @@ def test_an_axis_begins_where_its_bearer_went_and_then_corrects_what_it_feels():
     for reference in ("local", "global"):
         found = courses(base, Variation(reference=reference, **upright), np.random.default_rng(0))
         points = found.position_m
-        branch = np.diff(np.concatenate([points[found.new_of[[1]]], points[found.piece_of[3] :]]), axis=0)
+        branch = np.diff(np.concatenate([points[found.new.new_of[[1]]], points[found.new.piece_of[3] :]]), axis=0)
         rise[reference] = np.degrees(np.arctan2(branch[:, 2], branch[:, 0]))[[0, -1]]
     assert rise["local"] == pytest.approx([-20, -20], abs=0.5)
     assert rise["global"] == pytest.approx([-20, -5], abs=0.6)

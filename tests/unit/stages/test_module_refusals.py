@@ -9,8 +9,7 @@ from forestgen.architecture.graph_files import write_graph
 from forestgen.architecture.prototypes import load_prototypes
 from forestgen.architecture.skeletal_graph import skeletal_graph
 from forestgen.architecture.tables import tables_of
-from forestgen.community.branch_modules.limits import MOST_SEEDS, refuse_more_seeds
-from forestgen.community.branch_modules.state import no_modules
+from forestgen.community.branch_modules.state import MOST_SEEDS, no_modules, refuse_more_seeds
 from forestgen.community.branch_modules.traits import STAND_IN
 from forestgen.community.model import simulate
 from forestgen.core.errors import OutputError, RecipeError, ResourceError

@@ -10,8 +10,7 @@ from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.model import Site
 from forestgen.community.models.deformation_kernel import MODEL as DEFORMATION
 from forestgen.community.models.kernel_growth import MODEL as GROWTH
-from forestgen.community.placement.kernels import KernelSection
-from forestgen.community.placement.work import kernel_work
+from forestgen.community.placement.kernels import KernelSection, kernel_work
 from forestgen.core.errors import RecipeError
 
 SITE = Site((50.0, 50.0))

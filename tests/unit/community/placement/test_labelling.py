@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from forestgen.community.placement.apart import stays_apart
+from forestgen.community.placement.gridded import stays_apart
 from forestgen.community.placement.labelling import choose, deal, inclusion, label
 from forestgen.community.placement.lattice import lattice, lattice_shape
 from forestgen.community.placement.model import Wanted
