@@ -313,7 +313,7 @@ PLANTS = {
     ("poplar", "--frames", "4"): (2, ["--frames", "cannot sway", "strands", "silhouette"]),
     ("beech", "--frames", "4", "--count", "2"): (2, ["--frames", "not both"]),
     ("beech", "--frames", "4", "--frames-per-s", "nan"): (2, ["--frames-per-s", "nan"]),
-    ("fireweed", "--size-px", "0", "9"): (2, ["--size-px", "8 to 8192", "0 9"]),
+    ("fireweed", "--size-px", "0", "9"): (2, ["--size-px", "8 to 8,192", "got       0"]),
     ("fireweed", "--distance-m", "nan"): (2, ["--distance-m", "nan"]),
     ("fireweed", "--wood-triangles", "20"): (2, ["--wood-triangles", "at least 100", "got       20"]),
     ("fireweed", "--distance-m", "0.05", "-o", "a.png"): (2, ["--distance-m", "the camera stands in the plant"]),

@@ -116,7 +116,7 @@ def test_a_picture_shows_the_plant(plant: fg.Plant) -> None:
     assert (picture.shape, picture.dtype) == ((64, 48, 3), np.uint8)
     green = (picture[..., 1] > picture[..., 0]) & (picture[..., 1] > picture[..., 2])
     assert green[8:56, 16:32].any()
-    with pytest.raises(fg.RecipeError, match="8 to 8192"):
+    with pytest.raises(fg.RecipeError, match="8 to 8,192"):
         plant.picture((0, 64))
 
 

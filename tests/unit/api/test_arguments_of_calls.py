@@ -78,7 +78,7 @@ def recipe() -> Any:
         ("retries", lambda r: r.batch("x", retries=None)),
         ("workers", lambda r: r.batch("x", workers=2.0)),
         ("count", lambda r: r.frames(-1)),
-        ("first", lambda r: r.frames(1, first=2**40)),
+        ("first", lambda r: r.frames(1, first=2**64)),
         ("normal", lambda r: r.calibrate(normal="uff")),
         ("normals", lambda r: r.light([(1, 2, 3)], normals=["uff"])),
         ("at", lambda r: r.light(np.array(3))),

@@ -122,8 +122,8 @@ def test_the_limit_is_exact_and_the_message_names_the_largest_part(monkeypatch: 
     with pytest.raises(ResourceError, match="exemplars"):
         check_memory(one)
     monkeypatch.setattr(plan, "free_bytes", lambda: 10**12)
-    with pytest.raises(ResourceError, match=r"100,000,000 plants grew[\s\S]*smaller"):
-        check_memory(one, plants=100_000_000)
+    with pytest.raises(ResourceError, match=r"1,000,000,000 plants grew[\s\S]*smaller"):
+        check_memory(one, plants=1_000_000_000)
 
 
 def test_every_part_has_a_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
