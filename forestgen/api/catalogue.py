@@ -15,6 +15,7 @@ from forestgen.community.registry import COMMUNITY_MODELS, ENVIRONMENTS
 from forestgen.core.arguments import shown, text_of
 from forestgen.core.errors import RecipeError
 from forestgen.core.registry import Registry
+from forestgen.geometry.export import MESH_EXPORTERS
 from forestgen.plants.registry import GENERATORS
 from forestgen.recipe.assets import find_asset, list_assets
 from forestgen.recipe.registries import DATASET_FORMATS
@@ -28,6 +29,7 @@ _REGISTRIES = {
     "environment": ENVIRONMENTS,
     "plant_generator": GENERATORS,
     "dataset_format": DATASET_FORMATS,
+    "mesh_exporter": MESH_EXPORTERS,
 }
 _WITHOUT_COMMENT = {  # files of a format that has none
     "fig_5_2": "A bush of one rule, of Rhodes University's forest: its Fig. 5.2, in the format .sys.",
@@ -39,7 +41,7 @@ _ASSETS = {"species": "species", "lsystems": "lsystem", "recipes": "recipe"}  # 
 class Entry:
     """Something that recipes can name."""
 
-    kind: str  # community_model, environment, plant_generator, dataset_format, species, lsystem or recipe
+    kind: str  # that of a part, such as community_model, or species, lsystem or recipe
     name: str
     description: str
     path: Path | None = field(default=None)  # of a file
@@ -58,7 +60,7 @@ class Entry:
 
 
 def models(name: str | None = None, *, kind: str | None = None) -> list[Entry]:
-    """Community models, environments, generators and data set formats, species, L-systems and recipes.
+    """Community models, environments, generators, data set formats, mesh exporters, species, L-systems and recipes.
 
     Parameters
     ----------
@@ -156,8 +158,8 @@ def register(kind: str, name: str, part: object, description: str = "") -> None:
 
     Parameters
     ----------
-    kind : community_model, environment, plant_generator or dataset_format.
-    name : that recipes use.
+    kind : community_model, environment, plant_generator, dataset_format or mesh_exporter.
+    name : that recipes use; of a mesh exporter the suffix of its files, without the dot.
     part : the object, defined at the top of a module; or its place, ``"package.module:NAME"``.
     description : one line for `models`; by default the first line of the object's documentation.
 

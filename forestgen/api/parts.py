@@ -13,6 +13,7 @@ from forestgen.community.model import CommunityModel, CommunityParameters
 from forestgen.core.arguments import shown
 from forestgen.core.errors import RecipeError
 from forestgen.dataset.formats.format import DatasetFormat
+from forestgen.geometry.export import MeshExporter
 from forestgen.plants.parameters import Generator, PlantParameters
 
 _PLACE = re.compile(r"([^\W\d]\w*(?:\.[^\W\d]\w*)*):([^\W\d]\w*)")
@@ -22,6 +23,7 @@ _CONTRACTS: dict[str, tuple[type, type[BaseModel] | None]] = {
     "environment": (Environment, BaseModel),
     "plant_generator": (Generator, PlantParameters),
     "dataset_format": (DatasetFormat, None),
+    "mesh_exporter": (MeshExporter, None),
 }
 
 

@@ -17,6 +17,7 @@ _TITLES = {
     "environment": "environments",
     "plant_generator": "plant generators",
     "dataset_format": "data set formats",
+    "mesh_exporter": "mesh exporters",
     "species": "species",
     "lsystem": "lsystems",
     "recipe": "recipes",
@@ -58,7 +59,8 @@ def models(
         typer.Option(
             "--kind",
             metavar="KIND",
-            help="Only these: community_model, environment, plant_generator, dataset_format, species, lsystem, recipe.",
+            help="Only these: community_model, environment, plant_generator, dataset_format, mesh_exporter, species, "
+            "lsystem, recipe.",
             show_default=False,
         ),
     ] = None,

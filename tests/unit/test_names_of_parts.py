@@ -8,6 +8,7 @@ from functools import cache
 import pytest
 
 from forestgen.core.code_hash import PACKAGE
+from forestgen.geometry.export import MESH_EXPORTERS
 from forestgen.recipe.registries import DATASET_FORMATS
 
 REGISTRY = "recipe/registries.py"
@@ -40,3 +41,11 @@ def test_only_a_formats_own_module_names_it(name: str) -> None:
     found = {file for file, own in texts().items() if name in own}
     assert found - known == set(), f"ask forestgen.dataset.formats.format for {name!r} instead of naming it"
     assert {file for file, names in OTHER_MEANINGS.items() if name in names} <= found, "an exception without a cause"
+
+
+@pytest.mark.parametrize("name", list(MESH_EXPORTERS))
+def test_only_a_mesh_exporters_own_module_names_it(name: str) -> None:
+    own = type(MESH_EXPORTERS.load(name)).__module__.removeprefix("forestgen.").replace(".", "/") + ".py"
+    clouds = {"dataset/formats/points.py", "dataset/check/points.py"} if name == "ply" else set()  # a PLY's first word
+    found = {file for file, literals in texts().items() if name in literals}
+    assert found - {"geometry/export.py", own} == clouds, "ask forestgen.geometry.export for the exporter"
