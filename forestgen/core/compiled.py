@@ -7,15 +7,12 @@ from typing import Any
 
 import numba
 from numba.core import cgutils
+from numba.core.dispatcher import Dispatcher
 from numba.extending import intrinsic
 
 
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    """The function as machine code, which runs without Python's lock.
-
-    Numba notices when the function's own file changes, not when another file does: kernels that call one another
-    belong in one file.
-    """
+    """The function as machine code, which runs without Python's lock."""
     return _compiled(function)
 
 
@@ -32,6 +29,11 @@ def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
     return _compiled(function, fastmath={"contract"}, forceinline=True)
 
 
+def inlined_exactly(function: Callable[..., Any]) -> Callable[..., Any]:
+    """As `inlined`, but every product is rounded: results are the same on every processor."""
+    return _compiled(function, forceinline=True)
+
+
 def unchecked(function: Callable[..., Any]) -> Callable[..., Any]:
     """As `compiled`; a division by zero gives infinity and no error, so that loops with one become vector instructions.
 
@@ -45,7 +47,27 @@ def _compiled(function: Callable[..., Any], **options: Any) -> Callable[..., Any
         kernel: Callable[..., Any] = numba.njit(cache=True, nogil=True, **options)(function)
     except RuntimeError:  # neither the package nor the home directory can be written to: no place for a cache
         kernel = numba.njit(nogil=True, **options)(function)
+    _follow_helpers(kernel)
     return kernel
+
+
+def _follow_helpers(kernel: Any) -> None:
+    """Compile a kept kernel again when a helper that its module imports has changed: Numba looks at its own file only.
+
+    The helpers' stamps contain those of their own helpers. Private to Numba; tests/unit/core/test_compiled.py notices
+    if it changes there.
+    """
+    kept = getattr(getattr(kernel, "_cache", None), "_cache_file", None)
+    if kept is None:  # nothing is kept, or nothing compiled (NUMBA_DISABLE_JIT)
+        return
+    own = kernel.py_func.__module__
+    helpers = {
+        one._cache._cache_file._source_stamp
+        for one in kernel.py_func.__globals__.values()
+        if isinstance(one, Dispatcher) and one.py_func.__module__ != own and hasattr(one._cache, "_cache_file")
+    }
+    if helpers:
+        kept._source_stamp = (kept._source_stamp, *sorted(helpers, key=repr))
 
 
 @intrinsic

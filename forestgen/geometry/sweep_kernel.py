@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from forestgen.core.compiled import borrowed, contracted
+from forestgen.geometry.sweep_points import HUB_SIDES, Vector, cross, dot, perpendicular, unit, way
 
-HUB_SIDES = 8  # from this many sides on, a cap is a fan about its centre, so that a star-shaped ring is capped well
 _MOST_MITRE = 2.0
 _LEVEL = 0.24  # share of a segment's length: rings that lean less along it need no look at the quads' diagonals
 _EVEN = 0.85  # ratio of the rings' radii for the same
@@ -20,54 +20,11 @@ _LEAST_FACTOR = 0.05
 _ALIKE = 0.25  # square of the ratio of a quad's two triangles from which the first diagonal is good enough
 _BETTER = 1.05  # the other diagonal of a quad is taken if its smaller triangle is this much larger
 
-Vector = tuple[float, float, float]
-
 
 @contracted
 def circumradius(sides: int) -> float:
     """Of the regular polygon whose area is that of the unit circle."""
     return sqrt(2.0 * pi / (sides * sin(2.0 * pi / sides)))
-
-
-@contracted
-def _unit(x: float, y: float, z: float) -> Vector:
-    length = sqrt(x * x + y * y + z * z)
-    if length == 0.0:
-        return 0.0, 0.0, 0.0
-    scale = 1.0 / length
-    return x * scale, y * scale, z * scale
-
-
-@contracted
-def _way(points: Any, i: int, j: int) -> tuple[float, float, float, float]:
-    """Unit vector from point i to point j, and their distance."""
-    x, y, z = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1], points[j, 2] - points[i, 2]
-    length = sqrt(x * x + y * y + z * z)
-    if length == 0.0:
-        return 0.0, 0.0, 0.0, 0.0
-    scale = 1.0 / length
-    return x * scale, y * scale, z * scale, length
-
-
-@contracted
-def _cross(a: Vector, b: Vector) -> Vector:
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
-
-
-@contracted
-def _dot(a: Vector, b: Vector) -> float:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@contracted
-def _perpendicular(a: Vector) -> Any:
-    """A unit vector at right angles to `a`, taken against the world axis that is least aligned with it."""
-    x, y, z = abs(a[0]), abs(a[1]), abs(a[2])
-    if x <= y and x <= z:
-        return _unit(0.0, a[2], -a[1])
-    if y <= z:
-        return _unit(-a[2], 0.0, a[0])
-    return _unit(a[1], -a[0], 0.0)
 
 
 @contracted
@@ -89,12 +46,12 @@ def _ring_matrices(b: Vector, f: Vector, n: Vector, o: Vector, ratio: float) -> 
     m00, m01, m10, m11 = e00, e01, e01, e11
     v00, v01, v10, v11 = w00, w01, w01, w11
     lean = 0.0 if ratio == 1.0 else 1e9
-    if _dot(b, b) > 0.0 and _dot(f, f) > 0.0:
+    if dot(b, b) > 0.0 and dot(f, f) > 0.0:
         bend = (f[0] - b[0], f[1] - b[1], f[2] - b[2])
-        x, y = _dot(bend, n), _dot(bend, o)
+        x, y = dot(bend, n), dot(bend, o)
         across = x * x + y * y
         if across > 1e-14:
-            half_cosine = sqrt(max(0.0, 0.5 * (1.0 + _dot(b, f))))
+            half_cosine = sqrt(max(0.0, 0.5 * (1.0 + dot(b, f))))
             inverse = 1.0 / max(half_cosine, 1.0 / _MOST_MITRE)
             lean += 0.5 * sqrt(across) * inverse  # the tangent of the half bend
             p, q = (inverse - 1.0) / across, (1.0 / inverse - 1.0) / across
@@ -163,7 +120,7 @@ def _cap(
         x, y, z = vertices[at, 0] - centre[0], vertices[at, 1] - centre[1], vertices[at, 2] - centre[2]
         uv[at, 0] = (x * n[0] + y * n[1] + z * n[2]) * scale
         uv[at, 1] = (x * o[0] + y * o[1] + z * o[2]) * other_scale
-    upward = _dot(_cross(n, o), facing) > 0.0
+    upward = dot(cross(n, o), facing) > 0.0
     first, count, empty = (vertex + sides, sides, 0) if hub else (vertex, sides - 2, 0)
     for j in range(count):
         b, c = (vertex + j, vertex + (j + 1 if j + 1 < sides else 0)) if hub else (vertex + j + 1, vertex + j + 2)
@@ -291,12 +248,12 @@ def _tip(
     empty, step = 0, texture[0] / sides
     for j in range(sides):
         at, a = vertex + j, ring + j
-        mean = _unit(
+        mean = unit(
             normals[a, 0] + normals[a + 1, 0], normals[a, 1] + normals[a + 1, 1], normals[a, 2] + normals[a + 1, 2]
         )
         for k in range(3):
             vertices[at, k] = point[k]
-            normals[at, k] = mean[k] if _dot(mean, mean) > 0.5 else normals[a, k]
+            normals[at, k] = mean[k] if dot(mean, mean) > 0.5 else normals[a, k]
         uv[at, 0] = step * (j + 0.5)
         uv[at, 1] = texture[1]
         empty += _face(vertices, faces, face + j, a, a + 1, at)
@@ -311,20 +268,20 @@ def _path(points: Any, kept: Any, begin: int, rings: int, count: int, path: Any)
     second reflection, times the square root of its factor, 13 its share of the first reflection's vector.
     """
     for j in range(count - 1):
-        path[j, 0], path[j, 1], path[j, 2], path[j, 3] = _way(points, kept[begin + j], kept[begin + j + 1])
+        path[j, 0], path[j, 1], path[j, 2], path[j, 3] = way(points, kept[begin + j], kept[begin + j + 1])
     x, y, z = path[0, 0], path[0, 1], path[0, 2]
     path[0, 4], path[0, 5], path[0, 6] = x, y, z
-    n = _perpendicular((x, y, z))
+    n = perpendicular((x, y, z))
     path[0, 7], path[0, 8], path[0, 9] = n
     for j in range(1, rings):
         b = (path[j - 1, 0], path[j - 1, 1], path[j - 1, 2])
         f = (path[j, 0], path[j, 1], path[j, 2]) if j < count - 1 else b
-        t = _unit(b[0] + f[0], b[1] + f[1], b[2] + f[2])
+        t = unit(b[0] + f[0], b[1] + f[1], b[2] + f[2])
         path[j, 4], path[j, 5], path[j, 6] = t
     for j in range(1, rings):
         b = (path[j - 1, 0], path[j - 1, 1], path[j - 1, 2])
         t = (path[j - 1, 4], path[j - 1, 5], path[j - 1, 6])
-        along = 2.0 * _dot(b, t)
+        along = 2.0 * dot(b, t)
         x = path[j, 4] - t[0] + along * b[0]
         y = path[j, 5] - t[1] + along * b[1]
         z = path[j, 6] - t[2] + along * b[2]
@@ -346,7 +303,7 @@ def _path(points: Any, kept: Any, begin: int, rings: int, count: int, path: Any)
     for j in range(1, rings):
         x, y, z = path[j, 4], path[j, 5], path[j, 6]
         along = path[j, 7] * x + path[j, 8] * y + path[j, 9] * z
-        n = _unit(path[j, 7] - along * x, path[j, 8] - along * y, path[j, 9] - along * z)
+        n = unit(path[j, 7] - along * x, path[j, 8] - along * y, path[j, 9] - along * z)
         path[j, 7], path[j, 8], path[j, 9] = n
 
 
@@ -360,7 +317,7 @@ def _matrices(path: Any, kept: Any, begin: int, rings: int, count: int, ratio: A
         else:
             back = (path[j - 1, 0], path[j - 1, 1], path[j - 1, 2])
         n = (path[j, 7], path[j, 8], path[j, 9])
-        o = _cross((path[j, 4], path[j, 5], path[j, 6]), n)
+        o = cross((path[j, 4], path[j, 5], path[j, 6]), n)
         m, lean = _ring_matrices(back, forward, n, o, ratio[kept[begin + j]])
         for k in range(8):
             matrix[j, k] = m[k]
@@ -409,7 +366,7 @@ def fill(
             behind, ahead = kept[begin + max(j - 1, 0)], kept[begin + min(j + 1, count[a] - 1)]
             ahead_m = path[j, 3] if j < count[a] - 1 else 0.0
             t, n = (path[j, 4], path[j, 5], path[j, 6]), (path[j, 7], path[j, 8], path[j, 9])
-            o = _cross(t, n)
+            o = cross(t, n)
             m = (
                 matrix[j, 0], matrix[j, 1], matrix[j, 2], matrix[j, 3],
                 matrix[j, 4], matrix[j, 5], matrix[j, 6], matrix[j, 7],

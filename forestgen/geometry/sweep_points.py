@@ -1,7 +1,4 @@
-"""Compiled loops of `geometry/sweep.py` over points: which are meshed, their frames, where each tube's mesh starts.
-
-The small vector functions are those of `sweep_kernel.py`: Numba's cache notices changes of a kernel's own file only.
-"""
+"""Compiled loops of `geometry/sweep.py` over points: which are meshed, their frames, where each tube's mesh starts."""
 
 from __future__ import annotations
 
@@ -21,7 +18,7 @@ Vector = tuple[float, float, float]
 
 
 @contracted
-def _unit(x: float, y: float, z: float) -> Vector:
+def unit(x: float, y: float, z: float) -> Vector:
     length = sqrt(x * x + y * y + z * z)
     if length == 0.0:
         return 0.0, 0.0, 0.0
@@ -30,7 +27,7 @@ def _unit(x: float, y: float, z: float) -> Vector:
 
 
 @contracted
-def _way(points: Any, i: int, j: int) -> tuple[float, float, float, float]:
+def way(points: Any, i: int, j: int) -> tuple[float, float, float, float]:
     """Unit vector from point i to point j, and their distance."""
     x, y, z = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1], points[j, 2] - points[i, 2]
     length = sqrt(x * x + y * y + z * z)
@@ -41,44 +38,49 @@ def _way(points: Any, i: int, j: int) -> tuple[float, float, float, float]:
 
 
 @contracted
-def _dot(a: Vector, b: Vector) -> float:
+def cross(a: Vector, b: Vector) -> Vector:
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@contracted
+def dot(a: Vector, b: Vector) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @contracted
-def _perpendicular(a: Vector) -> Any:
+def perpendicular(a: Vector) -> Any:
     """A unit vector at right angles to `a`, taken against the world axis that is least aligned with it."""
     x, y, z = abs(a[0]), abs(a[1]), abs(a[2])
     if x <= y and x <= z:
-        return _unit(0.0, a[2], -a[1])
+        return unit(0.0, a[2], -a[1])
     if y <= z:
-        return _unit(-a[2], 0.0, a[0])
-    return _unit(a[1], -a[0], 0.0)
+        return unit(-a[2], 0.0, a[0])
+    return unit(a[1], -a[0], 0.0)
 
 
 @contracted
 def _bisector(b: Vector, f: Vector) -> Any:
     """Tangent where unit vectors `b` (to the point) and `f` (from it) meet; a zero vector is a missing segment."""
-    t = _unit(b[0] + f[0], b[1] + f[1], b[2] + f[2])
-    if t[0] == 0.0 and t[1] == 0.0 and t[2] == 0.0 and _dot(b, b) > 0.0:
-        return _perpendicular(b)  # straight back
+    t = unit(b[0] + f[0], b[1] + f[1], b[2] + f[2])
+    if t[0] == 0.0 and t[1] == 0.0 and t[2] == 0.0 and dot(b, b) > 0.0:
+        return perpendicular(b)  # straight back
     return t
 
 
 @contracted
 def _carried(way: Vector, t0: Vector, t1: Vector, r0: Vector) -> Any:
     """Reference vector at the way's end: reflected in the plane that halves the way, then in one that aligns t1."""
-    along = 2.0 * _dot(way, r0)
+    along = 2.0 * dot(way, r0)
     r = (r0[0] - along * way[0], r0[1] - along * way[1], r0[2] - along * way[2])
-    along = 2.0 * _dot(way, t0)
+    along = 2.0 * dot(way, t0)
     turn = (t1[0] - t0[0] + along * way[0], t1[1] - t0[1] + along * way[1], t1[2] - t0[2] + along * way[2])
-    square = _dot(turn, turn)
+    square = dot(turn, turn)
     if square > 1e-20:
-        along = 2.0 * _dot(turn, r) / square
+        along = 2.0 * dot(turn, r) / square
         r = (r[0] - along * turn[0], r[1] - along * turn[1], r[2] - along * turn[2])
-    along = _dot(r, t1)
-    n = _unit(r[0] - along * t1[0], r[1] - along * t1[1], r[2] - along * t1[2])
-    return n if _dot(n, n) > 0.5 else _perpendicular(t1)
+    along = dot(r, t1)
+    n = unit(r[0] - along * t1[0], r[1] - along * t1[1], r[2] - along * t1[2])
+    return n if dot(n, n) > 0.5 else perpendicular(t1)
 
 
 @contracted
@@ -91,21 +93,21 @@ def frames(points: Any, offset: Any, tangent: Any, normal: Any) -> None:
             j = i + 1
             forward = (0.0, 0.0, 0.0)
             while j < offset[a + 1]:
-                x, y, z, length = _way(points, i, j)
+                x, y, z, length = way(points, i, j)
                 if length > 0.0:
                     forward = (x, y, z)
                     break
                 j += 1
             if i > offset[a]:
-                x, y, z, length = _way(points, i - 1, i)
+                x, y, z, length = way(points, i - 1, i)
                 if length > 0.0:
                     back = (x, y, z)
                     following = _bisector(back, forward)
                     n = _carried(back, t, following, n)
                     t = following
             else:
-                t = forward if _dot(forward, forward) > 0.0 else (0.0, 0.0, 1.0)
-                n = _perpendicular(t)
+                t = forward if dot(forward, forward) > 0.0 else (0.0, 0.0, 1.0)
+                n = perpendicular(t)
             for k in range(3):
                 tangent[i, k] = t[k]
                 normal[i, k] = n[k]
@@ -141,16 +143,16 @@ def keep(points: Any, radius: Any, offset: Any, kept: Any, count: Any, least: An
         top = begin
         for i in range(begin, end):
             while top > begin:
-                x, y, z, length = _way(points, kept[top - 1], i)
+                x, y, z, length = way(points, kept[top - 1], i)
                 if length < 2.0 * floor:
                     break
                 if top - begin < 2:
                     break
-                b = _way(points, kept[top - 2], kept[top - 1])
+                b = way(points, kept[top - 2], kept[top - 1])
                 if b[0] * x + b[1] * y + b[2] * z > _TURNS_BACK:
                     break
                 top -= 1
-            if top > begin and _way(points, kept[top - 1], i)[3] < 2.0 * floor:
+            if top > begin and way(points, kept[top - 1], i)[3] < 2.0 * floor:
                 continue
             kept[top] = i
             top += 1
