@@ -17,10 +17,10 @@ from forestgen.core.disk_cache import DiskCache, cache_root
 from forestgen.core.packed import UnreadableError, pack, unpack
 from forestgen.core.parts import Part
 from forestgen.geometry.mesh import Mesh
-from forestgen.plants.build import Species
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.plants.grown.wood import ModuleWood, wood_key
 from forestgen.plants.levels import FULL, Level
+from forestgen.recipe.species import Species
 
 MOST_BYTES = 4_000_000_000
 LIBRARY_BYTES = 12_000_000_000  # where images share a library: a thousand plants and more

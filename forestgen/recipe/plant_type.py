@@ -129,12 +129,3 @@ class PlantType(Section):
                 problem="no light lets a seed germinate",
             )
         return self
-
-    @property
-    def mature_form(self) -> tuple[float, float]:
-        """Apical control and determinacy of a plant that flowers."""
-        late = self.apical_control_mature, self.determinacy_mature
-        return (
-            self.apical_control if late[0] is None else late[0],
-            self.determinacy if late[1] is None else late[1],
-        )
