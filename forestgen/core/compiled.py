@@ -47,27 +47,29 @@ def _compiled(function: Callable[..., Any], **options: Any) -> Callable[..., Any
         kernel: Callable[..., Any] = numba.njit(cache=True, nogil=True, **options)(function)
     except RuntimeError:  # neither the package nor the home directory can be written to: no place for a cache
         kernel = numba.njit(nogil=True, **options)(function)
-    _follow_helpers(kernel)
+    _follow_helpers(kernel, function)
     return kernel
 
 
-def _follow_helpers(kernel: Any) -> None:
+def _follow_helpers(kernel: Any, function: Callable[..., Any]) -> None:
     """Compile a kept kernel again when a helper that its module imports has changed: Numba looks at its own file only.
 
     The helpers' stamps contain those of their own helpers. Private to Numba; tests/unit/core/test_compiled.py notices
     if it changes there.
     """
-    kept = getattr(getattr(kernel, "_cache", None), "_cache_file", None)
-    if kept is None:  # nothing is kept, or nothing compiled (NUMBA_DISABLE_JIT)
-        return
-    own = kernel.py_func.__module__
+    kept, own = _kept(kernel), function.__module__
     helpers = {
-        one._cache._cache_file._source_stamp
-        for one in kernel.py_func.__globals__.values()
-        if isinstance(one, Dispatcher) and one.py_func.__module__ != own and hasattr(one._cache, "_cache_file")
+        _kept(one)._source_stamp
+        for one in function.__globals__.values()
+        if isinstance(one, Dispatcher) and one.py_func.__module__ != own and _kept(one) is not None
     }
-    if helpers:
+    if kept is not None and helpers:
         kept._source_stamp = (kept._source_stamp, *sorted(helpers, key=repr))
+
+
+def _kept(kernel: Any) -> Any:
+    """Numba's record of a kernel on disk; None if it is not kept, or not compiled (NUMBA_DISABLE_JIT)."""
+    return getattr(getattr(kernel, "_cache", None), "_cache_file", None)
 
 
 @intrinsic
