@@ -14,6 +14,7 @@ from forestgen.community.registry import COMMUNITY_MODELS, COMPETITION_MODELS
 from forestgen.core.arguments import shown, text_of
 from forestgen.core.errors import RecipeError
 from forestgen.core.registry import Registry, part_at
+from forestgen.geometry.export import MESH_EXPORTERS
 from forestgen.plants.registry import GENERATORS
 from forestgen.recipe.assets import find_asset, list_assets
 from forestgen.recipe.registries import (
@@ -43,6 +44,7 @@ _REGISTRIES: dict[str, Registry] = {
     "terrain": TERRAINS,
     "ground_cover": GROUND_COVERS,
     "projection": PROJECTIONS,
+    "mesh_exporter": MESH_EXPORTERS,
 }
 _WITHOUT_COMMENT = {  # files of a format that has none
     "fig_5_2": "A bush of one rule, of Rhodes University's forest: its Fig. 5.2, in the format .sys.",
@@ -170,7 +172,7 @@ def register(kind: str, name: str, part: object, description: str = "") -> None:
     Parameters
     ----------
     kind : of part, such as community_model; an unknown one raises an error that lists them.
-    name : that recipes use.
+    name : that recipes use; of a mesh exporter the suffix of its files, without the dot.
     part : the object, defined at the top of a module; or its place, ``"package.module:NAME"``.
     description : one line for `models`; by default the first line of the object's documentation.
 

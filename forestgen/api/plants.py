@@ -166,7 +166,7 @@ class Plant:
     def export(
         self, path: str | os.PathLike[str], *, wood_triangles: int | None = None, overwrite: bool = False
     ) -> Path:
-        """Write a mesh (.glb, .ply, .obj, .usd, .usda, .usdc, .usdz), or a picture (.png).
+        """Write a mesh (.glb, .ply, .obj, .usd, .usda, .usdc, .usdz, or a registered format), or a picture (.png).
 
         Parameters
         ----------

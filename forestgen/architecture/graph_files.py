@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.architecture.skeletal_graph import SkeletalGraph
-from forestgen.core.errors import AssetError, OutputError
+from forestgen.core.errors import OutputError
 
 GRAPH_FORMATS = (".parquet", ".csv", ".gltf", ".glb", ".obj", ".usda", ".usdc")
 _TYPES: dict[str, type] = {
@@ -79,30 +79,6 @@ def write_graph(path: Path, graph: SkeletalGraph, *, foot_m: Any = None, columns
         path.write_bytes(content)
     except OSError as cause:
         raise OutputError("the graph cannot be written", where=str(path), got=str(cause)) from cause
-
-
-def read_graph(path: Path) -> SkeletalGraph:
-    """The graph of a .parquet or .csv file of `write_graph`; other columns are left out.
-
-    Raises
-    ------
-    AssetError : the file is missing, or lacks a column.
-    """
-    import pyarrow as pa
-    import pyarrow.csv as pa_csv
-    import pyarrow.parquet as pq
-
-    try:
-        table = pq.read_table(path) if path.suffix.lower() == ".parquet" else pa_csv.read_csv(path)
-    except (OSError, pa.ArrowException) as cause:
-        raise AssetError("no table of a skeletal graph", where=str(path), got=str(cause)[:200]) from cause
-    missing = [name for name in _TYPES if name not in table.column_names]
-    if missing:
-        raise AssetError("no table of a skeletal graph", where=str(path), expected=f"a column {missing[0]}", got="none")
-    column: dict[str, NDArray[Any]]
-    column = {name: np.asarray(table[name].to_numpy(), dtype=kind) for name, kind in _TYPES.items()}
-    position = np.stack([column.pop(name) for name in ("x_m", "y_m", "z_m")], axis=-1)
-    return SkeletalGraph(position_m=position, **column)
 
 
 def _table_bytes(

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.atmosphere.grid import CloudGrid
+from forestgen.atmosphere.voxel_march import advanced, clipped, corners, entered, inside, piece
 from forestgen.core.compiled import borrowed, compiled
 from forestgen.core.threads import over_ranges
 
@@ -92,82 +93,41 @@ def distance_into(
 
 @compiled
 def _integrate(value, start, step, length, enough, first_ray, end_ray, out):  # type: ignore[no-untyped-def]
-    """Fill `out` (R,) with integrals of `value` (Z, Y, X) along start + t step, t from 0 to `length`, where it is."""
+    """Fill `out` (R,) with integrals of `value` (Z, Y, X) along start + t step, t from 0 to `length`, where it is.
+
+    Piece n along an axis lies between the centres of cells n and n + 1; -1 and the last are the halves of cells at the
+    border.
+    """
     value = borrowed(value)
     layers, rows, columns = value.shape
+    pieces = (columns, rows, layers)
     for ray in range(first_ray, end_ray):
-        x, y, z = start[ray, 0], start[ray, 1], start[ray, 2]
-        dx, dy, dz = step[ray, 0], step[ray, 1], step[ray, 2]
-        t, end = _clipped(0.0, length[ray], x, dx, columns - 0.5)
-        t, end = _clipped(t, end, y, dy, rows - 0.5)
-        t, end = _clipped(t, end, z, dz, layers - 0.5)
+        place = (start[ray, 0], start[ray, 1], start[ray, 2])
+        way = (step[ray, 0], step[ray, 1], step[ray, 2])
+        t, end = clipped(place, way, length[ray], -0.5, (columns - 0.5, rows - 0.5, layers - 0.5))
         if not t < end:
             continue
-        i, j, k = _piece_at(x + t * dx, columns), _piece_at(y + t * dy, rows), _piece_at(z + t * dz, layers)
-        # t at which the ray leaves its piece along each axis: each from its number, so that no error adds up.
-        ahead_x, ahead_y, ahead_z = _leaves(i, x, dx), _leaves(j, y, dy), _leaves(k, z, dz)
+        box, leaves = entered(place, way, t, 0.0, 1, -1, pieces)
         total = 0.0
         while total <= enough:
-            ahead = min(ahead_x, ahead_y, ahead_z)
+            ahead = min(leaves)
             until = min(ahead, end)
             if until > t:
-                total += _piece(value, i, j, k, x, y, z, dx, dy, dz, t, until)
+                total += _piece(value, box, place, way, t, until)
                 t = until
             if ahead >= end:
                 break
-            if ahead == ahead_x:
-                i += 1 if dx > 0.0 else -1
-                ahead_x = _leaves(i, x, dx)
-            elif ahead == ahead_y:
-                j += 1 if dy > 0.0 else -1
-                ahead_y = _leaves(j, y, dy)
-            else:
-                k += 1 if dz > 0.0 else -1
-                ahead_z = _leaves(k, z, dz)
-            if not (-1 <= i < columns and -1 <= j < rows and -1 <= k < layers):
+            box, leaves = advanced(box, leaves, place, way, 0.0, 1)
+            if not inside(box, -1, pieces):
                 break
         out[ray] = total
 
 
 @compiled
-def _clipped(first, last, start, step, high):  # type: ignore[no-untyped-def]
-    """The part of [first, last] in which start + t step lies between -0.5 and `high`."""
-    if step == 0.0:
-        return (first, last) if -0.5 <= start <= high else (1.0, 0.0)
-    a, b = (-0.5 - start) / step, (high - start) / step
-    return max(first, min(a, b)), min(last, max(a, b))
-
-
-@compiled
-def _piece_at(place, size):  # type: ignore[no-untyped-def]
-    """Number of the piece [n, n + 1] that holds a place; -1 and size - 1 are the halves of cells at the border."""
-    return min(max(int(np.floor(place)), -1), size - 1)
-
-
-@compiled
-def _leaves(index, start, step):  # type: ignore[no-untyped-def]
-    """t at which start + t step leaves [index, index + 1]."""
-    if step == 0.0:
-        return np.inf
-    return ((index + 1 if step > 0.0 else index) - start) / step
-
-
-@compiled
-def _piece(value, i, j, k, x, y, z, dx, dy, dz, first, last):  # type: ignore[no-untyped-def]
+def _piece(value, box, start, step, first, last):  # type: ignore[no-untyped-def]
     """Integral over [first, last], all of it between the same eight values."""
-    layers, rows, columns = value.shape
-    i0, i1 = max(i, 0), min(i + 1, columns - 1)
-    j0, j1 = max(j, 0), min(j + 1, rows - 1)
-    k0, k1 = max(k, 0), min(k + 1, layers - 1)
-    a, b, c, d = value[k0, j0, i0], value[k0, j0, i1], value[k0, j1, i0], value[k0, j1, i1]
-    e, f, g, h = value[k1, j0, i0], value[k1, j0, i1], value[k1, j1, i0], value[k1, j1, i1]
+    corner = corners(value, box[0], box[1], box[2])
+    a, b, c, d, e, f, g, h = corner
     if a == b == c == d == e == f == g == h:
         return (last - first) * np.float64(a)
-    middle, reach = 0.5 * (first + last), 0.5 * (last - first) / np.sqrt(3.0)
-    total = 0.0
-    for t in (middle - reach, middle + reach):
-        u, v, w = x + t * dx - i, y + t * dy - j, z + t * dz - k
-        below = (a * (1.0 - u) + b * u) * (1.0 - v) + (c * (1.0 - u) + d * u) * v
-        above = (e * (1.0 - u) + f * u) * (1.0 - v) + (g * (1.0 - u) + h * u) * v
-        total += below * (1.0 - w) + above * w
-    return 0.5 * (last - first) * total
+    return piece(corner, box, start, step, first, last, 0.5 * (last - first) / np.sqrt(3.0))

@@ -37,6 +37,11 @@ def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
     return _compiled(function, fastmath={"contract"}, forceinline=True)
 
 
+def inlined_exactly(function: Callable[..., Any]) -> Callable[..., Any]:
+    """As `inlined`, but every product is rounded: results are the same on every processor."""
+    return _compiled(function, forceinline=True)
+
+
 def unchecked(function: Callable[..., Any]) -> Callable[..., Any]:
     """As `compiled`; a division by zero gives infinity and no error, so that loops with one become vector instructions.
 

@@ -1,6 +1,11 @@
 """A repeating texture drawn once more, into the atlas of a mesh that stands for a finer one.
 
-Each texel of the atlas is a place on the coarse mesh; it takes the colour of the nearest place on the fine one.
+The atlas has texture coordinates without overlap. Each of its texels is a place on the coarse mesh; it takes the colour
+of the nearest place on the fine one.
+
+Reference
+---------
+xatlas, https://github.com/jpcy/xatlas: charts are grown over nearly flat regions, unfolded, and packed.
 """
 
 from __future__ import annotations
@@ -19,6 +24,36 @@ Image = NDArray[np.float32]
 
 _MOST_PLACES = 2_000_000  # on the fine mesh, among which the nearest is looked for
 _AT_ONCE = 4_000_000  # texels of triangles' boxes
+_PADDING = 2  # texels between charts, in an atlas of one to two thousand texels a side
+
+
+def unwrap(mesh: Mesh) -> Mesh:
+    """The mesh with an atlas of its own: every point of the surface has its own place in the unit square.
+
+    Vertices on the charts' edges are doubled; faces stay, in number, order and place. The same mesh gives the same
+    atlas. Tubes that repeat a texture have better coordinates from `sweep`.
+
+    Returns
+    -------
+    mesh : uv (V, 2) in [0, 1]; normals as they were.
+    """
+    import xatlas  # type: ignore[import-not-found]
+
+    if not mesh.triangles:
+        return Mesh(mesh.vertices_m, mesh.faces, mesh.normals, np.zeros((len(mesh.vertices_m), 2), np.float32))
+    atlas = xatlas.Atlas()
+    atlas.add_mesh(mesh.vertices_m, mesh.faces, mesh.normals)
+    packing = xatlas.PackOptions()
+    packing.padding = _PADDING
+    packing.create_image = False
+    atlas.generate(xatlas.ChartOptions(), packing)
+    source, faces, uv = atlas[0]
+    return Mesh(
+        mesh.vertices_m[source],
+        np.ascontiguousarray(faces, dtype=np.uint32),
+        None if mesh.normals is None else mesh.normals[source],
+        np.clip(uv, 0.0, 1.0).astype(np.float32),
+    )
 
 
 def bake(coarse: Mesh, fine: Sequence[tuple[Mesh, Image]], size_px: int) -> Image:
@@ -26,7 +61,7 @@ def bake(coarse: Mesh, fine: Sequence[tuple[Mesh, Image]], size_px: int) -> Imag
 
     Parameters
     ----------
-    coarse : its uv is an atlas, see `atlas.unwrap`.
+    coarse : its uv is an atlas, see `unwrap`.
     fine : meshes near it, each with the texture that its uv repeat: (H, W, 3) linear, row 0 at v = 0.
 
     Returns

@@ -14,33 +14,39 @@ from typing import Any
 
 import numpy as np
 
+from forestgen.geometry.export import MeshExporter
 from forestgen.geometry.model import Model, Piece, Surface, texture_files
 
 _LONG_AGO_S = 315_964_800  # 1980-01-06, which a zip file can tell in any time zone
 
 
-def usd_files(model: Model, file_name: str) -> dict[str, bytes]:
-    """Name -> content of the .usd, .usda, .usdc or .usdz, and of the textures beside it."""
-    from pxr import Sdf, UsdUtils
+class Usd(MeshExporter):
+    """OpenUSD, which its library usd-core writes."""
 
-    textures = texture_files(model, file_name)
-    names = {key: name for key, (name, _) in textures.items()}
-    stem, _, suffix = file_name.rpartition(".")
-    packed = suffix.lower() == "usdz"
-    with tempfile.TemporaryDirectory(prefix="forestgen-usd-") as folder:
-        for name, content in textures.values():
-            (Path(folder) / name).write_bytes(content)
-        written = Path(folder) / (f"{_identifier(stem)}.usdc" if packed else f"plant.{suffix.lower()}")
-        layer = _stage(model, names)
-        layer.Export(str(written))
-        if packed:
-            for file in Path(folder).iterdir():
-                os.utime(file, (_LONG_AGO_S, _LONG_AGO_S))  # the package keeps its files' times
-            package = Path(folder) / "plant.usdz"
-            if not UsdUtils.CreateNewUsdzPackage(Sdf.AssetPath(str(written)), str(package)):
-                raise RuntimeError("OpenUSD could not write the .usdz package")
-            return {file_name: package.read_bytes()}
-        return {file_name: written.read_bytes(), **dict(textures.values())}
+    def files(self, model: Model, file_name: str) -> dict[str, bytes]:
+        from pxr import Sdf, UsdUtils
+
+        textures = texture_files(model, file_name)
+        names = {key: name for key, (name, _) in textures.items()}
+        stem, _, suffix = file_name.rpartition(".")
+        packed = suffix.lower() == "usdz"
+        with tempfile.TemporaryDirectory(prefix="forestgen-usd-") as folder:
+            for name, content in textures.values():
+                (Path(folder) / name).write_bytes(content)
+            written = Path(folder) / (f"{_identifier(stem)}.usdc" if packed else f"plant.{suffix.lower()}")
+            layer = _stage(model, names)
+            layer.Export(str(written))
+            if packed:
+                for file in Path(folder).iterdir():
+                    os.utime(file, (_LONG_AGO_S, _LONG_AGO_S))  # the package keeps its files' times
+                package = Path(folder) / "plant.usdz"
+                if not UsdUtils.CreateNewUsdzPackage(Sdf.AssetPath(str(written)), str(package)):
+                    raise RuntimeError("OpenUSD could not write the .usdz package")
+                return {file_name: package.read_bytes()}
+            return {file_name: written.read_bytes(), **dict(textures.values())}
+
+
+EXPORTER = Usd()
 
 
 def _identifier(name: str) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -23,39 +23,13 @@ from forestgen.plants.parameters import Fit, PlantParameters
 from forestgen.plants.registry import GENERATORS
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
 from forestgen.plants.variation.courses import vary
+from forestgen.recipe.species import Species
 
 _TRIANGLE_BYTES = 150  # of an organ's triangle while it is meshed
 _LEAST_ORGAN_M = 5e-5  # single precision at a tree's top tells no points of a smaller organ apart
 _FITTED = (0.5, 2.0)  # height over the height asked for; beyond, the fit did not reach the plant
 _LARGEST_M = 1e4  # plant that keeps the size at which it grows
 _FARTHEST = 1e15  # a grown point, in the generator's own unit; single precision squares no more
-
-
-class Power(Protocol):
-    """y = scale * r^exponent."""
-
-    @property
-    def scale(self) -> float: ...
-    @property
-    def exponent(self) -> float: ...
-
-
-class Allometry(Protocol):
-    """Height and width of a plant from its community radius."""
-
-    @property
-    def height_m(self) -> Power: ...
-    @property
-    def width_m(self) -> Power: ...
-
-
-class Species(Protocol):
-    """What this module needs of a species' file."""
-
-    @property
-    def allometry(self) -> Allometry: ...
-    @property
-    def materials(self) -> Mapping[str, object]: ...
 
 
 def size_m(species: Species, radius_m: float) -> tuple[float, float]:

@@ -22,15 +22,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.parts import Part
-from forestgen.geometry.instancing import instance
-from forestgen.geometry.mesh import Mesh
+from forestgen.geometry.mesh import Mesh, instance
 from forestgen.geometry.sweep import Polylines, sides_for_radius, sweep, sweep_tubes
 from forestgen.geometry.vectors import concatenate, unit
 from forestgen.plants.collars import sweep_with_collars
 from forestgen.plants.exemplar import OrganMesh
 from forestgen.plants.far_organs import far_piece
 from forestgen.plants.levels import mean_size
-from forestgen.plants.marks import tube_marks
 from forestgen.plants.organs.shapes import OrganShape
 from forestgen.plants.parameters import Wood
 from forestgen.plants.skeleton import Skeleton
@@ -56,8 +54,8 @@ def wood_mesh(
     tile_m: tuple[float, float] = (1.0, 1.0),
     plain: bool = False,
     foot_m: tuple[float, float] = (0.0, np.inf),
-) -> Mesh:
-    """Closed tubes of the stems (`trunk`) or of all branches.
+) -> tuple[Mesh, NDArray[np.uint32] | None]:
+    """Closed tubes of the stems (`trunk`) or of all branches, and (F,) marks if the skeleton has some.
 
     Parameters
     ----------
@@ -68,27 +66,11 @@ def wood_mesh(
     foot_m : of the branches, those alone whose diameter at the foot is within (first included, second not).
     """
     tubes = _wood(skeleton, trunk, flare, height_ratio, tile_m, plain, foot_m)
-    meshes = [mesh for mesh, _, _, _ in tubes]
-    return concatenate(meshes) if meshes else sweep(_no_lines(), np.zeros(0, np.int64))
-
-
-def marked_wood(
-    skeleton: Skeleton,
-    trunk: bool,
-    flare: float,
-    *,
-    height_ratio: float = 1.0,
-    tile_m: tuple[float, float] = (1.0, 1.0),
-    plain: bool = False,
-    foot_m: tuple[float, float] = (0.0, np.inf),
-) -> tuple[Mesh, NDArray[np.uint32]]:
-    """The same with the mark of each triangle, of a skeleton that has marks."""
-    tubes = _wood(skeleton, trunk, flare, height_ratio, tile_m, plain, foot_m)
-    if not tubes or skeleton.mark is None:
-        mesh = concatenate([one[0] for one in tubes]) if tubes else sweep(_no_lines(), np.zeros(0, np.int64))
-        return mesh, np.zeros(mesh.triangles, dtype=np.uint32)
-    marks = [tube_marks(mesh, start, line, skeleton.mark[node], tile_m[1]) for mesh, start, line, node in tubes]
-    return concatenate([mesh for mesh, _, _, _ in tubes]), np.concatenate(marks)
+    mesh = concatenate([one for one, _, _, _ in tubes]) if tubes else sweep(_no_lines(), np.zeros(0, np.int64))
+    if skeleton.mark is None:
+        return mesh, None
+    marks = [tube_marks(one, start, line, skeleton.mark[node], tile_m[1]) for one, start, line, node in tubes]
+    return mesh, np.concatenate([np.zeros(0, dtype=np.uint32), *marks])
 
 
 def _wood(
@@ -137,13 +119,13 @@ def organ_meshes(
     """
     parts: dict[tuple[Part, str], list[tuple[Mesh, NDArray[np.uint32] | None]]] = {}
     stem, limb = (Part.DEAD_WOOD, Part.DEAD_WOOD) if wood.dead else (Part.TRUNK, Part.BRANCH)
-    parts[stem, wood.material] = [_known(skeleton, True, wood.flare, tile_m=wood.bark_tile_m)]
+    parts[stem, wood.material] = [wood_mesh(skeleton, True, wood.flare, tile_m=wood.bark_tile_m)]
     thick = np.inf if wood.thick_branch_m is None else wood.thick_branch_m
     for foot_m, material, tile_m in (
         ((0.0, thick), wood.branch_material or wood.material, wood.branch_tile_m),
         ((thick, np.inf), wood.material, wood.bark_tile_m),
     ):
-        branches = _known(
+        branches = wood_mesh(
             skeleton,
             False,
             wood.flare,
@@ -165,22 +147,6 @@ def organ_meshes(
         if mesh.triangles:
             made.append(OrganMesh(part, material, mesh, np.concatenate(marks) if len(marks) == len(found) else None))
     return tuple(made)
-
-
-def _known(
-    skeleton: Skeleton,
-    trunk: bool,
-    flare: float,
-    *,
-    height_ratio: float = 1.0,
-    tile_m: tuple[float, float],
-    plain: bool = False,
-    foot_m: tuple[float, float] = (0.0, np.inf),
-) -> tuple[Mesh, NDArray[np.uint32] | None]:
-    """Wood with its marks, where the skeleton has some."""
-    make = wood_mesh if skeleton.mark is None else marked_wood
-    made = make(skeleton, trunk, flare, height_ratio=height_ratio, tile_m=tile_m, plain=plain, foot_m=foot_m)
-    return made if isinstance(made, tuple) else (made, None)
 
 
 def branch_lines(skeleton: Skeleton, first: Ints, last: Ints) -> Polylines:
@@ -321,3 +287,39 @@ def _is_pointed(lines: Polylines) -> NDArray[np.bool_]:
 
 def _no_lines() -> Polylines:
     return Polylines(np.zeros((0, 3)), np.zeros(0), np.zeros(1, np.int64))
+
+
+def tube_marks(
+    mesh: Mesh, vertex_start: Ints, lines: Polylines, mark: NDArray[np.uint32], tile_m: float
+) -> NDArray[np.uint32]:
+    """(F,) marks of the triangles of swept tubes: of the segment beside which each lies.
+
+    A tube's texture runs along it by arc length, which tells the segment; caps have a texture of their own, and are
+    their ends'.
+
+    Parameters
+    ----------
+    mesh : tubes, see `geometry.sweep.sweep_tubes`.
+    vertex_start : (A + 1,) where each tube's vertices begin.
+    lines : the A polylines that the tubes follow; they may be finer, and go on beyond the ends.
+    mark : (P,) of the segment that each point of `lines` ends; a line's first is that of its second.
+    tile_m : metres along a tube for which the texture runs from 0 to 1.
+    """
+    if not mesh.triangles or mesh.uv is None:
+        return np.zeros(mesh.triangles, dtype=np.uint32)
+    tube = np.searchsorted(vertex_start, mesh.faces[:, 0].astype(np.int64), side="right") - 1
+    step = np.linalg.norm(np.diff(lines.points_m, axis=0, prepend=lines.points_m[:1]), axis=1)
+    step[lines.offset[:-1]] = 0.0
+    total = np.cumsum(step)
+    begin, end = total[lines.offset[:-1]], total[lines.offset[1:] - 1]
+    along = mesh.uv[:, 1].astype(np.float64)[mesh.faces].mean(axis=1) * tile_m
+    place = np.clip(begin[tube] + along, begin[tube], end[tube])
+    first, last = lines.offset[:-1][tube] + 1, lines.offset[1:][tube] - 1
+    point = np.clip(np.searchsorted(total, place, side="left"), first, last)
+    centre = mesh.vertices_m.astype(np.float64)[mesh.faces].mean(axis=1)
+    share = (total[point] - place) / np.maximum(step[point], 1e-12)
+    beside = lines.points_m[point] + np.clip(share, 0.0, 1.0)[:, None] * (
+        lines.points_m[point - 1] - lines.points_m[point]
+    )
+    at_end = np.linalg.norm(centre - lines.points_m[last], axis=1) < np.linalg.norm(centre - beside, axis=1)
+    return np.asarray(mark[np.where(at_end, last, point)], dtype=np.uint32)

@@ -41,6 +41,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.atmosphere.grid import CloudGrid
+from forestgen.atmosphere.voxel_march import advanced, clipped, entered, inside
 from forestgen.core.compiled import borrowed, compiled, inlined
 from forestgen.core.threads import over_ranges
 
@@ -225,20 +226,18 @@ def _flight(value, most, x, y, z, dx, dy, dz, per_x, per_y, per_z, ratio, state)
     """Distance to the next collision, inf for none; or, by `ratio`, an estimate of the transmittance of all the way."""
     x, y, z = x * per_x - 0.5, y * per_y - 0.5, z * per_z - 0.5  # in cells, from the first one's centre
     dx, dy, dz = dx * per_x, dy * per_y, dz * per_z
-    t, end = _clipped(0.0, np.inf, x, dx, value.shape[2] - 2.5)
-    t, end = _clipped(t, end, y, dy, value.shape[1] - 2.5)
-    t, end = _clipped(t, end, z, dz, value.shape[0] - 2.5)
+    start, step = (x, y, z), (dx, dy, dz)
+    t, end = clipped(start, step, np.inf, -0.5, (value.shape[2] - 2.5, value.shape[1] - 2.5, value.shape[0] - 2.5))
     through = 1.0
     if not t < end:
         return np.inf, through, state
-    layers, rows, columns = most.shape
-    i, j, k = _brick_at(x + t * dx, columns), _brick_at(y + t * dy, rows), _brick_at(z + t * dz, layers)
-    ahead_x, ahead_y, ahead_z = _leaves(i, x, dx), _leaves(j, y, dy), _leaves(k, z, dz)
+    bricks = (most.shape[2], most.shape[1], most.shape[0])
+    box, leaves = entered(start, step, t, -0.5, BRICK, 0, bricks)
     state, u = _draw(state)
     left = -np.log(u)  # optical depth, at the bricks' largest extinctions, to the next collision
     while True:
-        rate = np.float64(most[k, j, i])
-        ahead = min(ahead_x, ahead_y, ahead_z)
+        rate = np.float64(most[box[2], box[1], box[0]])
+        ahead = min(leaves)
         until = min(ahead, end)
         while rate > 0.0:
             if rate * (until - t) <= left:
@@ -262,16 +261,8 @@ def _flight(value, most, x, y, z, dx, dy, dz, per_x, per_y, per_z, ratio, state)
         t = until
         if ahead >= end:
             return np.inf, through, state
-        if ahead == ahead_x:
-            i += 1 if dx > 0.0 else -1
-            ahead_x = _leaves(i, x, dx)
-        elif ahead == ahead_y:
-            j += 1 if dy > 0.0 else -1
-            ahead_y = _leaves(j, y, dy)
-        else:
-            k += 1 if dz > 0.0 else -1
-            ahead_z = _leaves(k, z, dz)
-        if not (0 <= i < columns and 0 <= j < rows and 0 <= k < layers):
+        box, leaves = advanced(box, leaves, start, step, -0.5, BRICK)
+        if not inside(box, 0, bricks):
             return np.inf, through, state
 
 
@@ -289,28 +280,6 @@ def _value(value, x, y, z):  # type: ignore[no-untyped-def]
     below = (a * (1.0 - u) + b * u) * (1.0 - v) + (c * (1.0 - u) + d * u) * v
     above = (e * (1.0 - u) + f * u) * (1.0 - v) + (g * (1.0 - u) + h * u) * v
     return below * (1.0 - w) + above * w
-
-
-@inlined
-def _clipped(first, last, start, step, high):  # type: ignore[no-untyped-def]
-    """The part of [first, last] in which start + t step lies between -0.5 and `high`."""
-    if step == 0.0:
-        return (first, last) if -0.5 <= start <= high else (1.0, 0.0)
-    a, b = (-0.5 - start) / step, (high - start) / step
-    return max(first, min(a, b)), min(last, max(a, b))
-
-
-@inlined
-def _brick_at(place, count):  # type: ignore[no-untyped-def]
-    return min(max(int(np.floor((place + 0.5) / BRICK)), 0), count - 1)
-
-
-@inlined
-def _leaves(brick, start, step):  # type: ignore[no-untyped-def]
-    """t at which start + t step leaves a brick along one axis."""
-    if step == 0.0:
-        return np.inf
-    return ((brick + 1 if step > 0.0 else brick) * BRICK - 0.5 - start) / step
 
 
 @inlined

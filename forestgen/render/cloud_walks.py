@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.atmosphere.grid import CloudGrid
+from forestgen.atmosphere.voxel_march import advanced, clipped, corners, entered, inside, mixed, piece
 from forestgen.core.compiled import borrowed, compiled
 from forestgen.core.threads import over_ranges
 
@@ -127,12 +128,12 @@ def _walk(value, most, low, cell, optics, disc, seed, first_ray, end_ray, leaves
         met = False
         while True:
             ux, uy, uz = dx * scale_x, dy * scale_y, dz * scale_z
-            t, inside = _flight(value, most, x, y, z, ux, uy, uz, state)
+            t, scattered = _flight(value, most, (x, y, z), (ux, uy, uz), state)
             if t < 0.0:
                 break
             met = True
             x, y, z = x + t * ux, y + t * uy, z + t * uz
-            if not inside:
+            if not scattered:
                 break
             scatterings += 1
             if scatterings <= _FREE_SCATTERINGS:
@@ -171,87 +172,43 @@ def _random(state):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _flight(value, most, x, y, z, ux, uy, uz, state):  # type: ignore[no-untyped-def]
+def _flight(value, most, start, step, state):  # type: ignore[no-untyped-def]
     """Metres to the next scattering or to the end of the field, and whether it is a scattering; -1: it is missed."""
     layers, rows, columns = value.shape
-    t, end = _clipped(0.0, np.inf, x, ux, columns)
-    t, end = _clipped(t, end, y, uy, rows)
-    t, end = _clipped(t, end, z, uz, layers)
+    boxes = (most.shape[2], most.shape[1], most.shape[0])
+    t, end = clipped(start, step, np.inf, 0.0, (columns, rows, layers))
     if not t < end:
         return -1.0, False
-    i = _box_at(x + t * ux, most.shape[2])
-    j = _box_at(y + t * uy, most.shape[1])
-    k = _box_at(z + t * uz, most.shape[0])
-    ahead_x, ahead_y, ahead_z = _leaves_box(i, x, ux), _leaves_box(j, y, uy), _leaves_box(k, z, uz)
+    (x, y, z), (ux, uy, uz) = start, step
+    box, leaves = entered(start, step, t, 0.0, _BOX_CELLS, 0, boxes)
     depth = -np.log(1.0 - _random(state))
     while True:
-        ahead = min(ahead_x, ahead_y, ahead_z)
+        ahead = min(leaves)
         until = min(ahead, end)
-        largest = np.float64(most[k, j, i])
+        largest = np.float64(most[box[2], box[1], box[0]])
         if largest > 0.0:
             while True:
-                step = depth / largest
-                if t + step >= until:
+                way = depth / largest
+                if t + way >= until:
                     depth -= max(until - t, 0.0) * largest
                     break
-                t += step
+                t += way
                 if _random(state) * largest < _lookup(value, x + t * ux - 0.5, y + t * uy - 0.5, z + t * uz - 0.5):
                     return t, True
                 depth = -np.log(1.0 - _random(state))
         t = max(t, until)
         if ahead >= end:
             return end, False
-        if ahead == ahead_x:
-            i += 1 if ux > 0.0 else -1
-            ahead_x = _leaves_box(i, x, ux)
-        elif ahead == ahead_y:
-            j += 1 if uy > 0.0 else -1
-            ahead_y = _leaves_box(j, y, uy)
-        else:
-            k += 1 if uz > 0.0 else -1
-            ahead_z = _leaves_box(k, z, uz)
-        if not (0 <= i < most.shape[2] and 0 <= j < most.shape[1] and 0 <= k < most.shape[0]):
+        box, leaves = advanced(box, leaves, start, step, 0.0, _BOX_CELLS)
+        if not inside(box, 0, boxes):
             return end, False
-
-
-@compiled
-def _clipped(first, last, start, step, size):  # type: ignore[no-untyped-def]
-    """The part of [first, last] in which start + t step lies between 0 and `size`."""
-    if step == 0.0:
-        return (first, last) if 0.0 <= start <= size else (1.0, 0.0)
-    a, b = -start / step, (size - start) / step
-    return max(first, min(a, b)), min(last, max(a, b))
-
-
-@compiled
-def _box_at(place, boxes):  # type: ignore[no-untyped-def]
-    return min(max(int(np.floor(place / _BOX_CELLS)), 0), boxes - 1)
-
-
-@compiled
-def _leaves_box(index, start, step):  # type: ignore[no-untyped-def]
-    """t at which start + t step leaves a box."""
-    if step == 0.0:
-        return np.inf
-    return ((index + 1 if step > 0.0 else index) * _BOX_CELLS - start) / step
 
 
 @compiled
 def _lookup(value, x, y, z):  # type: ignore[no-untyped-def]
     """Trilinear; values stand at whole numbers and are held beyond the border."""
-    layers, rows, columns = value.shape
     i, j, k = int(np.floor(x)), int(np.floor(y)), int(np.floor(z))
-    u, v, w = x - i, y - j, z - k
-    i0, i1 = min(max(i, 0), columns - 1), min(max(i + 1, 0), columns - 1)
-    j0, j1 = min(max(j, 0), rows - 1), min(max(j + 1, 0), rows - 1)
-    k0, k1 = min(max(k, 0), layers - 1), min(max(k + 1, 0), layers - 1)
-    below = (value[k0, j0, i0] * (1.0 - u) + value[k0, j0, i1] * u) * (1.0 - v) + (
-        value[k0, j1, i0] * (1.0 - u) + value[k0, j1, i1] * u
-    ) * v
-    above = (value[k1, j0, i0] * (1.0 - u) + value[k1, j0, i1] * u) * (1.0 - v) + (
-        value[k1, j1, i0] * (1.0 - u) + value[k1, j1, i1] * u
-    ) * v
-    return below * (1.0 - w) + above * w
+    return mixed(corners(value, i, j, k), x - i, y - j, z - k)
 
 
 @compiled
@@ -270,7 +227,9 @@ def _from_sun(value, low, cell, disc, x, y, z, dx, dy, dz, g1, g2, share, state)
         return 0.0
     cosine = dx * tx + dy * ty + dz * tz
     phase = share * _henyey(cosine, g1) + ((1.0 - share) * _henyey(cosine, g2) if share < 1.0 else 0.0)
-    through = _through(value, x, y, z, tx / cell[0], ty / cell[1], tz / cell[2], state)
+    # In cells from the first one's centre.
+    place, step = (x - 0.5, y - 0.5, z - 0.5), (tx / cell[0], ty / cell[1], tz / cell[2])
+    through = _through(value, place, step, state)
     return phase * through * facing * disc[12] / squared
 
 
@@ -303,19 +262,18 @@ def _turn(dx, dy, dz, g, state, turned):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _through(value, x, y, z, ux, uy, uz, state):  # type: ignore[no-untyped-def]
+def _through(value, start, step, state):  # type: ignore[no-untyped-def]
     """An estimate of the share of light that comes from a place inside the field to its border."""
     layers, rows, columns = value.shape
-    x, y, z = x - 0.5, y - 0.5, z - 0.5
-    end = min(_border(x, ux, columns), _border(y, uy, rows), _border(z, uz, layers))
-    i, j, k = _piece_at(x, columns), _piece_at(y, rows), _piece_at(z, layers)
-    ahead_x, ahead_y, ahead_z = _leaves_piece(i, x, ux), _leaves_piece(j, y, uy), _leaves_piece(k, z, uz)
+    pieces = (columns, rows, layers)
+    end = min(_border(start[0], step[0], columns), _border(start[1], step[1], rows), _border(start[2], step[2], layers))
+    box, leaves = entered(start, step, 0.0, 0.0, 1, -1, pieces)
     total, enough, t = 0.0, np.inf, 0.0
     while True:
-        ahead = min(ahead_x, ahead_y, ahead_z)
+        ahead = min(leaves)
         until = min(ahead, end)
         if until > t:
-            total += _piece(value, i, j, k, x, y, z, ux, uy, uz, t, until)
+            total += _piece(value, box, start, step, t, until)
             t = until
             if total > _CERTAIN_DEPTH:
                 if enough == np.inf:
@@ -324,16 +282,8 @@ def _through(value, x, y, z, ux, uy, uz, state):  # type: ignore[no-untyped-def]
                     return 0.0
         if ahead >= end:
             break
-        if ahead == ahead_x:
-            i += 1 if ux > 0.0 else -1
-            ahead_x = _leaves_piece(i, x, ux)
-        elif ahead == ahead_y:
-            j += 1 if uy > 0.0 else -1
-            ahead_y = _leaves_piece(j, y, uy)
-        else:
-            k += 1 if uz > 0.0 else -1
-            ahead_z = _leaves_piece(k, z, uz)
-        if not (-1 <= i < columns and -1 <= j < rows and -1 <= k < layers):
+        box, leaves = advanced(box, leaves, start, step, 0.0, 1)
+        if not inside(box, -1, pieces):
             break
     return np.exp(-min(total, _CERTAIN_DEPTH))
 
@@ -346,34 +296,10 @@ def _border(start, step, size):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _piece_at(place, size):  # type: ignore[no-untyped-def]
-    return min(max(int(np.floor(place)), -1), size - 1)
-
-
-@compiled
-def _leaves_piece(index, start, step):  # type: ignore[no-untyped-def]
-    if step == 0.0:
-        return np.inf
-    return ((index + 1 if step > 0.0 else index) - start) / step
-
-
-@compiled
-def _piece(value, i, j, k, x, y, z, ux, uy, uz, first, last):  # type: ignore[no-untyped-def]
-    """Integral between eight values, from two points of Gauss and Legendre's rule: exact, as it is a cubic."""
-    layers, rows, columns = value.shape
-    i0, i1 = max(i, 0), min(i + 1, columns - 1)
-    j0, j1 = max(j, 0), min(j + 1, rows - 1)
-    k0, k1 = max(k, 0), min(k + 1, layers - 1)
-    a, b, c, d = value[k0, j0, i0], value[k0, j0, i1], value[k0, j1, i0], value[k0, j1, i1]
-    e, f, g, h = value[k1, j0, i0], value[k1, j0, i1], value[k1, j1, i0], value[k1, j1, i1]
+def _piece(value, box, start, step, first, last):  # type: ignore[no-untyped-def]
+    """Integral over [first, last], all of it between the same eight values."""
+    corner = corners(value, box[0], box[1], box[2])
+    a, b, c, d, e, f, g, h = corner
     if a == 0.0 and b == 0.0 and c == 0.0 and d == 0.0 and e == 0.0 and f == 0.0 and g == 0.0 and h == 0.0:
         return 0.0
-    middle, reach = 0.5 * (first + last), 0.5 * (last - first) * 0.5773502691896258
-    total = 0.0
-    for sign in (-1.0, 1.0):
-        t = middle + sign * reach
-        u, v, w = x + t * ux - i, y + t * uy - j, z + t * uz - k
-        below = (a * (1.0 - u) + b * u) * (1.0 - v) + (c * (1.0 - u) + d * u) * v
-        above = (e * (1.0 - u) + f * u) * (1.0 - v) + (g * (1.0 - u) + h * u) * v
-        total += below * (1.0 - w) + above * w
-    return 0.5 * (last - first) * total
+    return piece(corner, box, start, step, first, last, 0.5 * (last - first) * 0.5773502691896258)

@@ -1,4 +1,8 @@
-"""BSDFs of plants and ground, and how they change when a pass is for other wavelengths."""
+"""What surfaces do with light, and their BSDFs for Mitsuba, which change when a pass is for other wavelengths.
+
+`surface_of` describes the surface of an organ. `surface_bsdf` turns it into a BSDF for Mitsuba's integrators, and
+`paths/surface_tables.py` into tables for the light paths; tests/system/test_paths.py compares the two.
+"""
 
 from __future__ import annotations
 
@@ -10,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.parts import Part
-from forestgen.plants.bark.texture import SurfaceTexture
-from forestgen.render.gloss import gloss_of
+from forestgen.render.gloss import Gloss, gloss_of
 from forestgen.render.variant import mitsuba
 from forestgen.scene.channels import RGB, Channels
 from forestgen.scene.soil_colour import film_factor
@@ -119,52 +122,6 @@ def gloss_share(material: Material) -> float:
     return float(max(min(material.gloss, darkest, room), 0.0))
 
 
-def leaf_bsdf(material: Material, channels: Channels = RGB) -> dict[str, Any]:
-    """A thin two-sided leaf: a matt and a glossy reflector, and a matt transmitter; both sides alike.
-
-    R and T are the material's for light from 8 degrees and from the whole hemisphere; without gloss, and T always, for
-    light from any direction. tests/system/test_leaf.py integrates them. `principledthin` with diff_trans 2 lets its
-    colour through, evenly in all directions, and reflects nothing.
-
-    Each lobe is chosen as often as its share of the light, and carries the light over that share. So its colour
-    may pass 1, and nothing is clipped or lost, whichever channels are large.
-    """
-    if not has_transmittance(material):
-        return reflector(material, channels)
-    sides = sides_of(material, channels)
-    share = sides.shares[0]
-    return {
-        "type": "blendbsdf",
-        "weight": share,
-        "r": reflector(material, channels, 1.0 - share),
-        "t": {"type": "principledthin", "base_color": _unbounded(sides.through, share), "diff_trans": 2.0},
-    }
-
-
-def reflector(material: Material, channels: Channels = RGB, share: float = 1.0) -> dict[str, Any]:
-    """What a surface reflects, on both sides, over a share of the paths."""
-    sides = sides_of(material, channels)
-    if not gloss_share(material):
-        return {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": _unbounded(sides.matt, share)}}
-    glossy, gloss = sides.shares[1], gloss_of(material.roughness)
-    return {
-        "type": "twosided",
-        "bsdf": {
-            "type": "blendbsdf",
-            "weight": glossy,
-            "d": {"type": "diffuse", "reflectance": _unbounded(sides.matt, share * (1.0 - glossy))},
-            "g": {
-                "type": "roughconductor",
-                "distribution": "ggx",
-                "alpha": gloss.alpha,
-                "eta": gloss.index,
-                "k": 0.0,
-                "specular_reflectance": _unbounded(np.full(3, sides.gloss / gloss.albedo), share * glossy),
-            },
-        },
-    }
-
-
 def has_transmittance(material: Material) -> bool:
     """Whether light passes a leaf of the material, in any channels."""
     spectrum = material.transmittance_spectrum
@@ -176,13 +133,76 @@ def _unbounded(colour: NDArray[np.float64], share: float) -> dict[str, Any]:
     return {"type": "srgb", "color": (colour / max(share, 1e-9)).tolist(), "unbounded": True}
 
 
+@dataclass(frozen=True)
+class Surface:
+    """An organ's surface in the channels of a pass. Only the numbers of `sides` depend on the channels."""
+
+    sides: Sides
+    lobe: Gloss | None  # of the gloss; None: there is none
+    transmits: bool
+    textured: bool  # reflects `relief_colour` in place of the matt colour, by facets that lean as the texture's normals
+
+
+def is_textured(part: Part, material: Material, *, has_uv: bool) -> bool:
+    """Whether an organ shows its material's texture, which needs a mesh with uv; leaves show none."""
+    return part not in LEAFLIKE and material.texture is not None and has_uv
+
+
+def surface_of(part: Part, material: Material, channels: Channels, *, has_uv: bool) -> Surface:
+    """The surface of an organ. Wood lets no light through."""
+    textured = is_textured(part, material, has_uv=has_uv)
+    if part not in LEAFLIKE:
+        material = replace(material, transmittance=(0.0, 0.0, 0.0), transmittance_spectrum=None)
+    lobe = gloss_of(material.roughness) if not textured and gloss_share(material) > 0 else None
+    return Surface(sides_of(material, channels), lobe, has_transmittance(material), textured)
+
+
 def surface_bsdf(part: Part, material: Material, channels: Channels = RGB, *, has_uv: bool = False) -> dict[str, Any]:
-    """BSDF of a plant's surface; a texture needs a mesh with uv. Wood lets no light through."""
-    if part in LEAFLIKE:
-        return leaf_bsdf(material, channels)
-    if material.texture is not None and has_uv:
-        return textured_bsdf(material, material.texture, channels)
-    return reflector(replace(material, transmittance=(0.0, 0.0, 0.0), transmittance_spectrum=None), channels)
+    """BSDF of an organ's surface: a matt and a glossy reflector, alike on both sides, and a matt transmitter.
+
+    R and T are the material's for light from 8 degrees and from the whole hemisphere; without gloss, and T always, for
+    light from any direction. tests/system/test_leaf.py integrates them. `principledthin` with diff_trans 2 lets its
+    colour through, evenly in all directions, and reflects nothing.
+
+    Each lobe is chosen as often as its share of the light, and carries the light over that share. So its colour
+    may pass 1, and nothing is clipped or lost, whichever channels are large.
+    """
+    surface = surface_of(part, material, channels, has_uv=has_uv)
+    if surface.textured:
+        return _textured(material, channels)
+    if not surface.transmits:
+        return _reflector(surface, 1.0)
+    share = surface.sides.shares[0]
+    return {
+        "type": "blendbsdf",
+        "weight": share,
+        "r": _reflector(surface, 1.0 - share),
+        "t": {"type": "principledthin", "base_color": _unbounded(surface.sides.through, share), "diff_trans": 2.0},
+    }
+
+
+def _reflector(surface: Surface, share: float) -> dict[str, Any]:
+    """What a surface reflects, on both sides, over a share of the paths."""
+    sides, lobe = surface.sides, surface.lobe
+    if lobe is None:
+        return {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": _unbounded(sides.matt, share)}}
+    glossy = sides.shares[1]
+    return {
+        "type": "twosided",
+        "bsdf": {
+            "type": "blendbsdf",
+            "weight": glossy,
+            "d": {"type": "diffuse", "reflectance": _unbounded(sides.matt, share * (1.0 - glossy))},
+            "g": {
+                "type": "roughconductor",
+                "distribution": "ggx",
+                "alpha": lobe.alpha,
+                "eta": lobe.index,
+                "k": 0.0,
+                "specular_reflectance": _unbounded(np.full(3, sides.gloss / lobe.albedo), share * glossy),
+            },
+        },
+    }
 
 
 def diffuse(reflectance: NDArray[np.float64]) -> dict[str, Any]:
@@ -190,25 +210,32 @@ def diffuse(reflectance: NDArray[np.float64]) -> dict[str, Any]:
     return {"type": "diffuse", "reflectance": {"type": "rgb", "value": [float(x) for x in reflectance]}}
 
 
-def textured_bsdf(material: Material, texture: SurfaceTexture, channels: Channels) -> dict[str, Any]:
-    """Diffuse surface with a colour and a normal map.
+def relief_colour(material: Material, channels: Channels) -> NDArray[np.floating]:
+    """(H, W, 3) colour of the facets of a material with a texture.
 
     Under a sky that is equally bright everywhere, a facet that leans from the surface by an angle a gets only
     (1 + cos a) / 2 of what the surface gets: the rest of its hemisphere lies below the surface. What it misses there
     would come from the facet opposite. The colour is divided by that share, so that the mean reflectance stays the
-    texture's own. The renderer's shading of the terminator would take some more, and stays off.
+    texture's own.
     """
-    normals = texture.normals()
-    seen = 0.5 + 0.5 * normals[..., 2:]
+    assert material.texture is not None
+    seen = 0.5 + 0.5 * material.texture.normals()[..., 2:]
     spectrum = material.reflectance_spectrum
-    colour = channels.texture(texture.colour, material.reflectance, spectrum, seen[..., 0]) / seen
+    return channels.texture(material.texture.colour, material.reflectance, spectrum, seen[..., 0]) / seen
+
+
+def _textured(material: Material, channels: Channels) -> dict[str, Any]:
+    """Diffuse surface with a colour and a normal map. The renderer's shading of the terminator stays off: the colours
+    of the facets already contain it.
+    """
+    assert material.texture is not None
     return {
         "type": "twosided",
         "bsdf": {
             "type": "normalmap",
             "use_shadowing_function": False,
-            "normalmap": _bitmap(0.5 + 0.5 * normals),
-            "bsdf": {"type": "diffuse", "reflectance": _bitmap(colour)},
+            "normalmap": _bitmap(0.5 + 0.5 * material.texture.normals()),
+            "bsdf": {"type": "diffuse", "reflectance": _bitmap(relief_colour(material, channels))},
         },
     }
 

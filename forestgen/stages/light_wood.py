@@ -9,8 +9,7 @@ import numpy as np
 
 from forestgen.core.arguments import whole_of
 from forestgen.core.errors import RecipeError
-from forestgen.geometry.atlas import unwrap
-from forestgen.geometry.baking import bake
+from forestgen.geometry.baking import bake, unwrap
 from forestgen.geometry.mesh import Mesh, surface_area_m2
 from forestgen.geometry.model import Piece, Surface, srgb
 from forestgen.geometry.simplify import decimate

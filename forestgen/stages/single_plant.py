@@ -17,7 +17,7 @@ from forestgen.core.errors import RecipeError
 from forestgen.core.parts import Part
 from forestgen.core.progress import Progress
 from forestgen.core.randomness import child_rng
-from forestgen.geometry.export import FORMATS, model_files
+from forestgen.geometry.export import exporter_of, mesh_suffixes, model_files
 from forestgen.geometry.mesh import surface_area_m2
 from forestgen.geometry.model import Model, Piece, Surface, Value, png
 from forestgen.plants.bark.texture import texture_images
@@ -122,7 +122,8 @@ def _check(order: Order) -> None:
     check_formats(order.outputs)
     for number in range(1, (order.frames or order.count) + 1):
         paths = order.paths(number)
-        beside = [path.with_suffix(".mtl") for path in paths if path.suffix.lower() == ".obj"]
+        meshes = [path for path in paths if path.suffix.lower() != PICTURE]
+        beside = [path.with_name(name) for path in meshes for name in exporter_of(path.name).companions(path.name)]
         check_writable([*paths, *beside], overwrite=order.overwrite)
 
 
@@ -148,7 +149,7 @@ def check_numbers(order: Order) -> None:
 
 def check_formats(outputs: Sequence[Path]) -> None:
     """Raise `RecipeError` for files of an unknown kind, and for one that is named twice."""
-    wanted = (*FORMATS, PICTURE)
+    wanted = (*mesh_suffixes(), PICTURE)
     for path in outputs:
         if path.suffix.lower() not in wanted:
             expected = ", ".join(wanted[:-1]) + f" or {wanted[-1]}"

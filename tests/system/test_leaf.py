@@ -16,7 +16,7 @@ from forestgen.core.spectrum import Spectrum
 from forestgen.recipe.assets import list_assets, recipes_dir
 from forestgen.recipe.load import load_recipe
 from forestgen.render.gloss import SPHERE_DEG, gloss_of
-from forestgen.render.surfaces import gloss_share, leaf_bsdf, repaint, sides_of, surface_bsdf
+from forestgen.render.surfaces import gloss_share, repaint, sides_of, surface_bsdf
 from forestgen.render.variant import LLVM, drjit, mitsuba, using
 from forestgen.scene.channels import RGB, Channels
 from forestgen.scene.spec import Material
@@ -107,7 +107,7 @@ def assert_tabled(seen: tuple[np.ndarray, np.ndarray], material: Material, chann
 @pytest.mark.parametrize("leaf", LEAVES)
 def test_reflectance_and_transmittance_are_the_materials(leaf, light, side):
     with using(LLVM) as mi:
-        assert_tabled(light(mi.load_dict(leaf_bsdf(LEAVES[leaf])), side), LEAVES[leaf], RGB)
+        assert_tabled(light(mi.load_dict(surface_bsdf(Part.LEAF, LEAVES[leaf])), side), LEAVES[leaf], RGB)
 
 
 @pytest.mark.parametrize("gloss", [0.0, 0.03])
@@ -116,7 +116,7 @@ def test_a_leaf_is_its_table_at_every_wavelength(channels, gloss):
     """Up to R + T = 0.93 in the infrared, beside a channel where the leaf is nearly black: no lobe is clipped."""
     material = replace(FRESH, gloss=gloss)
     with using(LLVM) as mi:
-        bsdf = mi.load_dict(leaf_bsdf(material, channels))
+        bsdf = mi.load_dict(surface_bsdf(Part.LEAF, material, channels))
         for side in (1, -1):
             assert_tabled(by_sphere(bsdf, side), material, channels)
         assert_tabled(by_hemisphere(bsdf, 1), material, channels)
@@ -138,7 +138,7 @@ def test_the_leaves_of_all_species_are_their_tables(season):
     with using(LLVM) as mi:
         for material in thin.values():
             for name in ("colour", "red edge to infrared", "to the end"):
-                bsdf = mi.load_dict(leaf_bsdf(material, PASSES[name]))
+                bsdf = mi.load_dict(surface_bsdf(Part.LEAF, material, PASSES[name]))
                 for side in (1, -1):
                     assert_tabled(integrate(bsdf, SPHERE_DEG, side, 384), material, PASSES[name])
 
@@ -146,7 +146,7 @@ def test_the_leaves_of_all_species_are_their_tables(season):
 @pytest.mark.parametrize("leaf", LEAVES)
 def test_energy_is_conserved_at_every_angle(leaf):
     with using(LLVM) as mi:
-        bsdf = mi.load_dict(leaf_bsdf(LEAVES[leaf]))
+        bsdf = mi.load_dict(surface_bsdf(Part.LEAF, LEAVES[leaf]))
         for angle in (0, 30, 60, 75, 85, 89):
             r, t = integrate(bsdf, angle, 1)
             assert np.all(r + t <= 1.0 + 1e-5), angle
@@ -192,7 +192,7 @@ def test_the_gloss_lies_about_the_mirrors_direction():
         si = interaction(50, 1, 1)
         values = []
         for material in (matt, waxy):
-            bsdf = mi.load_dict(leaf_bsdf(material))
+            bsdf = mi.load_dict(surface_bsdf(Part.LEAF, material))
             for x in (-0.766, 0.0):
                 wo = mi.Vector3f(x, 0.0, float(np.sqrt(1 - x * x)))
                 values.append(np.array(bsdf.eval(mi.BSDFContext(), si, wo))[:, 0] / np.sqrt(1 - x * x))
@@ -208,7 +208,7 @@ def test_sampled_paths_carry_what_the_integral_says(leaf, side):
     mi, dr = mitsuba(), drjit()
     count = 1 << 18
     with using(LLVM):
-        bsdf = mi.load_dict(leaf_bsdf(LEAVES[leaf]))
+        bsdf = mi.load_dict(surface_bsdf(Part.LEAF, LEAVES[leaf]))
         for angle in (0, 30, 60):
             rng = np.random.default_rng(angle)
             one, two = mi.Float(rng.random(count)), mi.Point2f(rng.random(count), rng.random(count))
@@ -229,7 +229,7 @@ def test_light_may_go_either_way(leaf):
     one, other = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in (one, other))
     mi, dr = mitsuba(), drjit()
     with using(LLVM):
-        bsdf = mi.load_dict(leaf_bsdf(LEAVES[leaf]))
+        bsdf = mi.load_dict(surface_bsdf(Part.LEAF, LEAVES[leaf]))
         values = []
         for light, view in ((one, other), (other, one)):
             si = dr.zeros(mi.SurfaceInteraction3f, len(light))
@@ -244,9 +244,9 @@ def test_light_may_go_either_way(leaf):
 def test_a_repainted_leaf_is_the_leaf_built_anew(gloss):
     material = replace(FRESH, gloss=gloss)
     with using(LLVM) as mi:
-        bsdf = mi.load_dict(leaf_bsdf(material))
+        bsdf = mi.load_dict(surface_bsdf(Part.LEAF, material))
         for channels in PASSES.values():
-            fresh = mi.load_dict(leaf_bsdf(material, channels))
+            fresh = mi.load_dict(surface_bsdf(Part.LEAF, material, channels))
             repaint(bsdf, fresh)
             for ours, theirs in zip(integrate(bsdf, 40, 1, 64), integrate(fresh, 40, 1, 64), strict=True):
                 assert np.array_equal(ours, theirs)

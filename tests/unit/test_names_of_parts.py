@@ -11,6 +11,7 @@ import pytest
 from forestgen.community.registry import COMMUNITY_MODELS, COMPETITION_MODELS
 from forestgen.core.code_hash import PACKAGE
 from forestgen.core.registry import Registry
+from forestgen.geometry.export import MESH_EXPORTERS
 from forestgen.recipe.registries import (
     CLOUD_SOURCES,
     DATASET_FORMATS,
@@ -176,3 +177,11 @@ def test_only_models_know_the_classes_of_their_parameters() -> None:
         names = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}
         names |= {one.name for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) for one in node.names}
         assert not names & classes, f"{file} knows the parameters of a community model"
+
+
+@pytest.mark.parametrize("name", list(MESH_EXPORTERS))
+def test_only_a_mesh_exporters_own_module_names_it(name: str) -> None:
+    clouds = {"dataset/formats/points.py", "dataset/check/points.py"} if name == "ply" else set()  # a PLY's first word
+    found = {file for file, literals in texts().items() if name in literals}
+    own = {"geometry/export.py", own_module(MESH_EXPORTERS, name)}
+    assert found - own == clouds, "ask forestgen.geometry.export for the exporter"

@@ -100,25 +100,9 @@ class Root:
     decayed: float
 
     @property
-    def time_h(self) -> Floats:
-        """(T + 1,) hours since the start, of the rows of `tip`."""
-        return np.arange(len(self.tip), dtype=np.float64) * self.model.step_h
-
-    @property
     def length_mm(self) -> float:
         """Length along the centre line."""
         return float(self.side_mm.mean(axis=1).sum())
-
-    @property
-    def tip_angle_deg(self) -> Floats:
-        """(T + 1,) angle of the tip from the target, positive on the side it was tilted to."""
-        model = self.model
-        around = np.radians(model.azimuth_deg)
-        sideways = self.tip @ np.array([np.cos(around), np.sin(around), 0.0])
-        angle = np.degrees(
-            np.arctan2(np.linalg.norm(np.cross(self.tip, model.target), axis=1), self.tip @ model.target)
-        )
-        return np.asarray(np.where(sideways < 0.0, -angle, angle), dtype=np.float64)
 
     def points_mm(self) -> Floats:
         """(N + 1, 3) centres of the segments' faces, base in the origin, z up."""

@@ -51,7 +51,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,44 +61,13 @@ from forestgen.geometry.model import srgb
 from forestgen.plants.bark.noise import Image, Tile, upper_share
 from forestgen.plants.bark.patterns import PATTERNS, Relief
 from forestgen.plants.parameters import PlantParameters
+from forestgen.recipe.species import Bark, Material
 
 Colour = tuple[float, float, float]
 
 _TEXEL_M = 0.0015
 _LEAST_TEXELS, _MOST_TEXELS = 64, 512
 _STEEPEST = 1.2  # slope of the normal map: without shadows, steeper walls look wrong
-
-
-class Bark(Protocol):
-    """The `bark` block of a material."""
-
-    @property
-    def pattern(self) -> str: ...
-    @property
-    def tile_m(self) -> tuple[float, float]: ...
-    @property
-    def scale_m(self) -> float | None: ...
-    @property
-    def depth_m(self) -> float | None: ...
-    @property
-    def dark(self) -> Colour | None: ...
-    @property
-    def light(self) -> Colour | None: ...
-    @property
-    def marks(self) -> float | None: ...
-    @property
-    def mark_colour(self) -> Colour | None: ...
-    @property
-    def lichen(self) -> float: ...
-    @property
-    def lichen_colour(self) -> Colour: ...
-
-
-class Material(Protocol):
-    """What this module needs of a species' material."""
-
-    @property
-    def bark(self) -> Bark | None: ...
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from forestgen.plants.build import Species, finished
+from forestgen.plants.build import finished
 from forestgen.plants.exemplar import Exemplar
 from forestgen.plants.generators.branch_modules import Parameters
 from forestgen.plants.grown.twigs import clothed
 from forestgen.plants.grown.wood import ModuleWood
 from forestgen.plants.levels import FULL, Level
+from forestgen.recipe.species import Species
 
 _TRIANGLES_PER_NODE = 10  # of wood: twigs have three to five sides, stems more
 

@@ -1,4 +1,4 @@
-"""Forms of flowers, buds and fruits."""
+"""Forms of flowers, buds and flowers."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from forestgen.geometry import flowers, fruits
+from forestgen.geometry import flowers
 from forestgen.geometry.patches import Patch
 from forestgen.plants.organs.base import Bend, Detail, MaybeSize, OrganForm, PartName, Pieces, Size
 
@@ -120,7 +120,7 @@ class Bud(_OnStalk):
     width_m: Size = Field(description="greatest width, metres")
 
     def patches(self) -> tuple[Pieces, ...]:
-        body = fruits.bud(self.length_m, self.width_m, self.detail)
+        body = flowers.bud(self.length_m, self.width_m, self.detail)
         return Pieces(self.material, self.up(body)), self.stalk()
 
 
@@ -134,7 +134,7 @@ class Berry(_OnStalk):
     drupelets: Annotated[int, Field(ge=1, le=200)] = Field(1, description="1: one smooth fruit; 20-40: a bramble's")
 
     def patches(self) -> tuple[Pieces, ...]:
-        body = fruits.berry(self.diameter_m, self.length_m or self.diameter_m, self.drupelets, self.detail)
+        body = flowers.berry(self.diameter_m, self.length_m or self.diameter_m, self.drupelets, self.detail)
         return Pieces(self.material, self.up(body)), self.stalk()
 
 
@@ -148,7 +148,7 @@ class Acorn(_OnStalk):
     cup_material: str | None = Field(None, description="of the cup; the nut's own if not given")
 
     def patches(self) -> tuple[Pieces, ...]:
-        nut, cup = fruits.acorn(self.length_m, self.diameter_m, self.detail)
+        nut, cup = flowers.acorn(self.length_m, self.diameter_m, self.detail)
         cup_material = self.cup_material or self.material
         return Pieces(self.material, self.up(nut)), Pieces(cup_material, self.up(cup)), self.stalk()
 
@@ -164,7 +164,7 @@ class Cone(_OnStalk):
     opening_deg: Opening = Field(35.0, description="scales from the axis at the foot, degrees")
 
     def patches(self) -> tuple[Pieces, ...]:
-        body = fruits.cone(self.length_m, self.diameter_m, self.scales, self.opening_deg, self.detail)
+        body = flowers.cone(self.length_m, self.diameter_m, self.scales, self.opening_deg, self.detail)
         return Pieces(self.material, self.up(body)), self.stalk()
 
 
@@ -177,4 +177,4 @@ class Disc(OrganForm):
     sides: Annotated[int, Field(ge=3, le=200)] = Field(24, description="corners of its edge")
 
     def patches(self) -> tuple[Pieces, ...]:
-        return (Pieces(self.material, (fruits.disc(self.diameter_m, self.sides),)),)
+        return (Pieces(self.material, (flowers.disc(self.diameter_m, self.sides),)),)

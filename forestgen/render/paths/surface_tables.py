@@ -1,23 +1,17 @@
-"""What surfaces do with light, by organ and by texel, in the channels of a pass.
-
-The same surfaces as `render/surfaces.py` builds of Mitsuba's parts for its own integrators: a leaf is a matt reflector,
-a gloss and a matt transmitter; bark has a colour and a relief; the ground turns to one colour in the distance.
-tests/system/test_paths.py compares the two.
-"""
+"""What surfaces do with light (`render/surfaces.py`) as tables, by organ and by texel, in the channels of a pass."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.parts import Part
 from forestgen.geometry.mesh import Mesh
-from forestgen.render.gloss import gloss_of
 from forestgen.render.identity.tables import NONE
-from forestgen.render.surfaces import LEAFLIKE, gloss_share, sides_of
+from forestgen.render.surfaces import is_textured, relief_colour, surface_of
 from forestgen.scene.channels import Channels
 from forestgen.scene.soil_colour import film_factor
 from forestgen.scene.spec import Material, SceneSpec
@@ -55,10 +49,6 @@ def _organs(spec: SceneSpec) -> Iterator[tuple[Part, Mesh, Material]]:
             yield organ.part, organ.mesh, spec.materials[exemplar.species, organ.material]
 
 
-def _textured(part: Part, mesh: Mesh, material: Material) -> bool:
-    return part not in LEAFLIKE and material.texture is not None and mesh.uv is not None
-
-
 def relief_tables(spec: SceneSpec) -> ReliefTables:
     """O(faces of textured organs + texels)."""
     ground = spec.terrain.texture
@@ -67,7 +57,7 @@ def relief_tables(spec: SceneSpec) -> ReliefTables:
     texture, first_tangent, tangents = [whole], [NONE], []
     texels, faces, known = len(normals[0]), 0, dict[int, int]()
     for part, mesh, material in _organs(spec):
-        if not _textured(part, mesh, material):
+        if not is_textured(part, material, has_uv=mesh.uv is not None):
             texture.append((0, 0, 0))
             first_tangent.append(NONE)
             continue
@@ -109,22 +99,16 @@ def paint_of(spec: SceneSpec, channels: Channels) -> Paint:
     matt, through, gloss, chance = [ground.mean(axis=(0, 1))], [np.zeros(3)], [np.zeros(3)], [np.zeros(2)]
     known: set[int] = set()
     for part, mesh, material in _organs(spec):
-        textured = _textured(part, mesh, material)
-        if textured and id(material) not in known:
+        surface = surface_of(part, material, channels, has_uv=mesh.uv is not None)
+        if surface.textured and id(material) not in known:
             known.add(id(material))
-            texels.append(_relit(material, channels).reshape(-1, 3))
-        if part not in LEAFLIKE:
-            material = replace(material, transmittance=(0.0, 0.0, 0.0), transmittance_spectrum=None)
-        sides = sides_of(material, channels)
+            texels.append(np.asarray(relief_colour(material, channels), dtype=np.float32).reshape(-1, 3))
+        sides, lobe = surface.sides, surface.lobe
         matt.append(sides.matt)
         through.append(sides.through)
         passing, glossy = sides.shares
-        mirror = np.zeros(3)
-        if gloss_share(material) > 0 and not textured:
-            lobe = gloss_of(material.roughness)
-            mirror = np.array([sides.gloss / lobe.albedo, lobe.alpha, lobe.index])
-        gloss.append(mirror)
-        chance.append(np.array([passing if sides.through.any() else 0.0, glossy if mirror[0] > 0 else 0.0]))
+        gloss.append(np.zeros(3) if lobe is None else np.array([sides.gloss / lobe.albedo, lobe.alpha, lobe.index]))
+        chance.append(np.array([passing if sides.through.any() else 0.0, 0.0 if lobe is None else glossy]))
     far = channels.of_surface(terrain.far_reflectance, terrain.far_spectrum).tolist()
     film = film_factor(terrain, channels).tolist()
     return Paint(
@@ -136,13 +120,3 @@ def paint_of(spec: SceneSpec, channels: Channels) -> Paint:
         far=(far[0], far[1], far[2]),
         film_factor=(film[0], film[1], film[2]),
     )
-
-
-def _relit(material: Material, channels: Channels) -> Array:
-    """Colours of a texture with a relief: facets see less than the whole sky; see `surfaces.textured_bsdf`."""
-    assert material.texture is not None
-    seen = 0.5 + 0.5 * material.texture.normals()[..., 2:]
-    colour = channels.texture(
-        material.texture.colour, material.reflectance, material.reflectance_spectrum, seen[..., 0]
-    )
-    return np.asarray(colour / seen, dtype=np.float32)

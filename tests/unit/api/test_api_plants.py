@@ -14,6 +14,8 @@ from typer.testing import CliRunner
 
 import forestgen as fg
 from forestgen.cli import app
+from forestgen.core import registry
+from forestgen.geometry.export import MESH_EXPORTERS
 
 
 @pytest.fixture(scope="module")
@@ -69,6 +71,26 @@ def test_an_exported_file_is_the_commands(suffix: str, plant: fg.Plant, tmp_path
     if suffix in (".glb", ".ply", ".obj"):
         mesh = trimesh.load(path, force="scene").to_geometry()
         assert len(mesh.faces) == len(plant.faces)
+
+
+def test_a_registered_exporter_serves_api_and_command(
+    plant: fg.Plant, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(MESH_EXPORTERS, "_entries", dict(MESH_EXPORTERS._entries))
+    monkeypatch.setattr(registry, "_registered", list(registry._registered))
+    with pytest.raises(fg.RecipeError, match="this is no mesh exporter: it has no companions, files"):
+        fg.register("mesh_exporter", "stl", "own_exporter:NO_EXPORTER")
+    fg.register("mesh_exporter", "stl", "own_exporter:EXPORTER", "triangles alone")
+    assert [(one.kind, one.description) for one in fg.models("stl")] == [("mesh_exporter", "triangles alone")]
+    assert fg.models("glb")[0].page.startswith("glTF 2.0 binary files")
+    plant.export(tmp_path / "plant.stl")
+    assert len(trimesh.load(tmp_path / "plant.stl").faces) == len(plant.faces)
+    (tmp_path / "plant.stl").unlink()
+    words = ["plant", "fireweed", "--height-m", "0.9", "--seed", "3", "--out", str(tmp_path / "plant.stl")]
+    taken = CliRunner().invoke(app, words)  # by the file beside it
+    assert (taken.exit_code, "plant.stl.txt" in taken.stderr) == (4, True)
+    assert CliRunner().invoke(app, [*words, "--overwrite"]).exit_code == 0
+    assert (tmp_path / "plant.stl").exists()
 
 
 def test_what_cannot_be_exported(plant: fg.Plant, tmp_path: Path) -> None:

@@ -14,9 +14,9 @@ import pytest
 from module_graphs import plant_type, random_plants, shipped_tables, single
 
 from forestgen.architecture.geometry import node_diameters, node_positions
-from forestgen.architecture.graph_files import read_graph, write_graph
+from forestgen.architecture.graph_files import write_graph
 from forestgen.architecture.skeletal_graph import SkeletalGraph, modules_of, skeletal_graph
-from forestgen.core.errors import AssetError, OutputError
+from forestgen.core.errors import OutputError
 
 TYPES = (plant_type(), plant_type(tropism_strength=-0.5, thickening_cm=2.0))
 TABLES = shipped_tables(*TYPES)
@@ -119,13 +119,25 @@ def test_a_seedling_is_its_foot_alone() -> None:
     assert len(seedling.of_plant(7)) == 0
 
 
+def read_graph(path: Path) -> SkeletalGraph:
+    """The graph of a table."""
+    import pyarrow.csv
+    import pyarrow.parquet
+
+    table = (pyarrow.parquet.read_table if path.suffix == ".parquet" else pyarrow.csv.read_csv)(path)
+    names = [name for name in SkeletalGraph.__dataclass_fields__ if name != "position_m"]
+    position = np.stack([table[name].to_numpy().astype(np.float32) for name in ("x_m", "y_m", "z_m")], axis=-1)
+    return SkeletalGraph(position_m=position, **{name: table[name].to_numpy() for name in names})
+
+
 @pytest.mark.parametrize("suffix", ["parquet", "csv"])
 def test_tables_give_the_graph_back(graph: SkeletalGraph, tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"graph.{suffix}"
     write_graph(path, graph, columns={"plant_id": np.arange(11, 17), "species": ["a", "b", "b", "a", "b", "a"]})
     again = read_graph(path)
     for name in graph.__dataclass_fields__:
-        assert np.array_equal(getattr(again, name), getattr(graph, name)), name
+        values = getattr(graph, name)
+        assert np.array_equal(getattr(again, name).astype(values.dtype), values), name
     if suffix == "parquet":
         import pyarrow.parquet as pq
 
@@ -219,14 +231,9 @@ def test_bytes_repeat(graph: SkeletalGraph, tmp_path: Path) -> None:
         assert (tmp_path / f"a.{suffix}").read_bytes() == (tmp_path / f"b.{suffix}").read_bytes(), suffix
 
 
-def test_what_cannot_be_written_or_read_is_told(graph: SkeletalGraph, tmp_path: Path) -> None:
+def test_what_cannot_be_written_is_told(graph: SkeletalGraph, tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="no format for skeletal graphs"):
         write_graph(tmp_path / "graph.fbx", graph)
     for suffix in ("csv", "usda"):
         with pytest.raises(OutputError, match="cannot be written"):
             write_graph(tmp_path / "none" / f"graph.{suffix}", graph)
-    (tmp_path / "other.csv").write_text("a,b\n1,2\n")
-    with pytest.raises(AssetError, match="a column plant"):
-        read_graph(tmp_path / "other.csv")
-    with pytest.raises(AssetError, match="no table"):
-        read_graph(tmp_path / "none.parquet")

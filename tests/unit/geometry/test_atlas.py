@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from forestgen.geometry.atlas import unwrap
+from forestgen.geometry.baking import unwrap
 from forestgen.geometry.mesh import Mesh
 from forestgen.geometry.sweep import Polylines, sweep
 

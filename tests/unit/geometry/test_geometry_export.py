@@ -15,7 +15,7 @@ import pytest
 import trimesh
 
 from forestgen.core.parts import Part
-from forestgen.geometry.export import FORMATS, model_files
+from forestgen.geometry.export import mesh_suffixes, model_files
 from forestgen.geometry.mesh import Mesh, surface_area_m2
 from forestgen.geometry.model import Model, Piece, Surface
 
@@ -209,7 +209,7 @@ def test_a_usd_holds_all_of_it(suffix: str, textured: bool, tmp_path: Path) -> N
 
 
 def test_the_same_model_has_the_same_bytes() -> None:
-    for suffix in FORMATS:
+    for suffix in mesh_suffixes():
         one, two = (model_files(model(textured=True), f"a{suffix}") for _ in range(2))
         assert one == two
 
@@ -224,3 +224,28 @@ def test_a_package_knows_nothing_of_the_clock() -> None:
 def test_area() -> None:
     slope = np.linalg.norm(np.cross([-1, 2, 0], [-1, 0, 3])) / 2
     assert surface_area_m2(wedge()) == pytest.approx(1 + 1.5 + 3 + slope)
+
+
+def test_surfaces_of_nearly_one_colour_stay_apart_and_exact() -> None:
+    """trimesh keeps colours as bytes: of two whose bytes are equal, each has its own numbers in the file."""
+    looks = [Surface(name, (value, 0.4, 0.05)) for name, value in (("young", 0.1), ("old", 0.1001))]
+    pieces = [Piece(f"leaf-{one.name}", Part.LEAF, wedge(), one) for one in looks]
+    document, _ = chunks(model_files(Model("oak", pieces), "a.glb")["a.glb"])
+    colours = {one["name"]: one["pbrMetallicRoughness"]["baseColorFactor"][0] for one in document["materials"]}
+    assert colours == {"young": 0.1, "old": 0.1001}
+    assert [mesh["primitives"][0]["material"] for mesh in document["meshes"]] == [0, 1]
+
+
+def test_coordinates_are_exact_in_glb_and_ply(tmp_path: Path) -> None:
+    rng = np.random.default_rng(3)
+    scattered = replace(ball(), vertices_m=rng.normal(size=ball().vertices_m.shape).astype(np.float32))
+    one = Model("oak", [Piece("trunk", Part.TRUNK, scattered, BARK)])
+    (ply,) = loaded("tree.ply", tmp_path, one).geometry.values()
+    assert np.array_equal(ply.vertices.astype(np.float32), scattered.vertices_m)
+    document, binary = chunks(model_files(one, "tree.glb")["tree.glb"])
+    (primitive,) = document["meshes"][0]["primitives"]
+    x, y, z = scattered.vertices_m.T
+    for name, expected in (("POSITION", np.stack([x, z, -y], axis=1)), ("TEXCOORD_0", scattered.uv)):
+        view = document["bufferViews"][document["accessors"][primitive["attributes"][name]]["bufferView"]]
+        values = np.frombuffer(binary, "<f4", view["byteLength"] // 4, view["byteOffset"]).reshape(expected.shape)
+        assert np.array_equal(values, expected)

@@ -16,9 +16,8 @@ from forestgen.core.errors import RecipeError
 from forestgen.core.randomness import child_rng
 from forestgen.plants.branching import Shoots, grow, lateral_sites
 from forestgen.plants.build import build_exemplar, size_m
-from forestgen.plants.crown_form import envelope, silhouette_length
 from forestgen.plants.foliage import place
-from forestgen.plants.generators.silhouette import GENERATOR, Order, Parameters
+from forestgen.plants.generators.silhouette import GENERATOR, Order, Parameters, envelope, silhouette_length
 from forestgen.plants.registry import GENERATORS
 from forestgen.plants.skeleton import Skeleton
 from forestgen.recipe.curves import Formula, Smooth, evaluate
