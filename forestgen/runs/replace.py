@@ -111,6 +111,8 @@ def _settle(place: LocalPlace, say: Callable[[str], None], *, drop_begun: bool =
             previous.rename(moving)
             _move_content(moving, root)
             outcome = "back"
+        if moving.is_dir() and not any(_content(moving)):
+            place.remove(MOVING)  # what a lock or a worker had left in it
     if previous.is_dir() and _discard(place, PREVIOUS, say):
         outcome = "removed"
     if begun.is_dir():

@@ -117,12 +117,17 @@ def run_batch(
                 known = open_batch(work.place, images, used, mark, listener.say, before.stale, damaged)
                 queue = JobQueue(work, images, splits, known)
                 run = _Run(work, lock, log, Meter(count, already=queue.done), queue, listener, retries, strict)
-                log.event(
-                    "start", target=target, recipe=str(loaded.path), images=count, done=queue.done, threads=threads
-                )
-                for image, problem in damaged.items():
-                    log.event("image_damaged", image=image, message=problem)
+                _log_start(run, target, damaged)
                 return _make_and_finish(run, engine, images, used, mark)
+
+
+def _log_start(run: _Run, target: str, damaged: Mapping[int, str]) -> None:
+    loaded, images = run.work.loaded, run.meter.total
+    run.log.event(
+        "start", target=target, recipe=str(loaded.path), images=images, done=run.queue.done, threads=run.work.threads
+    )
+    for image, problem in damaged.items():
+        run.log.event("image_damaged", image=image, message=problem)
 
 
 def _make_and_finish(

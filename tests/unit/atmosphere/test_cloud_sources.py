@@ -41,7 +41,7 @@ def check_clouds(one: DrawnRecipe) -> None:
 
 
 def cloud_bytes(one: DrawnRecipe) -> int:
-    return cloud_source_of(one).estimate_bytes(one, None)
+    return cloud_source_of(one).estimate_bytes(one, None, None)
 
 
 def scenario_of(one: DrawnRecipe) -> Scenario:

@@ -205,7 +205,7 @@ def test_the_key_of_a_plant_knows_all_of_its_wood():
 
 
 def test_alone_the_generator_says_that_it_needs_a_community():
-    with pytest.raises(RecipeError, match="community alone"):
+    with pytest.raises(RecipeError, match="grow by their species' modules"):
         GENERATOR.grow(parameters(), 5.0, 3.0, np.random.default_rng(0))
 
 

@@ -110,7 +110,8 @@ def test_a_new_data_set_takes_the_place_of_the_old_one(tmp_path: Path) -> None:
     assert (root / ".git/HEAD").read_text() == "own"  # of another tool
     assert [one.name for one in tmp_path.iterdir()] == ["set"]
     assert not hidden(root)
-    assert not said
+    assert len(said) == 1
+    assert ".git" in said[0]
 
 
 @pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt, None])
