@@ -114,8 +114,9 @@ def test_surfaces_are_those_of_brute_force(name, spec, seen):
 def test_the_expanded_twin_is_the_same(name, spec, seen):
     identity, surface = seen[name]
     twin = trace_twin(replace(spec, cameras=(VIEWS[name],)), VIEWS[name], SAMPLES)
-    assert (identity.plant_id != twin.plant_id).mean() < 2e-4
-    assert (identity.part != twin.part).mean() < 2e-4
+    # A ray through an edge may go either way, by the processor: an instance's are rounded in its own frame.
+    assert (identity.plant_id != twin.plant_id).sum() <= 1
+    assert (identity.part != twin.part).sum() <= 1
     both = np.isfinite(surface.depth_m) & (surface.plant_id == twin.centre.plant_id)
     np.testing.assert_allclose(surface.depth_m[both], twin.depth_m[both], rtol=1e-4)
     assert (surface.sun_visible != twin.centre.sun_visible)[both].mean() < 5e-3
