@@ -203,10 +203,10 @@ def _display(quiet: bool) -> Display:
 def kept(display: Display, *, overwrite: bool = False, if_none: str = "") -> str:
     """What an interrupted run leaves behind, for people; `if_none`: where it has finished no image."""
     meter = display.meter
+    if overwrite and (meter is None or not meter.done):
+        return "nothing was written; a previous data set is as it was"
     if meter is None:
         return "nothing was written"
-    if not meter.done and overwrite:
-        return "nothing was written; a previous data set is back"
     if not meter.done and if_none:
         return if_none
     total = count(meter.total, "image")

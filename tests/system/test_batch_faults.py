@@ -159,7 +159,7 @@ def test_a_worker_that_hangs_is_stopped_and_its_image_tried_again(tmp_path: Path
     assert summary.failed == ()
     again = [event for event in log_of(target) if event["event"] == "job_failed"]
     assert [(event["image"], event["kind"], event["will_retry"]) for event in again] == [(1, "time", True)]
-    assert "--timeout" in again[0]["message"]
+    assert "`timeout`" in again[0]["message"]
     assert assert_records_hold(target) == {0, 1, 2}
 
 

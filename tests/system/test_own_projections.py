@@ -46,7 +46,7 @@ def test_labels_are_those_of_its_own_formulas(tmp_path: Path) -> None:
     (folder,) = (root / "train").glob("*-round")
     camera = json.loads((folder / "camera.json").read_text())
     assert (camera["model"], camera["hfov_deg"], camera["numbers"]) == ("cylindrical", HFOV_DEG, {"horizon": HORIZON})
-    (frame,) = fg.Dataset(root / "train")
+    (frame,) = fg.Dataset(root)
     position, radiance = frame.position.astype(float), frame.radiance
     solid = np.isfinite(position).all(axis=-1)
     assert 100 < solid.sum() < solid.size

@@ -37,7 +37,7 @@ class GreyLayer(CloudSource[GreyLayerKeys]):
     def known_base_m(self, drawn: DrawnRecipe) -> float:
         return self.keys_of(drawn).base_m
 
-    def estimate_bytes(self, drawn: DrawnRecipe, parameters: Any) -> int:
+    def estimate_bytes(self, drawn: DrawnRecipe, model: object, parameters: Any) -> int:
         return 8 * _CELLS**2 * 60
 
     def grid(self, request: CloudRequest) -> CloudGrid:

@@ -45,4 +45,4 @@ def test_an_interrupted_run_says_what_stays() -> None:
     assert kept(display) == "3 of 5 images are done and stay; the same command with --resume goes on"
     assert "--resume in place of --overwrite" in kept(display, overwrite=True)
     display.show(Meter(5))
-    assert kept(display, overwrite=True) == "nothing was written; a previous data set is back"
+    assert kept(display, overwrite=True) == "nothing was written; a previous data set is as it was"
