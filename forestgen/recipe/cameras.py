@@ -74,8 +74,8 @@ class Camera(CameraKeys):
         """Of all projections' cameras together, with all of their keys."""
         made = handler.resolve_ref_schema(handler(core_schema))
         if cls is Camera:
-            for name in PROJECTIONS:
-                own = class_of(name)
+            for _, part in PROJECTIONS.parts():
+                own = part.Parameters
                 properties = own.model_json_schema()["properties"]
                 made["properties"] |= {key: properties[key] for key in own.own_keys() if key not in made["properties"]}
         return made
@@ -102,8 +102,8 @@ AnyCamera = Annotated[SerializeAsAny[Camera], BeforeValidator(_of_its_class)]
 def _owners_of_keys() -> dict[str, list[str]]:
     """Key -> the projections whose cameras have it."""
     owners: dict[str, list[str]] = {}
-    for name in PROJECTIONS:
-        for key in class_of(name).own_keys():
+    for name, part in PROJECTIONS.parts():
+        for key in part.Parameters.own_keys():
             owners.setdefault(key, []).append(name)
     return owners
 
@@ -136,7 +136,7 @@ def _rigged(camera: CameraKeys) -> PydanticCustomError | None:
     if isinstance(camera.rig, Orbit) and camera.look_at_m is None:
         return mistake("the circle's middle", problem="an orbit needs look_at_m", got="no look_at_m", at=("rig",))
     if isinstance(camera.rig, DroneGrid) and not camera.covers_ground:
-        expected = " or ".join(name for name in PROJECTIONS if class_of(name).covers_ground)
+        expected = " or ".join(name for name, part in PROJECTIONS.parts() if part.Parameters.covers_ground)
         return mistake(expected, problem="no camera for a grid", got=camera.kind, at=("kind",))
     if isinstance(camera.rig, DroneGrid) and camera.rig.area_m is None:
         return mistake("two corners", problem="the grid needs an area_m", got="none", at=("rig",))

@@ -113,7 +113,7 @@ class PartSection(Section):
     @classmethod
     def _check_key(cls, key: str, data: Mapping[str, Any], own: type[PartSection]) -> None:
         """Check a key that the named part does not have."""
-        parameters = {name: cls.registry.load(name).Parameters for name in cls.registry}
+        parameters = {name: part.Parameters for name, part in cls.registry.parts()}
         owners = {name: one for name, one in parameters.items() if key in one.model_fields}
         if owners and own.model_config.get("extra") == "allow":
             name, owner = next(iter(owners.items()))
@@ -141,9 +141,9 @@ class PartSection(Section):
         schema = handler(core_schema)
         if "registry" in vars(cls):
             properties = handler.resolve_ref_schema(schema)["properties"]
-            for name in cls.registry:
-                part = handler(cls.registry.load(name).Parameters.__pydantic_core_schema__)
-                for key, value in handler.resolve_ref_schema(part)["properties"].items():
+            for _, part in cls.registry.parts():
+                own = handler(part.Parameters.__pydantic_core_schema__)
+                for key, value in handler.resolve_ref_schema(own)["properties"].items():
                     properties.setdefault(key, value)
             _add_names(properties[cls.selector], cls.registry)
         return schema

@@ -134,7 +134,7 @@ class CloudSource(Generic[KeysT]):
         ------
         RecipeError : these clouds have none.
         """
-        sources = {name: CLOUD_SOURCES.load(name) for name in CLOUD_SOURCES}
+        sources = dict(CLOUD_SOURCES.parts())
         raise RecipeError(
             "the recipe's clouds are not simulated",
             where=drawn.where("sky", "clouds"),

@@ -194,5 +194,5 @@ class Chapter(WeatherKeys):
                 return value
         except RecipeError:
             pass
-        simulated = [name for name in CLOUD_SOURCES if hasattr(CLOUD_SOURCES.load(name), "conditions")]
+        simulated = [name for name, part in CLOUD_SOURCES.parts() if hasattr(part, "conditions")]
         raise mistake("one of " + ", ".join(simulated), problem="no simulated weather is called so", got=value)

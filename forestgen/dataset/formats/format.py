@@ -55,7 +55,7 @@ class DatasetFormat:
         for index, camera in enumerate(recipe.cameras):
             where = drawn.where("cameras", index, "kind")
             if not self.holds(load_projection(camera.kind, where=where)):
-                kinds = [name for name in PROJECTIONS if self.holds(load_projection(name))]
+                kinds = [name for name, part in PROJECTIONS.parts() if self.holds(part)]
                 raise RecipeError(
                     f"{self.name} has no such camera",
                     where=where,
