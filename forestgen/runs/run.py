@@ -47,7 +47,7 @@ class _Run:
     listener: Listener
     retries: int
     strict: bool
-    submitted: set[str] = field(default_factory=set)  # keys of the jobs whose outcome is not known yet
+    submitted: set[str] = field(default_factory=set)  # keys of all jobs handed out
     failed: list[Failed] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)  # on the images made
     last: JobRecord | None = None  # of the image that was finished last
@@ -140,7 +140,7 @@ def _make_and_finish(
         settle_batch(work.place, splits, mark)
         return _finish(run, images)
     except BaseException as error:
-        _count_unreported(run)
+        _count_made(run)
         _log_stop(run, error)
         raise
     finally:
@@ -220,7 +220,6 @@ def _hand_out(run: _Run, engine: Engine, in_flight: int) -> int:
 
 
 def _account(run: _Run, outcome: Outcome) -> None:
-    run.submitted.discard(outcome.job.key)
     if isinstance(outcome, Done):
         run.meter.count(outcome.run.timings_s)
         run.last = outcome.record
@@ -323,11 +322,11 @@ def _summary(run: _Run, whole: Finished, report: str | None, notes: tuple[str, .
     )
 
 
-def _count_unreported(run: _Run) -> None:
-    """Count the images whose records are there, though the run was stopped before it heard of them."""
+def _count_made(run: _Run) -> None:
+    """Count the images by their records: a run that is stopped may not have heard of the last ones."""
     if run.submitted:
         with suppress(ForestgenError):  # what has stopped the run matters more
-            run.meter.made += len(run.submitted & done_keys(run.work.place))
+            run.meter.made = len(run.submitted & done_keys(run.work.place))
 
 
 def _log_stop(run: _Run, error: BaseException) -> None:

@@ -200,7 +200,7 @@ def _record_of(job: Job, drawn: DrawnRecipe, image: WrittenImage, files: dict[st
 
 
 def _put_into_place(place: Place, staging: Path, job: Job, record: JobRecord) -> None:
-    """Maps, frames, thumbnails, and last the record. If one fails, no frame of the image stays."""
+    """Maps, frames, thumbnails, and last the record: with it, the image is done. Before, a failure leaves no frame."""
     frames = sorted(path for path in (staging / _FRAMES).iterdir() if path.name != MAPS)
     maps = sorted((staging / _FRAMES / MAPS).glob("*"))
     try:
@@ -214,9 +214,17 @@ def _put_into_place(place: Place, staging: Path, job: Job, record: JobRecord) ->
             place.put_file(staging / name, name)
         place.write(record_path(job.key), record_bytes(record))
     except BaseException as error:
+        if not isinstance(error, Exception) and _has_record(place, job):
+            raise  # stopped just after the image was done
         for name in (record_path(job.key), *(f"{job.split}/{folder.name}" for folder in frames)):
             with suppress(ForestgenError, OSError):
                 place.remove(name)
         if isinstance(error, OutputError | OSError):
             raise _NotPlacedError from error
         raise
+
+
+def _has_record(place: Place, job: Job) -> bool:
+    with suppress(ForestgenError, OSError):
+        return place.exists(record_path(job.key))
+    return False

@@ -23,6 +23,7 @@ from forestgen.recipe.load import DrawnRecipe, LoadedRecipe
 from forestgen.runs import work as work_module
 from forestgen.runs.contract import Done, Job, Work
 from forestgen.runs.engines import in_process
+from forestgen.runs.places import LocalPlace
 
 Failures = dict[int, BaseException]  # by image
 
@@ -215,6 +216,27 @@ def test_an_image_that_was_just_finished_counts_when_the_run_is_interrupted(
         assert len(frames(tmp_path / str(number))) == 2 * (number + 1)
         log = (tmp_path / str(number) / "run" / "log.jsonl").read_text().splitlines()
         assert json.loads(log[-1])["done"] == number + 1
+
+
+def test_a_stop_just_after_the_record_was_written_keeps_the_image(
+    failures: Failures, recipe: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write = LocalPlace.write
+
+    def stopped(place: LocalPlace, target: str, content: bytes) -> None:
+        write(place, target, content)
+        if "/jobs/" in target:
+            raise KeyboardInterrupt
+
+    out = tmp_path / "out"
+    with monkeypatch.context() as patched:
+        patched.setattr(LocalPlace, "write", stopped)
+        answer = run("render", recipe, "-o", out, "--count", "5")
+    assert answer.code == 130
+    assert len(frames(out)) == 2
+    assert json.loads((out / "run" / "log.jsonl").read_text().splitlines()[-1])["done"] == 1
+    assert run("render", recipe, "-o", out, "--count", "5", "--resume").code == 0
+    assert len(frames(out)) == 10
 
 
 def test_ctrl_c_keeps_finished_images(tmp_path: Path) -> None:
