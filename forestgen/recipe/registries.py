@@ -122,6 +122,17 @@ def each_once(names: tuple[str, ...]) -> tuple[str, ...]:
     return names
 
 
+RIGS = Registry(
+    "rig",
+    {
+        "stereo": ("forestgen.scene.rigs.stereo:RIG", "two cameras side by side, axes parallel"),
+        "orbit": ("forestgen.scene.rigs.orbit:RIG", "a circle of cameras around look_at_m"),
+        "walk": ("forestgen.scene.rigs.walk:RIG", "at eye height over the ground, around trunks"),
+        "drone_grid": ("forestgen.scene.rigs.drone_grid:RIG", "straight down in lines over an area, overlapping"),
+    },
+    contract="forestgen.scene.rigs.rig:Rig",
+)
+
 PROJECTIONS = Registry(
     "projection",
     {
