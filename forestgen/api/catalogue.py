@@ -21,9 +21,11 @@ from forestgen.recipe.registries import (
     CLOUD_SOURCES,
     DATASET_FORMATS,
     GROUND_COVERS,
+    INSTRUMENTS,
     LABEL_CHANNELS,
     PACKS,
     PROJECTIONS,
+    RIGS,
     SKIES,
     TERRAINS,
 )
@@ -44,6 +46,8 @@ _REGISTRIES: dict[str, Registry] = {
     "terrain": TERRAINS,
     "ground_cover": GROUND_COVERS,
     "projection": PROJECTIONS,
+    "rig": RIGS,
+    "instrument": INSTRUMENTS,
     "mesh_exporter": MESH_EXPORTERS,
 }
 _WITHOUT_COMMENT = {  # files of a format that has none

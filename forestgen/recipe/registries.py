@@ -133,6 +133,16 @@ RIGS = Registry(
     contract="forestgen.scene.rigs.rig:Rig",
 )
 
+INSTRUMENTS = Registry(
+    "instrument",
+    {
+        "light_meter": ("forestgen.instruments.light_meter:INSTRUMENT", "illuminance, colour and spectra at points"),
+        "colour_chart": ("forestgen.instruments.colour_chart:INSTRUMENT", "colours against those of colour science"),
+        "gap_fraction": ("forestgen.instruments.gap_fraction:INSTRUMENT", "the canopy's gaps in fisheyes that look up"),
+    },
+    contract="forestgen.instruments.instrument:Instrument",
+)
+
 PROJECTIONS = Registry(
     "projection",
     {

@@ -20,6 +20,7 @@ from forestgen.plants.growing import grow_exemplars
 from forestgen.plants.levels import level_for, level_of_index
 from forestgen.plants.registry import GENERATORS
 from forestgen.plants.solids import as_solids
+from forestgen.recipe.load import DrawnRecipe
 from forestgen.scene.assemble import pixel_size_m, place_instances, stand_on
 from forestgen.scene.camera_path import next_frame
 from forestgen.scene.exemplar_library import library_of, modelled_species, origin_of
@@ -48,14 +49,19 @@ Timer = Callable[[str], AbstractContextManager[None]]
 
 @dataclass(frozen=True)
 class BuiltScene:
-    """A scene, the plants in it with their feet on the ground, and how well exemplars stand for them."""
+    """A drawn recipe, simulated and assembled: the scene, and the plants in it with their feet on the ground."""
 
+    plan: Plan
     spec: SceneSpec  # in still air
     population: Population
-    size_errors: list[SizeError]
+    size_errors: list[SizeError]  # how well exemplars stand for the plants
     sway: Sway | None = None  # of the plants in the wind; None: still air
-    notes: tuple[str, ...] = ()  # on cameras in trunks, and on surfaces whose infrared is unknown
+    notes: tuple[str, ...] = ()  # for people: of the community, on cameras in trunks, and on unknown infrared
     _posed: dict[float, SceneSpec] = field(default_factory=dict, repr=False, compare=False)  # by time, the last two
+
+    @property
+    def drawn(self) -> DrawnRecipe:
+        return self.plan.drawn
 
     def at(self, time_s: float) -> SceneSpec:
         """The scene as the wind holds its plants at a time; in still air `spec` itself, and one object for one time."""
@@ -106,6 +112,7 @@ def build_scene(plan: Plan, population: Population, progress: Progress, timer: T
         views = drawn_cameras(plan.drawn, trunks)
         materials = materials_of(species_seen(plan.drawn.species, population), recipe.plants.season)
         notes = [
+            *(f"image {plan.drawn.image_index}: {note}" for note in simulated.notes),
             *check_trunks(plan.drawn, views, trunks),
             *check_outside_of_houses(plan.drawn, plan.community.obstacles.entries),
             *infrared_notes(materials, cameras),
@@ -120,7 +127,8 @@ def build_scene(plan: Plan, population: Population, progress: Progress, timer: T
             cameras=tuple(camera for entry in views for camera in entry),
         )
         sway = _sway(plan, spec)
-    return BuiltScene(spec, population, _errors(plan, population, exemplar_plan, exemplars), sway, tuple(notes))
+    errors = _errors(plan, population, exemplar_plan, exemplars)
+    return BuiltScene(plan, spec, population, errors, sway, tuple(dict.fromkeys(notes)))
 
 
 def _sway(plan: Plan, spec: SceneSpec) -> Sway | None:
