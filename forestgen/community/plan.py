@@ -28,7 +28,11 @@ class CommunityPlan:
     def of(cls, drawn: DrawnRecipe, model: Any, parameters: CommunityParameters, site: Site) -> CommunityPlan:
         """The plan of a drawn recipe."""
         ecologies = [ecology_of(name, species) for name, species in drawn.species.items()]
-        return cls(drawn, model, parameters, site, ecologies, obstacles_of(drawn, model, parameters))
+        obstacles, stands = NO_OBSTACLES, capability(model, HasObstacles)
+        if stands is not None:
+            built = frozenset(name for name, one in drawn.species.items() if is_built(one.plant.generator))
+            obstacles = Obstacles(stands.obstacles(parameters), built)
+        return cls(drawn, model, parameters, site, ecologies, obstacles)
 
     @property
     def steps(self) -> int:
@@ -39,12 +43,3 @@ class CommunityPlan:
         """Why no plant can ever grow; None if some may. An empty site is no error."""
         reason: str | None = self.model.empty_reason(self.parameters, self.site, self.ecologies)
         return reason
-
-
-def obstacles_of(drawn: DrawnRecipe, model: object, parameters: CommunityParameters) -> Obstacles:
-    """The obstacles of a community that may have some."""
-    stands = capability(model, HasObstacles)
-    if stands is None:
-        return NO_OBSTACLES
-    built = frozenset(name for name, one in drawn.species.items() if is_built(one.plant.generator))
-    return Obstacles(stands.obstacles(parameters), built)

@@ -61,11 +61,9 @@ def estimate_bytes(plan: Plan, *, simulate_only: bool = False, plants: int = 0) 
     ----------
     plants : how many the scene will hold; before the simulation nobody knows, and their share is left out.
     """
-    recipe = plan.drawn.recipe
+    recipe, stand = plan.drawn.recipe, plan.community
     try:
-        community = plan.community.model.estimate_bytes(
-            plan.community.parameters, plan.community.site, plan.community.ecologies
-        )
+        community = stand.model.estimate_bytes(stand.parameters, stand.site, stand.ecologies)
     except (RecipeError, ResourceError) as cause:
         raise _located(cause, plan.drawn) from cause
     if simulate_only:
@@ -86,9 +84,7 @@ def estimate_bytes(plan: Plan, *, simulate_only: bool = False, plants: int = 0) 
         "images": pixels * (_BYTES_PER_PIXEL + recipe.labels.samples * _BYTES_PER_SAMPLE),
         "exemplars": _exemplar_triangles(plan) * per_triangle + own * (_BYTES_PER_OWN_TRIANGLE + clouds_per_triangle),
         "plants": plants * per_plant,
-        "clouds": cloud_source_of(plan.drawn).estimate_bytes(
-            plan.drawn, plan.community.model, plan.community.parameters
-        ),
+        "clouds": cloud_source_of(plan.drawn).estimate_bytes(plan.drawn, stand.model, stand.parameters),
     }
 
 
@@ -111,10 +107,7 @@ def own_triangles(foliage: Mapping[str, PlantParameters], section: Plants) -> in
 def _located(cause: RecipeError | ResourceError, drawn: DrawnRecipe) -> RecipeError | ResourceError:
     """A model's error with the file and line of the key that it names: models know keys only."""
     keys = tuple(int(key) if key.isdigit() else key for key in (cause.where or "").split("."))
-    if keys[0] != "community":
-        return cause
-    where = drawn.where(*keys)
-    return type(cause)(cause.problem, where=where, expected=cause.expected, got=cause.got, hint=cause.hint)
+    return cause.at(drawn.where(*keys)) if keys[0] == "community" else cause
 
 
 def _may_be_exact(drawn: DrawnRecipe) -> bool:

@@ -1,4 +1,4 @@
-"""Cameras of a drawn recipe, and whether something is in their way: told before any image is rendered."""
+"""Cameras of a drawn recipe, and whether something is in their way: reported before any image is rendered."""
 
 from __future__ import annotations
 
@@ -39,27 +39,27 @@ def drawn_cameras(drawn: DrawnRecipe, trunks: Trunks | None = None) -> list[list
             cameras.append(expand(section, height_field(drawn), trunks, bands))
         except RecipeError as cause:  # the scene knows keys only
             keys = [int(key) if key.isdigit() else key for key in (cause.where or "").split(".")]
-            where = drawn.where("cameras", index, *keys)
-            raise RecipeError(
-                cause.problem, where=where, expected=cause.expected, got=cause.got, hint=cause.hint
-            ) from cause
+            raise cause.at(drawn.where("cameras", index, *keys)) from cause
     return cameras
 
 
 def _bands(drawn: DrawnRecipe) -> dict[SensorFile, tuple[Band, ...]]:
     bands = {}
     for index, section in enumerate(drawn.recipe.cameras):
-        if section.bands is None:
-            continue
-        name, where = section.bands.name, drawn.where("cameras", index, "bands")
-        if section.bands.text is None:
-            bands[section.bands] = load_bands(name, folder=drawn.folder, where=where)
-        else:
-            bands[section.bands] = bands_of(section.bands.text, name, where)
+        if section.bands is not None:
+            name, text, where = section.bands.name, section.bands.text, drawn.where("cameras", index, "bands")
+            found = load_bands(name, folder=drawn.folder, where=where) if text is None else bands_of(text, name, where)
+            bands[section.bands] = found
     return bands
 
 
-def below_ground(drawn: DrawnRecipe) -> list[tuple[int, Camera, float]]:
+def ground_below(drawn: DrawnRecipe, camera: Camera) -> float:
+    """Height of the ground below a camera, metres, world."""
+    x, y, _ = camera.position_m
+    return float(height_field(drawn)(np.array([x]), np.array([y]))[0])
+
+
+def _below_ground(drawn: DrawnRecipe) -> list[tuple[int, Camera, float]]:
     """Number of the entry, camera and height above the ground, metres, of cameras that are not above it."""
     height = height_field(drawn)
     found = []
@@ -72,46 +72,49 @@ def below_ground(drawn: DrawnRecipe) -> list[tuple[int, Camera, float]]:
 
 def views_below_ground(drawn: DrawnRecipe) -> list[str]:
     """Names of the cameras, or frames of a path, that stand below the ground, of those that may."""
-    return [camera.name for _, camera, _ in below_ground(drawn)]
-
-
-def ground_below(drawn: DrawnRecipe, camera: Camera) -> float:
-    """Height of the ground below a camera, metres, world."""
-    x, y, _ = camera.position_m
-    return float(height_field(drawn)(np.array([x]), np.array([y]))[0])
+    return [camera.name for _, camera, _ in _below_ground(drawn)]
 
 
 def check_above_ground(drawn: DrawnRecipe) -> None:
-    """Refuse cameras below the ground, of entries whose `obstructed` is an error.
+    """Raise `RecipeError` for a camera below the ground, unless its entry's `obstructed` is a note."""
+    for index, camera, above_m in _below_ground(drawn):
+        _note_or_error(
+            drawn,
+            index,
+            f"the camera {camera.name} stands below the ground",
+            expected=f"at least {LEAST_ABOVE_GROUND_M * 100:g} cm above the ground",
+            got=f"{above_m:.3g} m",
+            hint="raise it; or set obstructed: note, to look at it all the same",
+        )
+
+
+def check_outside_of_houses(drawn: DrawnRecipe, obstacles: Sequence[Obstacle]) -> list[str]:
+    """Notes on cameras inside of houses, which see dark walls, of entries whose `obstructed` is a note.
 
     Raises
     ------
-    RecipeError : with the camera's line.
+    RecipeError : a camera of another entry, with its line.
     """
-    for index, camera, above_m in below_ground(drawn):
-        section = drawn.recipe.cameras[index]
-        if section.obstructed == "error":
-            raise RecipeError(
-                f"the camera {camera.name} stands below the ground",
-                where=drawn.where("cameras", index, *_place_key(section)),
-                expected=f"at least {LEAST_ABOVE_GROUND_M * 100:g} cm above the ground",
-                got=f"{above_m:.3g} m",
-                hint="raise it; or set obstructed: note, to look at it all the same",
-            )
-
-
-def in_houses(drawn: DrawnRecipe, obstacles: Sequence[Obstacle]) -> list[tuple[int, Camera, int]]:
-    """Number of the entry, camera, and number of the obstacle within whose walls and roof it surely stands."""
     if not obstacles:
         return []
     feet = np.array([one.position_m for one in obstacles])
-    ground_m, found = height_field(drawn)(feet[:, 0], feet[:, 1]), []
+    ground_m, notes = height_field(drawn)(feet[:, 0], feet[:, 1]), []
     for index, cameras in enumerate(drawn_cameras(drawn)):
-        at = np.array([camera.position_m for camera in cameras])
-        for number, one in enumerate(obstacles):
-            inside = _is_within(one, at - [*one.position_m, float(ground_m[number])])
-            found += [(index, cameras[k], number) for k in np.flatnonzero(inside)]
-    return found
+        at_m = np.array([camera.position_m for camera in cameras])
+        for number, house in enumerate(obstacles):
+            inside = _is_within(house, at_m - [*house.position_m, float(ground_m[number])])
+            for camera in (cameras[k] for k in np.flatnonzero(inside)):
+                place = f"community.obstacles.{number}, at [{_numbers(house.position_m)}]"
+                note = _note_or_error(
+                    drawn,
+                    index,
+                    f"the camera {camera.name} stands inside of a {house.species}",
+                    expected=f"a place outside of {place}",
+                    got=f"[{_numbers(camera.position_m)}]",
+                    hint="move it; or set obstructed: note, to look at it all the same",
+                )
+                notes.append(note)
+    return notes
 
 
 def _is_within(house: Obstacle, at_m: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -128,29 +131,37 @@ def _is_within(house: Obstacle, at_m: NDArray[np.float64]) -> NDArray[np.bool_]:
     return np.asarray((along < 0.5 * width - eaves) & (across < 0.5 * depth - eaves) & (at_m[:, 2] > 0) & below_roof)
 
 
-def check_outside_of_houses(drawn: DrawnRecipe, obstacles: Sequence[Obstacle]) -> list[str]:
-    """Refuse cameras inside of houses, which see dark walls; notes on those of entries whose `obstructed` is a note.
+def check_trunks(drawn: DrawnRecipe, cameras: Sequence[Sequence[Camera]], trunks: Trunks) -> list[str]:
+    """Notes on cameras in trunks or right before them, of entries whose `obstructed` is a note.
 
     Raises
     ------
-    RecipeError : with the camera's line.
+    RecipeError : a camera of another entry, with its line.
     """
     notes = []
-    for index, camera, number in in_houses(drawn, obstacles):
-        house = obstacles[number]
-        problem = f"the camera {camera.name} stands inside of a {house.species}"
-        expected = f"a place outside of community.obstacles.{number}, at [{_numbers(house.position_m)}]"
-        hint = "move it; or set obstructed: note, to look at it all the same"
-        notes.append(_note_or_error(drawn, index, camera, problem, expected, hint))
+    for index, entry in enumerate(cameras):
+        for camera in entry:
+            apart_m, plant = trunks.clearance_m(np.array(camera.position_m), LEAST_FROM_TRUNKS_M)
+            if plant:
+                stands = "in" if apart_m < 0 else f"{apart_m * 100:.2g} cm from"
+                note = _note_or_error(
+                    drawn,
+                    index,
+                    f"the camera {camera.name} stands {stands} the trunk of plant {plant}",
+                    expected=f"at least {LEAST_FROM_TRUNKS_M * 100:g} cm to any trunk",
+                    got=f"[{_numbers(camera.position_m)}]",
+                    hint="move it; rig: {kind: walk} goes around trunks; or set obstructed: note",
+                )
+                notes.append(note)
     return notes
 
 
-def _note_or_error(drawn: DrawnRecipe, index: int, camera: Camera, problem: str, expected: str, hint: str) -> str:
-    """The problem as a note, where the camera's entry lets it be one; else a `RecipeError`."""
+def _note_or_error(drawn: DrawnRecipe, index: int, problem: str, *, expected: str, got: str, hint: str) -> str:
+    """The problem as a note, where the entry of cameras lets it be one; else a `RecipeError` at the camera's place."""
     section = drawn.recipe.cameras[index]
     if section.obstructed == "note":
         return problem
-    where, got = drawn.where("cameras", index, *_place_key(section)), f"[{_numbers(camera.position_m)}]"
+    where = drawn.where("cameras", index, *_place_key(section))
     raise RecipeError(problem, where=where, expected=expected, got=got, hint=hint)
 
 
@@ -163,24 +174,3 @@ def _place_key(section: CameraSection) -> tuple[str, ...]:
     if section.position_m is None:
         return ("rig",)
     return ("path", "position_m") if section.path is not None and section.path.position_m else ("position_m",)
-
-
-def check_trunks(drawn: DrawnRecipe, cameras: Sequence[Sequence[Camera]], trunks: Trunks) -> list[str]:
-    """Refuse cameras in trunks or right before them; notes on those of entries whose `obstructed` is a note.
-
-    Raises
-    ------
-    RecipeError : with the camera's line.
-    """
-    notes = []
-    for index, entry in enumerate(cameras):
-        for camera in entry:
-            apart_m, plant = trunks.clearance_m(np.array(camera.position_m), LEAST_FROM_TRUNKS_M)
-            if not plant:
-                continue
-            stands = "in" if apart_m < 0 else f"{apart_m * 100:.2g} cm from"
-            problem = f"the camera {camera.name} stands {stands} the trunk of plant {plant}"
-            expected = f"at least {LEAST_FROM_TRUNKS_M * 100:g} cm to any trunk"
-            hint = "move it; rig: {kind: walk} goes around trunks; or set obstructed: note"
-            notes.append(_note_or_error(drawn, index, camera, problem, expected, hint))
-    return notes
