@@ -13,12 +13,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from forestgen.community.model import Site
-from forestgen.community.plan import CommunityPlan
-from forestgen.community.population import Population, Status
+from forestgen.community.population import Population
 from forestgen.community.simulation import final_population, snapshots
-from forestgen.community.statistics import count_by_species, stems_by_species
-from forestgen.community.summary import SimulationSummary, Stems
+from forestgen.community.summary import SimulationSummary, counts_of, lifeless_note, standing_dead
 from forestgen.core.progress import Progress
 from forestgen.core.timing import Timings
 from forestgen.dataset.data_set import class_map
@@ -175,8 +172,8 @@ def _image_report(scene: BuiltScene, visible_plants: int) -> dict[str, Any]:
         "image": scene.drawn.image_index,
         "seed": scene.drawn.image_seed,
         "view": scene.drawn.recipe.dataset.view,  # of its previews
-        "counts": _counts(scene.population),
-        "standing_dead": _dead(scene.population),
+        "counts": counts_of(scene.population),
+        "standing_dead": standing_dead(scene.population),
         "visible_plants": visible_plants,
         "triangles": sum(exemplar.triangles for exemplar in scene.spec.exemplars),
         "size_errors": [asdict(error) for error in scene.size_errors],
@@ -185,13 +182,13 @@ def _image_report(scene: BuiltScene, visible_plants: int) -> dict[str, Any]:
 
 def _frame_notes(scene: BuiltScene, labelled: LabelledFrame, name: str) -> Iterator[str]:
     """What is unusual about a frame: nothing in view, noise above what was asked for, thick haze."""
-    population, plan = scene.population, scene.plan
+    population = scene.population
     if not len(population):
-        yield f"{name} shows bare ground: {_empty_site(plan.community)}"
-    elif only_snags(population):
+        yield f"{name} shows bare ground: {lifeless_note(scene.plan.community, population)}"
+    elif standing_dead(population) == len(population):
         yield f"{name} shows no living plant: all are standing dead trees"
     if len(population) and not labelled.views.visible.has_box.any():
-        below = labelled.frame.camera.name in views_below_ground(plan.drawn)
+        below = labelled.frame.camera.name in views_below_ground(scene.drawn)
         yield f"{name}: the camera {'stands below the ground' if below else 'sees no plant'}"
     yield from noise_notes(labelled.frame.radiance, name)
     yield from haze_notes(scene.spec, labelled.frame.surface, name)
@@ -226,74 +223,33 @@ def simulate(
     from forestgen.community.history_files import check_graphs, check_map_steps, write_community, write_graphs
     from forestgen.community.resume import note_of_other_code, snapshot_to_resume
 
-    plan = check_plan(loaded, simulate_only=True)
-    start = snapshot_to_resume(plan.community, resume, from_step) if resume is not None else None
-    check_graphs(plan.community, graphs)
-    check_map_steps(plan.community, map_steps, first=start.step if start is not None else 0)
-    other_code = note_of_other_code(resume) if resume is not None else None
-    notes = [other_code] if other_code else []
+    plan = check_plan(loaded, simulate_only=True).community
+    start = None if resume is None else snapshot_to_resume(plan, resume, from_step)
+    check_graphs(plan, graphs)
+    check_map_steps(plan, map_steps, first=0 if start is None else start.step)
+    other_code = None if resume is None else note_of_other_code(resume)
+
+    def finished(last: Population) -> SimulationSummary:
+        write_graphs(plan, last, graphs)
+        lifeless = lifeless_note(plan, plan.obstacles.left_out_of(last))
+        notes = tuple(note for note in (other_code, *last.notes, lifeless) if note)
+        return SimulationSummary(plan, last, notes, dict(timings.seconds), timings.total())
+
     if target is None:
         with timings("community"):
-            (last,) = deque(snapshots(plan.community, progress, start), maxlen=1)
-        write_graphs(plan.community, last, graphs)
-        return _simulation_summary(plan, last, notes, timings)
+            (last,) = deque(snapshots(plan, progress, start), maxlen=1)
+        return finished(last)
     with OutputFolder(target, overwrite=overwrite) as folder:
         with timings("community"):
-            last = write_community(folder, plan.community, snapshots(plan.community, progress, start), map_steps)
-        write_graphs(plan.community, last, graphs)
-        summary = _simulation_summary(plan, last, notes, timings)
-        write_manifest(folder, _manifest(folder, loaded, plan.drawn.image_seed, summary))
+            last = write_community(folder, plan, snapshots(plan, progress, start), map_steps)
+        summary = finished(last)
+        manifest = build_manifest(
+            folder,
+            recipe_hash=loaded.hash,
+            root_seed=loaded.seed,
+            image_seeds=[plan.drawn.image_seed],
+            timings_s=summary.timings_s,
+            extra={"notes": list(summary.notes), "total_s": summary.total_s},
+        )
+        write_manifest(folder, manifest)
     return summary
-
-
-def _simulation_summary(plan: Plan, last: Population, notes: Sequence[str], timings: Timings) -> SimulationSummary:
-    plants = plan.community.obstacles.left_out_of(last)
-    found = [*notes, *last.notes]
-    if not len(plants):
-        found.append(_empty_site(plan.community))
-    elif only_snags(plants):
-        found.append(f"all plants at step {plan.community.steps} are standing dead trees: none lives")
-    return SimulationSummary(
-        plan=plan,
-        last=last,
-        plants=len(plants),
-        standing_dead=_dead(plants),
-        counts=_counts(plants),
-        stems=tuple(_stems(plants, plan.community.site)),
-        notes=tuple(found),
-        timings_s=dict(timings.seconds),
-        total_s=timings.total(),
-    )
-
-
-def _counts(population: Population) -> dict[str, int]:
-    return {name: int((population.species == index).sum()) for index, name in enumerate(population.species_names)}
-
-
-def _stems(population: Population, site: Site) -> list[Stems]:
-    alive, stems = count_by_species(population), stems_by_species(population)
-    return [Stems(name, alive[name], number, number / site.area_m2 * 1e4) for name, number in stems.items()]
-
-
-def _dead(population: Population) -> int:
-    return int((population.status == Status.DEAD).sum())
-
-
-def only_snags(population: Population) -> bool:
-    """Whether all that a stand has left are standing dead trees."""
-    return 0 < len(population) == _dead(population)
-
-
-def _empty_site(plan: CommunityPlan) -> str:
-    return plan.empty_reason or f"no plant lives on the site at step {plan.steps}"
-
-
-def _manifest(folder: Path, loaded: LoadedRecipe, image_seed: int, summary: SimulationSummary) -> dict[str, Any]:
-    return build_manifest(
-        folder,
-        recipe_hash=loaded.hash,
-        root_seed=loaded.seed,
-        image_seeds=[image_seed],
-        timings_s=summary.timings_s,
-        extra={"notes": list(summary.notes), "total_s": summary.total_s},
-    )

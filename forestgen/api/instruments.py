@@ -8,8 +8,7 @@ from typing import Any
 
 from forestgen.api.display import display_of
 from forestgen.api.rendering import free_folder
-from forestgen.atmosphere.clouds.source import WeatherReport as Weather
-from forestgen.atmosphere.clouds.source import cloud_source_of
+from forestgen.atmosphere.clouds.source import WeatherReport, cloud_source_of
 from forestgen.core.arguments import path_of, whole_of
 from forestgen.core.errors import OutputError, RecipeError
 from forestgen.core.progress import Progress
@@ -34,7 +33,8 @@ def measured_by(
 ) -> Reading:
     """See `Recipe.measure`."""
     INSTRUMENTS.check(name, parameter="instrument")
-    return measured(loaded, INSTRUMENTS.load(name), keys, out, overwrite, progress)
+    instrument: Instrument[Any, Reading] = INSTRUMENTS.load(name)
+    return measured(loaded, instrument, keys, out, overwrite, progress)
 
 
 def measured(
@@ -67,7 +67,7 @@ def simulate_weather(
     picture: Path | None,
     overwrite: bool,
     progress: bool | Progress | None,
-) -> list[Weather]:
+) -> list[WeatherReport]:
     """See `Recipe.weather`."""
     from forestgen.community.plot_weather import plot_weather
 
@@ -120,7 +120,7 @@ def calibrate(
     return found, folder
 
 
-def _save_weather(path: Path, report: Weather) -> None:
+def _save_weather(path: Path, report: WeatherReport) -> None:
     from forestgen.atmosphere.extinction import cloud_grid_of
     from forestgen.atmosphere.weather_files import write_clouds, write_weather
 

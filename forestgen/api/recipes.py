@@ -14,9 +14,9 @@ from forestgen.scene.load_checked import load_checked
 
 if TYPE_CHECKING:
     from forestgen.api.datasets import Run
-    from forestgen.api.instruments import Weather
     from forestgen.api.stands import Stand
     from forestgen.api.validation import Validation
+    from forestgen.atmosphere.clouds.source import WeatherReport
     from forestgen.dataset.frame import Frame
     from forestgen.instruments.calibration import Calibration
     from forestgen.instruments.instrument import Reading
@@ -411,7 +411,7 @@ class Recipe:
         picture: PathLike | None = None,
         overwrite: bool = False,
         progress: bool | Progress | None = None,
-    ) -> list[Weather]:
+    ) -> list[WeatherReport]:
         """Simulate the weather alone, of each of `count` images.
 
         Parameters

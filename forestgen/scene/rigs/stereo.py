@@ -44,8 +44,10 @@ class Stereo(Rig[StereoKeys]):
 
     def poses(self, camera: CameraKeys, height: HeightField, trunks: Trunks | None) -> Poses:
         middle, half_m = path_poses(camera, height), self.keys_of(camera).baseline_m / 2
-        twice = (np.repeat(one, 2, axis=0) for one in (middle.position_m, middle.target_m, middle.time_s))
-        return Poses(*twice, right_m=np.tile([-half_m, half_m], len(middle.time_s)))
+        position, target, time_s = (
+            np.repeat(one, 2, axis=0) for one in (middle.position_m, middle.target_m, middle.time_s)
+        )
+        return Poses(position, target, time_s, np.tile([-half_m, half_m], len(middle.time_s)))
 
 
 RIG = Stereo()

@@ -10,9 +10,9 @@ import pytest
 from test_own_plants import cameras, grown, planned
 
 from forestgen.community.population import Population, Status
+from forestgen.community.summary import standing_dead
 from forestgen.core.errors import RecipeError
 from forestgen.core.parts import Part
-from forestgen.pipeline import only_snags
 from forestgen.plants.growing import grow_exemplar
 from forestgen.recipe.load import load_recipe_data
 from forestgen.scene import build as scene
@@ -85,6 +85,6 @@ def test_dead_trees_that_would_bear_leaves_are_refused_before_anything_grows() -
 def test_a_stand_of_nothing_but_dead_trees_is_told_from_one_that_lives() -> None:
     plants = dying()
     dead = replace(plants, status=np.full_like(plants.status, Status.DEAD))
-    assert only_snags(dead)
-    assert not only_snags(plants)
-    assert not only_snags(grown(houses=False))
+    assert standing_dead(dead) == len(dead) > 0
+    assert 0 < standing_dead(plants) < len(plants)
+    assert standing_dead(grown(houses=False)) == 0
