@@ -47,5 +47,5 @@ def is_built(generator: str) -> bool:
 
 
 def clothes_modules(generator: str) -> bool:
-    """Whether a generator grows twigs and leaves on branches that a community grew."""
-    return generator in GENERATORS and getattr(GENERATORS.load(generator), "clothes_modules", False)
+    """Whether a generator grows twigs and leaves on branches that a community grew: see `ClothesModules`."""
+    return generator in GENERATORS and hasattr(GENERATORS.load(generator), "clothe")

@@ -84,7 +84,7 @@ TERRAINS = Registry(
         "rolling": ("forestgen.scene.terrains.rolling:ROLLING", "gently rolling ground, with hills in the distance"),
         "map": ("forestgen.scene.terrains.mapped:SHAPE", "the ground of a map of heights"),
     },
-    contract="forestgen.scene.terrains.shape:TerrainShape",
+    contract="forestgen.scene.terrain:TerrainShape",
 )
 
 GROUND_COVERS = Registry(
@@ -98,7 +98,7 @@ GROUND_COVERS = Registry(
         "sand": ("forestgen.scene.grounds.uneven:SAND", "sand"),
         "snow": ("forestgen.scene.grounds.uneven:SNOW", "snow, also on a share of the land around"),
     },
-    contract="forestgen.scene.grounds.cover:GroundCover",
+    contract="forestgen.scene.terrain:GroundCover",
 )
 
 SKIES = Registry(

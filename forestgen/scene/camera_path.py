@@ -12,7 +12,6 @@ from forestgen.core.spectrum import Band
 from forestgen.recipe.camera_keys import SensorFile
 from forestgen.recipe.cameras import Camera as CameraSection
 from forestgen.recipe.rigs import Orbit, Stereo, Walk
-from forestgen.scene.exposure import exposure_of
 from forestgen.scene.rigs import poses_of
 from forestgen.scene.spec import Camera, Lens
 from forestgen.scene.terrain import HeightField
@@ -63,7 +62,7 @@ def expand(
                     width_m=section.view_width_m,
                     lens=None if lens is None or focus_m is None else Lens(lens[0] / 1000, focus_m),
                     bands=() if section.bands is None else bands.get(section.bands, ()),
-                    exposure=exposure_of(section.exposure),
+                    exposure=section.exposure,
                     numbers=section.own_numbers,
                 )
             )

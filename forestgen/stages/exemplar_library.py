@@ -7,7 +7,7 @@ shows a plant of another one's, so that validation and testing see plants that t
 from __future__ import annotations
 
 from forestgen.recipe.species import Species
-from forestgen.scene.exemplar_library import SLENDERNESS_STEP, Library, rung_of
+from forestgen.scene.exemplars import SLENDERNESS_STEP, Library, rung_of
 from forestgen.stages.plan import Plan
 
 

@@ -1,8 +1,8 @@
 """Plants with branches of their own: what clothes them, how much room they may take, and how their dead look.
 
 The dead stand with the branches that they died with, bare, of grey weathered wood: a species' material `dead_wood`, or
-that of the shipped snag. Leaves, flowers and fruits are gone; twigs go with the years, see plants/grown/twigs.py. Fresh
-snags are as grey as old ones.
+that of the shipped snag. Leaves, flowers and fruits are gone; twigs go with the years. Fresh snags are as grey as old
+ones.
 """
 
 from __future__ import annotations

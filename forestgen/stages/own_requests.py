@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from functools import cache
 from itertools import product
-from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,12 +12,11 @@ from forestgen.architecture.tables import Tables
 from forestgen.community.capabilities import OwnSkeletons, capability
 from forestgen.community.population import Population, Status
 from forestgen.core.randomness import child_rng
-from forestgen.plants.cache import ExemplarRequest
-from forestgen.plants.generators.branch_modules import Parameters
-from forestgen.plants.grown.build import estimate_triangles
-from forestgen.plants.grown.wood import woods_of
+from forestgen.plants.build import estimate_triangles
+from forestgen.plants.growing import ExemplarRequest
+from forestgen.plants.grown import woods_of
 from forestgen.plants.levels import level_of_index
-from forestgen.scene.exemplar_plan import ExemplarPlan
+from forestgen.scene.exemplars import ExemplarPlan
 from forestgen.scene.own_exemplars import plan_own, unique_plants
 from forestgen.stages.own_plants import dead_clothing, with_dead_wood
 from forestgen.stages.plan import Plan, check_own_triangles
@@ -65,15 +63,8 @@ def _plan_obstacles(plan: Plan, population: Population) -> dict[int, ExemplarPla
         rows = np.flatnonzero(population.species == index)
         sizes = np.array([obstacles[int(row)].size_m for row in rows])
         _, first, label = np.unique(sizes, axis=0, return_index=True, return_inverse=True)
-        plans[int(index)] = ExemplarPlan(
-            species=np.full(len(first), index, dtype=np.uint16),
-            radius_m=population.radius_m[rows[first]],
-            rank=np.arange(len(first)),
-            variant=np.zeros(len(first), dtype=np.int64),
-            level=np.zeros(len(first), dtype=np.int64),
-            exemplar_of_plant=label.reshape(-1).astype(np.uint32),
-            plant=rows[first],
-            is_unique=np.zeros(len(first), dtype=np.bool_),
+        plans[int(index)] = ExemplarPlan.of_species(
+            int(index), population.radius_m[rows[first]], label.reshape(-1), plant=rows[first]
         )
     return plans
 
@@ -143,7 +134,7 @@ def _triangles(plan: Plan, population: Population, own: NDArray[np.bool_]) -> Fl
         if not len(rows):
             continue
         largest = rows[np.argmax(modules[rows])]
-        parameters = cast(Parameters, plan.module_parameters[population.species_names[index]])
+        parameters = plan.module_parameters[population.species_names[index]]
         if is_dead:
             parameters = parameters.model_copy(update={"foliage": ()})
         [wood] = woods_of(population, tables, np.array([largest]))

@@ -14,23 +14,16 @@ from forestgen.community.population import Population
 from forestgen.core.progress import Progress
 from forestgen.core.randomness import child_rng
 from forestgen.plants.build import size_m
-from forestgen.plants.cache import LIBRARY_BYTES, MOST_BYTES, ExemplarRequest, exemplar_store
 from forestgen.plants.exemplar import Exemplar
-from forestgen.plants.growing import grow_exemplars
+from forestgen.plants.growing import LIBRARY_BYTES, MOST_BYTES, ExemplarRequest, exemplar_store, grow_exemplars
 from forestgen.plants.levels import level_for, level_of_index
+from forestgen.plants.parameters import CrownProfile
 from forestgen.plants.registry import GENERATORS
 from forestgen.plants.solids import as_solids
 from forestgen.render.transport import cloud_transport_of
 from forestgen.scene.assemble import pixel_size_m, place_instances, stand_on
 from forestgen.scene.camera_path import next_frame
-from forestgen.scene.exemplar_plan import ExemplarPlan
-from forestgen.scene.exemplars import (
-    SizeError,
-    check_traits,
-    plan_exemplars,
-    size_errors,
-    with_levels,
-)
+from forestgen.scene.exemplars import ExemplarPlan, SizeError, check_traits, plan_exemplars, size_errors
 from forestgen.scene.spec import Camera, SceneSpec
 from forestgen.scene.terrain import HeightField, build_terrain
 from forestgen.scene.trunks import Trunks
@@ -179,7 +172,7 @@ def choose_exemplars(plan: Plan, population: Population, cameras: Sequence[Camer
     stand_in = chosen.plant[chosen.exemplar_of_plant]
     own_height_m = np.where(stand_in < 0, own_height_m, population.height_m[np.maximum(stand_in, 0)])
     scale = population.height_m / own_height_m  # of the instance
-    return with_levels(chosen, level_for(pixel_m / scale))
+    return chosen.split("level", level_for(pixel_m / scale))
 
 
 def grow_planned(
@@ -202,9 +195,10 @@ def grow_planned(
 
 def _silhouette(request: ExemplarRequest, exemplar: Exemplar) -> Exemplar:
     """The plant's solid: of its generator's own curve where there is one, otherwise as wide as the plant grew."""
-    profile_of = getattr(GENERATORS.load(request.parameters.generator), "crown_profile", None)
+    generator = GENERATORS.load(request.parameters.generator)
     size = size_m(request.species, request.radius_m)
-    return as_solids(exemplar, None if profile_of is None else profile_of(request.parameters, *size))
+    known = isinstance(generator, CrownProfile)
+    return as_solids(exemplar, generator.crown_profile(request.parameters, *size) if known else None)
 
 
 def exemplar_requests(

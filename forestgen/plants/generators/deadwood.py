@@ -123,14 +123,8 @@ class _Axes:
         self.axis += [number] * len(points)
 
     def skeleton(self, organs: tuple[OrganPlacements, ...]) -> Skeleton:
-        return Skeleton(
-            parent=np.array(self.parent, dtype=np.int32),
-            position_m=np.array(self.position).astype(np.float32),
-            radius_m=np.array(self.radius).astype(np.float32),
-            order=np.array(self.order, dtype=np.uint8),
-            axis=np.array(self.axis, dtype=np.int32),
-            organs=organs,
-        )
+        position, radius = np.array(self.position), np.array(self.radius)
+        return Skeleton.of(self.parent, position, radius, np.array(self.order), np.array(self.axis), organs=organs)
 
 
 class DeadwoodGenerator:

@@ -53,13 +53,14 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, Field
+from pydantic import Field
 
 from forestgen.core.parts import Part
 from forestgen.geometry.mesh import Mesh
 from forestgen.plants.exemplar import Exemplar, OrganMesh
-from forestgen.plants.parameters import STRICT, Fit, PlantParameters, Wood
+from forestgen.plants.parameters import Fit, PlantParameters, Wood
 from forestgen.plants.skeleton import Skeleton
+from forestgen.recipe.fields import Section
 
 Floats = NDArray[np.float64]
 Box = tuple[float, float, float, float]  # of an opening in a wall: left, bottom, right, top, metres
@@ -71,10 +72,8 @@ _ROOF_THICK_M, _TILE_UP_M = 0.16, 0.035
 _MARGIN_M = 0.5  # of wall beside a window, at least
 
 
-class Materials(BaseModel):
+class Materials(Section):
     """Which of the species' materials the parts are of."""
-
-    model_config = STRICT
 
     wall: str = Field("wall", description="of walls")
     plinth: str = Field("plinth", description="of the walls' foot")
