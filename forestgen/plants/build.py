@@ -18,7 +18,7 @@ from forestgen.plants.grown import ModuleWood
 from forestgen.plants.levels import FULL, Level, simplified
 from forestgen.plants.meshing import organ_meshes
 from forestgen.plants.organs.base import OrganForm
-from forestgen.plants.parameters import Fit, PlantParameters
+from forestgen.plants.parameters import Fit
 from forestgen.plants.registry import GENERATORS
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
 from forestgen.plants.variation.growth import vary
@@ -93,15 +93,6 @@ def build_exemplar(
         leaf_area_m2=leaf_area_m2(organs, plant.shapes),
         wood_volume_m3=skeleton.volume_m3(),
     )
-
-
-def built(
-    species_name: str, species: Species, plant: PlantParameters, size_m: tuple[float, float, float], radius_m: float
-) -> Exemplar:
-    """What a generator builds to a width, depth and height, metres, instead of growing it: a house."""
-    exemplar: Exemplar = GENERATORS.load(plant.generator).build(species_name, plant, size_m, radius_m)
-    _check_materials(species_name, exemplar.organs, species.materials)
-    return exemplar
 
 
 def estimate_triangles(plant: Any, wood: ModuleWood, rng: np.random.Generator) -> int:

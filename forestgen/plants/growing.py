@@ -26,7 +26,7 @@ from forestgen.core.parts import Part
 from forestgen.core.randomness import child_rng, child_seed
 from forestgen.core.threads import cores
 from forestgen.geometry.mesh import Mesh
-from forestgen.plants.build import build_exemplar, built, size_m
+from forestgen.plants.build import build_exemplar, size_m
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.plants.grown import ModuleWood, wood_key
 from forestgen.plants.levels import FULL, Level
@@ -55,14 +55,13 @@ class ExemplarRequest:
     identity: tuple[str | int, ...]  # of its randomness, see `core.randomness.child_rng`
     level: Level = FULL
     wood: ModuleWood | None = None  # branches that its community grew; None: the generator grows it by the radius
-    box_m: tuple[float, float, float] | None = None  # width, depth, height of what is built, as a house
     is_kept: bool = True  # on disk: other runs may ask for the same
     is_shared: bool = False  # in memory: this process' next images may ask for the same
 
     @property
     def grows_alone(self) -> bool:
         """Whether its branches grow by the species' modules, without a community."""
-        return self.wood is None and self.box_m is None and clothes_modules(self.parameters.generator)
+        return self.wood is None and clothes_modules(self.parameters.generator)
 
     def key(self) -> str:
         """Hash of everything that the exemplar depends on, hexadecimal."""
@@ -77,7 +76,6 @@ class ExemplarRequest:
             "seed": [int(self.seed), *self.identity],
             "level": asdict(self.level),
             "wood": None if self.wood is None else wood_key(self.wood),
-            **({} if self.box_m is None else {"box_m": [repr(float(side)) for side in self.box_m]}),
             "code": code_hash(_SOURCES, _COMPUTE_WITH),
         }
         if self.grows_alone:
@@ -122,8 +120,6 @@ def forget_shared() -> None:
 def grow_exemplar(request: ExemplarRequest) -> Exemplar:
     """The plant of a request, grown and meshed."""
     name, species, plant, wood = request.species_name, request.species, request.parameters, request.wood
-    if request.box_m is not None:
-        return built(name, species, plant, request.box_m, request.radius_m)
     if request.grows_alone:
         size, seed = size_m(species, request.radius_m), child_seed(request.seed, *request.identity, "wood")
         wood = GENERATORS.load(plant.generator).wood_alone(name, species, size, seed)

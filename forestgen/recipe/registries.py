@@ -7,6 +7,7 @@ from forestgen.recipe.fields import mistake
 
 DEFAULT_FORMATS = ("coco",)
 DEFAULT_PROJECTION = "perspective"
+DEFAULT_BUILDING = "house"
 
 # In the order in which their checks run.
 DATASET_FORMATS = Registry(
@@ -99,6 +100,12 @@ GROUND_COVERS = Registry(
         "snow": ("forestgen.scene.grounds.uneven:SNOW", "snow, also on a share of the land around"),
     },
     contract="forestgen.scene.terrain:GroundCover",
+)
+
+BUILDINGS = Registry(
+    "building",
+    {DEFAULT_BUILDING: ("forestgen.scene.buildings.house:BUILDING", "a detached house with a gable roof")},
+    contract="forestgen.scene.building:BuildingKind",
 )
 
 SKIES = Registry(

@@ -8,9 +8,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.community.obstacles import Obstacle
 from forestgen.core.errors import RecipeError
 from forestgen.core.spectrum import Band
+from forestgen.recipe.buildings import Building
 from forestgen.recipe.camera_keys import SensorFile
 from forestgen.recipe.cameras import Camera as CameraSection
 from forestgen.recipe.load import DrawnRecipe
@@ -100,46 +100,46 @@ def check_above_ground(drawn: DrawnRecipe) -> None:
             )
 
 
-def in_houses(drawn: DrawnRecipe, obstacles: Sequence[Obstacle]) -> list[tuple[int, Camera, int]]:
-    """Number of the entry, camera, and number of the obstacle within whose walls and roof it surely stands."""
-    if not obstacles:
+def in_buildings(drawn: DrawnRecipe) -> list[tuple[int, Camera, int]]:
+    """Number of the entry, camera, and number of the building within whose walls and roof it surely stands."""
+    buildings = drawn.recipe.site.buildings
+    if not buildings:
         return []
-    feet = np.array([one.position_m for one in obstacles])
+    feet = np.array([one.position_m for one in buildings])
     ground_m, found = height_field(drawn)(feet[:, 0], feet[:, 1]), []
     for index, cameras in enumerate(drawn_cameras(drawn)):
         at = np.array([camera.position_m for camera in cameras])
-        for number, one in enumerate(obstacles):
+        for number, one in enumerate(buildings):
             inside = _is_within(one, at - [*one.position_m, float(ground_m[number])])
             found += [(index, cameras[k], number) for k in np.flatnonzero(inside)]
     return found
 
 
-def _is_within(house: Obstacle, at_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _is_within(building: Building, at_m: NDArray[np.float64]) -> NDArray[np.bool_]:
     """(N,) whether points lie inside, (N, 3) metres from the middle of the ground plan; walls, eaves left out.
 
-    Whatever the parameters of its generator: walls stand at most a tenth of the house inside of its ground plan, and a
-    roof falls by at most half of the height.
+    That is what `scene.building.BuildingKind` says of walls and roofs.
     """
-    cos, sin = math.cos(house.turn_rad), math.sin(house.turn_rad)
+    cos, sin = math.cos(building.turn_rad), math.sin(building.turn_rad)
     along, across = np.abs(at_m[:, 0] * cos + at_m[:, 1] * sin), np.abs(at_m[:, 1] * cos - at_m[:, 0] * sin)
-    width, depth, height = house.size_m
+    width, depth, height = building.size_m
     eaves = 0.1 * min(width, depth)
     below_roof = at_m[:, 2] < height * (1.0 - across / depth) - _ROOF_M
     return np.asarray((along < 0.5 * width - eaves) & (across < 0.5 * depth - eaves) & (at_m[:, 2] > 0) & below_roof)
 
 
-def check_outside_of_houses(drawn: DrawnRecipe, obstacles: Sequence[Obstacle]) -> list[str]:
-    """Refuse cameras inside of houses, which see dark walls; notes on those of entries whose `obstructed` is a note.
+def check_outside_of_buildings(drawn: DrawnRecipe) -> list[str]:
+    """Refuse cameras inside of buildings, which see dark walls; notes on those whose `obstructed` is a note.
 
     Raises
     ------
     RecipeError : with the camera's line.
     """
     notes = []
-    for index, camera, number in in_houses(drawn, obstacles):
-        house = obstacles[number]
-        problem = f"the camera {camera.name} stands inside of a {house.species}"
-        expected = f"a place outside of community.obstacles.{number}, at [{_numbers(house.position_m)}]"
+    for index, camera, number in in_buildings(drawn):
+        building = drawn.recipe.site.buildings[number]
+        problem = f"the camera {camera.name} stands inside of a {building.kind}"
+        expected = f"a place outside of site.buildings.{number}, at [{_numbers(building.position_m)}]"
         hint = "move it; or set obstructed: note, to look at it all the same"
         notes.append(_note_or_error(drawn, index, camera, problem, expected, hint))
     return notes

@@ -131,7 +131,7 @@ class BranchModules(ModuleCapabilities):
         self, parameters: BranchModulesParameters, site: Site, species: Sequence[SpeciesEcology], seed: int
     ) -> State:
         """The obstacles, and the plants of the start as seeds at random places."""
-        _refuse_without_modules(parameters, species)
+        _refuse_without_modules(site, species)
         refuse_overflow(1, float(parameters.counts([one.name for one in _growing(species)]).sum()))
         return founded(parameters, site, species, seed, load_prototypes())
 
@@ -153,7 +153,7 @@ class BranchModules(ModuleCapabilities):
         population: Population,
     ) -> State:
         """The state of a snapshot; it needs the snapshot's modules."""
-        _refuse_without_modules(parameters, species)
+        _refuse_without_modules(site, species)
         return state_of(parameters, site, species, seed, population)
 
     def check_snapshot(
@@ -164,8 +164,8 @@ class BranchModules(ModuleCapabilities):
         population: Population,
     ) -> None:
         """Refuse plants, obstacles and snags that no snapshot has; modules have their own checksum."""
-        _refuse_without_modules(parameters, species)
-        check_resumable(parameters, species, population)
+        _refuse_without_modules(site, species)
+        check_resumable(parameters, site, species, population)
 
     def remove(self, state: State, plant_id: NDArray[np.uint32]) -> State:
         """The forest without these plants; obstacles stay."""
@@ -201,13 +201,13 @@ class BranchModules(ModuleCapabilities):
         seeding = any(one.modules is not None and one.modules.seeds_per_yr > 0 for one in species)
         if total > 0 and seeding and parameters.steps > 0:
             total += most_seedlings(parameters, site)
-        return total * with_dead(parameters) + len(parameters.obstacles)
+        return total * with_dead(parameters) + len(site.buildings)
 
     def empty_reason(
         self, parameters: BranchModulesParameters, site: Site, species: Sequence[SpeciesEcology]
     ) -> str | None:
         """Why no plant can ever grow, or None if one may."""
-        _refuse_without_modules(parameters, species)
+        _refuse_without_modules(site, species)
         if _founders(parameters, species) > 0:
             return None
         return "no plant can grow: community.initial_plants is 0, and none is planted"
@@ -248,9 +248,9 @@ def _founders(parameters: BranchModulesParameters, species: Sequence[SpeciesEcol
     return float(counts.sum() if len(counts) else 0) + planted(parameters.disturbances)
 
 
-def _refuse_without_modules(parameters: BranchModulesParameters, species: Sequence[SpeciesEcology]) -> None:
-    """Every species must grow by modules but those that stand for obstacles."""
-    built = {one.species for one in parameters.obstacles}
+def _refuse_without_modules(site: Site, species: Sequence[SpeciesEcology]) -> None:
+    """Every species must grow by modules but those that stand for buildings."""
+    built = {one.kind for one in site.buildings}
     for one in species:
         if one.modules is None and one.name not in built:
             raise without_modules(one.name, f"species.{one.name}.modules")
