@@ -123,6 +123,13 @@ class CrownProfile(Protocol):
 
 
 @runtime_checkable
+class Lifeless(Protocol):
+    """A generator of what does not grow, such as dead wood."""
+
+    instead: str  # what communities that grow their plants have in its place, for messages
+
+
+@runtime_checkable
 class ClothesModules(Protocol):
     """A generator of twigs and leaves on branches that a community grew."""
 

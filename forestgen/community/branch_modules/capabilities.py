@@ -13,6 +13,8 @@ from forestgen.community.branch_modules.unknown_names import no_prototype
 from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.population import Population
 from forestgen.core.errors import RecipeError, ResourceError
+from forestgen.plants.parameters import Lifeless
+from forestgen.plants.registry import GENERATORS
 from forestgen.recipe.load import DrawnRecipe
 
 
@@ -32,7 +34,8 @@ class ModuleCapabilities:
                     raise no_prototype(wanted, names, where)
         for name, one in drawn.species.items():
             if one.modules is None:
-                raise without_modules(name, drawn.where("species", name))
+                where = drawn.where("species", name)
+                raise without_modules(name, where, GENERATORS.load(one.plant.generator))
         _check_plantings(drawn, parameters)
         check_changes(parameters, types, names, drawn.parse, lambda *keys: drawn.where("community", *keys))
 
@@ -64,14 +67,17 @@ class ModuleCapabilities:
         return parameters.history_modules
 
 
-def without_modules(name: str, where: str) -> RecipeError:
-    """The error of a species that does not grow by modules."""
+def without_modules(name: str, where: str, generator: object = None) -> RecipeError:
+    """The error of a species that does not grow by modules; `generator` is that of its `plant`."""
+    if isinstance(generator, Lifeless):
+        problem, expected = f"{name} is no living plant", "species of living plants"
+        return RecipeError(problem, where=where, expected=expected, got=name, hint=generator.instead)
     return RecipeError(
         f"{name} does not grow by branch modules",
         where=where,
         expected="a section `modules` with life_span_yr, root_vigour_max, growth_rate_per_yr and so on",
         got="none",
-        hint="take a species that has one, such as those of scenes/species with `modules:`; or another community.model",
+        hint="write one (scenes/species/fireweed.yaml has one of a herb); or another community.model",
     )
 
 

@@ -132,6 +132,7 @@ class DeadwoodGenerator:
 
     Parameters = Parameters  # the class that a recipe's `plant` block is checked against
     has_crown = False
+    instead = "community.standing_dead_yr keeps dead trees standing; community.disturbances kill some"
 
     def grow(self, parameters: _Parameters, height_m: float, width_m: float, rng: np.random.Generator) -> Skeleton:
         """One piece of dead wood."""

@@ -42,6 +42,10 @@ _RECIPES = {
 }
 
 
+def _head(model: str) -> str:
+    return _HEAD % (_BUILDING if model in ("branch_modules", "ecoclimate") else "")
+
+
 @dataclass(frozen=True)
 class Written:
     """A recipe's plan and the history of its first steps."""

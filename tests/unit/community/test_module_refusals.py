@@ -63,7 +63,7 @@ def test_dead_wood_does_not_grow(tmp_path, model, name):
             f"community={{model: {model}, initial_plants: 8, steps: 4{CLIMATE * (model == 'ecoclimate')}}}",
         )
     assert f"species.{name}" in str(told.value.where)
-    assert told.value.problem == f"{name} is dead wood and does not grow"
+    assert told.value.problem == f"{name} is no living plant"
     assert "standing_dead_yr" in told.value.hint
 
 

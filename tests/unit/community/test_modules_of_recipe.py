@@ -84,7 +84,7 @@ def test_obstacles_are_the_first_plants_and_stand_as_they_are_told(recipe: Path)
     [
         (
             ("site.buildings.0.position_m=[5,5]",),
-            r"site.buildings.0.position_m: this building does not lie on the site",
+            r"buildings.0.position_m: this building does not lie on the site",
         ),
         (("site.buildings.0.kind=hause",), "did you mean 'house'"),
         (("site.buildings.0.size_m=[0,3,3]",), r"site.buildings.0.size_m.0"),
