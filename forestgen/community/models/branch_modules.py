@@ -20,7 +20,7 @@ others at its terminals, and is shed. A step of Δt years is
 6.  turning: new modules and those that still grow turn to free space and to their tropism's angle (Eqs. 3 to 6);
 7.  seeds: a Poisson number of mean ``seeds_per_yr o Δt`` of each flowering plant, at Gaussian distances. One
     germinates where soil and climate allow it, where its light would give it a gain above ``sprouting v_min``, outside
-    of obstacles, and seedling_spacing_m away from every stem.
+    of buildings, and seedling_spacing_m away from every stem.
 
 A plant flowers at the age ``F_age min(v_rootmax / v_root, flowering_delay_max)``, with a grown root module, and from
 then on. Lengths, diameters and tropism of segments (Eqs. 9 to 12) follow from the ages: architecture/geometry.py.
@@ -32,7 +32,7 @@ Parameters are `BranchModulesParameters`, this section's keys, and `PlantType`, 
 
 A plant's radius is that of its crown, its height that of its highest node; both at least 1 cm. Columns: modules,
 trunk_diameter_m, foot_diameter_m, wood_volume_m3, leaf_area_m2, vigour (of the root), light (mean Q_eff), flowering,
-next_module, adaptation (o in the last step, of the dead in their last; 1 before the first and of obstacles). With
+next_module, adaptation (o in the last step, of the dead in their last; 1 before the first and of buildings). With
 standing_dead_yr also dead_yr, years since death; with dieback_share tallest_m, the greatest height so far. Status:
 MATURE flowers, DOMINATED has a mean light below a half, DEAD is a standing dead tree.
 
@@ -85,8 +85,8 @@ Decided where the print is silent or wrong:
   burned plants leave no snag, and felling and fire leave snags as they are.
 - `seedling_spacing_m` (0.8), with the light that a seedling needs, bounds how many plants a square metre has.
 - All of a state's modules look at the spheres at the step's beginning.
-- A planting sets seeds, whatever its radius. Felling and fire spare obstacles.
-- Obstacles are the first rows of a population, have no modules, and never change.
+- A planting sets seeds, whatever its radius. Felling and fire spare buildings.
+- Buildings of the site are the first rows of a population, have no modules, and never change.
 - Randomness of step k: ``child_rng(seed, "community", k)``; of a module: seed, plant_id and its number.
 - Snapshots without their modules (a history without history_modules) cannot be resumed.
 """
