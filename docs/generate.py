@@ -26,7 +26,7 @@ from forestgen.plants.variation.model import Variation
 from forestgen.recipe.assets import list_assets
 from forestgen.recipe.curves import CURVE_SCHEMA
 from forestgen.recipe.plant_type import PlantType
-from forestgen.recipe.registries import RIGS
+from forestgen.recipe.registries import BUILDINGS, RIGS
 from forestgen.recipe.schema import Recipe
 from forestgen.runs.single_plant import drawn_of
 
@@ -37,6 +37,7 @@ _SECTIONS = {
     "Recipe": "The recipe",
     "Site": "site",
     "Terrain": "site.terrain",
+    "Building": "site.buildings (each)",
     "Community": "community",
     "Plants": "plants",
     "SkySection": "sky",
@@ -76,7 +77,7 @@ def pages() -> dict[Path, str]:
     made[DOCS / "reference" / "api.md"] = f"{_NOTICE}\n{generate_reference.api_page()}"
     made[DOCS / "reference" / "community_models.md"] = f"{_NOTICE}\n{generate_reference.parts_page()}"
     made[DOCS / "reference" / "command_line.md"] = f"{_NOTICE}\n{generate_reference.command_line_page()}"
-    for registry in (COMMUNITY_MODELS, COMPETITION_MODELS, GENERATORS):
+    for registry in (COMMUNITY_MODELS, COMPETITION_MODELS, GENERATORS, BUILDINGS):
         for name in registry.ids():
             made[DOCS / "models" / page_name(registry, name)] = model_page(registry, name)
     return made

@@ -18,6 +18,7 @@ from forestgen.geometry.export import MESH_EXPORTERS
 from forestgen.plants.registry import GENERATORS
 from forestgen.recipe.assets import find_asset, list_assets
 from forestgen.recipe.registries import (
+    BUILDINGS,
     CLOUD_SOURCES,
     DATASET_FORMATS,
     GROUND_COVERS,
@@ -48,6 +49,7 @@ _REGISTRIES: dict[str, Registry] = {
     "projection": PROJECTIONS,
     "rig": RIGS,
     "instrument": INSTRUMENTS,
+    "building": BUILDINGS,
     "mesh_exporter": MESH_EXPORTERS,
 }
 _WITHOUT_COMMENT = {  # files of a format that has none

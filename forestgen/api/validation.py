@@ -11,7 +11,7 @@ from forestgen.recipe.load import LoadedRecipe
 from forestgen.recipe.sources import dotted
 from forestgen.scene.plan import Plan, estimate_bytes
 from forestgen.scene.planning import check_plan
-from forestgen.scene.views import check_outside_of_houses, views_below_ground
+from forestgen.scene.views import check_outside_of_buildings, views_below_ground
 
 _MOST_CAMERAS = 5
 
@@ -108,4 +108,4 @@ def _notes(plan: Plan) -> Iterator[str]:
         yield reason
     for name in views_below_ground(plan.drawn):
         yield f"the camera {name} stands below the ground"
-    yield from check_outside_of_houses(plan.drawn, plan.community.obstacles.entries)
+    yield from check_outside_of_buildings(plan.drawn)

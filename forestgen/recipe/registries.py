@@ -7,6 +7,7 @@ from forestgen.recipe.fields import mistake
 
 DEFAULT_FORMATS = ("coco",)
 DEFAULT_PROJECTION = "perspective"
+DEFAULT_BUILDING = "house"
 
 # In the order in which their checks run.
 DATASET_FORMATS = Registry(
@@ -84,7 +85,7 @@ TERRAINS = Registry(
         "rolling": ("forestgen.scene.terrains.rolling:ROLLING", "gently rolling ground, with hills in the distance"),
         "map": ("forestgen.scene.terrains.mapped:SHAPE", "the ground of a map of heights"),
     },
-    contract="forestgen.scene.terrains.shape:TerrainShape",
+    contract="forestgen.scene.terrain:TerrainShape",
 )
 
 GROUND_COVERS = Registry(
@@ -98,7 +99,13 @@ GROUND_COVERS = Registry(
         "sand": ("forestgen.scene.grounds.uneven:SAND", "sand"),
         "snow": ("forestgen.scene.grounds.uneven:SNOW", "snow, also on a share of the land around"),
     },
-    contract="forestgen.scene.grounds.cover:GroundCover",
+    contract="forestgen.scene.terrain:GroundCover",
+)
+
+BUILDINGS = Registry(
+    "building",
+    {DEFAULT_BUILDING: ("forestgen.scene.buildings.house:BUILDING", "a detached house with a gable roof")},
+    contract="forestgen.scene.building:BuildingKind",
 )
 
 SKIES = Registry(

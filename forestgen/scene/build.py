@@ -14,33 +14,36 @@ from forestgen.community.population import Population
 from forestgen.core.progress import Progress
 from forestgen.core.randomness import child_rng
 from forestgen.plants.build import size_m
-from forestgen.plants.cache import LIBRARY_BYTES, MOST_BYTES, ExemplarRequest, exemplar_store
 from forestgen.plants.exemplar import Exemplar
-from forestgen.plants.growing import grow_exemplars
+from forestgen.plants.growing import LIBRARY_BYTES, MOST_BYTES, ExemplarRequest, exemplar_store, grow_exemplars
 from forestgen.plants.levels import level_for, level_of_index
+from forestgen.plants.parameters import CrownProfile
 from forestgen.plants.registry import GENERATORS
 from forestgen.plants.solids import as_solids
+from forestgen.recipe.buildings import Building
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.scene.assemble import pixel_size_m, place_instances, stand_on
+from forestgen.scene.building import building_materials, exemplar_of
 from forestgen.scene.camera_path import next_frame
-from forestgen.scene.exemplar_library import library_of, modelled_species, origin_of
-from forestgen.scene.exemplar_plan import ExemplarPlan
 from forestgen.scene.exemplars import (
+    ExemplarPlan,
     SizeError,
     check_traits,
+    library_of,
+    modelled_species,
+    origin_of,
     plan_exemplars,
     size_errors,
-    with_levels,
 )
 from forestgen.scene.explicit_plants import has_own, own_requests, plan_own_plants, species_seen
 from forestgen.scene.ground import height_field, wetness_of
 from forestgen.scene.plan import Plan
 from forestgen.scene.sky import sky_of
-from forestgen.scene.spec import Camera, SceneSpec
-from forestgen.scene.surfaces import infrared_notes, materials_of
+from forestgen.scene.spec import Camera, Material, SceneSpec
+from forestgen.scene.surfaces import infrared_notes, materials_of, surface_of
 from forestgen.scene.terrain import HeightField, build_terrain
 from forestgen.scene.trunks import Trunks
-from forestgen.scene.views import check_outside_of_houses, check_trunks, drawn_cameras
+from forestgen.scene.views import check_outside_of_buildings, check_trunks, drawn_cameras
 from forestgen.scene.wind import Sway, spec_at, sway_in
 
 MOST_CACHED_IMAGES = 16  # a data set of many images would only wash the cache out
@@ -110,11 +113,11 @@ def build_scene(plan: Plan, population: Population, progress: Progress, timer: T
         )
         trunks = Trunks(exemplars, instances)
         views = drawn_cameras(plan.drawn, trunks)
-        materials = materials_of(species_seen(plan.drawn.species, population), recipe.plants.season)
+        materials = _materials(plan, population)
         notes = [
             *(f"image {plan.drawn.image_index}: {note}" for note in simulated.notes),
             *check_trunks(plan.drawn, views, trunks),
-            *check_outside_of_houses(plan.drawn, plan.community.obstacles.entries),
+            *check_outside_of_buildings(plan.drawn),
             *infrared_notes(materials, cameras),
         ]
         spec = SceneSpec(
@@ -179,11 +182,12 @@ def choose_exemplars(plan: Plan, population: Population, cameras: Sequence[Camer
     for index, name in enumerate(population.species_names):
         rows = population.species == index
         exemplar_radius_m = chosen.radius_m[chosen.exemplar_of_plant[rows]]
-        own_height_m[rows] = modelled_species(plan.drawn, name).allometry.height(exemplar_radius_m)
+        if name in plan.drawn.species:
+            own_height_m[rows] = modelled_species(plan.drawn, name).allometry.height(exemplar_radius_m)
     stand_in = chosen.plant[chosen.exemplar_of_plant]
     own_height_m = np.where(stand_in < 0, own_height_m, population.height_m[np.maximum(stand_in, 0)])
     scale = population.height_m / own_height_m  # of the instance
-    return with_levels(chosen, level_for(pixel_m / scale))
+    return chosen.split("level", level_for(pixel_m / scale))
 
 
 def grow_planned(
@@ -192,29 +196,51 @@ def grow_planned(
     """The exemplars of a plan; see `exemplar_requests`."""
     section = plan.drawn.recipe.plants
     kept = section.cache and (section.library is not None or plan.drawn.image_index < MOST_CACHED_IMAGES)
+    buildings = _buildings(plan, exemplar_plan, population)
     with progress.stage("plants", len(exemplar_plan)) as advance:
+        built = {index: exemplar_of(*building) for index, building in buildings.items()}
+        advance(len(built))
         requests = exemplar_requests(plan, exemplar_plan, population)
         store = exemplar_store(MOST_BYTES if section.library is None else LIBRARY_BYTES) if kept else None
         grown = grow_exemplars(requests, store=store, advance=advance)
-    grown = tuple(
-        replace(one, is_unique=bool(unique)) for one, unique in zip(grown, exemplar_plan.is_unique, strict=True)
-    )
     if section.geometry == "silhouettes":
-        return tuple(_silhouette(request, one) for request, one in zip(requests, grown, strict=True))
-    return grown
+        grown = tuple(_silhouette(request, one) for request, one in zip(requests, grown, strict=True))
+    plants = iter(grown)
+    exemplars = (built[index] if index in built else next(plants) for index in range(len(exemplar_plan)))
+    pairs = zip(exemplars, exemplar_plan.is_unique.tolist(), strict=True)
+    return tuple(replace(one, is_unique=unique) for one, unique in pairs)
+
+
+def _buildings(
+    plan: Plan, exemplar_plan: ExemplarPlan, population: Population | None
+) -> dict[int, tuple[Building, float]]:
+    """The exemplars that are buildings, by their index: the building, and the radius of its row."""
+    rows = {} if population is None else plan.community.obstacles.rows_of(population)
+    pairs = zip(exemplar_plan.plant.tolist(), exemplar_plan.radius_m.tolist(), strict=True)
+    return {index: (rows[row], radius_m) for index, (row, radius_m) in enumerate(pairs) if row in rows}
+
+
+def _materials(plan: Plan, population: Population) -> dict[tuple[str, str], Material]:
+    """Of the species and the buildings."""
+    season = plan.drawn.recipe.plants.season
+    materials = materials_of(species_seen(plan.drawn.species, population), season)
+    for (kind, key), one in building_materials(plan.community.obstacles.entries).items():
+        materials[kind, key] = surface_of(one, season, f"{kind}/{key}")
+    return materials
 
 
 def _silhouette(request: ExemplarRequest, exemplar: Exemplar) -> Exemplar:
     """The plant's solid: of its generator's own curve where there is one, otherwise as wide as the plant grew."""
-    profile_of = getattr(GENERATORS.load(request.parameters.generator), "crown_profile", None)
+    generator = GENERATORS.load(request.parameters.generator)
     size = size_m(request.species, request.radius_m)
-    return as_solids(exemplar, None if profile_of is None else profile_of(request.parameters, *size))
+    known = isinstance(generator, CrownProfile)
+    return as_solids(exemplar, generator.crown_profile(request.parameters, *size) if known else None)
 
 
 def exemplar_requests(
     plan: Plan, exemplar_plan: ExemplarPlan, population: Population | None = None
 ) -> list[ExemplarRequest]:
-    """What to grow. A plant's randomness belongs to its species, its cluster's rank and its variant, at any level.
+    """What to grow, all but buildings. A plant's randomness belongs to its species, cluster's rank and variant.
 
     Parameters
     ----------
@@ -222,10 +248,12 @@ def exemplar_requests(
     """
     names = list(plan.drawn.species)
     own = {} if population is None else own_requests(plan, exemplar_plan, population)
+    buildings = _buildings(plan, exemplar_plan, population)
     requests = []
     for index in range(len(exemplar_plan)):
         if index in own:
             requests.append(own[index])
+        if index in own or index in buildings:
             continue
         name = names[exemplar_plan.species[index]]
         seed, identity = origin_of(plan.drawn, name, int(exemplar_plan.rank[index]), int(exemplar_plan.variant[index]))
@@ -260,7 +288,8 @@ def _errors(
         )
     )
     for index, name in enumerate(population.species_names):
-        if not GENERATORS.load(plan.plants.generators[name].generator).has_crown:
+        generator = plan.plants.generators.get(name)  # none: a building
+        if generator is None or not GENERATORS.load(generator.generator).has_crown:
             widths_m[population.species == index] = np.nan
     return size_errors(population, exemplar_plan, height_m, width_m, widths_m)
 
@@ -271,6 +300,7 @@ def _widths_m(plan: Plan, population: Population) -> NDArray[np.float64]:
     for index, name in enumerate(population.species_names):
         rows = population.species == index
         radius_m = population.radius_m[rows]
-        own = population.modules is not None and name in plan.plants.foliage
-        width[rows] = 2.0 * radius_m if own else plan.drawn.species[name].allometry.width(radius_m)
+        grown = population.modules is not None and name in plan.plants.foliage
+        species = None if grown else plan.drawn.species.get(name)  # none: a building, or as wide as its branches
+        width[rows] = 2.0 * radius_m if species is None else species.allometry.width(radius_m)
     return width

@@ -11,7 +11,6 @@ from forestgen.core.frames import look_at
 from forestgen.core.spectrum import Band
 from forestgen.recipe.camera_keys import SensorFile
 from forestgen.recipe.cameras import Camera as CameraSection
-from forestgen.scene.exposure import exposure_of
 from forestgen.scene.rigs.rig import Poses, path_poses
 from forestgen.scene.spec import Camera, Lens
 from forestgen.scene.terrain import HeightField
@@ -60,7 +59,7 @@ def expand(
                 width_m=section.view_width_m,
                 lens=None if lens is None or focus_m is None else Lens(lens[0] / 1000, focus_m),
                 bands=() if section.bands is None else bands.get(section.bands, ()),
-                exposure=exposure_of(section.exposure),
+                exposure=section.exposure,
                 numbers=section.own_numbers,
             )
         )

@@ -1,8 +1,8 @@
 """Plants that grew branches of their own: which are meshed as themselves, from what, and how their dead look.
 
 The dead stand with the branches that they died with, bare, of grey weathered wood: a species' material `dead_wood`, or
-that of the shipped snag. Leaves, flowers and fruits are gone; twigs go with the years, see plants/grown/twigs.py. Fresh
-snags are as grey as old ones.
+that of the shipped snag. Leaves, flowers and fruits are gone; twigs go with the years. Fresh snags are as grey as old
+ones.
 """
 
 from __future__ import annotations
@@ -20,13 +20,14 @@ from forestgen.community.capabilities import OwnSkeletons, capability
 from forestgen.community.population import Population, Status
 from forestgen.core.randomness import child_rng
 from forestgen.plants.bark.texture import with_bark_tiles
-from forestgen.plants.cache import ExemplarRequest
-from forestgen.plants.grown.build import estimate_triangles
-from forestgen.plants.grown.wood import woods_of
+from forestgen.plants.build import estimate_triangles
+from forestgen.plants.growing import ExemplarRequest
+from forestgen.plants.grown import woods_of
 from forestgen.plants.levels import level_of_index
 from forestgen.plants.parameters import PlantParameters
 from forestgen.recipe.species import Material, Species
-from forestgen.scene.exemplar_plan import ExemplarPlan
+from forestgen.scene.building import plan_buildings
+from forestgen.scene.exemplars import ExemplarPlan
 from forestgen.scene.own_exemplars import plan_own, unique_plants
 from forestgen.scene.plan import Plan, check_own_triangles
 
@@ -63,12 +64,12 @@ def dead_clothing(parameters: PlantParameters, species: Species) -> PlantParamet
 
 
 def has_own(plan: Plan, population: Population) -> bool:
-    """Whether some plants have modules that their species clothes, or are no plants but obstacles."""
+    """Whether some plants have modules that their species clothes, or are no plants but buildings."""
     return bool(plan.community.obstacles.entries or _own(plan, population).any())
 
 
 def plan_own_plants(plan: Plan, population: Population, pixel_m: Floats) -> dict[int, ExemplarPlan]:
-    """Plans of the species that are clothed by modules, and of obstacles, by their index in the population.
+    """Plans of the species that are clothed by modules, and of buildings, by their index in the population.
 
     Parameters
     ----------
@@ -79,7 +80,7 @@ def plan_own_plants(plan: Plan, population: Population, pixel_m: Floats) -> dict
     ResourceError : the recipe asks for more plants as themselves than the memory holds.
     """
     own = _own(plan, population)
-    built = _plan_obstacles(plan, population)
+    built = plan_buildings(plan.community.obstacles.rows_of(population), population)
     if not own.any():
         return built
     section, seed = plan.drawn.recipe.plants, plan.drawn.image_seed
@@ -93,47 +94,24 @@ def plan_own_plants(plan: Plan, population: Population, pixel_m: Floats) -> dict
     }
 
 
-def _plan_obstacles(plan: Plan, population: Population) -> dict[int, ExemplarPlan]:
-    """One exemplar for each size of the obstacles of a species."""
-    obstacles = plan.community.obstacles.rows_of(population)
-    plans = {}
-    for index in np.unique(population.species[list(obstacles)]) if obstacles else ():
-        rows = np.flatnonzero(population.species == index)
-        sizes = np.array([obstacles[int(row)].size_m for row in rows])
-        _, first, label = np.unique(sizes, axis=0, return_index=True, return_inverse=True)
-        plans[int(index)] = ExemplarPlan(
-            species=np.full(len(first), index, dtype=np.uint16),
-            radius_m=population.radius_m[rows[first]],
-            rank=np.arange(len(first)),
-            variant=np.zeros(len(first), dtype=np.int64),
-            level=np.zeros(len(first), dtype=np.int64),
-            exemplar_of_plant=label.reshape(-1).astype(np.uint32),
-            plant=rows[first],
-            is_unique=np.zeros(len(first), dtype=np.bool_),
-        )
-    return plans
-
-
 def own_requests(plan: Plan, exemplar_plan: ExemplarPlan, population: Population) -> dict[int, ExemplarRequest]:
     """What to grow of the exemplars that have a plant's own branches, by their index.
 
     A plant's randomness belongs to the plant: its twigs are the same in every image.
     """
-    chosen = np.flatnonzero(exemplar_plan.plant >= 0)
+    buildings = list(plan.community.obstacles.rows_of(population))
+    chosen = np.flatnonzero((exemplar_plan.plant >= 0) & ~np.isin(exemplar_plan.plant, buildings))
     if not len(chosen):
         return {}
-    obstacles = plan.community.obstacles.rows_of(population)
-    rows = np.setdiff1d(exemplar_plan.plant[chosen], list(obstacles))
-    grown = woods_of(population, tables_at(plan, population), rows) if len(rows) else []
+    rows = np.unique(exemplar_plan.plant[chosen])
+    grown = woods_of(population, tables_at(plan, population), rows)
     woods = dict(zip(rows.tolist(), grown, strict=True))
     names = population.species_names
     requests = {}
     for index in chosen.tolist():
         row = int(exemplar_plan.plant[index])
         name = names[population.species[row]]
-        box_m = obstacles[row].size_m if row in obstacles else None
-        species = plan.drawn.species[name]
-        parameters = plan.plants.generators[name] if box_m else plan.plants.foliage[name]
+        species, parameters = plan.drawn.species[name], plan.plants.foliage[name]
         if population.status[row] == Status.DEAD:
             species = with_dead_wood(species)
             parameters = dead_clothing(parameters, species)
@@ -145,8 +123,7 @@ def own_requests(plan: Plan, exemplar_plan: ExemplarPlan, population: Population
             seed=plan.drawn.image_seed,
             identity=("own", int(population.plant_id[row])),
             level=level_of_index(int(exemplar_plan.level[index])),
-            wood=woods.get(row),
-            box_m=box_m,
+            wood=woods[row],
             is_kept=not bool(exemplar_plan.is_unique[index]),
         )
     return requests

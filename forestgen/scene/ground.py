@@ -53,6 +53,7 @@ def community_site(drawn: DrawnRecipe) -> Site:
         altitude_m=site.altitude_m,
         latitude_deg=site.latitude_deg,
         wind_from_deg=site.wind_from_deg,
+        buildings=site.buildings,
     )
 
 

@@ -16,7 +16,7 @@ from forestgen.core.memory import free_bytes
 from forestgen.plants.budget import most_triangles
 from forestgen.plants.parameters import PlantParameters
 from forestgen.plants.plan import PlantPlan
-from forestgen.plants.registry import GENERATORS, is_built
+from forestgen.plants.registry import GENERATORS
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.plants import Plants
 from forestgen.scene.ground import height_field
@@ -116,8 +116,9 @@ def _may_be_exact(drawn: DrawnRecipe) -> bool:
     if recipe.render.clouds != "auto" or base_m is None:
         return recipe.render.clouds != "farfield"
     x_m, y_m = np.meshgrid(*(np.linspace(0.0, side_m, _GROUND_POINTS) for side_m in recipe.site.size_m))
-    plants_m = max((species.mature_height_m for species in drawn.species.values()), default=0.0)
-    tops_m = [float(height_field(drawn)(x_m, y_m).max()) + plants_m]
+    standing_m = [species.mature_height_m for species in drawn.species.values()]
+    standing_m += [building.size_m[2] for building in recipe.site.buildings]
+    tops_m = [float(height_field(drawn)(x_m, y_m).max()) + max(standing_m, default=0.0)]
     tops_m += [camera.position_m[2] for cameras in drawn_cameras(drawn) for camera in cameras]
     return base_m < max(tops_m) + max(LEAST_GAP_M, GAP_OF_SITE * math.hypot(*recipe.site.size_m)) + _SURELY_FAR_M
 
@@ -128,7 +129,7 @@ def _exemplar_triangles(plan: Plan) -> int:
     each = section.exemplars_per_species * section.variants_per_size * (_DETAIL_OF_ALL_LEVELS if section.levels else 1)
     total = 0.0
     for name, species in plan.drawn.species.items():
-        if name not in plan.plants.foliage and not is_built(species.plant.generator):
+        if name not in plan.plants.foliage:
             has_crown = GENERATORS.load(species.plant.generator).has_crown
             width_m = float(species.allometry.width(species.ecology.max_radius_m)) if has_crown else 0.0
             total += most_triangles(species.mature_height_m, width_m)

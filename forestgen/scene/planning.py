@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from forestgen.atmosphere.clouds.source import cloud_source_of
-from forestgen.community.capabilities import OwnSkeletons, PlanChecks, capability
+from forestgen.community.capabilities import HasObstacles, OwnSkeletons, PlanChecks, capability, models_with
 from forestgen.community.disturbance import Ground
 from forestgen.community.model import Site
-from forestgen.community.obstacles import check_obstacles
 from forestgen.community.placement.density_map import check_maps
 from forestgen.community.plan import CommunityPlan
 from forestgen.community.registry import COMMUNITY_MODELS
@@ -23,7 +22,7 @@ from forestgen.scene.exemplars import check_traits
 from forestgen.scene.ground import check_wet_soil, community_site
 from forestgen.scene.plan import Plan, check_memory
 from forestgen.scene.sky import check_sun
-from forestgen.scene.views import check_above_ground, check_outside_of_houses, drawn_cameras
+from forestgen.scene.views import check_above_ground, check_outside_of_buildings, drawn_cameras
 
 
 def make_plan(drawn: DrawnRecipe) -> Plan:
@@ -188,10 +187,18 @@ def _check_clouds(drawn: DrawnRecipe) -> None:
             )
 
 
-def _check_obstacles(plan: CommunityPlan) -> None:
-    """Buildings on the site, and cameras outside of them."""
-    check_obstacles(plan.drawn, plan.obstacles)
-    check_outside_of_houses(plan.drawn, plan.obstacles.entries)
+def _check_buildings(plan: CommunityPlan) -> None:
+    """A community that knows of buildings, and cameras outside of them."""
+    drawn = plan.drawn
+    if drawn.recipe.site.buildings and capability(plan.model, HasObstacles) is None:
+        raise RecipeError(
+            "plants of this community would grow into the buildings",
+            where=drawn.where("site", "buildings"),
+            expected=f"community.model: {models_with(HasObstacles)}",
+            got=drawn.recipe.community.model,
+            hint="leave out site.buildings",
+        )
+    check_outside_of_buildings(drawn)
 
 
 def _check_models_own(plan: CommunityPlan) -> None:
@@ -215,7 +222,7 @@ _CHECKS_OF_THE_VIEW: tuple[tuple[Callable[[DrawnRecipe], None], frozenset[str]],
 )
 _CHECKS_OF_THE_COMMUNITY: tuple[tuple[Callable[[CommunityPlan], None], frozenset[str]], ...] = (
     (_check_disturbances, frozenset({"species", "site"})),
-    (_check_obstacles, frozenset({"species", "site"})),
+    (_check_buildings, frozenset({"site", "cameras"})),
     (_check_models_own, frozenset({"species", "site"})),
     (check_wet_soil, frozenset({"site"})),
     (_check_clouds_of_community, frozenset({"sky", "site"})),

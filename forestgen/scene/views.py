@@ -8,9 +8,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.community.obstacles import Obstacle
 from forestgen.core.errors import RecipeError
 from forestgen.core.spectrum import Band
+from forestgen.recipe.buildings import Building
 from forestgen.recipe.camera_keys import SensorFile
 from forestgen.recipe.cameras import Camera as CameraSection
 from forestgen.recipe.load import DrawnRecipe
@@ -88,27 +88,28 @@ def check_above_ground(drawn: DrawnRecipe) -> None:
         )
 
 
-def check_outside_of_houses(drawn: DrawnRecipe, obstacles: Sequence[Obstacle]) -> list[str]:
-    """Notes on cameras inside of houses, which see dark walls, of entries whose `obstructed` is a note.
+def check_outside_of_buildings(drawn: DrawnRecipe) -> list[str]:
+    """Notes on cameras inside of buildings, which see dark walls, of entries whose `obstructed` is a note.
 
     Raises
     ------
     RecipeError : a camera of another entry, with its line.
     """
-    if not obstacles:
+    buildings = drawn.recipe.site.buildings
+    if not buildings:
         return []
-    feet = np.array([one.position_m for one in obstacles])
+    feet = np.array([one.position_m for one in buildings])
     ground_m, notes = height_field(drawn)(feet[:, 0], feet[:, 1]), []
     for index, cameras in enumerate(drawn_cameras(drawn)):
         at_m = np.array([camera.position_m for camera in cameras])
-        for number, house in enumerate(obstacles):
-            inside = _is_within(house, at_m - [*house.position_m, float(ground_m[number])])
+        for number, building in enumerate(buildings):
+            inside = _is_within(building, at_m - [*building.position_m, float(ground_m[number])])
             for camera in (cameras[k] for k in np.flatnonzero(inside)):
-                place = f"community.obstacles.{number}, at [{_numbers(house.position_m)}]"
+                place = f"site.buildings.{number}, at [{_numbers(building.position_m)}]"
                 note = _note_or_error(
                     drawn,
                     index,
-                    f"the camera {camera.name} stands inside of a {house.species}",
+                    f"the camera {camera.name} stands inside of a {building.kind}",
                     expected=f"a place outside of {place}",
                     got=f"[{_numbers(camera.position_m)}]",
                     hint="move it; or set obstructed: note, to look at it all the same",
@@ -117,15 +118,14 @@ def check_outside_of_houses(drawn: DrawnRecipe, obstacles: Sequence[Obstacle]) -
     return notes
 
 
-def _is_within(house: Obstacle, at_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _is_within(building: Building, at_m: NDArray[np.float64]) -> NDArray[np.bool_]:
     """(N,) whether points lie inside, (N, 3) metres from the middle of the ground plan; walls, eaves left out.
 
-    Whatever the parameters of its generator: walls stand at most a tenth of the house inside of its ground plan, and a
-    roof falls by at most half of the height.
+    That is what `scene.building.BuildingKind` says of walls and roofs.
     """
-    cos, sin = math.cos(house.turn_rad), math.sin(house.turn_rad)
+    cos, sin = math.cos(building.turn_rad), math.sin(building.turn_rad)
     along, across = np.abs(at_m[:, 0] * cos + at_m[:, 1] * sin), np.abs(at_m[:, 1] * cos - at_m[:, 0] * sin)
-    width, depth, height = house.size_m
+    width, depth, height = building.size_m
     eaves = 0.1 * min(width, depth)
     below_roof = at_m[:, 2] < height * (1.0 - across / depth) - _ROOF_M
     return np.asarray((along < 0.5 * width - eaves) & (across < 0.5 * depth - eaves) & (at_m[:, 2] > 0) & below_roof)

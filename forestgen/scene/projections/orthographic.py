@@ -26,7 +26,7 @@ from forestgen.recipe.camera_keys import Look
 from forestgen.recipe.cameras import Camera as CameraSection
 from forestgen.recipe.fields import Point, Positive, mistake
 from forestgen.scene.projection import Bools, DeviceRays, FileGeometry, Floats, Pixels, Rays, Sensor
-from forestgen.scene.projections.flat import FlatProjection, extent
+from forestgen.scene.projections.hulls import FlatProjection, extent
 from forestgen.scene.spec import Camera
 
 

@@ -43,7 +43,7 @@ from forestgen.scene.projection import (
     matrix_k,
     read_k,
 )
-from forestgen.scene.projections.flat import FlatProjection, extent
+from forestgen.scene.projections.hulls import FlatProjection, extent
 from forestgen.scene.spec import Camera
 
 _FULL_FRAME_MM = 36.0

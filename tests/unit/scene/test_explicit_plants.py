@@ -23,9 +23,9 @@ from forestgen.scene.planning import make_plan
 from forestgen.scene.views import drawn_cameras
 
 HOUSES = [
-    {"species": "house", "position_m": [12, 12], "azimuth_deg": 25, "size_m": [6, 5, 5]},
-    {"species": "house", "position_m": [4, 4], "azimuth_deg": 70, "size_m": [4, 3, 3]},
-    {"species": "house", "position_m": [4, 12], "azimuth_deg": 0, "size_m": [6, 5, 5]},
+    {"kind": "house", "position_m": [12, 12], "azimuth_deg": 25, "size_m": [6, 5, 5]},
+    {"kind": "house", "position_m": [4, 4], "azimuth_deg": 70, "size_m": [4, 3, 3]},
+    {"kind": "house", "position_m": [4, 12], "azimuth_deg": 0, "size_m": [6, 5, 5]},
 ]
 
 
@@ -33,13 +33,12 @@ def planned(*, houses: bool = True, **plants: object) -> Plan:
     data = {
         "forestgen": 1,
         "seed": 3,
-        "site": {"size_m": [16, 16]},
-        "species": {"oak": None, "spruce": None, **({"house": None} if houses else {})},
+        "site": {"size_m": [16, 16], "buildings": HOUSES if houses else []},
+        "species": {"oak": None, "spruce": None},
         "community": {
             "model": "branch_modules",
             "steps": 8,
             "initial_plants": {"oak": 4, "spruce": 5},
-            "obstacles": HOUSES if houses else [],
         },
         "plants": plants,
         "cameras": [
@@ -71,12 +70,10 @@ def test_unique_plants_have_their_own_wood_and_are_kept_on_no_disk():
     chosen = scene.choose_exemplars(plan, plants, cameras(plan))
     requests = scene.exemplar_requests(plan, chosen, plants)
     assert chosen.is_unique.sum() == 3
-    for index, request in enumerate(requests):
+    grown_ones = np.flatnonzero(chosen.species != 2)
+    for index, request in zip(grown_ones.tolist(), requests, strict=True):
         row = int(chosen.plant[index])
-        name = plants.species_names[chosen.species[index]]
-        assert request.species_name == name
-        if name == "house":
-            continue
+        assert request.species_name == plants.species_names[chosen.species[index]]
         assert request.wood is not None
         assert request.identity == ("own", int(plants.plant_id[row]))
         assert request.is_kept != chosen.is_unique[index]
@@ -88,8 +85,10 @@ def test_exemplars_are_grown_from_the_branches_and_marked():
     plan, plants = planned(unique="all"), grown()
     chosen = scene.choose_exemplars(plan, plants, cameras(plan))
     requests = scene.exemplar_requests(plan, chosen, plants)
-    tallest = int(np.argmax(np.where(chosen.species == 2, 0.0, plants.height_m[chosen.plant])))
-    plant = grow_exemplar(requests[tallest])
+    grown_ones = np.flatnonzero(chosen.species != 2)
+    place = int(np.argmax(plants.height_m[chosen.plant[grown_ones]]))
+    tallest = grown_ones[place]
+    plant = grow_exemplar(requests[place])
     marks, row = plant.marks(), int(chosen.plant[tallest])
     assert plants.modules is not None
     own = plants.modules.number[plants.modules.first[row] : plants.modules.first[row + 1]]
@@ -105,9 +104,8 @@ def test_houses_have_one_exemplar_a_size_and_stand_turned():
     assert len(rows) == 3
     mine = chosen.exemplar_of_plant[rows]
     assert mine[0] == mine[2] != mine[1]
-    requests = scene.exemplar_requests(plan, chosen, plants)
-    assert [requests[int(index)].box_m for index in mine[:2]] == [(6, 5, 5), (4, 3, 3)]
     exemplars = scene.grow_planned(plan, chosen, Silent(), plants)
+    assert [exemplars[int(index)].height_m for index in mine[:2]] == [5.0, 3.0]
     house = exemplars[int(mine[0])]
     assert {organ.part for organ in house.organs} == {Part.STRUCTURE}
     stands_for_m = plants.height_m[chosen.plant]

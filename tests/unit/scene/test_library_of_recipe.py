@@ -14,7 +14,7 @@ from forestgen.core.progress import Silent
 from forestgen.plants import growing
 from forestgen.recipe.load import dump_yaml, load_recipe
 from forestgen.scene import build as scene
-from forestgen.scene.exemplar_library import modelled_species
+from forestgen.scene.exemplars import modelled_species
 from forestgen.scene.plan import Plan
 from forestgen.scene.planning import make_plan
 
