@@ -39,7 +39,6 @@ from forestgen.scene.build import BuiltScene, build_scene
 from forestgen.scene.plan import Plan, check_memory
 from forestgen.scene.planning import check_plan
 from forestgen.scene.plant_measures import PlantMeter
-from forestgen.scene.views import ground_below, views_below_ground
 
 
 @dataclass(frozen=True)
@@ -105,7 +104,7 @@ def image_frames(scene: BuiltScene, progress: Progress, timings: Timings) -> Ite
     for labelled in _views(scene, progress, timings):
         name = frame_folder_name(scene.drawn.image_index, labelled.frame.camera.name)
         notes = tuple(_frame_notes(scene, labelled, name))
-        ground_m = ground_below(scene.drawn, labelled.frame.camera)
+        ground_m = scene.plan.views.ground_below(labelled.frame.camera)
         row = frame_row(name, labelled, scene.drawn, scene.spec.sky, ground_m, notes)
         yield RenderedFrame(name, labelled, _header(scene, labelled.frame), row, notes)
         del labelled  # before the next one is made
@@ -188,7 +187,7 @@ def _frame_notes(scene: BuiltScene, labelled: LabelledFrame, name: str) -> Itera
     elif standing_dead(population) == len(population):
         yield f"{name} shows no living plant: all are standing dead trees"
     if len(population) and not labelled.views.visible.has_box.any():
-        below = labelled.frame.camera.name in views_below_ground(scene.drawn)
+        below = labelled.frame.camera.name in scene.plan.views.below_ground
         yield f"{name}: the camera {'stands below the ground' if below else 'sees no plant'}"
     yield from noise_notes(labelled.frame.radiance, name)
     yield from haze_notes(scene.spec, labelled.frame.surface, name)

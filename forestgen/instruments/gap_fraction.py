@@ -33,7 +33,6 @@ from forestgen.recipe.load import LoadedRecipe
 from forestgen.render.identity import SceneTracer, trace_identity
 from forestgen.scene.build import BuiltScene
 from forestgen.scene.plan import Plan
-from forestgen.scene.views import drawn_cameras
 
 
 class GapFractionKeys(Section):
@@ -69,7 +68,7 @@ class GapFractionOfFisheyes(Instrument[GapFractionKeys, GapFractions]):
     Parameters = GapFractionKeys
 
     def check(self, plan: Plan, keys: GapFractionKeys) -> None:
-        cameras = [one for entry in drawn_cameras(plan.drawn) for one in entry]
+        cameras = plan.views.all_cameras
         if not any(map(looks_up, cameras)):
             raise RecipeError(
                 "no camera sees the canopy from below",

@@ -19,9 +19,8 @@ from forestgen.plants.plan import PlantPlan
 from forestgen.plants.registry import GENERATORS
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.plants import Plants
-from forestgen.scene.ground import height_field
 from forestgen.scene.own_exemplars import MOST_TRIANGLES
-from forestgen.scene.views import drawn_cameras
+from forestgen.scene.views import Views
 
 # Kept free for the operating system and for what no estimate sees.
 _SHARE_OF_MEMORY = 0.8
@@ -52,6 +51,7 @@ class Plan:
     drawn: DrawnRecipe
     community: CommunityPlan
     plants: PlantPlan
+    views: Views
 
 
 def estimate_bytes(plan: Plan, *, simulate_only: bool = False, plants: int = 0) -> dict[str, int]:
@@ -69,7 +69,7 @@ def estimate_bytes(plan: Plan, *, simulate_only: bool = False, plants: int = 0) 
     if simulate_only:
         return {"community": community + _FILM_BYTES, "libraries": _LOADED_SIMULATOR_BYTES}
     pixels = max(camera.size_px[0] * camera.size_px[1] for camera in recipe.cameras)
-    exact = recipe.sky.clouds.has_clouds and _may_be_exact(plan.drawn)
+    exact = recipe.sky.clouds.has_clouds and _may_be_exact(plan.views)
     per_plant = _BYTES_PER_PLANT + exact * _BYTES_PER_PLANT_UNDER_CLOUDS
     clouds_per_triangle = exact * _BYTES_PER_TRIANGLE_UNDER_CLOUDS
     per_triangle = _BYTES_PER_TRIANGLE + clouds_per_triangle
@@ -110,16 +110,17 @@ def _located(cause: RecipeError | ResourceError, drawn: DrawnRecipe) -> RecipeEr
     return cause.at(drawn.where(*keys)) if keys[0] == "community" else cause
 
 
-def _may_be_exact(drawn: DrawnRecipe) -> bool:
+def _may_be_exact(views: Views) -> bool:
     """Whether the light of a recipe with clouds may be traced through them; see `render.transport`."""
-    recipe, base_m = drawn.recipe, cloud_source_of(drawn).known_base_m(drawn)
+    drawn, recipe = views.drawn, views.drawn.recipe
+    base_m = cloud_source_of(drawn).known_base_m(drawn)
     if recipe.render.clouds != "auto" or base_m is None:
         return recipe.render.clouds != "farfield"
     x_m, y_m = np.meshgrid(*(np.linspace(0.0, side_m, _GROUND_POINTS) for side_m in recipe.site.size_m))
     standing_m = [species.mature_height_m for species in drawn.species.values()]
     standing_m += [building.size_m[2] for building in recipe.site.buildings]
-    tops_m = [float(height_field(drawn)(x_m, y_m).max()) + max(standing_m, default=0.0)]
-    tops_m += [camera.position_m[2] for cameras in drawn_cameras(drawn) for camera in cameras]
+    tops_m = [float(views.height(x_m, y_m).max()) + max(standing_m, default=0.0)]
+    tops_m += [camera.position_m[2] for camera in views.all_cameras]
     return base_m < max(tops_m) + max(LEAST_GAP_M, GAP_OF_SITE * math.hypot(*recipe.site.size_m)) + _SURELY_FAR_M
 
 

@@ -22,7 +22,7 @@ from forestgen.scene.exemplars import check_traits
 from forestgen.scene.ground import check_wet_soil, community_site
 from forestgen.scene.plan import Plan, check_memory
 from forestgen.scene.sky import check_sun
-from forestgen.scene.views import check_above_ground, check_outside_of_buildings, drawn_cameras
+from forestgen.scene.views import Views
 
 
 def make_plan(drawn: DrawnRecipe) -> Plan:
@@ -49,9 +49,13 @@ def collect_plan(drawn: DrawnRecipe, errors: ErrorList, stand_ins: frozenset[str
     """
     had = len(errors.found)
     generators = generator_parameters(drawn, errors)
-    for check, sections in _CHECKS_OF_THE_VIEW:
-        if not sections & stand_ins:
-            errors.attempt(check, drawn)
+    views = None if {"cameras", "site"} & stand_ins else errors.attempt(Views.of, drawn)
+    if views is not None:
+        errors.attempt(views.check_above_ground)
+        if not {"sky", "render"} & stand_ins:
+            errors.attempt(_check_clouds, views)
+    if not {"sky", "site"} & stand_ins:
+        errors.attempt(check_sun, drawn)
     if not {"cameras", "labels", "dataset"} & stand_ins:
         for index, name in enumerate(drawn.recipe.dataset.formats):
             found = errors.attempt(DATASET_FORMATS.load, name, where=drawn.where("dataset", "formats", index))
@@ -75,9 +79,11 @@ def collect_plan(drawn: DrawnRecipe, errors: ErrorList, stand_ins: frozenset[str
     site = errors.attempt(community_site, drawn) or Site(drawn.recipe.site.size_m)
     community = CommunityPlan.of(drawn, model, parameters, site)
     _check_community(community, errors, stand_ins)
-    if len(errors.found) > had or foliage is None:
+    if views is not None:
+        errors.attempt(views.check_outside_of_buildings)
+    if len(errors.found) > had or foliage is None or views is None:
         return None
-    return Plan(drawn, community, PlantPlan(drawn, generators, foliage))
+    return Plan(drawn, community, PlantPlan(drawn, generators, foliage), views)
 
 
 def _check_community(plan: CommunityPlan, errors: ErrorList, stand_ins: frozenset[str]) -> None:
@@ -163,17 +169,17 @@ def _check_disturbances(plan: CommunityPlan) -> None:
                 )
 
 
-def _check_clouds(drawn: DrawnRecipe) -> None:
+def _check_clouds(views: Views) -> None:
     """Clouds that can be made; and cameras below them, where their light comes from afar.
 
     Such clouds are traced apart from the plants, which a camera inside or above them would see through.
     """
-    source = cloud_source_of(drawn)
+    drawn, source = views.drawn, cloud_source_of(views.drawn)
     source.check(drawn)
     base_m = source.known_base_m(drawn)
     if base_m is None or drawn.recipe.render.clouds != "farfield":
         return
-    for index, (section, cameras) in enumerate(zip(drawn.recipe.cameras, drawn_cameras(drawn), strict=True)):
+    for index, (section, cameras) in enumerate(zip(drawn.recipe.cameras, views.cameras, strict=True)):
         highest_m = max(camera.position_m[2] for camera in cameras)
         if highest_m >= base_m:
             later = section.path is not None and cameras[0].position_m[2] < base_m
@@ -188,7 +194,7 @@ def _check_clouds(drawn: DrawnRecipe) -> None:
 
 
 def _check_buildings(plan: CommunityPlan) -> None:
-    """A community that knows of buildings, and cameras outside of them."""
+    """A community that knows of buildings."""
     drawn = plan.drawn
     if drawn.recipe.site.buildings and capability(plan.model, HasObstacles) is None:
         raise RecipeError(
@@ -198,7 +204,6 @@ def _check_buildings(plan: CommunityPlan) -> None:
             got=drawn.recipe.community.model,
             hint="leave out site.buildings",
         )
-    check_outside_of_buildings(drawn)
 
 
 def _check_models_own(plan: CommunityPlan) -> None:
@@ -215,14 +220,9 @@ def _check_maps(plan: CommunityPlan) -> None:
     check_maps(plan.parameters, plan.drawn.recipe.site.size_m, lambda *keys: plan.drawn.where("community", *keys))
 
 
-_CHECKS_OF_THE_VIEW: tuple[tuple[Callable[[DrawnRecipe], None], frozenset[str]], ...] = (
-    (check_above_ground, frozenset({"cameras", "site"})),
-    (_check_clouds, frozenset({"sky", "cameras", "render", "site"})),
-    (check_sun, frozenset({"sky", "site"})),
-)
 _CHECKS_OF_THE_COMMUNITY: tuple[tuple[Callable[[CommunityPlan], None], frozenset[str]], ...] = (
     (_check_disturbances, frozenset({"species", "site"})),
-    (_check_buildings, frozenset({"site", "cameras"})),
+    (_check_buildings, frozenset({"site"})),
     (_check_models_own, frozenset({"species", "site"})),
     (check_wet_soil, frozenset({"site"})),
     (_check_clouds_of_community, frozenset({"sky", "site"})),

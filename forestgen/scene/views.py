@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from forestgen.recipe.spectra import bands_of, load_bands
 from forestgen.scene.camera_path import expand
 from forestgen.scene.ground import height_field
 from forestgen.scene.spec import Camera
+from forestgen.scene.terrain import HeightField
 from forestgen.scene.trunks import Trunks
 
 LEAST_ABOVE_GROUND_M = 0.01
@@ -53,69 +55,82 @@ def _bands(drawn: DrawnRecipe) -> dict[SensorFile, tuple[Band, ...]]:
     return bands
 
 
-def ground_below(drawn: DrawnRecipe, camera: Camera) -> float:
-    """Height of the ground below a camera, metres, world."""
-    x, y, _ = camera.position_m
-    return float(height_field(drawn)(np.array([x]), np.array([y]))[0])
+@dataclass(frozen=True)
+class Views:
+    """The cameras of a drawn recipe above its ground; walks go straight, for no trunks are known yet."""
 
+    drawn: DrawnRecipe
+    height: HeightField
+    cameras: list[list[Camera]]  # of each entry
 
-def _below_ground(drawn: DrawnRecipe) -> list[tuple[int, Camera, float]]:
-    """Number of the entry, camera and height above the ground, metres, of cameras that are not above it."""
-    height = height_field(drawn)
-    found = []
-    for index, cameras in enumerate(drawn_cameras(drawn)):
-        x, y, z = np.array([camera.position_m for camera in cameras]).T
-        above = z - height(x, y)
-        found += [(index, cameras[k], float(above[k])) for k in np.flatnonzero(above < LEAST_ABOVE_GROUND_M)]
-    return found
+    @classmethod
+    def of(cls, drawn: DrawnRecipe) -> Views:
+        """Raises `RecipeError` or `AssetError` as `drawn_cameras` and `height_field` do."""
+        return cls(drawn, height_field(drawn), drawn_cameras(drawn))
 
+    @property
+    def all_cameras(self) -> list[Camera]:
+        return [camera for entry in self.cameras for camera in entry]
 
-def views_below_ground(drawn: DrawnRecipe) -> list[str]:
-    """Names of the cameras, or frames of a path, that stand below the ground, of those that may."""
-    return [camera.name for _, camera, _ in _below_ground(drawn)]
+    def ground_below(self, camera: Camera) -> float:
+        """Height of the ground below a camera, metres, world."""
+        x, y, _ = camera.position_m
+        return float(self.height(np.array([x]), np.array([y]))[0])
 
+    @property
+    def below_ground(self) -> list[str]:
+        """Names of the cameras, or frames of a path, that stand below the ground, of those that may."""
+        return [camera.name for _, camera, _ in self._below_ground()]
 
-def check_above_ground(drawn: DrawnRecipe) -> None:
-    """Raise `RecipeError` for a camera below the ground, unless its entry's `obstructed` is a note."""
-    for index, camera, above_m in _below_ground(drawn):
-        _note_or_error(
-            drawn,
-            index,
-            f"the camera {camera.name} stands below the ground",
-            expected=f"at least {LEAST_ABOVE_GROUND_M * 100:g} cm above the ground",
-            got=f"{above_m:.3g} m",
-            hint="raise it; or set obstructed: note, to look at it all the same",
-        )
+    def _below_ground(self) -> list[tuple[int, Camera, float]]:
+        """Number of the entry, camera and height above the ground, metres, of cameras that are not above it."""
+        found = []
+        for index, cameras in enumerate(self.cameras):
+            x, y, z = np.array([camera.position_m for camera in cameras]).T
+            above = z - self.height(x, y)
+            found += [(index, cameras[k], float(above[k])) for k in np.flatnonzero(above < LEAST_ABOVE_GROUND_M)]
+        return found
 
+    def check_above_ground(self) -> None:
+        """Raise `RecipeError` for a camera below the ground, unless its entry's `obstructed` is a note."""
+        for index, camera, above_m in self._below_ground():
+            _note_or_error(
+                self.drawn,
+                index,
+                f"the camera {camera.name} stands below the ground",
+                expected=f"at least {LEAST_ABOVE_GROUND_M * 100:g} cm above the ground",
+                got=f"{above_m:.3g} m",
+                hint="raise it; or set obstructed: note, to look at it all the same",
+            )
 
-def check_outside_of_buildings(drawn: DrawnRecipe) -> list[str]:
-    """Notes on cameras inside of buildings, which see dark walls, of entries whose `obstructed` is a note.
+    def check_outside_of_buildings(self) -> list[str]:
+        """Notes on cameras inside of buildings, which see dark walls, of entries whose `obstructed` is a note.
 
-    Raises
-    ------
-    RecipeError : a camera of another entry, with its line.
-    """
-    buildings = drawn.recipe.site.buildings
-    if not buildings:
-        return []
-    feet = np.array([one.position_m for one in buildings])
-    ground_m, notes = height_field(drawn)(feet[:, 0], feet[:, 1]), []
-    for index, cameras in enumerate(drawn_cameras(drawn)):
-        at_m = np.array([camera.position_m for camera in cameras])
-        for number, building in enumerate(buildings):
-            inside = _is_within(building, at_m - [*building.position_m, float(ground_m[number])])
-            for camera in (cameras[k] for k in np.flatnonzero(inside)):
-                place = f"site.buildings.{number}, at [{_numbers(building.position_m)}]"
-                note = _note_or_error(
-                    drawn,
-                    index,
-                    f"the camera {camera.name} stands inside of a {building.kind}",
-                    expected=f"a place outside of {place}",
-                    got=f"[{_numbers(camera.position_m)}]",
-                    hint="move it; or set obstructed: note, to look at it all the same",
-                )
-                notes.append(note)
-    return notes
+        Raises
+        ------
+        RecipeError : a camera of another entry, with its line.
+        """
+        buildings = self.drawn.recipe.site.buildings
+        if not buildings:
+            return []
+        feet = np.array([one.position_m for one in buildings])
+        ground_m, notes = self.height(feet[:, 0], feet[:, 1]), []
+        for index, cameras in enumerate(self.cameras):
+            at_m = np.array([camera.position_m for camera in cameras])
+            for number, building in enumerate(buildings):
+                inside = _is_within(building, at_m - [*building.position_m, float(ground_m[number])])
+                for camera in (cameras[k] for k in np.flatnonzero(inside)):
+                    place = f"site.buildings.{number}, at [{_numbers(building.position_m)}]"
+                    note = _note_or_error(
+                        self.drawn,
+                        index,
+                        f"the camera {camera.name} stands inside of a {building.kind}",
+                        expected=f"a place outside of {place}",
+                        got=f"[{_numbers(camera.position_m)}]",
+                        hint="move it; or set obstructed: note, to look at it all the same",
+                    )
+                    notes.append(note)
+        return notes
 
 
 def _is_within(building: Building, at_m: NDArray[np.float64]) -> NDArray[np.bool_]:

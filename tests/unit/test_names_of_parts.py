@@ -55,7 +55,6 @@ OTHER_MEANINGS = {  # file -> names that are no part's in it, or a default
     "dataset/frame.py": {"albedo", "cloud", "motion", "sun"},  # parts of frame.exr
     "dataset/pack/channels.py": {"albedo", "motion"},  # the same
     "dataset/report/scene_sections.py": {"sun"},  # a key of the recipe
-    "scene/sky.py": {"sun"},  # a key of the recipe
     "dataset/check/merged.py": {"bop"},  # a folder, whose files the checks read by their names
     "lsystem/parsing.py": {"points"},  # a rule of the grammar
     "lsystem/statement_reader.py": {"points"},  # the same
