@@ -28,7 +28,7 @@ from forestgen.runs.summary import RunSummary
 
 if TYPE_CHECKING:
     from forestgen.dataset.pack.run import Packed
-    from forestgen.runs.verify_report import VerificationReport
+    from forestgen.runs.verify import VerificationReport
 
 
 class Run:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from forestgen.dataset.frame import Frame
     from forestgen.recipe.load import LoadedRecipe
     from forestgen.runs.start import DryRun
+    from forestgen.runs.tracker import Display
 
 
 class Rendering:
@@ -85,8 +87,7 @@ class Rendering:
 
         options = RunOptions.of(locals())
         target = address_of(free_folder(Path("outputs") / self._loaded.path.stem) if out is None else out, "out")
-        display = display_of(progress)
-        with display.running():
+        with _shown(options.device, progress) as display:
             return Run(render(self._loaded, target, options, display))
 
     def batch(
@@ -129,8 +130,7 @@ class Rendering:
         from forestgen.runs.start import RunOptions, batch
 
         options, target = RunOptions.of(locals()), address_of(out, "out")
-        display = display_of(progress)
-        with display.running():
+        with _shown(options.device, progress) as display:
             return Run(batch(self._loaded, target, options, display))
 
     def estimate(
@@ -163,9 +163,18 @@ class Rendering:
         from forestgen.runs.start import RunOptions, dry_run
 
         options, target = RunOptions.of(locals()), address_of(out, "out")
-        display = display_of(progress)
-        with display.running():
+        with _shown(options.device, progress) as display:
             return dry_run(self._loaded, target, options, display)
+
+
+@contextmanager
+def _shown(device: str | None, progress: bool | Progress | None) -> Iterator[Display]:
+    """A block whose progress is shown, and in which rays are traced on a device."""
+    from forestgen.render.variant import tracing_on
+
+    display = display_of(progress)
+    with tracing_on(device), display.running():
+        yield display
 
 
 def free_folder(wanted: Path) -> Path:

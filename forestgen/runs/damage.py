@@ -27,11 +27,10 @@ from forestgen.dataset.thumbnails import FOLDER_NAME as THUMBNAILS
 from forestgen.dataset.thumbnails import write_thumbnail
 from forestgen.recipe.load import LoadedRecipe
 from forestgen.recipe.paths import MAPS
-from forestgen.runs.contract import JobRecord, Place
+from forestgen.runs.contract import JobRecord, StorageBackend
 from forestgen.runs.finish import recipe_part
-from forestgen.runs.parallel import in_order
-from forestgen.runs.places import LocalPlace
-from forestgen.runs.records import done_keys, records_of
+from forestgen.runs.records import done_keys, in_order, records_of
+from forestgen.runs.storage import LocalStorage
 
 _LEAST_THREADS = 8  # a network share answers slowly, but many requests at a time
 _REPORT_EVERY_S = 10.0
@@ -40,7 +39,7 @@ _GONE = (errno.ENOENT, errno.ENOTDIR, errno.ELOOP)
 
 
 def damaged_images(
-    place: Place, loaded: LoadedRecipe, images: range, stale: Collection[int], say: Callable[[str], None]
+    storage: StorageBackend, loaded: LoadedRecipe, images: range, stale: Collection[int], say: Callable[[str], None]
 ) -> dict[int, str]:
     """Image -> the first file that is damaged and how, of finished images; what can be restored is restored.
 
@@ -54,11 +53,11 @@ def damaged_images(
     ------
     OutputError : a file is there and must not be read.
     """
-    total = len(done_keys(place))
+    total = len(done_keys(storage))
     if not total:
         return {}
-    checker = _Checker(place, loaded)
-    records = (record for record in records_of(place) if record.image in images and record.image not in stale)
+    checker = _Checker(storage, loaded)
+    records = (record for record in records_of(storage) if record.image in images and record.image not in stale)
     found: dict[int, str] = {}
     reported_s = time.monotonic()
     with ThreadPoolExecutor(max(_LEAST_THREADS, cores()), "damage") as pool:
@@ -78,8 +77,8 @@ def damaged_images(
 class _Checker:
     """Compares files with records, from several threads."""
 
-    def __init__(self, place: Place, loaded: LoadedRecipe) -> None:
-        self._place, self._loaded = place, loaded
+    def __init__(self, storage: StorageBackend, loaded: LoadedRecipe) -> None:
+        self._storage, self._loaded = storage, loaded
         self._sizes: dict[str, dict[str, int]] = {}  # folder -> path -> bytes, of an object store
         self._listing = Lock()
         self._shared: dict[tuple[str, str], str | None] = {}  # maps, which many images name: checked once
@@ -102,15 +101,15 @@ class _Checker:
                     if self._restored(record, path, listed):
                         problem = None
                     else:
-                        self._place.remove(path)  # a worker writes it again only where there is none
+                        self._storage.remove(path)  # a worker writes it again only where there is none
                 self._shared[key] = problem
             if self._shared[key] is not None:
                 yield f"{path} {self._shared[key]}"
 
     def _problem(self, path: str, listed: Mapping[str, Any]) -> str | None:
         """What is wrong with a file; None if it is as it was written."""
-        if isinstance(self._place, LocalPlace):
-            return _local_problem(SafePath(self._place.root, path), listed)
+        if isinstance(self._storage, LocalStorage):
+            return _local_problem(SafePath(self._storage.root, path), listed)
         size = self._sizes_of(path.partition("/")[0]).get(path)
         if size is None:
             return "is missing"
@@ -119,7 +118,7 @@ class _Checker:
     def _sizes_of(self, folder: str) -> dict[str, int]:
         with self._listing:
             if folder not in self._sizes:
-                remote: Any = self._place
+                remote: Any = self._storage
                 self._sizes[folder] = remote.files(folder)
             return self._sizes[folder]
 
@@ -132,12 +131,12 @@ class _Checker:
             content = self._maps.get(str(listed["sha256"]))
         if content is None or hashlib.sha256(content).hexdigest() != listed["sha256"]:
             return False
-        self._place.write(path, content)
+        self._storage.write(path, content)
         return True
 
     def _thumbnail(self, record: JobRecord, frame: str) -> bytes | None:
         """A frame's thumbnail made from its preview."""
-        preview = self._place.read(f"{record.split}/{frame}/preview.png")
+        preview = self._storage.read(f"{record.split}/{frame}/preview.png")
         if preview is None:
             return None
         with TemporaryDirectory(prefix="forestgen-thumbnail-") as folder:

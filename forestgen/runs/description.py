@@ -20,7 +20,7 @@ from forestgen.dataset.settings import DatasetSettings
 from forestgen.dataset.thumbnails import FOLDER_NAME as THUMBNAILS
 from forestgen.recipe.dataset import SplitName
 from forestgen.runs.keys import versions_hash
-from forestgen.runs.ledger import FileSum, Ledger
+from forestgen.runs.record_index import FileSum, RecordIndex
 
 MOST_IMAGES = 10_000_000  # of a recipe; a number from a stranger's file is counted up to
 DATASET_NAME = "dataset.json"
@@ -88,32 +88,36 @@ def this_version() -> dict[str, Any]:
 
 
 def describe(
-    ledger: Ledger, parts: Sequence[RecipePart], settings: DatasetSettings, made_with: Sequence[Mapping[str, Any]]
+    record_index: RecordIndex,
+    parts: Sequence[RecipePart],
+    settings: DatasetSettings,
+    made_with: Sequence[Mapping[str, Any]],
 ) -> dict[str, Any]:
     """The content of dataset.json.
 
     Parameters
     ----------
-    ledger : with all records, and the files over all images of each split.
+    record_index : with all records, and the files over all images of each split.
     made_with : `this_version` of all machines that made images, each once.
     """
-    splits = _in_order(ledger.splits, parts)
+    splits = _in_order(record_index.splits, parts)
     licence = {"name": settings.licence_name, "url": settings.licence_url}
     return {
         "schema": SCHEMA,
         "description": settings.description,
         "contributor": settings.contributor,
         "licence": licence if settings.licence_name else None,
-        "recipes": [_recipe(part, number, ledger.images()) for number, part in enumerate(parts, start=1)],
-        "images": sum(ledger.image_count(split) for split in splits),
-        "frames": sum(ledger.frame_count(split) for split in splits),
+        "recipes": [_recipe(part, number, record_index.images()) for number, part in enumerate(parts, start=1)],
+        "images": sum(record_index.image_count(split) for split in splits),
+        "frames": sum(record_index.frame_count(split) for split in splits),
         "splits": {
-            split: {"images": ledger.image_count(split), "frames": ledger.frame_count(split)} for split in splits
+            split: {"images": record_index.image_count(split), "frames": record_index.frame_count(split)}
+            for split in splits
         },
-        "image_seeds_sha256": _digest(ledger.seeds()),
+        "image_seeds_sha256": _digest(record_index.seeds()),
         "settings": asdict(settings),
         "made_with": [dict(one) for one in made_with],
-        "files": file_groups(ledger.files()),
+        "files": file_groups(record_index.files()),
     }
 
 

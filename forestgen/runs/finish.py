@@ -34,7 +34,7 @@ from forestgen.recipe.load import LoadedRecipe, yaml_text
 from forestgen.recipe.map_files import is_map_file
 from forestgen.recipe.paths import MAPS
 from forestgen.recipe.sources import dotted
-from forestgen.runs.contract import Job, JobRecord, Place
+from forestgen.runs.contract import Job, JobRecord, StorageBackend
 from forestgen.runs.description import (
     DATASET_NAME,
     Range,
@@ -48,7 +48,7 @@ from forestgen.runs.description import (
     this_version,
 )
 from forestgen.runs.folder import note_written
-from forestgen.runs.ledger import FileSum, Ledger
+from forestgen.runs.record_index import FileSum, RecordIndex
 from forestgen.runs.records import JOBS, record_path
 from forestgen.runs.split_files import write_split
 
@@ -64,7 +64,7 @@ class Finished:
 
 
 def finish(
-    place: Place,
+    storage: StorageBackend,
     loaded: LoadedRecipe,
     settings: DatasetSettings,
     jobs: Sequence[Job],
@@ -86,17 +86,17 @@ def finish(
     part = recipe_part(loaded, ranges_of(sorted(job.image for job in jobs)))
     wanted = {job.key for job in jobs}
     splits = {job.split for job in jobs}
-    with TemporaryDirectory(prefix="forestgen-finish-") as scratch, Ledger(Path(scratch)) as ledger:
+    with TemporaryDirectory(prefix="forestgen-finish-") as scratch, RecordIndex(Path(scratch)) as record_index:
         for record in records:
             if record.key in wanted:
-                ledger.add(record)
-        return write_data_set(place, ledger, [part], settings, [this_version()], splits, Path(scratch))
+                record_index.add(record)
+        return write_data_set(storage, record_index, [part], settings, [this_version()], splits, Path(scratch))
 
 
 @disk_errors()
 def write_data_set(
-    place: Place,
-    ledger: Ledger,
+    storage: StorageBackend,
+    record_index: RecordIndex,
     parts: Sequence[RecipePart],
     settings: DatasetSettings,
     made_with: Sequence[Mapping[str, Any]],
@@ -107,32 +107,32 @@ def write_data_set(
 
     Parameters
     ----------
-    ledger : with the records of the images.
+    record_index : with the records of the images.
     parts, made_with : see `describe`.
     splits : whose folders may hold what no record vouches for.
     scratch : an empty folder.
     """
-    folders = sorted({*splits, *ledger.splits, *_splits_before(place), THUMBNAILS, MAPS})
-    _look(place, folders, ledger)
-    notes = _drop_absent(place, ledger)
-    for split in ledger.splits:
-        write_split(place, split, ledger, settings, parts, dict(made_with[0]))
+    folders = sorted({*splits, *record_index.splits, *_splits_before(storage), THUMBNAILS, MAPS})
+    _look(storage, folders, record_index)
+    notes = _drop_absent(storage, record_index)
+    for split in record_index.splits:
+        write_split(storage, split, record_index, settings, parts, dict(made_with[0]))
     kept = {path: content for number, part in enumerate(parts, start=1) for path, content in part.kept_as(number)}
     for one in load_formats(settings.formats):
-        kept |= one.split_files(list(ledger.splits), settings)
+        kept |= one.split_files(list(record_index.splits), settings)
     known = {path for one in known_formats() for path in one.split_file_names}
     for path in known - kept.keys():
-        place.remove(path)
+        storage.remove(path)
     for path, content in kept.items():
-        _enter(ledger, path, content)
-    _remove_strangers(place, folders, ledger)
-    description = describe(ledger, parts, settings, made_with)
-    _write_whole(place, ledger, kept, description, scratch)
+        _enter(record_index, path, content)
+    _remove_strangers(storage, folders, record_index)
+    description = describe(record_index, parts, settings, made_with)
+    _write_whole(storage, record_index, kept, description, scratch)
     missing = tuple(image for one in description["recipes"] for image in numbers_in(one["missing"]))
     if missing:
         are = "image is" if len(missing) == 1 else "images are"
         notes.append(f"{len(missing)} {are} missing: {_named(missing)}")
-    total = sum(file.bytes for file in ledger.files())
+    total = sum(file.bytes for file in record_index.files())
     return Finished(int(description["frames"]), total, missing, tuple(notes))
 
 
@@ -170,23 +170,23 @@ def _store_maps(value: Any, home: Path, folder: Path) -> None:
             _store_maps(item, home, folder)
 
 
-def _splits_before(place: Place) -> set[str]:
+def _splits_before(storage: StorageBackend) -> set[str]:
     """The splits that the data set had when it was last finished: another recipe may have had others."""
     try:
-        return set(read_description(place.read(DATASET_NAME), place.name)["splits"])
+        return set(read_description(storage.read(DATASET_NAME), storage.name)["splits"])
     except DatasetError:
         return set()
 
 
-def _look(place: Place, folders: Sequence[str], ledger: Ledger) -> None:
+def _look(storage: StorageBackend, folders: Sequence[str], record_index: RecordIndex) -> None:
     """Enter what lies in the folders."""
-    root: Path | None = getattr(place, "root", None)
-    remote: Any = place
+    root: Path | None = getattr(storage, "root", None)
+    remote: Any = storage
     for folder in folders:
         if root is not None:
-            ledger.note_found(files_below(root, folder))
+            record_index.note_found(files_below(root, folder))
         else:
-            ledger.note_found((path, size, 0) for path, size in remote.files(folder).items())
+            record_index.note_found((path, size, 0) for path, size in remote.files(folder).items())
 
 
 def files_below(root: Path, folder: str = "") -> Iterator[tuple[str, int, int]]:
@@ -204,36 +204,36 @@ def files_below(root: Path, folder: str = "") -> Iterator[tuple[str, int, int]]:
                     yield path, status.st_size if stat.S_ISREG(status.st_mode) else -1, status.st_ino
 
 
-def _drop_absent(place: Place, ledger: Ledger) -> list[str]:
+def _drop_absent(storage: StorageBackend, record_index: RecordIndex) -> list[str]:
     """Forget images that have lost a file, and their records, so that the next run makes them again."""
     notes = []
-    for image, path in ledger.absent():
+    for image, path in record_index.absent():
         notes.append(f"image {image} counts as missing: {path} is not as it was written; a resumed run makes it again")
-        place.remove(record_path(ledger.key_of(image)))
-        ledger.drop_image(image)
+        storage.remove(record_path(record_index.key_of(image)))
+        record_index.drop_image(image)
     return notes
 
 
-def _remove_strangers(place: Place, folders: Sequence[str], ledger: Ledger) -> None:
+def _remove_strangers(storage: StorageBackend, folders: Sequence[str], record_index: RecordIndex) -> None:
     """Remove what no record vouches for: records of other jobs, then files; a whole folder where all of it goes.
 
     Files that other tools have added stay in folders that stay.
     """
-    for name in place.names(JOBS):
-        if not ledger.has_key(name.removesuffix(".json")):
-            place.remove(f"{JOBS}/{name}")
+    for name in storage.names(JOBS):
+        if not record_index.has_key(name.removesuffix(".json")):
+            storage.remove(f"{JOBS}/{name}")
     removed = ""
-    for path in ledger.strangers():
+    for path in record_index.strangers():
         if removed and path.startswith(f"{removed}/"):
             continue
         parts = path.split("/")
         above = ("/".join(parts[:depth]) for depth in range(1, len(parts)))
-        gone = next((folder for folder in above if not ledger.has_below(folder)), path)
+        gone = next((folder for folder in above if not record_index.has_below(folder)), path)
         if tool_of(path) is not None and (gone == path or not is_frame(gone.rpartition("/")[2])):
             continue
         removed = gone
-        place.remove(removed)
-    root: Path | None = getattr(place, "root", None)
+        storage.remove(removed)
+    root: Path | None = getattr(storage, "root", None)
     if root is not None:
         _remove_empty_folders(root, folders)
 
@@ -251,50 +251,54 @@ def _remove_empty_folders(root: Path, folders: Sequence[str]) -> None:
 
 
 def _write_whole(
-    place: Place, ledger: Ledger, kept: Mapping[str, bytes], description: dict[str, Any], scratch: Path
+    storage: StorageBackend,
+    record_index: RecordIndex,
+    kept: Mapping[str, bytes],
+    description: dict[str, Any],
+    scratch: Path,
 ) -> None:
     """The files of the whole data set; dataset.json comes last, and says that all others are there."""
-    note_written(place, kept)
+    note_written(storage, kept)
     for path, content in kept.items():
-        place.write(path, content)
-    counts = _write_index(place, ledger, scratch)
+        storage.write(path, content)
+    counts = _write_index(storage, record_index, scratch)
     for name, content in (
         (CARD_NAME, card_text(description, counts, settings_of(description)).encode()),
         (DATASET_NAME, dataset_bytes(description)),
     ):
-        _enter(ledger, name, content)
+        _enter(record_index, name, content)
         if name != DATASET_NAME:
-            place.write(name, content)
-    write_sums(scratch / SUMS_NAME, ((file.path, file.sha256) for file in ledger.files()))
-    _put(place, scratch / SUMS_NAME, SUMS_NAME)
-    place.write(DATASET_NAME, dataset_bytes(description))
+            storage.write(name, content)
+    write_sums(scratch / SUMS_NAME, ((file.path, file.sha256) for file in record_index.files()))
+    _put(storage, scratch / SUMS_NAME, SUMS_NAME)
+    storage.write(DATASET_NAME, dataset_bytes(description))
 
 
-def _write_index(place: Place, ledger: Ledger, scratch: Path) -> CardCounts:
+def _write_index(storage: StorageBackend, record_index: RecordIndex, scratch: Path) -> CardCounts:
     """Write index.parquet; what the data card tells of its rows."""
     types, counts = DrawTypes(), CardCounts()
-    for row in ledger.rows():
+    for row in record_index.rows():
         types.add(row)
         counts.add(row)
     path = scratch / INDEX_NAME
-    write_index(path, ledger.rows(), types.columns)
-    ledger.add_file(FileSum(INDEX_NAME, path.stat().st_size, file_sum(path)))
-    _put(place, path, INDEX_NAME)
+    write_index(path, record_index.rows(), types.columns)
+    record_index.add_file(FileSum(INDEX_NAME, path.stat().st_size, file_sum(path)))
+    _put(storage, path, INDEX_NAME)
     return counts
 
 
-def _put(place: Place, path: Path, target: str) -> None:
+def _put(storage: StorageBackend, path: Path, target: str) -> None:
     """Put a file of this machine's temporary folder into place, by way of the place's own staging."""
-    staging = place.staging()
+    staging = storage.staging()
     try:
         shutil.copyfile(path, staging / path.name)
-        place.put_file(staging / path.name, target)
+        storage.put_file(staging / path.name, target)
     finally:
-        place.discard(staging)
+        storage.discard(staging)
 
 
-def _enter(ledger: Ledger, path: str, content: bytes) -> None:
-    ledger.add_file(FileSum(path, len(content), hashlib.sha256(content).hexdigest()))
+def _enter(record_index: RecordIndex, path: str, content: bytes) -> None:
+    record_index.add_file(FileSum(path, len(content), hashlib.sha256(content).hexdigest()))
 
 
 def _named(numbers: Sequence[int]) -> str:

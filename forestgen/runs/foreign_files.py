@@ -20,11 +20,11 @@ from forestgen.dataset.foreign import tool_of
 from forestgen.dataset.safe_path import SafePath, is_frame
 from forestgen.dataset.thumbnails import FOLDER_NAME as THUMBNAILS
 from forestgen.recipe.paths import MAPS
-from forestgen.runs.contract import HIDDEN, RUN, Place
+from forestgen.runs.contract import HIDDEN, RUN, StorageBackend
 from forestgen.runs.folder import splits_before, written_paths
-from forestgen.runs.ledger import FileSum, Ledger
-from forestgen.runs.places import LocalPlace
+from forestgen.runs.record_index import FileSum, RecordIndex
 from forestgen.runs.records import records_of
+from forestgen.runs.storage import LocalStorage
 from forestgen.runs.verify_files import enter_sums
 
 _MAP = rf"{MAPS}/[0-9a-f]{{16}}\.[^/]+"
@@ -48,28 +48,28 @@ def foreign_files(root: Path) -> list[str]:
     ------
     OutputError : it cannot be read, or the disk of temporary files is full.
     """
-    place = LocalPlace(root)
-    with TemporaryDirectory(prefix="forestgen-foreign-") as scratch, Ledger(Path(scratch)) as ledger:
+    storage = LocalStorage(root)
+    with TemporaryDirectory(prefix="forestgen-foreign-") as scratch, RecordIndex(Path(scratch)) as record_index:
         refused: list[Finding] = []
-        is_whole = enter_sums(root, ledger, refused) and not refused
-        splits = set(splits_before(place))
-        for record in records_of(place):
+        is_whole = enter_sums(root, record_index, refused) and not refused
+        splits = set(splits_before(storage))
+        for record in records_of(storage):
             splits.add(record.split)
             for path, said in record.files.items():
                 with suppress(DatasetError):  # two records, or a record and SHA256SUMS, disagree
-                    ledger.add_file(FileSum(path, 0, str(said["sha256"])))
+                    record_index.add_file(FileSum(path, 0, str(said["sha256"])))
         try:
-            return sorted(_foreign_in(root, ledger, splits, is_whole))
+            return sorted(_foreign_in(root, record_index, splits, is_whole))
         except OSError as error:
             raise OutputError(f"cannot read: {error.strerror or error}", where=str(error.filename or root)) from error
 
 
-def _foreign_in(root: Path, ledger: Ledger, splits: set[str], is_whole: bool) -> Iterator[str]:
-    written = tuple(written_paths(LocalPlace(root)))
+def _foreign_in(root: Path, record_index: RecordIndex, splits: set[str], is_whole: bool) -> Iterator[str]:
+    written = tuple(written_paths(LocalStorage(root)))
 
     def is_known(path: str) -> bool:
-        """Whether the ledger has all that forestgen has written there."""
-        return is_whole or (_is_in_frame(path, splits) and ledger.has_below("/".join(path.split("/")[:2])))
+        """Whether the index has all that forestgen has written there."""
+        return is_whole or (_is_in_frame(path, splits) and record_index.has_below("/".join(path.split("/")[:2])))
 
     def may_be_ours(path: str) -> bool:
         """Whether forestgen gives such names, or has noted that it writes there."""
@@ -84,9 +84,9 @@ def _foreign_in(root: Path, ledger: Ledger, splits: set[str], is_whole: bool) ->
             path = f"{folder}/{name}" if folder else name
             if not _is_text(path):  # forestgen writes no such name
                 yield path
-            elif path == HIDDEN or ledger.file(path) or _is_of_run(path):
+            elif path == HIDDEN or record_index.file(path) or _is_of_run(path):
                 continue
-            elif is_folder and (ledger.has_below(path) or path in _FOLDERS or path in splits):
+            elif is_folder and (record_index.has_below(path) or path in _FOLDERS or path in splits):
                 waiting.append(path)
             elif is_known(path) or not may_be_ours(f"{path}/" if is_folder else path):
                 yield path
@@ -119,7 +119,7 @@ def _is_in_frame(path: str, splits: Iterable[str]) -> bool:
     return split in splits and is_frame(inside.partition("/")[0])
 
 
-def check_replaceable(place: Place, splits: Iterable[str]) -> None:
+def check_replaceable(storage: StorageBackend, splits: Iterable[str]) -> None:
     """Refuse to replace a data set in an object store, or one with users' files where the new one has its own.
 
     Files where only some formats have theirs are not refused: they are renamed when the new data set is there.
@@ -132,18 +132,18 @@ def check_replaceable(place: Place, splits: Iterable[str]) -> None:
     ------
     OutputError
     """
-    if not isinstance(place, LocalPlace):
+    if not isinstance(storage, LocalStorage):
         hint = "remove it there, or choose another"
-        raise OutputError("only a folder of this machine can be replaced", where=place.name, hint=hint)
-    if not place.names(""):
+        raise OutputError("only a folder of this machine can be replaced", where=storage.name, hint=hint)
+    if not storage.names(""):
         return
-    root, names = place.root, {*splits, *splits_before(place)}
+    root, names = storage.root, {*splits, *splits_before(storage)}
     own = [path for path in foreign_files(root) if tool_of(path) is None]
     used = [path for path in own if any(_name_is_used(root, one, names) for one in _files(root, path, names))]
     if used:
         raise OutputError(
             "files that forestgen has not written lie where the new data set has its own",
-            where=place.name,
+            where=storage.name,
             expected="none in frames' folders, and none of a name that forestgen gives",
             got=named(used),
             hint="move them away",
@@ -174,7 +174,7 @@ def move_foreign(source: Path, target: Path) -> list[str]:
     ------
     OSError : one cannot be moved; the others after it stay too.
     """
-    splits = {*splits_before(LocalPlace(source)), *splits_before(LocalPlace(target))}
+    splits = {*splits_before(LocalStorage(source)), *splits_before(LocalStorage(target))}
     kept: list[str] = []
     for path in foreign_files(source):
         if tool_of(path) is not None and (_is_in_frame(path, splits) or not (target / path).parent.is_dir()):

@@ -32,9 +32,9 @@ from forestgen.runs.contract import HIDDEN, JobRecord
 from forestgen.runs.description import DATASET_NAME, MOST_IMAGES, RecipePart, settings_of, union_of
 from forestgen.runs.finish import Finished, write_data_set
 from forestgen.runs.folder import settle_batch
-from forestgen.runs.ledger import Ledger
-from forestgen.runs.places import LocalPlace
+from forestgen.runs.record_index import RecordIndex
 from forestgen.runs.records import JOBS, record_bytes, record_path, records_of
+from forestgen.runs.storage import LocalStorage
 from forestgen.runs.verify import open_data_set, refuse_address
 
 _BLOCK_BYTES = 1 << 20
@@ -48,8 +48,8 @@ class Piece:
     said: dict[str, Any]  # its dataset.json
 
     @property
-    def place(self) -> LocalPlace:
-        return LocalPlace(self.root)
+    def storage(self) -> LocalStorage:
+        return LocalStorage(self.root)
 
     @property
     def settings(self) -> DatasetSettings:
@@ -83,18 +83,20 @@ def merge(sources: Sequence[Path], target: Path, *, link: bool = False, progress
         OutputFolder(target, required_bytes=needed) as folder,
         TemporaryDirectory(prefix="forestgen-merge-") as scratch,
     ):
-        place = LocalPlace(folder, str(target))
-        with Ledger(Path(scratch)) as ledger:
+        storage = LocalStorage(folder, str(target))
+        with RecordIndex(Path(scratch)) as record_index:
             with (progress or Silent()).stage("images", total) as advance:
                 for piece, record in _records(pieces):
                     advance(1)
                     if piece is not None:
-                        _take(piece, record, place, link)
-                        ledger.add(record)
-            _check_seeds(ledger)
-            done = write_data_set(place, ledger, parts, pieces[0].settings, made_with, ledger.splits, Path(scratch))
-            settle_batch(place, ledger.splits, "")
-        place.clear_staging()
+                        _take(piece, record, storage, link)
+                        record_index.add(record)
+            _check_seeds(record_index)
+            done = write_data_set(
+                storage, record_index, parts, pieces[0].settings, made_with, record_index.splits, Path(scratch)
+            )
+            settle_batch(storage, record_index.splits, "")
+        storage.clear_staging()
     if len(made_with) > 1:
         done = replace(done, notes=(*done.notes, f"{len(made_with)} versions have made its images: see dataset.json"))
     return done
@@ -197,10 +199,10 @@ def _parts(pieces: Sequence[Piece]) -> list[RecipePart]:
 
 
 def _part(piece: Piece, said: dict[str, Any]) -> RecipePart:
-    yaml = piece.place.read(said["file"])
+    yaml = piece.storage.read(said["file"])
     if yaml is None:
         raise DatasetError("the data set has lost its recipe", where=str(piece.root / said["file"]))
-    maps = {f"{MAPS}/{name}": piece.place.read(f"{MAPS}/{name}") or b"" for name in piece.place.names(MAPS)}
+    maps = {f"{MAPS}/{name}": piece.storage.read(f"{MAPS}/{name}") or b"" for name in piece.storage.names(MAPS)}
     asked = tuple((int(first), int(last)) for first, last in said["asked"])
     try:
         text = yaml.decode()
@@ -254,7 +256,7 @@ def _records(pieces: Sequence[Piece]) -> Iterator[tuple[Piece | None, JobRecord]
 
 
 def _numbered(number: int, piece: Piece, notes: list[str]) -> Iterator[tuple[int, int, JobRecord]]:
-    for record in records_of(piece.place, notes.append):
+    for record in records_of(piece.storage, notes.append):
         yield record.image, number, record
 
 
@@ -273,11 +275,11 @@ def _check_same(one: tuple[Piece, JobRecord], other: tuple[Piece, JobRecord]) ->
     )
 
 
-def _check_seeds(ledger: Ledger) -> None:
+def _check_seeds(record_index: RecordIndex) -> None:
     """No stand may be in two splits: pieces of ``same_stand`` recipes may each be sound, and not together."""
-    seed = next(ledger.shared_seeds(), None)
+    seed = next(record_index.shared_seeds(), None)
     if seed is not None:
-        images = ledger.images_of_seed(seed)
+        images = record_index.images_of_seed(seed)
         first = images[0]
         other = next(one for one in images if one[1] != first[1])
         raise RecipeError(
@@ -287,10 +289,10 @@ def _check_seeds(ledger: Ledger) -> None:
         )
 
 
-def _take(piece: Piece, record: JobRecord, place: LocalPlace, link: bool) -> None:
+def _take(piece: Piece, record: JobRecord, storage: LocalStorage, link: bool) -> None:
     """Copy or link an image's files, then write its record."""
     for path, said in record.files.items():
-        source, target = SafePath(piece.root, path), place.root / path
+        source, target = SafePath(piece.root, path), storage.root / path
         if target.exists():  # a map that images share; the ledger compares its sums
             continue
         try:
@@ -307,7 +309,7 @@ def _take(piece: Piece, record: JobRecord, place: LocalPlace, link: bool) -> Non
                 got=f"{size} bytes" + (f", sha256 {digest}" if digest else ""),
                 hint=f"forestgen verify {piece.root} names all such files",
             )
-    place.write(record_path(record.key), record_bytes(record))
+    storage.write(record_path(record.key), record_bytes(record))
 
 
 def _linked(source: SafePath, target: Path) -> tuple[str, int] | None:

@@ -19,12 +19,11 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from types import TracebackType
 from typing import Any
 
 from forestgen.core.errors import OutputError
-from forestgen.runs.lock import own_name, refusal, started
 from forestgen.runs.remote_store import storage_errors, store_code
+from forestgen.runs.storage import refusal, this_process
 
 BEAT_S = 15.0
 PATIENCE_S = 60.0
@@ -34,7 +33,7 @@ _NOT_OFFERED = ("NotImplemented", "501", "InvalidArgument", "InvalidRequest")
 
 
 class RemoteLock:
-    """Context manager that holds the lock.
+    """Holds the lock; see `contract.Lock`.
 
     Parameters
     ----------
@@ -42,11 +41,6 @@ class RemoteLock:
     key : of the lock's object.
     where : the data set's address, for messages.
     say : takes a sentence when there is something to wait for.
-
-    Raises
-    ------
-    OutputError
-        On entry, when another run works there, or the store cannot be written to.
     """
 
     beat_s, patience_s, settle_s = BEAT_S, PATIENCE_S, SETTLE_S
@@ -65,9 +59,7 @@ class RemoteLock:
         self._thread.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._ended.set()
         self._thread.join(timeout=self.patience_s)
         with suppress(Exception):  # the next run takes it over, a minute later
@@ -110,7 +102,7 @@ class RemoteLock:
 
     def _write(self, *, create: bool = False) -> None:
         self._count += 1
-        content = {"token": self._token, "count": self._count, "owner": own_name(), "since": started()}
+        content = {"token": self._token, "count": self._count, **this_process()}
         data = json.dumps(content, sort_keys=True).encode()
         if not create:
             self._store.pipe_file(self._key, data)

@@ -19,12 +19,11 @@ from pathlib import Path
 
 from forestgen.core.errors import ForestgenError, OutputError
 from forestgen.dataset.files import output_error
-from forestgen.runs.contract import HIDDEN, Place
+from forestgen.runs.contract import HIDDEN, StorageBackend
 from forestgen.runs.folder import BEGUN, MOVING, PREVIOUS
 from forestgen.runs.foreign_files import check_replaceable, free_name, move_foreign, named
-from forestgen.runs.lock import LOCK_FILES
-from forestgen.runs.places import STAGING, LocalPlace
 from forestgen.runs.records import done_keys
+from forestgen.runs.storage import LOCK_FILES, STAGING, LocalStorage
 
 _STAYS = {*LOCK_FILES, *(path.removeprefix(f"{HIDDEN}/") for path in (STAGING, PREVIOUS, MOVING, BEGUN))}
 
@@ -35,12 +34,12 @@ def previous_note(root: Path) -> str | None:
     if previous is None:
         return None
     with suppress(ForestgenError):
-        if done_keys(LocalPlace(root)) and previous == root / PREVIOUS:
+        if done_keys(LocalStorage(root)) and previous == root / PREVIOUS:
             return f"{previous} has the data set that was there: the next run removes it; move it away to keep it"
     return f"{previous} has the data set that was there: unless a run is just replacing it, `resume=True` puts it back"
 
 
-def recover(place: Place, say: Callable[[str], None]) -> None:
+def recover(storage: StorageBackend, say: Callable[[str], None]) -> None:
     """Finish what a run that was killed while it replaced the data set had begun; the caller holds the lock.
 
     The previous data set is put back or, if the new one has a finished image, removed, but for users' files.
@@ -49,16 +48,16 @@ def recover(place: Place, say: Callable[[str], None]) -> None:
     ------
     OutputError : something cannot be moved.
     """
-    outcome = _settle(place, say) if isinstance(place, LocalPlace) else None
+    outcome = _settle(storage, say) if isinstance(storage, LocalStorage) else None
     if outcome is not None:
-        say(f"{place.name}: the previous data set is {outcome}: a run that was to replace it was killed")
+        say(f"{storage.name}: the previous data set is {outcome}: a run that was to replace it was killed")
 
 
 @contextmanager
 def replacing(
-    place: Place, splits: Iterable[str], say: Callable[[str], None], *, overwrite: bool, keep_begun: bool
+    storage: StorageBackend, splits: Iterable[str], say: Callable[[str], None], *, overwrite: bool, keep_begun: bool
 ) -> Iterator[None]:
-    """Make a data set in the block, whose caller holds the lock of `place`.
+    """Make a data set in the block, whose caller holds the lock of `storage`.
 
     What forestgen has not written moves from the previous data set into the new one.
 
@@ -74,23 +73,23 @@ def replacing(
     OutputError : users' files lie where the new data set has its own, or something cannot be moved.
     """
     if overwrite:
-        check_replaceable(place, splits)
-    if not isinstance(place, LocalPlace):
+        check_replaceable(storage, splits)
+    if not isinstance(storage, LocalStorage):
         yield
         return
     drop_begun = False
     try:
         if overwrite:
-            _set_aside(place)
-        drop_begun = (overwrite or not keep_begun) and not any(_content(place.root))
+            _set_aside(storage)
+        drop_begun = (overwrite or not keep_begun) and not any(_content(storage.root))
         yield
     except BaseException:
-        _settle(place, say, drop_begun=drop_begun)
+        _settle(storage, say, drop_begun=drop_begun)
         raise
-    _settle(place, say)
+    _settle(storage, say)
 
 
-def _settle(place: LocalPlace, say: Callable[[str], None], *, drop_begun: bool = False) -> str | None:
+def _settle(storage: LocalStorage, say: Callable[[str], None], *, drop_begun: bool = False) -> str | None:
     """What became of the previous data set: it is back, or removed; None if there was none, or it stays.
 
     Parameters
@@ -98,13 +97,13 @@ def _settle(place: LocalPlace, say: Callable[[str], None], *, drop_begun: bool =
     say : told of users' files that were kept, and of what could not be removed.
     drop_begun : remove a data set without a finished image also where there was no previous one.
     """
-    root = place.root
+    root = storage.root
     outcome: str | None = None
     previous, moving, begun = root / PREVIOUS, root / MOVING, root / BEGUN
     with _moving(root):
         if _move_content(moving, root):
             outcome = "back"
-        has_image = bool(done_keys(place))
+        has_image = bool(done_keys(storage))
         if not has_image and (previous.is_dir() or drop_begun):
             _move_content(root, begun)
         if not has_image and previous.is_dir():
@@ -112,23 +111,23 @@ def _settle(place: LocalPlace, say: Callable[[str], None], *, drop_begun: bool =
             _move_content(moving, root)
             outcome = "back"
         if moving.is_dir() and not any(_content(moving)):
-            place.remove(MOVING)  # what a lock or a worker had left in it
-    if previous.is_dir() and _discard(place, PREVIOUS, say):
+            storage.remove(MOVING)  # what a lock or a worker had left in it
+    if previous.is_dir() and _discard(storage, PREVIOUS, say):
         outcome = "removed"
     if begun.is_dir():
-        _discard(place, BEGUN, say)
+        _discard(storage, BEGUN, say)
     return outcome
 
 
-def _set_aside(place: LocalPlace) -> None:
+def _set_aside(storage: LocalStorage) -> None:
     """Move all that lies in the folder to `PREVIOUS`."""
-    previous = place.root / PREVIOUS
+    previous = storage.root / PREVIOUS
     if os.path.lexists(previous):
         raise OutputError("a data set that was replaced lies there still", where=str(previous), hint="move it away")
-    with _moving(place.root):
-        _move_content(place.root, place.root / MOVING)
-        if (place.root / MOVING).is_dir():
-            (place.root / MOVING).rename(previous)
+    with _moving(storage.root):
+        _move_content(storage.root, storage.root / MOVING)
+        if (storage.root / MOVING).is_dir():
+            (storage.root / MOVING).rename(previous)
 
 
 def _content(root: Path) -> Iterator[str]:
@@ -158,16 +157,16 @@ def _move_content(source: Path, target: Path) -> bool:
     return bool(content)
 
 
-def _discard(place: LocalPlace, path: str, say: Callable[[str], None]) -> bool:
+def _discard(storage: LocalStorage, path: str, say: Callable[[str], None]) -> bool:
     """Remove a data set, or tell that it stays; what is not forestgen's moves into the one that is there."""
     try:
-        kept = move_foreign(place.root / path, place.root)
+        kept = move_foreign(storage.root / path, storage.root)
         if kept:
-            say(f"note: kept of {place.name}, as forestgen has not written it: {named(kept)}")
-        place.remove(path)
-        place.clear_staging()
+            say(f"note: kept of {storage.name}, as forestgen has not written it: {named(kept)}")
+        storage.remove(path)
+        storage.clear_staging()
     except (OSError, ForestgenError, RecursionError) as error:  # the last: folders a thousand deep
-        say(f"note: {place.root / path} stays: {error}")
+        say(f"note: {storage.root / path} stays: {error}")
         return False
     return True
 

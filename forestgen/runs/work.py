@@ -7,6 +7,7 @@ import os
 import platform
 import time
 import traceback
+from collections import deque
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
@@ -23,7 +24,7 @@ from forestgen.core.errors import (
 )
 from forestgen.core.memory import whole_bytes
 from forestgen.core.progress import Progress, Silent
-from forestgen.core.threads import limit_cores
+from forestgen.core.threads import cores, limit_cores
 from forestgen.core.timing import Timings
 from forestgen.dataset.files import STORAGE_ERRNOS, output_error
 from forestgen.dataset.manifest import peak_memory_bytes
@@ -33,7 +34,7 @@ from forestgen.recipe.hashing import recipe_hash
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.paths import MAPS
 from forestgen.render.variant import mitsuba
-from forestgen.runs.contract import Done, Failed, FailureKind, Job, JobRecord, JobRun, Outcome, Place, Work
+from forestgen.runs.contract import Done, Failed, FailureKind, Job, JobRecord, JobRun, Outcome, StorageBackend, Work
 from forestgen.runs.keys import job_key
 from forestgen.runs.records import record_bytes, record_path
 from forestgen.stages.data_set import check_one_data_set
@@ -42,7 +43,7 @@ from forestgen.stages.plan import check_memory, make_plan
 _FRAMES = "frames"  # of a staging folder: what belongs into the split's folder
 
 
-class _NotPlacedError(Exception):
+class _StorageFailedError(Exception):
     """The data set's place has failed; the cause tells how."""
 
 
@@ -63,7 +64,7 @@ def make_here(work: Work, job: Job, attempt: int, progress: Progress) -> Done:
     timings = Timings()
     try:
         return done(job, attempt, complete(work, job, progress, timings), timings)
-    except _NotPlacedError as error:
+    except _StorageFailedError as error:
         cause = error.__cause__
         if not isinstance(cause, OutputError):
             raise output_error(cast(OSError, cause)) from cause
@@ -71,7 +72,47 @@ def make_here(work: Work, job: Job, attempt: int, progress: Progress) -> Done:
     except OSError as error:
         if error.errno not in STORAGE_ERRNOS:
             raise
-        raise output_error(error, None if error.filename else Path(work.place.name)) from error
+        raise output_error(error, None if error.filename else Path(work.storage.name)) from error
+
+
+class InProcessEngine:
+    """The engine of `render`: images made one after another in this process; see `contract.Engine`.
+
+    An image that fails brings its error, which the run raises; finished images stay. `progress` shows the stages of
+    each.
+    """
+
+    def __init__(self, work: Work, progress: Progress) -> None:
+        self._work, self._progress = work, progress
+        self._queue: deque[tuple[Job, int]] = deque()
+
+    def __enter__(self) -> InProcessEngine:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._queue.clear()
+        if self._work.threads is not None:
+            limit_cores(None)
+            mitsuba(cores())
+
+    @property
+    def workers(self) -> int:
+        return 1
+
+    def submit(self, job: Job, attempt: int) -> None:
+        self._queue.append((job, attempt))
+
+    def wait(self, timeout_s: float) -> list[Outcome]:
+        """Make one image, however long it takes."""
+        if not self._queue:
+            return []
+        job, attempt = self._queue.popleft()
+        began_s = time.perf_counter()
+        try:
+            return [make_here(self._work, job, attempt, self._progress)]
+        except Exception as error:  # noqa: BLE001 - the run logs it, and raises it
+            seconds = time.perf_counter() - began_s
+            return [Failed(job, attempt, failure_kind(error), explained(error), seconds, worker_name(), error)]
 
 
 def done(job: Job, attempt: int, record: JobRecord, timings: Timings) -> Done:
@@ -99,7 +140,7 @@ def failure_kind(error: BaseException) -> FailureKind:
 def _storage_failed(error: BaseException | None) -> bool:
     """Whether a disk, a quota or a network is behind an error."""
     while error is not None:
-        if isinstance(error, _NotPlacedError) or (isinstance(error, OutputError) and error.__cause__ is not None):
+        if isinstance(error, _StorageFailedError) or (isinstance(error, OutputError) and error.__cause__ is not None):
             return True  # an `OutputError` without a cause tells of what a format cannot hold
         if isinstance(error, OSError) and (error.errno in STORAGE_ERRNOS or isinstance(error, ConnectionError)):
             return True
@@ -109,7 +150,7 @@ def _storage_failed(error: BaseException | None) -> bool:
 
 def explained(error: BaseException) -> str:
     """An error for people; of a bug also the place in the code."""
-    if isinstance(error, _NotPlacedError) and error.__cause__ is not None:
+    if isinstance(error, _StorageFailedError) and error.__cause__ is not None:
         return explained(error.__cause__)
     if isinstance(error, ForestgenError):
         return str(error)
@@ -134,7 +175,7 @@ def complete(work: Work, job: Job, progress: Progress, timings: Timings, *, room
         check_one_data_set(drawn, work.settings)
         plan = make_plan(drawn)
         check_memory(plan, room_bytes=room_bytes)
-    staging = work.place.staging()
+    staging = work.storage.staging()
     try:
         frames = staging / _FRAMES
         frames.mkdir()
@@ -143,9 +184,9 @@ def complete(work: Work, job: Job, progress: Progress, timings: Timings, *, room
         with timings("write"):
             _add_thumbnails(staging, image.folders)
             record = _record_of(job, drawn, image, _staged_files(staging, job.split))
-            _put_into_place(work.place, staging, job, record)
+            _put_into_place(work.storage, staging, job, record)
     finally:
-        work.place.discard(staging)
+        work.storage.discard(staging)
     return record
 
 
@@ -199,32 +240,32 @@ def _record_of(job: Job, drawn: DrawnRecipe, image: WrittenImage, files: dict[st
     )
 
 
-def _put_into_place(place: Place, staging: Path, job: Job, record: JobRecord) -> None:
+def _put_into_place(storage: StorageBackend, staging: Path, job: Job, record: JobRecord) -> None:
     """Maps, frames, thumbnails, and last the record: with it, the image is done. Before, a failure leaves no frame."""
     frames = sorted(path for path in (staging / _FRAMES).iterdir() if path.name != MAPS)
     maps = sorted((staging / _FRAMES / MAPS).glob("*"))
     try:
         for path in maps:
             target = f"{job.split}/{MAPS}/{path.name}"
-            if place.size_bytes(target) != path.stat().st_size:  # named by content: other jobs bring the same
-                place.put_file(path, target)
+            if storage.size_bytes(target) != path.stat().st_size:  # named by content: other jobs bring the same
+                storage.put_file(path, target)
         for folder in frames:
-            place.put_folder(folder, f"{job.split}/{folder.name}")
+            storage.put_folder(folder, f"{job.split}/{folder.name}")
         for name in (thumbnail_name(folder.name) for folder in frames):
-            place.put_file(staging / name, name)
-        place.write(record_path(job.key), record_bytes(record))
+            storage.put_file(staging / name, name)
+        storage.write(record_path(job.key), record_bytes(record))
     except BaseException as error:
-        if not isinstance(error, Exception) and _has_record(place, job):
+        if not isinstance(error, Exception) and _has_record(storage, job):
             raise  # stopped just after the image was done
         for name in (record_path(job.key), *(f"{job.split}/{folder.name}" for folder in frames)):
             with suppress(ForestgenError, OSError):
-                place.remove(name)
+                storage.remove(name)
         if isinstance(error, OutputError | OSError):
-            raise _NotPlacedError from error
+            raise _StorageFailedError from error
         raise
 
 
-def _has_record(place: Place, job: Job) -> bool:
+def _has_record(storage: StorageBackend, job: Job) -> bool:
     with suppress(ForestgenError, OSError):
-        return place.exists(record_path(job.key))
+        return storage.exists(record_path(job.key))
     return False

@@ -25,8 +25,8 @@ from pretend_jobs import FAULTS, begun, make
 from forestgen.core.errors import DatasetError, OutputError, RecipeError
 from forestgen.recipe.load import load_recipe
 from forestgen.runs.contract import Job, Notice, Outcome, Work
-from forestgen.runs.meter import SilentListener
 from forestgen.runs.run import run_batch
+from forestgen.runs.tracker import SilentListener
 from forestgen.runs.work import make_job
 
 
@@ -398,10 +398,10 @@ def test_the_map_of_a_resumed_recipe_may_have_changed_meanwhile(tmp_path: Path, 
     path = recipe(tmp_path)
     loaded = load_recipe(path)
     from forestgen.runs.contract import Job, Work
-    from forestgen.runs.places import LocalPlace
+    from forestgen.runs.storage import LocalStorage
     from forestgen.stages.data_set import data_set_of
 
-    work = Work(loaded, data_set_of(loaded.draw(0)), LocalPlace(tmp_path / "data"), "versions")
+    work = Work(loaded, data_set_of(loaded.draw(0)), LocalStorage(tmp_path / "data"), "versions")
     failed = make_job(work, Job(0, 0, "train", "000000-" + "0" * 40), 1)
     assert failed.kind == "recipe"  # type: ignore[union-attr]
     assert "changed since the batch was started" in failed.message  # type: ignore[union-attr]

@@ -9,10 +9,10 @@ import colour
 import numpy as np
 import pytest
 from command_line import TINY, run
+from forestgen.cli.light import join_points
 
 from forestgen.atmosphere.grid import CloudGrid
 from forestgen.atmosphere.netcdf_file import write_netcdf
-from forestgen.cli.light import join_points
 from forestgen.core.errors import RecipeError
 from forestgen.core.parts import Part
 from forestgen.core.progress import Silent

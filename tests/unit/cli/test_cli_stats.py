@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from forestgen.cli.variadic import repeat_option
 from typer.testing import CliRunner
 
 from forestgen.cli import app
-from forestgen.cli.variadic import repeat_option
 from forestgen.community import point_statistics
 from forestgen.community.point_patterns import Window, measure_distances
 from forestgen.community.point_table import read_points

@@ -1,4 +1,4 @@
-"""Where a data set lies: a folder of this machine, or what `batch.remote_place` reaches.
+"""Where a data set lies: a folder of this machine, with its lock, or an object store (remote_storage.py).
 
 In a folder, work is staged in ``.forestgen/staging``, on the same file system, and renamed into place: a name shows a
 whole file or frame, or nothing. Files reach the disk before they get their names, and file systems keep the order of
@@ -7,40 +7,45 @@ names; so no power cut, and no quota that a network share reports late, leaves a
 
 from __future__ import annotations
 
+import getpass
+import json
 import os
+import platform
 import secrets
 import shutil
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 from forestgen.core.errors import DatasetError, OutputError
-from forestgen.dataset.files import output_error
+from forestgen.dataset.files import make_folder, output_error, write_bytes
 from forestgen.dataset.safe_path import RefusedFileError, SafePath, is_inside, unreadable
-from forestgen.runs.contract import HIDDEN, Place
-from forestgen.runs.lock import LocalLock
+from forestgen.runs.contract import HIDDEN, StorageBackend
 
+LOCK_FILES = _LOCK, _HOLDER = "lock", "holder.json"  # the latter says who holds the lock
 STAGING = f"{HIDDEN}/staging"
 _SYNCED_AT_ONCE = 16
 
 
-def place_of(target: str) -> Place:
-    """The place of a data set: a folder's path, or a URL such as ``s3://bucket/forests``."""
+def storage_of(target: str) -> StorageBackend:
+    """The storage of a data set: a folder's path, or a URL such as ``s3://bucket/forests``."""
     scheme, separator, rest = target.partition("://")
     if not separator:
-        return LocalPlace(Path(target).absolute(), target)
+        return LocalStorage(Path(target).absolute(), target)
     if scheme == "file":
-        return LocalPlace(Path(rest).absolute(), target)
-    from forestgen.runs.remote_place import RemotePlace  # loads fsspec
+        return LocalStorage(Path(rest).absolute(), target)
+    from forestgen.runs.remote_storage import RemoteStorage  # loads fsspec
 
-    return RemotePlace(target)
+    return RemoteStorage(target)
 
 
 @dataclass(frozen=True)
-class LocalPlace:
-    """A folder; see `contract.Place`."""
+class LocalStorage:
+    """A folder; see `contract.StorageBackend`."""
 
     root: Path
     shown: str = ""  # as the user wrote it
@@ -105,7 +110,7 @@ class LocalPlace:
             return found.names()
 
     def remove(self, path: str) -> None:
-        """See `contract.Place`; a folder loses its name at once, then its content."""
+        """See `contract.StorageBackend`; a folder loses its name at once, then its content."""
         found = self._path(path)
         if not os.path.lexists(found):
             return
@@ -172,3 +177,81 @@ def _sync(files: Sequence[Path]) -> None:
 def _sync_one(file: Path) -> None:
     with file.open("rb+") as stream:
         os.fsync(stream.fileno())
+
+
+class LocalLock:
+    """A lock of the operating system's, which a process that dies gives back; see `contract.Lock`.
+
+    It is a file in the hidden folder of the data set. Folders that it makes are removed at its end if they are empty.
+    """
+
+    def __init__(self, folder: Path, where: str, say: Callable[[str], None]) -> None:
+        self._folder, self._where, self._say = folder, where, say
+        self._lock: Any = None
+        self._made: list[Path] = []  # the innermost first
+
+    def __enter__(self) -> LocalLock:
+        from filelock import FileLock, Timeout
+
+        self._made = [folder for folder in (self._folder, *self._folder.parents) if not os.path.lexists(folder)]
+        make_folder(self._folder)
+        for name in (_LOCK, _HOLDER):
+            _refuse_link(self._folder / name)
+        self._lock = FileLock(self._folder / _LOCK, timeout=0)
+        try:
+            self._lock.acquire()
+        except Timeout:
+            raise refusal(self._where, _holder(self._folder)) from None
+        except NotImplementedError:
+            self._lock = None
+            self._say(f"{self._where}: this file system keeps no locks: see that no other run writes there")
+        except OSError as error:
+            raise output_error(error, self._folder) from error
+        write_bytes(self._folder / _HOLDER, json.dumps(this_process()).encode())
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        with suppress(OSError):
+            (self._folder / _HOLDER).unlink(missing_ok=True)
+            if self._made and [path.name for path in self._folder.iterdir()] == [_LOCK]:
+                (self._folder / _LOCK).unlink()
+        if self._lock is not None:
+            self._lock.release()
+        for folder in self._made:
+            with suppress(OSError):  # something else lies there
+                folder.rmdir()
+
+    def check(self) -> None:
+        """Nobody takes a lock of the operating system's away."""
+
+
+def _refuse_link(path: Path) -> None:
+    """What would be written through a link, or wait in a pipe, is refused: the data set may be a stranger's."""
+    if os.path.lexists(path) and not SafePath(path.parent, path.name).is_file():
+        raise OutputError("this is no plain file", where=str(path), hint="remove it")
+
+
+def refusal(where: str, holder: str) -> OutputError:
+    """What the second run is told."""
+    hint = "wait for it, stop it, or choose another place"
+    return OutputError("another run writes there", where=where, got=holder, hint=hint)
+
+
+def this_process() -> dict[str, str]:
+    """Who holds a lock, for people: this process, and since when, UTC."""
+    import psutil
+
+    try:
+        user = getpass.getuser()
+    except (KeyError, OSError):  # a container's user may have no name
+        user = "?"
+    since = datetime.fromtimestamp(psutil.Process().create_time(), UTC).isoformat(timespec="seconds")
+    return {"owner": f"{user} on {platform.node()}, process {os.getpid()}", "since": since}
+
+
+def _holder(folder: Path) -> str:
+    try:
+        content = SafePath(folder, _HOLDER).read_json()
+        return f"{content['owner']}, since {content['since']}"
+    except (OSError, ValueError, KeyError, TypeError):  # it is just being written
+        return "a run that has just begun"

@@ -36,7 +36,7 @@ class FileSum:
     sha256: str
 
 
-class Ledger:
+class RecordIndex:
     """A context manager; a failure of the disk that the file lies on leaves its block as an `OutputError`.
 
     Parameters
@@ -59,7 +59,7 @@ class Ledger:
         except sqlite3.OperationalError as error:
             raise self._failed(error) from error
 
-    def __enter__(self) -> Ledger:
+    def __enter__(self) -> RecordIndex:
         return self
 
     def __exit__(

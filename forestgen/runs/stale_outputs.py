@@ -10,12 +10,12 @@ from typing import Any
 from forestgen.core.errors import ForestgenError, RecipeError
 from forestgen.dataset.check.finding import UnreadableError
 from forestgen.recipe.load import LoadedRecipe
-from forestgen.runs.contract import Place
+from forestgen.runs.contract import StorageBackend
 from forestgen.runs.finish import recipe_part
 from forestgen.runs.folder import images_in_frames, is_made_from
 from forestgen.runs.keys import image_of_key, job_key
 from forestgen.runs.records import done_keys
-from forestgen.runs.verify_manifests import plain_yaml
+from forestgen.runs.verify_index import plain_yaml
 
 _MOST_CHANGES = 4  # that are named
 _MANY = 1000  # images whose comparison takes long enough to say so
@@ -48,7 +48,7 @@ class ResumeDiff:
 
 
 def resume_diff(
-    place: Place, loaded: LoadedRecipe, images: range, mark: str, versions: str, say: Callable[[str], None]
+    storage: StorageBackend, loaded: LoadedRecipe, images: range, mark: str, versions: str, say: Callable[[str], None]
 ) -> ResumeDiff:
     """Compare the finished images with what is wanted now; removes nothing.
 
@@ -58,21 +58,21 @@ def resume_diff(
     mark, versions : see `folder.fingerprint`.
     say : told if it takes a while: of a recipe that has changed, each finished image is drawn again.
     """
-    keys = done_keys(place)
+    keys = done_keys(storage)
     mine = {image: key for key in keys if (image := image_of_key(key)) in images}
     recorded = {image_of_key(key) for key in keys}
     beyond = len(recorded - mine.keys())
-    unrecorded = images_in_frames(place, loaded.splits) - recorded
-    if is_made_from(place, mark):
+    unrecorded = images_in_frames(storage, loaded.splits) - recorded
+    if is_made_from(storage, mark):
         return ResumeDiff(len(mine), beyond, frozenset(), len(unrecorded.difference(images)))
     if len(mine) >= _MANY:
         say(f"comparing {len(mine):,} finished images with the recipe, which has changed")
     stale = frozenset(image for image in mine if _key(loaded, image - images.start, versions) not in keys)
-    changes = _changes(place, loaded) if stale else ""
+    changes = _changes(storage, loaded) if stale else ""
     return ResumeDiff(len(mine) - len(stale), beyond, stale, len(unrecorded), changes)
 
 
-def check_discards(found: ResumeDiff, where: str, *, agreed: bool) -> None:
+def check_stale_outputs(found: ResumeDiff, where: str, *, agreed: bool) -> None:
     """Refuse to throw finished images away unasked.
 
     Raises
@@ -97,10 +97,10 @@ def _key(loaded: LoadedRecipe, index: int, versions: str) -> str:
         return ""
 
 
-def _changes(place: Place, loaded: LoadedRecipe) -> str:
+def _changes(storage: StorageBackend, loaded: LoadedRecipe) -> str:
     """What the recipe says otherwise than recipe.yaml of the data set; "" where neither can tell."""
     try:
-        before = plain_yaml((place.read("recipe.yaml") or b"").decode(), "")
+        before = plain_yaml((storage.read("recipe.yaml") or b"").decode(), "")
         now = plain_yaml(recipe_part(loaded, ()).yaml, "")
     except (ForestgenError, UnreadableError, UnicodeDecodeError):
         return ""

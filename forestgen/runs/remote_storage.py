@@ -43,8 +43,8 @@ _AHEAD = 4 * CONNECTIONS  # transfers that wait their turn
 
 
 @dataclass(frozen=True)
-class RemotePlace:
-    """`Place` in an object store.
+class RemoteStorage:
+    """`StorageBackend` in an object store.
 
     Parameters
     ----------
