@@ -26,7 +26,7 @@ versions: whatever the number of workers, the engine, and the interruptions.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -158,6 +158,12 @@ class StorageBackend(Protocol):
 
     def names(self, folder: str) -> list[str]:
         """Names of what lies in a folder, sorted; empty if there is no such folder."""
+
+    def found(self, folder: str) -> Iterator[tuple[str, int, int]]:
+        """Path, size in bytes and inode, or 0, of each file below a folder."""
+
+    def clear_staging(self) -> None:
+        """Remove what jobs have left that nobody does any more."""
 
     def remove(self, path: str) -> None:
         """Remove a file, or a folder with all in it, if it is there."""

@@ -100,31 +100,27 @@ def describe(
     record_index : with all records, and the files over all images of each split.
     made_with : `this_version` of all machines that made images, each once.
     """
-    splits = _in_order(record_index.splits, parts)
+    named = list(dict.fromkeys(name for part in parts for name in part.splits))  # in the recipe's order
+    splits = sorted(record_index.splits, key=lambda name: (named.index(name) if name in named else len(named), name))
+    counts = {split: record_index.counts(split) for split in splits}
+    digest = hashlib.sha256()
+    for seed in record_index.seeds():
+        digest.update(b"%d\n" % seed)
     licence = {"name": settings.licence_name, "url": settings.licence_url}
     return {
         "schema": SCHEMA,
         "description": settings.description,
         "contributor": settings.contributor,
         "licence": licence if settings.licence_name else None,
-        "recipes": [_recipe(part, number, record_index.images()) for number, part in enumerate(parts, start=1)],
-        "images": sum(record_index.image_count(split) for split in splits),
-        "frames": sum(record_index.frame_count(split) for split in splits),
-        "splits": {
-            split: {"images": record_index.image_count(split), "frames": record_index.frame_count(split)}
-            for split in splits
-        },
-        "image_seeds_sha256": _digest(record_index.seeds()),
+        "recipes": [_recipe(part, number, record_index) for number, part in enumerate(parts, start=1)],
+        "images": sum(one["images"] for one in counts.values()),
+        "frames": sum(one["frames"] for one in counts.values()),
+        "splits": counts,
+        "image_seeds_sha256": digest.hexdigest(),
         "settings": asdict(settings),
         "made_with": [dict(one) for one in made_with],
         "files": file_groups(record_index.files()),
     }
-
-
-def _in_order(splits: Sequence[str], parts: Sequence[RecipePart]) -> list[str]:
-    """Splits as the recipes name them, such as train, val, test."""
-    named = list(dict.fromkeys(name for part in parts for name in part.splits))
-    return sorted(splits, key=lambda split: (named.index(split) if split in named else len(named), split))
 
 
 def recipe_file(number: int) -> str:
@@ -132,7 +128,8 @@ def recipe_file(number: int) -> str:
     return "recipe.yaml" if number == 1 else f"recipe-{number}.yaml"
 
 
-def _recipe(part: RecipePart, number: int, made: Iterator[int]) -> dict[str, Any]:
+def _recipe(part: RecipePart, number: int, record_index: RecordIndex) -> dict[str, Any]:
+    made = set(record_index.images())
     return {
         "file": recipe_file(number),
         "hash": part.hash,
@@ -140,28 +137,10 @@ def _recipe(part: RecipePart, number: int, made: Iterator[int]) -> dict[str, Any
         "first_image": part.asked[0][0] if part.asked else 0,
         "images": sum(last - first + 1 for first, last in part.asked),
         "asked": [list(one) for one in part.asked],
-        "missing": [list(one) for one in ranges_of(_without(numbers_in(part.asked), made))],
+        "missing": [list(one) for one in ranges_of(number for number in numbers_in(part.asked) if number not in made)],
         "splits": dict(part.splits),
         "draws": dict(part.draws),
     }
-
-
-def _without(numbers: Iterable[int], others: Iterator[int]) -> Iterator[int]:
-    """Rising numbers that are not among others, rising as well."""
-    other = next(others, None)
-    for number in numbers:
-        while other is not None and other < number:
-            other = next(others, None)
-        if other != number:
-            yield number
-
-
-def _digest(numbers: Iterable[int]) -> str:
-    """SHA-256 of numbers, a line each."""
-    digest = hashlib.sha256()
-    for number in numbers:
-        digest.update(b"%d\n" % number)
-    return digest.hexdigest()
 
 
 def file_groups(files: Iterable[FileSum]) -> dict[str, dict[str, int]]:

@@ -8,10 +8,7 @@ from __future__ import annotations
 
 import copy
 import hashlib
-import os
-import shutil
-import stat
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -51,6 +48,7 @@ from forestgen.runs.folder import note_written
 from forestgen.runs.record_index import FileSum, RecordIndex
 from forestgen.runs.records import JOBS, record_path
 from forestgen.runs.split_files import write_split
+from forestgen.runs.storage import LocalStorage
 
 
 @dataclass(frozen=True)
@@ -90,7 +88,7 @@ def finish(
         for record in records:
             if record.key in wanted:
                 record_index.add(record)
-        return write_data_set(storage, record_index, [part], settings, [this_version()], splits, Path(scratch))
+        return write_data_set(storage, record_index, [part], settings, [this_version()], splits)
 
 
 @disk_errors()
@@ -101,7 +99,6 @@ def write_data_set(
     settings: DatasetSettings,
     made_with: Sequence[Mapping[str, Any]],
     splits: Iterable[str],
-    scratch: Path,
 ) -> Finished:
     """Write all that is not an image's own.
 
@@ -110,11 +107,14 @@ def write_data_set(
     record_index : with the records of the images.
     parts, made_with : see `describe`.
     splits : whose folders may hold what no record vouches for.
-    scratch : an empty folder.
     """
     folders = sorted({*splits, *record_index.splits, *_splits_before(storage), THUMBNAILS, MAPS})
-    _look(storage, folders, record_index)
-    notes = _drop_absent(storage, record_index)
+    for folder in folders:
+        record_index.note_found(storage.found(folder))
+    notes = []
+    for image, key, path in record_index.drop_absent():  # without its record, the next run makes the image again
+        notes.append(f"image {image} counts as missing: {path} is not as it was written; a resumed run makes it again")
+        storage.remove(record_path(key))
     for split in record_index.splits:
         write_split(storage, split, record_index, settings, parts, dict(made_with[0]))
     kept = {path: content for number, part in enumerate(parts, start=1) for path, content in part.kept_as(number)}
@@ -127,7 +127,7 @@ def write_data_set(
         _enter(record_index, path, content)
     _remove_strangers(storage, folders, record_index)
     description = describe(record_index, parts, settings, made_with)
-    _write_whole(storage, record_index, kept, description, scratch)
+    _write_whole(storage, record_index, kept, description)
     missing = tuple(image for one in description["recipes"] for image in numbers_in(one["missing"]))
     if missing:
         are = "image is" if len(missing) == 1 else "images are"
@@ -178,42 +178,6 @@ def _splits_before(storage: StorageBackend) -> set[str]:
         return set()
 
 
-def _look(storage: StorageBackend, folders: Sequence[str], record_index: RecordIndex) -> None:
-    """Enter what lies in the folders."""
-    root: Path | None = getattr(storage, "root", None)
-    remote: Any = storage
-    for folder in folders:
-        if root is not None:
-            record_index.note_found(files_below(root, folder))
-        else:
-            record_index.note_found((path, size, 0) for path, size in remote.files(folder).items())
-
-
-def files_below(root: Path, folder: str = "") -> Iterator[tuple[str, int, int]]:
-    """Path relative to `root`, size in bytes and inode of each file below a folder of it."""
-    waiting = [folder] if not folder or SafePath(root, folder).is_folder() else []
-    while waiting:
-        inside = waiting.pop()
-        with suppress(FileNotFoundError, NotADirectoryError), os.scandir(root / inside) as entries:
-            for entry in entries:  # a link is no file of the data set, whatever it leads to: its size is none
-                path = f"{inside}/{entry.name}" if inside else entry.name
-                if entry.is_dir(follow_symlinks=False):
-                    waiting.append(path)
-                else:
-                    status = entry.stat(follow_symlinks=False)
-                    yield path, status.st_size if stat.S_ISREG(status.st_mode) else -1, status.st_ino
-
-
-def _drop_absent(storage: StorageBackend, record_index: RecordIndex) -> list[str]:
-    """Forget images that have lost a file, and their records, so that the next run makes them again."""
-    notes = []
-    for image, path in record_index.absent():
-        notes.append(f"image {image} counts as missing: {path} is not as it was written; a resumed run makes it again")
-        storage.remove(record_path(record_index.key_of(image)))
-        record_index.drop_image(image)
-    return notes
-
-
 def _remove_strangers(storage: StorageBackend, folders: Sequence[str], record_index: RecordIndex) -> None:
     """Remove what no record vouches for: records of other jobs, then files; a whole folder where all of it goes.
 
@@ -233,68 +197,47 @@ def _remove_strangers(storage: StorageBackend, folders: Sequence[str], record_in
             continue
         removed = gone
         storage.remove(removed)
-    root: Path | None = getattr(storage, "root", None)
-    if root is not None:
-        _remove_empty_folders(root, folders)
+    if isinstance(storage, LocalStorage):
+        _remove_empty_folders(storage.root, folders)
 
 
 def _remove_empty_folders(root: Path, folders: Sequence[str]) -> None:
     """Of frames that never came to a file, and of splits that have no images any more."""
     for folder in filter(lambda name: SafePath(root, name).is_folder(), folders):
-        with suppress(FileNotFoundError, NotADirectoryError), os.scandir(root / folder) as entries:
-            for entry in entries:
-                if tool_of(entry.name) is None:
-                    with suppress(OSError):  # it is a file, or not empty
-                        Path(entry.path).rmdir()
+        for name in SafePath(root, folder).names():
+            if tool_of(name) is None:
+                with suppress(OSError):  # it is a file, or not empty
+                    (root / folder / name).rmdir()
         with suppress(OSError):
             (root / folder).rmdir()
 
 
 def _write_whole(
-    storage: StorageBackend,
-    record_index: RecordIndex,
-    kept: Mapping[str, bytes],
-    description: dict[str, Any],
-    scratch: Path,
+    storage: StorageBackend, record_index: RecordIndex, kept: Mapping[str, bytes], description: dict[str, Any]
 ) -> None:
     """The files of the whole data set; dataset.json comes last, and says that all others are there."""
     note_written(storage, kept)
     for path, content in kept.items():
         storage.write(path, content)
-    counts = _write_index(storage, record_index, scratch)
-    for name, content in (
-        (CARD_NAME, card_text(description, counts, settings_of(description)).encode()),
-        (DATASET_NAME, dataset_bytes(description)),
-    ):
-        _enter(record_index, name, content)
-        if name != DATASET_NAME:
-            storage.write(name, content)
-    write_sums(scratch / SUMS_NAME, ((file.path, file.sha256) for file in record_index.files()))
-    _put(storage, scratch / SUMS_NAME, SUMS_NAME)
-    storage.write(DATASET_NAME, dataset_bytes(description))
-
-
-def _write_index(storage: StorageBackend, record_index: RecordIndex, scratch: Path) -> CardCounts:
-    """Write index.parquet; what the data card tells of its rows."""
-    types, counts = DrawTypes(), CardCounts()
-    for row in record_index.rows():
-        types.add(row)
-        counts.add(row)
-    path = scratch / INDEX_NAME
-    write_index(path, record_index.rows(), types.columns)
-    record_index.add_file(FileSum(INDEX_NAME, path.stat().st_size, file_sum(path)))
-    _put(storage, path, INDEX_NAME)
-    return counts
-
-
-def _put(storage: StorageBackend, path: Path, target: str) -> None:
-    """Put a file of this machine's temporary folder into place, by way of the place's own staging."""
     staging = storage.staging()
     try:
-        shutil.copyfile(path, staging / path.name)
-        storage.put_file(staging / path.name, target)
+        types, counts = DrawTypes(), CardCounts()
+        for row in record_index.rows():
+            types.add(row)
+            counts.add(row)
+        index, sums = staging / INDEX_NAME, staging / SUMS_NAME
+        write_index(index, record_index.rows(), types.columns)
+        record_index.add_file(FileSum(INDEX_NAME, index.stat().st_size, file_sum(index)))
+        storage.put_file(index, INDEX_NAME)
+        card = card_text(description, counts, settings_of(description)).encode()
+        _enter(record_index, CARD_NAME, card)
+        storage.write(CARD_NAME, card)
+        _enter(record_index, DATASET_NAME, dataset_bytes(description))
+        write_sums(sums, ((file.path, file.sha256) for file in record_index.files()))
+        storage.put_file(sums, SUMS_NAME)
     finally:
         storage.discard(staging)
+    storage.write(DATASET_NAME, dataset_bytes(description))
 
 
 def _enter(record_index: RecordIndex, path: str, content: bytes) -> None:

@@ -92,9 +92,7 @@ def merge(sources: Sequence[Path], target: Path, *, link: bool = False, progress
                         _take(piece, record, storage, link)
                         record_index.add(record)
             _check_seeds(record_index)
-            done = write_data_set(
-                storage, record_index, parts, pieces[0].settings, made_with, record_index.splits, Path(scratch)
-            )
+            done = write_data_set(storage, record_index, parts, pieces[0].settings, made_with, record_index.splits)
             settle_batch(storage, record_index.splits, "")
         storage.clear_staging()
     if len(made_with) > 1:
@@ -277,15 +275,14 @@ def _check_same(one: tuple[Piece, JobRecord], other: tuple[Piece, JobRecord]) ->
 
 def _check_seeds(record_index: RecordIndex) -> None:
     """No stand may be in two splits: pieces of ``same_stand`` recipes may each be sound, and not together."""
-    seed = next(record_index.shared_seeds(), None)
-    if seed is not None:
-        images = record_index.images_of_seed(seed)
-        first = images[0]
-        other = next(one for one in images if one[1] != first[1])
+    shared = record_index.shared_seed()
+    if shared:
+        seed, first, first_split = shared[0]
+        other, other_split = next((image, split) for _, image, split in shared if split != first_split)
         raise RecipeError(
-            "two splits would show one stand: what is tested would have been learned",
+            "two splits would show one stand: train and test would share it (data leakage)",
             expected="another seed of the recipe in each, or one split",
-            got=f"image {first[0]} ({first[1]}) and image {other[0]} ({other[1]}) of the seed {seed}",
+            got=f"image {first} ({first_split}) and image {other} ({other_split}) of the seed {seed}",
         )
 
 

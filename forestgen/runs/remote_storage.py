@@ -15,7 +15,7 @@ import os
 import shutil
 import tempfile
 from collections import deque
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
@@ -144,6 +144,12 @@ class RemoteStorage:
                 _raise_if_no_bucket(error)
                 return {}
         return {path.removeprefix(root): int(one["size"]) for path, one in sorted(found.items())}
+
+    def found(self, folder: str) -> Iterator[tuple[str, int, int]]:
+        return ((path, size, 0) for path, size in self.files(folder).items())
+
+    def clear_staging(self) -> None:
+        """Nothing: each process clears its own staging folders, and those of dead ones."""
 
     def remove(self, path: str) -> None:
         """Remove a file, or a folder with all in it."""

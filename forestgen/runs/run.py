@@ -133,7 +133,7 @@ def run_batch(
         check_stale_outputs(before, storage.name, agreed=discard)
         work = prepare(work, count - before.kept)
         with replacing(storage, splits, display.say, overwrite=overwrite, keep_begun=not strict):
-            _clear_staging(storage)
+            storage.clear_staging()
             used = used_splits(splits, images)
             damaged = damaged_images(storage, loaded, images, before.stale, display.say)
             with Log(storage) as log:
@@ -179,7 +179,7 @@ def _make_and_finish(
         _log_stop(run, error)
         raise
     finally:
-        _clear_staging(work.storage)
+        work.storage.clear_staging()
 
 
 def images_of(loaded: LoadedRecipe, count: int) -> range:
@@ -375,12 +375,6 @@ def _log_stop(run: _Run, error: BaseException) -> None:
         run.log.upload()
     except ForestgenError:
         return
-
-
-def _clear_staging(storage: StorageBackend) -> None:
-    """What lies there is of jobs that nobody does any more."""
-    if isinstance(storage, LocalStorage):
-        storage.clear_staging()
 
 
 class JobQueue:

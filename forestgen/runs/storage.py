@@ -13,6 +13,7 @@ import os
 import platform
 import secrets
 import shutil
+import stat
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
@@ -109,6 +110,9 @@ class LocalStorage:
         with _reading(found):
             return found.names()
 
+    def found(self, folder: str) -> Iterator[tuple[str, int, int]]:
+        yield from files_below(self.root, folder)
+
     def remove(self, path: str) -> None:
         """See `contract.StorageBackend`; a folder loses its name at once, then its content."""
         found = self._path(path)
@@ -123,7 +127,6 @@ class LocalStorage:
             shutil.rmtree(aside, ignore_errors=True)  # what stays is cleared with the staging folder
 
     def clear_staging(self) -> None:
-        """Remove what runs that were killed have left."""
         shutil.rmtree(self._path(STAGING), ignore_errors=True)
 
     def _path(self, relative: str) -> Path:
@@ -144,6 +147,21 @@ class LocalStorage:
         with _writing(folder):
             folder.mkdir(parents=True, exist_ok=True)
         return folder / f"{kind}-{os.getpid()}-{secrets.token_hex(6)}"
+
+
+def files_below(root: Path, folder: str = "") -> Iterator[tuple[str, int, int]]:
+    """Path relative to `root`, size in bytes and inode of each file below a folder of it."""
+    waiting = [folder] if not folder or SafePath(root, folder).is_folder() else []
+    while waiting:
+        inside = waiting.pop()
+        with suppress(FileNotFoundError, NotADirectoryError), os.scandir(root / inside) as entries:
+            for entry in entries:  # a link is no file of the data set, whatever it leads to: its size is none
+                path = f"{inside}/{entry.name}" if inside else entry.name
+                if entry.is_dir(follow_symlinks=False):
+                    waiting.append(path)
+                else:
+                    status = entry.stat(follow_symlinks=False)
+                    yield path, status.st_size if stat.S_ISREG(status.st_mode) else -1, status.st_ino
 
 
 @contextmanager

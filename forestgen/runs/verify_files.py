@@ -19,10 +19,9 @@ from forestgen.dataset.foreign import tool_of
 from forestgen.dataset.manifest import MANIFEST_NAME
 from forestgen.dataset.safe_path import SafePath
 from forestgen.runs.contract import RUN_DEPENDENT
-from forestgen.runs.finish import files_below
 from forestgen.runs.record_index import FileSum, RecordIndex
 from forestgen.runs.records import in_order, records_of
-from forestgen.runs.storage import LocalStorage
+from forestgen.runs.storage import LocalStorage, files_below
 
 _MOST_IN_A_NOTE = 20
 

@@ -24,8 +24,8 @@ from forestgen.dataset.safe_path import SafePath
 from forestgen.dataset.thumbnails import thumbnail_name, write_thumbnail
 from forestgen.recipe.hashing import recipe_hash
 from forestgen.runs.description import this_version
-from forestgen.runs.finish import files_below
 from forestgen.runs.records import in_order
+from forestgen.runs.storage import files_below
 from forestgen.runs.verify_index import plain_yaml
 
 Check = tuple[str, str, int, list[Finding]]  # name, what holds, how many it looked at, findings

@@ -23,7 +23,6 @@ from forestgen.dataset.manifest import is_run_folder
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.recipe.hashing import recipe_hash
 from forestgen.recipe.load import load_recipe
-from forestgen.runs import ledger
 from forestgen.runs.contract import Job, JobRecord
 from forestgen.runs.finish import finish
 from forestgen.runs.records import record_bytes, record_path, records_of
@@ -187,11 +186,11 @@ def test_a_disk_that_fills_meanwhile_is_told(whole, loaded, tmp_path, monkeypatc
     root = copied(whole, tmp_path / "set")
     full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "/tmp/SHA256SUMS", None, str(root / "SHA256SUMS"))
 
-    def copyfile(source, target):
+    def write_sums(path, sums):
         raise full
 
     with monkeypatch.context() as patched:
-        patched.setattr("forestgen.runs.finish.shutil.copyfile", copyfile)
+        patched.setattr("forestgen.runs.finish.write_sums", write_sums)
         with pytest.raises(OutputError, match=r"set/SHA256SUMS: cannot write[\s\S]*free some space"):
             finished(loaded, known_jobs(root, loaded), root)
     assert not (root / "dataset.json").exists() or shown(root) == shown(whole)
@@ -201,7 +200,7 @@ def test_a_disk_that_fills_meanwhile_is_told(whole, loaded, tmp_path, monkeypatc
 
 def test_a_full_temporary_folder_is_told(whole, loaded, tmp_path, monkeypatch):
     """By the table of all files, which SQLite keeps there."""
-    monkeypatch.setattr("forestgen.runs.record_index._TABLES", ledger._TABLES + "PRAGMA max_page_count = 12;")
+    monkeypatch.setattr("forestgen.runs.record_index._TABLES", record_index._TABLES + "PRAGMA max_page_count = 12;")
     with pytest.raises(OutputError, match=r"forestgen-finish-[\s\S]*full[\s\S]*TMPDIR"):
         finished(loaded, known_jobs(whole, loaded), copied(whole, tmp_path / "set"))
 
