@@ -25,7 +25,6 @@ from forestgen.runs.contract import (
     StorageBackend,
     Work,
 )
-from forestgen.runs.damage import damaged_images
 from forestgen.runs.finish import Finished, finish
 from forestgen.runs.folder import (
     TAKEN,
@@ -41,7 +40,7 @@ from forestgen.runs.foreign_files import check_replaceable
 from forestgen.runs.keys import job_key, versions_hash
 from forestgen.runs.records import done_keys, records_of
 from forestgen.runs.replace import recover, replacing
-from forestgen.runs.stale_outputs import ResumeDiff, check_stale_outputs, resume_diff
+from forestgen.runs.stale_outputs import ResumeDiff, check_stale_outputs, damaged_images, resume_diff
 from forestgen.runs.storage import LocalStorage, storage_of
 from forestgen.runs.summary import Log, RunSummary, done_fields, failed_fields, write_jobs_table, write_summary
 from forestgen.runs.tracker import Display, ProgressTracker, SilentDisplay

@@ -22,9 +22,9 @@ from forestgen.core.errors import DatasetError, OutputError
 from forestgen.dataset.png import write_grey
 from forestgen.recipe.load import load_recipe
 from forestgen.runs.contract import Job, JobRecord, Outcome, Work
-from forestgen.runs.damage import damaged_images
 from forestgen.runs.records import record_bytes, record_path
 from forestgen.runs.run import run_batch
+from forestgen.runs.stale_outputs import damaged_images
 from forestgen.runs.start import _check_complete
 from forestgen.runs.storage import LocalStorage
 from forestgen.runs.work import make_job
@@ -126,7 +126,7 @@ def test_a_file_that_must_not_be_read_stops_the_run(tmp_path: Path, faults: Path
         raise PermissionError(13, "Permission denied", str(path))
 
     with monkeypatch.context() as patched:
-        patched.setattr("forestgen.runs.damage.file_sum", refuse)
+        patched.setattr("forestgen.runs.stale_outputs.file_sum", refuse)
         with pytest.raises(OutputError, match="Permission denied"):
             serial(path, target, 2, make, resume=True)
     assert shown(target) == before

@@ -23,6 +23,7 @@ from forestgen.dataset.manifest import is_run_folder
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.recipe.hashing import recipe_hash
 from forestgen.recipe.load import load_recipe
+from forestgen.runs import record_index
 from forestgen.runs.contract import Job, JobRecord
 from forestgen.runs.finish import finish
 from forestgen.runs.records import record_bytes, record_path, records_of
@@ -290,9 +291,9 @@ class Store:
     def put_file(self, source: Path, target: str) -> None:
         self._local.write(target, source.read_bytes())
 
-    def files(self, folder: str) -> dict[str, int]:
+    def found(self, folder: str) -> list[tuple[str, int, int]]:
         paths = [path for path in (self._home / folder).rglob("*") if path.is_file()]
-        return {path.relative_to(self._home).as_posix(): path.stat().st_size for path in paths}
+        return [(path.relative_to(self._home).as_posix(), path.stat().st_size, 0) for path in paths]
 
     def fetch(self, paths, folder: Path) -> None:
         for path in paths:
