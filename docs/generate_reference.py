@@ -19,7 +19,7 @@ from forestgen.api.datasets import Merged, Run
 from forestgen.api.diagnosis import Diagnosis
 from forestgen.api.points import FittedKernel
 from forestgen.api.programs import Words
-from forestgen.api.validation import Validation
+from forestgen.api.recipes import Validation
 from forestgen.cli import app
 from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.model import CommunityModel, CommunityParameters, Site

@@ -6,7 +6,8 @@ Its methods that make images are in rendering.py, those that measure in instrume
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,13 +16,15 @@ from forestgen.api.instruments import Instruments
 from forestgen.api.rendering import Rendering
 from forestgen.core.arguments import PathLike, listed, path_of, paths_of, plain_copy, shown, texts_of, whole_of
 from forestgen.core.errors import RecipeError
+from forestgen.core.figures import count, show_bytes
 from forestgen.core.progress import Progress
 from forestgen.core.timing import Timings
+from forestgen.recipe.sources import dotted
 from forestgen.stages.load_checked import load_checked
 
 if TYPE_CHECKING:
     from forestgen.api.stands import Stand
-    from forestgen.api.validation import Validation
+    from forestgen.stages.plan import Plan
 
 Overrides = Mapping[str, Any] | Sequence[str] | None
 _MOST_STEPS = 10**9
@@ -73,6 +76,69 @@ def _yaml(key: str, value: Any) -> str:
         raise RecipeError(
             "this value cannot be set", where=f"set: {key}", expected=expected, got=shown(value)
         ) from error
+
+
+_MOST_CAMERAS = 5  # in the text of a validation
+
+
+@dataclass(frozen=True)
+class CameraSummary:
+    """One entry of the recipe's cameras."""
+
+    name: str
+    size_px: tuple[int, int]
+    frames: int  # of an image
+
+
+@dataclass(frozen=True)
+class Validation:
+    """What a recipe makes, checked without simulating."""
+
+    recipe: str  # where it was read from
+    images: int
+    cameras: tuple[CameraSummary, ...]
+    site_size_m: tuple[float, float]
+    terrain: str
+    community: str
+    steps: int
+    species: tuple[str, ...]
+    drawn: tuple[str, ...]  # keys whose values each image draws
+    sampling: str | None
+    render_bytes: int  # of memory, an upper estimate
+    simulate_bytes: int
+    hash: str
+    notes: tuple[str, ...]
+
+    @property
+    def frames(self) -> int:
+        return self.images * sum(camera.frames for camera in self.cameras)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values, for JSON."""
+        return {"valid": True, **asdict(self), "frames": self.frames}
+
+    def __str__(self) -> str:
+        return "\n".join([f"{self.recipe}: valid", *(f"  {name:<10} {text}" for name, text in self._rows())])
+
+    def _rows(self) -> Iterator[tuple[str, str]]:
+        yield (
+            "makes",
+            f"{count(self.frames, 'frame')}: {count(self.images, 'image')} x " + count(len(self.cameras), "camera"),
+        )
+        for camera in self.cameras[:_MOST_CAMERAS]:
+            along = f", {camera.frames} images" if camera.frames > 1 else ""
+            yield "", f"{camera.name}, {camera.size_px[0]} x {camera.size_px[1]} px{along}"
+        if len(self.cameras) > _MOST_CAMERAS:
+            yield "", "..."
+        yield "site", f"{self.site_size_m[0]:g} x {self.site_size_m[1]:g} m, {self.terrain}"
+        yield "community", f"{self.community}, {count(self.steps, 'step')}"
+        yield "species", ", ".join(self.species)
+        yield "drawn", ", ".join(self.drawn) or "nothing but the random numbers"
+        if self.sampling is not None:
+            yield "sampling", self.sampling
+        memory = f"{show_bytes(self.render_bytes)} to render, {show_bytes(self.simulate_bytes)} to simulate alone"
+        yield "memory", f"up to about {memory}"
+        yield "hash", self.hash
 
 
 class Recipe(Rendering, Instruments):
@@ -129,9 +195,33 @@ class Recipe(Rendering, Instruments):
         ------
         RecipeError, AssetError, ResourceError : what is wrong, or would not fit into memory.
         """
-        from forestgen.api.validation import validation_of
+        from forestgen.stages.plan import check_plan, estimate_bytes
 
-        return validation_of(self._loaded)
+        loaded = self._loaded
+        plan = check_plan(loaded)
+        drawn = plan.drawn.recipe
+        render_bytes, simulate_bytes = (
+            sum(estimate_bytes(plan, simulate_only=only).values()) for only in (False, True)
+        )
+        return Validation(
+            recipe=str(loaded.path),
+            images=loaded.images,
+            cameras=tuple(
+                CameraSummary(camera.name, (camera.size_px[0], camera.size_px[1]), camera.frames)
+                for camera in drawn.cameras
+            ),
+            site_size_m=(drawn.site.size_m[0], drawn.site.size_m[1]),
+            terrain=drawn.site.terrain.kind,
+            community=drawn.community.model,
+            steps=plan.steps,
+            species=tuple(drawn.species),
+            drawn=tuple(dotted(keys) for keys in loaded.distributions),
+            sampling=None if loaded.draws.sampler is None else loaded.draws.sampler.describe(),
+            render_bytes=render_bytes,
+            simulate_bytes=simulate_bytes,
+            hash=loaded.hash,
+            notes=tuple(_notes(plan)),
+        )
 
     def simulate(
         self,
@@ -188,3 +278,15 @@ class Recipe(Rendering, Instruments):
 
     def __repr__(self) -> str:
         return f"<Recipe {self._loaded.path}: {self.images} image{'' if self.images == 1 else 's'}>"
+
+
+def _notes(plan: Plan) -> Iterator[str]:
+    from forestgen.stages.plan import views_below_ground, why_barren
+    from forestgen.stages.views import check_outside_of_houses
+
+    reason = why_barren(plan)
+    if reason:
+        yield reason
+    for name in views_below_ground(plan):
+        yield f"the camera {name} stands below the ground"
+    yield from check_outside_of_houses(plan.drawn, plan.obstacles.entries)

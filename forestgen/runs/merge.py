@@ -12,7 +12,7 @@ import heapq
 import json
 import os
 import shutil
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 from pathlib import Path
@@ -21,7 +21,7 @@ from typing import Any
 
 from forestgen.core.errors import DatasetError, OutputError, RecipeError
 from forestgen.core.progress import Progress, Silent
-from forestgen.dataset.files import output_error
+from forestgen.dataset.files import make_folder, output_error
 from forestgen.dataset.folder import NO_OUTPUT, OURS, OutputFolder
 from forestgen.dataset.manifest import is_run_folder
 from forestgen.dataset.safe_path import SafePath, unreadable
@@ -76,8 +76,10 @@ def merge(sources: Sequence[Path], target: Path, *, link: bool = False, progress
     pieces = [_piece(root) for root in sources]
     _check_settings(pieces)
     parts = _parts(pieces)
-    made_with = sorted(_unique(one for piece in pieces for one in piece.said["made_with"]), key=_text)
-    needed = 0 if link else sum(_size(piece) for piece in pieces)
+    by_text = {json.dumps(one, sort_keys=True): one for piece in pieces for one in piece.said["made_with"]}
+    made_with = [by_text[text] for text in sorted(by_text)]
+    groups = [group for piece in pieces for group in piece.said["files"].values()]
+    needed = 0 if link else sum(int(group["bytes"]) for group in groups)
     total = sum(int(piece.said["images"]) for piece in pieces)
     with (
         OutputFolder(target, required_bytes=needed) as folder,
@@ -105,20 +107,16 @@ def _check_target(target: Path, sources: Sequence[Path]) -> None:
         raise RecipeError("no data set is named", expected="at least one to merge")
     refuse_address(target)
     if target.exists() and (not target.is_dir() or any(target.iterdir())):
-        raise OutputError(_in_the_way(target), where=str(target), expected="a new or empty folder")
+        problem = "the output is a file"
+        if target.is_dir():  # in the words of `OutputFolder`, which can replace some of it
+            is_ours = (target / HIDDEN).is_dir() or (target / DATASET_NAME).exists() or is_run_folder(target)
+            problem = OURS if is_ours else NO_OUTPUT
+        raise OutputError(problem, where=str(target), expected="a new or empty folder")
     inside = [source for source in sources if target.resolve().is_relative_to(source.resolve())]
     if inside:
         raise OutputError("the output lies in a data set that is merged", where=str(target), got=str(inside[0]))
     if len({source.resolve() for source in sources}) < len(sources):
         raise RecipeError("a data set is named twice", got=", ".join(map(str, sources)))
-
-
-def _in_the_way(target: Path) -> str:
-    """What lies where the merged data set shall; in the words of `OutputFolder`, which can replace some of it."""
-    if not target.is_dir():
-        return "the output is a file"
-    is_ours = (target / HIDDEN).is_dir() or (target / DATASET_NAME).exists() or is_run_folder(target)
-    return OURS if is_ours else NO_OUTPUT
 
 
 def _piece(root: Path) -> Piece:
@@ -231,7 +229,12 @@ def _records(pieces: Sequence[Piece]) -> Iterator[tuple[Piece | None, JobRecord]
     DatasetError : two pieces have different images of one number, or a record is damaged.
     """
     notes: list[str] = []
-    streams = [_numbered(number, piece, notes) for number, piece in enumerate(pieces)]
+
+    def numbered(number: int) -> Iterator[tuple[int, int, JobRecord]]:
+        for record in records_of(pieces[number].storage, notes.append):
+            yield record.image, number, record
+
+    streams = map(numbered, range(len(pieces)))
     before: tuple[Piece, JobRecord] | None = None
     counts = [0] * len(pieces)
     for _, number, record in heapq.merge(*streams, key=lambda one: one[:2]):
@@ -251,11 +254,6 @@ def _records(pieces: Sequence[Piece]) -> Iterator[tuple[Piece | None, JobRecord]
                 got=f"{count}" + (f"; {notes[0]}" if notes else ""),
                 hint=f"forestgen verify {piece.root}; the command that made it, with `resume=True`, makes images again",
             )
-
-
-def _numbered(number: int, piece: Piece, notes: list[str]) -> Iterator[tuple[int, int, JobRecord]]:
-    for record in records_of(piece.storage, notes.append):
-        yield record.image, number, record
 
 
 def _check_same(one: tuple[Piece, JobRecord], other: tuple[Piece, JobRecord]) -> None:
@@ -290,46 +288,40 @@ def _take(piece: Piece, record: JobRecord, storage: LocalStorage, link: bool) ->
     """Copy or link an image's files, then write its record."""
     for path, said in record.files.items():
         source, target = SafePath(piece.root, path), storage.root / path
-        if target.exists():  # a map that images share; the ledger compares its sums
+        if target.exists():  # a map that images share; the record index compares its sums
             continue
+        make_folder(target.parent)
         try:
-            target.parent.mkdir(parents=True, exist_ok=True)
+            if link and source.size_bytes() >= 0 and _linked(source, target):
+                digest, size = said["sha256"], target.stat().st_size  # a link is not read
+            else:
+                digest, size = _copied(source, target, int(said["bytes"]))
         except OSError as error:
-            raise output_error(error, target) from error
-        found = _linked(source, target) if link else None
-        digest, size = found if found is not None else _copied(source, target, int(said["bytes"]))
-        if size != said["bytes"] or digest not in ("", said["sha256"]):
+            raise unreadable(source, error, "forestgen verify names all such files") from error
+        if size != said["bytes"] or digest != said["sha256"]:
             raise DatasetError(
                 "the file has changed since it was made",
                 where=str(source),
                 expected=f"{said['bytes']} bytes, sha256 {said['sha256']}",
-                got=f"{size} bytes" + (f", sha256 {digest}" if digest else ""),
+                got=f"{size} bytes, sha256 {digest}" if size == said["bytes"] else f"{size} bytes",
                 hint=f"forestgen verify {piece.root} names all such files",
             )
     storage.write(record_path(record.key), record_bytes(record))
 
 
-def _linked(source: SafePath, target: Path) -> tuple[str, int] | None:
-    """No sum, and size in bytes, of a file that has a second name now; None where it cannot have one."""
-    try:
-        source.size_bytes()
-    except OSError as error:
-        raise _lost(source, error) from error
+def _linked(source: SafePath, target: Path) -> bool:
+    """Whether a file has a second name now: another file system has none, nor has one without links."""
     try:
         os.link(source.located(), target)
-    except OSError:  # another file system, or one without links
-        return None
-    return "", target.stat().st_size
+    except OSError:
+        return False
+    return True
 
 
 def _copied(source: SafePath, target: Path, most_bytes: int) -> tuple[str, int]:
     """SHA-256 and size of what was copied: of a file that is longer than `most_bytes` not all."""
     digest, size = hashlib.sha256(), 0
-    try:
-        stream = source.open()
-    except OSError as error:
-        raise _lost(source, error) from error
-    with stream:
+    with source.open() as stream:
         try:
             with target.open("wb") as copy:
                 while size <= most_bytes and (block := stream.read(_BLOCK_BYTES)):
@@ -340,20 +332,3 @@ def _copied(source: SafePath, target: Path, most_bytes: int) -> tuple[str, int]:
             raise output_error(error, target) from error
     shutil.copystat(source.located(), target)
     return digest.hexdigest(), size
-
-
-def _lost(path: SafePath, error: OSError) -> DatasetError:
-    return unreadable(path, error, "forestgen verify names all such files")
-
-
-def _size(piece: Piece) -> int:
-    return sum(int(group["bytes"]) for group in piece.said["files"].values())
-
-
-def _unique(items: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Each once, in their first order."""
-    return list({_text(one): one for one in items}.values())
-
-
-def _text(one: dict[str, Any]) -> str:
-    return json.dumps(one, sort_keys=True)
