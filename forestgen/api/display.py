@@ -9,7 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from typing import Any, cast
 
 from forestgen.core.arguments import shown
@@ -49,10 +49,7 @@ class _Wrapped(SilentDisplay):
     """Hands the stages on to a listener of the caller's."""
 
     def __init__(self, listener: Progress) -> None:
-        self._listener = listener
-
-    def stage(self, title: str, total: int) -> AbstractContextManager[Callable[[int], None]]:
-        return self._listener.stage(title, total)
+        self.stage = listener.stage  # type: ignore[method-assign,assignment]
 
 
 class Bars(SilentDisplay):

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.api.display import Display
 from forestgen.core.threads import cores, limit_cores
 from forestgen.core.timing import Timings
 from forestgen.dataset.camera import camera_model
@@ -26,6 +25,7 @@ from forestgen.dataset.writer import write_frame
 from forestgen.pipeline import RenderedFrame, assemble_image, image_frames
 from forestgen.recipe.load import DrawnRecipe, LoadedRecipe, dump_yaml
 from forestgen.render.variant import mitsuba, tracing_on
+from forestgen.runs.tracker import Display
 from forestgen.stages.data_set import data_set_of
 from forestgen.stages.plan import check_memory, make_plan
 

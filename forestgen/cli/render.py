@@ -30,8 +30,8 @@ from forestgen.core.figures import count
 
 if TYPE_CHECKING:
     from forestgen.api.datasets import Run
-    from forestgen.api.display import Display
     from forestgen.api.recipes import Recipe
+    from forestgen.runs.tracker import Display
 
 
 def render(

@@ -97,9 +97,10 @@ class RemoteStorage:
 
     def read(self, path: str) -> bytes | None:
         def get() -> bytes | None:
+            content = None
             with _none_if_absent():
-                return bytes(self._store.cat_file(self._key(path)))
-            return None
+                content = bytes(self._store.cat_file(self._key(path)))
+            return content
 
         return persistently(get, self._where(path))
 
@@ -108,10 +109,10 @@ class RemoteStorage:
             return bool(self._store.exists(self._key(path)))
 
     def size_bytes(self, path: str) -> int | None:
+        found = dict[str, Any]()
         with storage_errors(self._where(path)), _none_if_absent():
             found = self._store.info(self._key(path))
-            return int(found["size"]) if found["type"] == "file" else None
-        return None
+        return int(found["size"]) if found.get("type") == "file" else None
 
     def names(self, folder: str) -> list[str]:
         own, found = self._key(folder).rstrip("/"), []

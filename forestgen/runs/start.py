@@ -68,10 +68,9 @@ class RunOptions:
                 numbers[name] = whole_of(getattr(self, name), name, 1, most)
         for name in ("resume", "discard", "overwrite"):
             flag_of(getattr(self, name), name)
-        for name, known in (("device", (*DEVICES, None)), ("engine", ENGINES)):
-            if getattr(self, name) not in known:
-                expected, got = " or ".join(filter(None, known)), shown(getattr(self, name))
-                raise RecipeError(f"no such {name}", parameter=name, expected=expected, got=got)
+        for name, value, known in (("device", self.device or "llvm", DEVICES), ("engine", self.engine, ENGINES)):
+            if value not in known:
+                raise RecipeError(f"no such {name}", parameter=name, expected=" or ".join(known), got=shown(value))
         self._check_together()
         resources: Any = self.resources or {}
         amounts = resources.items() if isinstance(resources, Mapping) else [(None, resources)]

@@ -128,7 +128,7 @@ def test_overwrite_replaces_a_data_set_once_an_image_is_made(failures: Failures,
     run(*render, "--set", "seed=4").refused(5)
     failures[0] = KeyboardInterrupt()
     answer = run(*render, "--set", "seed=4")
-    assert (answer.code, answer.err) == (130, "interrupted: nothing was written\n")
+    assert (answer.code, answer.err) == (130, "interrupted: nothing was written; a previous data set is as it was\n")
     assert tree(tmp_path) == before
     failures.clear()
     failures[1] = RenderError("no")

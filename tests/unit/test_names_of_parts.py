@@ -84,7 +84,7 @@ MODEL_FOLDERS = ("models", "branch_modules", "ecoclimate")  # of the models' own
 MODEL_FILES = ("community/multiset_parameters.py", "community/multiset_state.py")
 OTHER_THAN_MODELS = {  # file -> names that are no community model's in it, or are one's example
     "cli/__init__.py": {"multiset_lsystem"},  # an example of a command
-    "cli/suggestions.py": {"multiset_lsystem"},  # an example of a setting
+    "cli/parsing.py": {"multiset_lsystem"},  # an example of a setting
     "community/fitting/recipe_text.py": {"deformation_kernel"},  # the model that is fitted
     "community/placement/asked_and_placed.py": {"placed"},  # a key of the statistics
     "plants/generators/branch_modules.py": {"branch_modules"},  # the plant generator

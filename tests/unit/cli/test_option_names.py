@@ -9,10 +9,10 @@ from typing import Any
 
 import pytest
 import typer
-from forestgen.cli.option_names import in_options, names_of
 
 import forestgen
 from forestgen.cli import app
+from forestgen.cli.console import in_options, names_of
 from forestgen.core.errors import ForestgenError, RecipeErrors
 from forestgen.recipe.assemble import apply_override
 from forestgen.recipe.sources import SourceMap

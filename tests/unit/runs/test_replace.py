@@ -14,11 +14,13 @@ import pytest
 from forestgen.core.errors import OutputError, RecipeError
 from forestgen.recipe.assets import recipes_dir
 from forestgen.recipe.load import load_recipe
-from forestgen.runs import places, replace, start
+from forestgen.runs import replace, start, storage
+from forestgen.runs.contract import Engine, Notice, Work
 from forestgen.runs.folder import BATCH, BEGUN, PREVIOUS, note_written, settle_batch
 from forestgen.runs.foreign_files import foreign_files
 from forestgen.runs.records import JOBS
 from forestgen.runs.replace import previous_note, recover, replacing
+from forestgen.runs.run import run_batch
 from forestgen.runs.storage import LocalStorage
 from forestgen.runs.summary import RunSummary
 from forestgen.runs.verify import open_data_set
@@ -187,7 +189,7 @@ class KilledError(BaseException):
 
 def killed_at(monkeypatch: pytest.MonkeyPatch, moment: int) -> list[int]:
     """Let the process die before its n-th folder is moved or removed; a list that counts them."""
-    counted, changes = [0], (Path.rename, places.shutil.rmtree)
+    counted, changes = [0], (Path.rename, storage.shutil.rmtree)
 
     def dying(change: Callable[..., Any]) -> Callable[..., Any]:
         def call(*arguments: Any, **named: Any) -> Any:
@@ -199,7 +201,7 @@ def killed_at(monkeypatch: pytest.MonkeyPatch, moment: int) -> list[int]:
         return call
 
     monkeypatch.setattr(Path, "rename", dying(changes[0]))
-    monkeypatch.setattr(places.shutil, "rmtree", dying(changes[1]))
+    monkeypatch.setattr(storage.shutil, "rmtree", dying(changes[1]))
     return counted
 
 
@@ -366,6 +368,20 @@ def test_a_data_set_that_could_not_be_removed_is_not_overwritten(tmp_path: Path)
     assert not previous.exists()
 
 
+def nobody(work: Work, notice: Notice) -> Engine:
+    raise AssertionError("no work is done")
+
+
+def dies(work: Work, left: int) -> Work:
+    assert left == 1
+    raise KilledError
+
+
+def begin_again(root: Path, told: RecordingDisplay) -> None:
+    loaded = load_recipe(QUICKSTART)
+    run_batch(loaded, str(root), count=1, engine=nobody, prepare=dies, overwrite=True, display=told)
+
+
 @pytest.mark.parametrize("begin", [start.render, start.batch])
 @pytest.mark.parametrize("images", [0, 1])
 def test_what_a_killed_run_has_left_is_named_and_kept_until_a_run_may_go_on(
@@ -384,8 +400,10 @@ def test_what_a_killed_run_has_left_is_named_and_kept_until_a_run_may_go_on(
     with pytest.raises(OutputError, match="already holds a forestgen data set"):
         begin(load_recipe(QUICKSTART), str(root), start.RunOptions(), told)
     assert (previous / "dataset.json").read_text() == "old"  # a run that is refused removes nothing
-    prepared = start._prepared(load_recipe(QUICKSTART), str(root), start.RunOptions(overwrite=True), told)
-    assert prepared.before.kept == 0
+    with pytest.raises(KilledError):  # when it is known how many images are left
+        run_batch(
+            load_recipe(QUICKSTART), str(root), count=1, engine=nobody, prepare=dies, overwrite=True, display=told
+        )
     assert (root / "dataset.json").exists() != bool(images)
     assert (root / "photo.jpg").exists()
     assert ("is removed" if images else "is back") in told.said[-1]
