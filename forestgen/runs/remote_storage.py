@@ -96,13 +96,14 @@ class RemoteStorage:
         put_checked(self._store, content, self._key(target), self._where(target))
 
     def read(self, path: str) -> bytes | None:
-        def get() -> bytes | None:
-            content = None
-            with _none_if_absent():
-                content = bytes(self._store.cat_file(self._key(path)))
-            return content
+        found: list[bytes] = []
 
-        return persistently(get, self._where(path))
+        def get() -> None:
+            with _none_if_absent():
+                found.append(bytes(self._store.cat_file(self._key(path))))
+
+        persistently(get, self._where(path))
+        return found[0] if found else None
 
     def exists(self, path: str) -> bool:
         with storage_errors(self._where(path)):

@@ -377,17 +377,12 @@ def dies(work: Work, left: int) -> Work:
     raise KilledError
 
 
-def begin_again(root: Path, told: RecordingDisplay) -> None:
-    loaded = load_recipe(QUICKSTART)
-    run_batch(loaded, str(root), count=1, engine=nobody, prepare=dies, overwrite=True, display=told)
-
-
 @pytest.mark.parametrize("begin", [start.render, start.batch])
 @pytest.mark.parametrize("images", [0, 1])
 def test_what_a_killed_run_has_left_is_named_and_kept_until_a_run_may_go_on(
     tmp_path: Path, begin: Callable[..., RunSummary], images: int
 ) -> None:
-    root, told = tmp_path / "set", RecordingDisplay()
+    root, told, loaded = tmp_path / "set", RecordingDisplay(), load_recipe(QUICKSTART)
     data_set(root)
     previous = left_by_a_killed_run(root)
     put(root, "photo.jpg")
@@ -398,12 +393,10 @@ def test_what_a_killed_run_has_left_is_named_and_kept_until_a_run_may_go_on(
     assert str(previous) in str(refused.value.hint)
     assert ("move it away to keep it" if images else "puts it back") in str(refused.value.hint)
     with pytest.raises(OutputError, match="already holds a forestgen data set"):
-        begin(load_recipe(QUICKSTART), str(root), start.RunOptions(), told)
+        begin(loaded, str(root), start.RunOptions(), told)
     assert (previous / "dataset.json").read_text() == "old"  # a run that is refused removes nothing
     with pytest.raises(KilledError):  # when it is known how many images are left
-        run_batch(
-            load_recipe(QUICKSTART), str(root), count=1, engine=nobody, prepare=dies, overwrite=True, display=told
-        )
+        run_batch(loaded, str(root), count=1, engine=nobody, prepare=dies, overwrite=True, display=told)
     assert (root / "dataset.json").exists() != bool(images)
     assert (root / "photo.jpg").exists()
     assert ("is removed" if images else "is back") in told.said[-1]
