@@ -107,8 +107,12 @@ def probe_images(
                 engine.submit(Job(index, drawn.image_index, drawn.split, job_key(drawn, work.versions)), 1)
                 outcome = _wait(engine, start + _PATIENCE * budget_s)
                 advance(1)
-                notes += _note(outcome, drawn, budget_s)
-                if isinstance(outcome, Done):
+                if outcome is None:
+                    lasted = f"{_PATIENCE * budget_s:.0f} s"
+                    notes.append(f"image {drawn.image_index} was given up for the estimate after {lasted}")
+                elif isinstance(outcome, Failed):
+                    notes.append(f"image {drawn.image_index} fails: {outcome.message}")
+                else:
                     probes.append(_probe_of(outcome, drawn, reduced, is_first=not probes))
                 if outcome is None or _is_enough(probes, time.monotonic() - start, budget_s, count):
                     break
@@ -140,14 +144,6 @@ def _wait(engine: LocalEngine, until_s: float) -> Outcome | None:
     return None
 
 
-def _note(outcome: Outcome | None, drawn: DrawnRecipe, budget_s: float) -> list[str]:
-    if outcome is None:
-        return [f"image {drawn.image_index} was given up for the estimate after {_PATIENCE * budget_s:.0f} s"]
-    if isinstance(outcome, Failed):
-        return [f"image {drawn.image_index} fails: {outcome.message}"]
-    return []
-
-
 def lightened(loaded: LoadedRecipe) -> tuple[LoadedRecipe, ReducedSettings]:
     """The recipe with fewer samples and pixels, as far as it says how many there are."""
     drawn, data = loaded.draw(0), deepcopy(loaded.data)
@@ -155,12 +151,8 @@ def lightened(loaded: LoadedRecipe) -> tuple[LoadedRecipe, ReducedSettings]:
     if samples == pixels == 1.0:
         return loaded, ReducedSettings()
     light = replace(loaded, data=data)
-    more = _image_bytes(drawn) - _image_bytes(light.draw(0))
-    return light, ReducedSettings(samples, pixels, max(0, more))
-
-
-def _image_bytes(drawn: DrawnRecipe) -> int:
-    return estimate_bytes(make_plan(drawn))["images"]
+    full_bytes, light_bytes = (estimate_bytes(make_plan(one))["images"] for one in (drawn, light.draw(0)))
+    return light, ReducedSettings(samples, pixels, max(0, full_bytes - light_bytes))
 
 
 def _pixels(drawn: DrawnRecipe) -> int:

@@ -98,7 +98,7 @@ def describe(
     Parameters
     ----------
     record_index : with all records, and the files over all images of each split.
-    made_with : `this_version` of all machines that made images, each once.
+    made_with : `this_version` of each machine that made images, without repetition.
     """
     named = list(dict.fromkeys(name for part in parts for name in part.splits))  # in the recipe's order
     splits = sorted(record_index.splits, key=lambda name: (named.index(name) if name in named else len(named), name))

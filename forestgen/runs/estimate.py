@@ -139,9 +139,9 @@ def estimate(
     memory = (
         _range([one.memory_bytes + kept for one in measured], _MEMORY_SPREAD)
         if measured
-        else _guess(_plan_bytes(drawn) + kept)
+        else _guess(sum(estimate_bytes(make_plan(drawn)).values()) + kept)
     )
-    disk = _range([one.disk_bytes for one in measured]) if measured else _guess(_most_disk_bytes(drawn))
+    disk = _range([one.disk_bytes for one in measured]) if measured else _guess(most_disk_bytes(drawn))
     image_s, start_s, stages = _times(measured, drawn, count)
     chosen = workers or min(_chosen_workers(here, memory), max(1, count))
     return Estimate(
@@ -173,12 +173,7 @@ def check_fits(expected: Estimate, storage: StorageBackend, *, workers_here: boo
     """
     if workers_here:
         _check_memory(expected)
-    _check_disk(storage, expected.counts.images, expected.disk_bytes.mean)
-
-
-def check_disk(loaded: LoadedRecipe, storage: StorageBackend, count: int) -> None:
-    """Refuse `count` images of which the disk might not hold all, by an upper estimate."""
-    _check_disk(storage, count, _most_disk_bytes(loaded.draw(0)))
+    check_disk(storage, expected.counts.images, expected.disk_bytes.mean)
 
 
 def count_images(loaded: LoadedRecipe, count: int) -> Counts:
@@ -196,12 +191,8 @@ def count_images(loaded: LoadedRecipe, count: int) -> Counts:
     return Counts(count, frames * each, pixels * each, paths * each, number if varies else 0)
 
 
-def _plan_bytes(drawn: DrawnRecipe) -> float:
-    return float(sum(estimate_bytes(make_plan(drawn)).values()))
-
-
-def _most_disk_bytes(drawn: DrawnRecipe) -> float:
-    """An upper estimate: nothing is compressed."""
+def most_disk_bytes(drawn: DrawnRecipe) -> float:
+    """Of an image, an upper estimate: nothing is compressed."""
     recipe = drawn.recipe
     sizes = [
         camera.frames * frame_bytes(camera.size_px, 0, recipe.dataset.formats, _MOST_CHANNELS if camera.bands else 3)
@@ -282,7 +273,8 @@ def _check_memory(expected: Estimate) -> None:
         )
 
 
-def _check_disk(storage: StorageBackend, images: int, image_bytes: float) -> None:
+def check_disk(storage: StorageBackend, images: int, image_bytes: float) -> None:
+    """Refuse images of which the disk might not hold all. Raises `OutputError`."""
     if not (isinstance(storage, LocalStorage) and images):
         return
     folder = storage.root.absolute()

@@ -23,15 +23,8 @@ PREVIOUS, MOVING, BEGUN = (f"{HIDDEN}/{name}" for name in ("previous", "moving",
 _WRITTEN = f"{HIDDEN}/written.json"
 TAKEN = ("maps", "run", "thumbnails")  # names in the data set's folder that no split can have
 _SCHEMA = "forestgen-batch/1"
-_FOLDERS = (
-    HIDDEN,
-    JOBS,
-    STAGING,
-    RUN,
-    PREVIOUS,
-    MOVING,
-    BEGUN,
-)  # without them a run would take finished images for unfinished ones
+# Without these folders a run would take finished images for unfinished ones.
+_FOLDERS = (HIDDEN, JOBS, STAGING, RUN, PREVIOUS, MOVING, BEGUN)
 _WHOLE = ("dataset.json", "SHA256SUMS")  # they say that the data set is complete: while a run works, it is not
 
 
@@ -55,12 +48,7 @@ def fingerprint(loaded: LoadedRecipe, versions: str) -> str:
 
 
 def check_ours(storage: StorageBackend) -> None:
-    """Refuse a place that holds something else: nothing in it is touched.
-
-    Raises
-    ------
-    OutputError
-    """
+    """Refuse storage that holds something else: nothing in it is touched. Raises `OutputError`."""
     names = storage.names("")
     if isinstance(storage, LocalStorage) and storage.root.is_file():
         raise OutputError("the output is a file", where=storage.name, expected="a folder", hint="choose another name")
@@ -133,8 +121,7 @@ def open_batch(
     stale : finished images that would be made otherwise now; they stay until their turn comes.
     damaged : finished images that have lost a file or its content: what is left of them is removed.
     """
-    splits = tuple(splits)
-    before = splits_before(storage)
+    splits, before = tuple(splits), splits_before(storage)
     listed = {split: set(storage.names(split)) for split in {*splits, *before}}
     for name in _WHOLE:  # before the first frame goes
         storage.remove(name)
@@ -142,9 +129,9 @@ def open_batch(
     vouched: set[str] = set()
     for record in records_of(storage, note):
         frames = _frames(record)
-        whole = record.image in images and record.image not in keys and record.split in splits
-        whole = whole and record.image not in damaged
-        if whole and all(frame in listed[record.split] for frame in frames):
+        is_wanted = record.image in images and record.split in splits
+        is_wanted = is_wanted and record.image not in keys and record.image not in damaged
+        if is_wanted and listed[record.split].issuperset(frames):
             keys[record.image] = record.key
             vouched.update(f"{record.split}/{frame}" for frame in frames)
             vouched.update(f"{THUMBNAILS}/{frame}.jpg" for frame in frames)
@@ -155,9 +142,8 @@ def open_batch(
     _remove_unvouched(storage, listed, vouched)
     for split in set(before) - set(splits):
         storage.remove(split)
-    stale = stale & keys.keys()
-    settle_batch(storage, splits, "" if stale else mark)
-    return FinishedImages(keys, stale)
+    settle_batch(storage, splits, "" if stale & keys.keys() else mark)
+    return FinishedImages(keys, stale & keys.keys())
 
 
 def settle_batch(storage: StorageBackend, splits: Iterable[str], mark: str) -> None:
@@ -168,11 +154,11 @@ def settle_batch(storage: StorageBackend, splits: Iterable[str], mark: str) -> N
 
 def forget_key(storage: StorageBackend, key: str) -> None:
     """Remove a record and its frames."""
-    content = storage.read(record_path(key))
+    path = record_path(key)
     try:
-        forget(storage, read_record(content or b"", record_path(key)))
+        forget(storage, read_record(storage.read(path) or b"", path))
     except DatasetError:
-        storage.remove(record_path(key))  # its frames are found at the end: nothing vouches for them
+        storage.remove(path)  # its frames are found at the end: nothing vouches for them
 
 
 def forget(storage: StorageBackend, record: JobRecord) -> None:

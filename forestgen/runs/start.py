@@ -16,7 +16,7 @@ from forestgen.dataset.settings import DatasetSettings
 from forestgen.recipe.load import LoadedRecipe
 from forestgen.runs.contract import TRANSIENT, Engine, Failed, Notice, Work
 from forestgen.runs.engines.local import LocalEngine
-from forestgen.runs.estimate import BUDGET_S, LEAST_IMAGES, Estimate, check_disk, check_fits, estimate
+from forestgen.runs.estimate import BUDGET_S, LEAST_IMAGES, Estimate, check_disk, check_fits, estimate, most_disk_bytes
 from forestgen.runs.folder import check_ours, fingerprint
 from forestgen.runs.keys import versions_hash
 from forestgen.runs.replace import previous_note
@@ -73,9 +73,8 @@ class RunOptions:
                 raise RecipeError(f"no such {name}", parameter=name, expected=" or ".join(known), got=shown(value))
         self._check_together()
         resources: Any = self.resources or {}
-        amounts = resources.items() if isinstance(resources, Mapping) else [(None, resources)]
-        for name, amount in amounts:
-            if not (isinstance(name, str) and isinstance(amount, int | float) and 0 < amount < math.inf):
+        for key, amount in resources.items() if isinstance(resources, Mapping) else [(None, resources)]:
+            if not (isinstance(key, str) and isinstance(amount, int | float) and 0 < amount < math.inf):
                 expected, got = "a mapping such as {'GPU': 1}", shown(self.resources)
                 raise RecipeError("these are no resources", parameter="resources", expected=expected, got=got)
         _ = self.memory_bytes, self.timeout_s  # which refuse texts that are no size and no duration
@@ -125,7 +124,7 @@ def render(loaded: LoadedRecipe, target: str, options: RunOptions, display: Disp
     """
 
     def prepare(work: Work, left: int) -> Work:
-        check_disk(loaded, work.storage, left)
+        check_disk(work.storage, left, most_disk_bytes(loaded.draw(0)))
         return work
 
     summary = run_batch(

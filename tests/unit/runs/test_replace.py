@@ -17,9 +17,8 @@ from forestgen.recipe.load import load_recipe
 from forestgen.runs import replace, start, storage
 from forestgen.runs.contract import Engine, Notice, Work
 from forestgen.runs.folder import BATCH, BEGUN, PREVIOUS, note_written, settle_batch
-from forestgen.runs.foreign_files import foreign_files
 from forestgen.runs.records import JOBS
-from forestgen.runs.replace import previous_note, recover, replacing
+from forestgen.runs.replace import foreign_files, previous_note, recover, replacing
 from forestgen.runs.run import run_batch
 from forestgen.runs.storage import LocalStorage
 from forestgen.runs.summary import RunSummary
