@@ -17,6 +17,45 @@ if TYPE_CHECKING:
     from forestgen.stages.single_plant import SinglePlant
 
 _MOST_FILES = 6  # named one by one
+Out = Annotated[
+    list[Path] | None,
+    option(
+        "--out -o FILE",
+        "A mesh: .glb, .ply, .obj (with its .mtl), .usd, .usda, .usdc, .usdz; or a picture: .png. May be "
+        "repeated; by default outputs/SPECIES.glb and .png.",
+    ),
+]
+Frames = Annotated[
+    int | None,
+    option("--frames N", "So many poses in the wind, of a species of the generator strands: tree-0001.glb, ..."),
+]
+Detail = Annotated[
+    int | None,
+    option(
+        "--detail 0..2",
+        "How finely leaves and flowers are drawn: 2 for close views; by default as the species' file says.",
+        min=0,
+        max=2,
+    ),
+]
+WoodTriangles = Annotated[
+    int | None,
+    option(
+        "--wood-triangles N",
+        "In mesh files, wood of about N triangles with one baked texture, for real-time programs.",
+    ),
+]
+DistanceM = Annotated[
+    float | None,
+    option(
+        "--distance-m METRES",
+        "How far the camera stands from the plant; by default as far as a normal lens asks for.",
+    ),
+]
+LookAtM = Annotated[
+    float | None,
+    option("--look-at-m METRES", "Look at this height through a normal lens, not at the whole plant."),
+]
 
 
 def plant(
@@ -24,52 +63,19 @@ def plant(
     list_species: Annotated[bool, option("--list", "List the species that come with forestgen.")] = False,
     height_m: Annotated[float | None, option("--height-m METRES", "By default that of a mature plant.")] = None,
     seed: Seed = 0,
-    out: Annotated[
-        list[Path] | None,
-        option(
-            "--out -o FILE",
-            "A mesh: .glb, .ply, .obj (with its .mtl), .usd, .usda, .usdc, .usdz; or a picture: .png. May be "
-            "repeated; by default outputs/SPECIES.glb and .png.",
-        ),
-    ] = None,
+    out: Out = None,
     plants: Annotated[int, option("--count N", "So many plants, of seeds from --seed on: tree-0001.glb, ...")] = 1,
-    frames: Annotated[
-        int | None,
-        option("--frames N", "So many poses in the wind, of a species of the generator strands: tree-0001.glb, ..."),
-    ] = None,
+    frames: Frames = None,
     frames_per_s: Annotated[float, option("--frames-per-s N", "Pace of the frames.")] = 12.0,
-    detail: Annotated[
-        int | None,
-        option(
-            "--detail 0..2",
-            "How finely leaves and flowers are drawn: 2 for close views; by default as the species' file says.",
-            min=0,
-            max=2,
-        ),
-    ] = None,
-    wood_triangles: Annotated[
-        int | None,
-        option(
-            "--wood-triangles N",
-            "In mesh files, wood of about N triangles with one baked texture, for real-time programs.",
-        ),
-    ] = None,
+    detail: Detail = None,
+    wood_triangles: WoodTriangles = None,
     size_px: Annotated[tuple[int, int], option("--size-px W H", "Size of the picture.", show_default="540 720")] = (
         540,
         720,
     ),
     samples: Annotated[int, option("--samples N", "Light paths a pixel of the picture.", min=1, max=65536)] = 32,
-    distance_m: Annotated[
-        float | None,
-        option(
-            "--distance-m METRES",
-            "How far the camera stands from the plant; by default as far as a normal lens asks for.",
-        ),
-    ] = None,
-    look_at_m: Annotated[
-        float | None,
-        option("--look-at-m METRES", "Look at this height through a normal lens, not at the whole plant."),
-    ] = None,
+    distance_m: DistanceM = None,
+    look_at_m: LookAtM = None,
     overwrite: Overwrite = False,
     as_json: Json = False,
     quiet: Quiet = False,

@@ -80,6 +80,30 @@ def render(
     _run(make, quiet, verbose, overwrite=overwrite, if_none=NOTHING_WRITTEN)
 
 
+WorkerMemory = Annotated[
+    str | None,
+    option(
+        "--worker-memory SIZE",
+        "What a worker may take, such as 4GB; one that takes more is stopped, and its image tried again.",
+    ),
+]
+Timeout = Annotated[
+    str | None,
+    option(
+        "--timeout TIME",
+        "What an image may take, such as 30min; one that takes longer is stopped, and tried again.",
+    ),
+]
+Retries = Annotated[
+    int,
+    option("--retries N", "Further attempts at an image that failed for a reason that may pass.", min=0, max=100),
+]
+Resources = Annotated[
+    list[str] | None,
+    option("--resource NAME=AMOUNT", "That each image takes of a Dask worker, such as GPU=1. May be repeated."),
+]
+
+
 def batch(
     recipe: RecipePath,
     out: Annotated[
@@ -94,31 +118,13 @@ def batch(
     workers: Workers = None,
     threads: Threads = None,
     device: Device = None,
-    worker_memory: Annotated[
-        str | None,
-        option(
-            "--worker-memory SIZE",
-            "What a worker may take, such as 4GB; one that takes more is stopped, and its image tried again.",
-        ),
-    ] = None,
-    timeout: Annotated[
-        str | None,
-        option(
-            "--timeout TIME",
-            "What an image may take, such as 30min; one that takes longer is stopped, and tried again.",
-        ),
-    ] = None,
-    retries: Annotated[
-        int,
-        option("--retries N", "Further attempts at an image that failed for a reason that may pass.", min=0, max=100),
-    ] = 2,
+    worker_memory: WorkerMemory = None,
+    timeout: Timeout = None,
+    retries: Retries = 2,
     first: First = None,
     engine: Annotated[str, option("--engine local|dask", "Who works: this machine, or a Dask cluster.")] = "local",
     scheduler: Annotated[str | None, option("--scheduler ADDRESS", "Of Dask, such as tcp://10.0.0.1:8786.")] = None,
-    resources: Annotated[
-        list[str] | None,
-        option("--resource NAME=AMOUNT", "That each image takes of a Dask worker, such as GPU=1. May be repeated."),
-    ] = None,
+    resources: Resources = None,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:

@@ -60,17 +60,20 @@ class _Run:
     work: Work
     lock: Lock
     log: Log
-    tracker: ProgressTracker
     queue: JobQueue
     display: Display
     retries: int
     strict: bool
+    tracker: ProgressTracker = field(init=False)
     submitted: set[str] = field(default_factory=set)  # keys of all jobs handed out
     failed: list[Failed] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)  # on the images made
     last: JobRecord | None = None  # of the image that was finished last
     peak_memory_bytes: int = 0
     logged_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        self.tracker = ProgressTracker(len(self.queue.images), already=self.queue.done)
 
     def notice(self, event: str, fields: Mapping[str, str]) -> None:
         """What an engine tells of its workers."""
@@ -102,8 +105,7 @@ def run_batch(
     engine : makes what does the jobs, given what they need, and whom to tell which workers come and go.
     prepare : given the work and the number of images that are to be made, before anything is changed: refuses what
         cannot fit, and returns the work with the threads of each worker.
-    resume : go on in a data set that is there; without it, one that is there is refused. Finished images of which a
-        file is missing or damaged are made again.
+    resume : go on in a data set that is there, and make its damaged images again; without it, it is refused.
     discard : whether finished images may be thrown away that are too many, or that would be made otherwise now.
     overwrite : replace a data set that is there, which comes back if no image of the new one is finished.
     retries : attempts after the first, of jobs whose failure may pass.
@@ -113,9 +115,8 @@ def run_batch(
 
     Raises
     ------
-    RecipeError, ResourceError : see `check_recipe` and `check_stale_outputs`.
-    OutputError : the storage cannot be used, or fails for good; what is done stays.
-    DatasetError : the first images all fail.
+    RecipeError, ResourceError : see `check_recipe`, `check_stale_outputs` and `prepare`.
+    OutputError, DatasetError : the storage fails for good, or the first images all fail; what is done stays.
     """
     display = display or SilentDisplay()
     storage, images = storage_of(target), images_of(loaded, count)
@@ -137,9 +138,7 @@ def run_batch(
             with Log(storage) as log:
                 storage.discard(storage.staging())  # what cannot be written is told before anything is removed
                 known = open_batch(storage, images, used, mark, display.say, before.stale, damaged)
-                queue = JobQueue(work, images, splits, known)
-                tracker = ProgressTracker(count, already=queue.done)
-                run = _Run(work, lock, log, tracker, queue, display, retries, strict)
+                run = _Run(work, lock, log, JobQueue(work, images, splits, known), display, retries, strict)
                 _log_start(run, target, damaged)
                 return _make_and_finish(run, engine, images, used, mark)
 
@@ -388,7 +387,7 @@ class JobQueue:
     def __init__(self, work: Work, images: range, splits: Mapping[str, float], known: FinishedImages) -> None:
         self._loaded, self._versions = work.loaded, work.versions
         self._storage = work.storage
-        self._images, self._splits, self._known = images, splits, known
+        self.images, self._splits, self._known = images, splits, known
         self._again: deque[tuple[Job, int]] = deque()
         self._fresh = self._draw_all()
         self.done = len(known.keys) - len(known.stale)
@@ -406,10 +405,10 @@ class JobQueue:
 
     def all_jobs(self) -> list[Job]:
         """Of every image that was handed out or known, by image."""
-        return [self._job(image, self.keys[image]) for image in self._images]
+        return [self._job(image, self.keys[image]) for image in self.images]
 
     def _draw_all(self) -> Iterator[tuple[Job, int] | Failed]:
-        for image in self._images:
+        for image in self.images:
             known = self._known.keys.get(image)
             if known is not None and image not in self._known.stale:
                 self.keys[image] = known
@@ -422,10 +421,10 @@ class JobQueue:
 
     def _draw(self, image: int) -> Job | Failed:
         try:
-            drawn = self._loaded.draw(image - self._images.start)
+            drawn = self._loaded.draw(image - self.images.start)
         except ForestgenError as error:  # a drawn value that the schema rejects
             return Failed(self._job(image, ""), 1, "recipe", str(error), error=error)
         return self._job(image, job_key(drawn, self._versions))
 
     def _job(self, image: int, key: str) -> Job:
-        return Job(image - self._images.start, image, split_of(self._splits, image), key)
+        return Job(image - self.images.start, image, split_of(self._splits, image), key)
