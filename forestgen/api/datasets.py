@@ -8,7 +8,7 @@ from __future__ import annotations
 import importlib
 import operator
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -78,7 +78,8 @@ class Dataset(Sequence[Frame]):
     def __init__(self, folder: PathLike, split: str | None = None) -> None:
         self.folder = path_of(folder, "folder")
         self._split = split
-        self._rows = _rows_of(self.folder)
+        _ = self.info  # which refuses what is no data set
+        self._rows = whole_index(self.folder / INDEX_NAME)
         if split is not None:
             if text_of(split, "split") not in self.splits:
                 raise self._no_split(split)
@@ -242,17 +243,14 @@ class Dataset(Sequence[Frame]):
 
     def _no_split(self, name: str) -> RecipeError:
         """The error for a split that no image is in."""
-        expected = "one of " + ", ".join(self.splits)
         declared = {split: share for one in self.info["recipes"] for split, share in one["splits"].items()}
-        if name not in declared:
-            hint = did_you_mean(str(name), self.splits)
-            return RecipeError(
-                "the data set has no such split", parameter="split", expected=expected, got=shown(name), hint=hint
-            )
-        share, total = declared[name], sum(declared.values())
-        part = f"about {100 * share / total:.2g} % of the images are for it; " if share > 0 and total > 0 else ""
-        hint = f"{part}make more, with `resume=True`"
-        problem = "the data set has no such split yet: its recipe declares it, but no image of it is there"
+        problem, hint = "the data set has no such split", did_you_mean(name, self.splits)
+        if name in declared:
+            share, total = declared[name], sum(declared.values())
+            part = f"about {100 * share / total:.2g} % of the images are for it; " if share > 0 and total > 0 else ""
+            problem += " yet: its recipe declares it, but no image of it is there"
+            hint = f"{part}make more, with `resume=True`"
+        expected = "one of " + ", ".join(self.splits)
         return RecipeError(problem, parameter="split", expected=expected, got=shown(name), hint=hint)
 
     @cached_property
@@ -260,9 +258,6 @@ class Dataset(Sequence[Frame]):
         if not self.splits:
             raise DatasetError("the data set has no split", where=str(self.folder / DATASET_NAME))
         return read_legend(SafePath(self.folder, self.splits[0]))
-
-    def __iter__(self) -> Iterator[Frame]:
-        return (self[number] for number in range(len(self)))
 
     def __repr__(self) -> str:
         return f"<Dataset {self.folder}: {len(self)} frames, {', '.join(self.splits)}>"
@@ -341,13 +336,6 @@ def merge(
     with display.running():
         done = merge_pieces(pieces, target, link=link, progress=display)
     return Merged(target, done.frames, done.bytes, done.notes)
-
-
-def _rows_of(folder: Path) -> Any:
-    from forestgen.runs.verify import open_data_set
-
-    open_data_set(folder)
-    return whole_index(folder / INDEX_NAME)
 
 
 def torch_frames(frames: Sequence[Frame], channels: Sequence[str], transform: Transform | None) -> Any:

@@ -162,9 +162,7 @@ def fail(message: str, code: int) -> NoReturn:
 def errors_for_people(names: Callable[[], Mapping[str, str]] = dict) -> Iterator[None]:
     """Turn exceptions into messages and exit codes. FORESTGEN_DEBUG=1 shows tracebacks instead.
 
-    Parameters
-    ----------
-    names : options by the parameters that errors name, see `names_of`.
+    `names`: options by the parameters that errors name, see `names_of`.
     """
     if os.environ.get("FORESTGEN_DEBUG"):
         yield
@@ -233,9 +231,7 @@ def names_of(command: Any) -> dict[str, str]:
 def in_options(error: ForestgenError, names: Mapping[str, str]) -> str:
     """The text of one error with options in place of parameters; what it got is a user's and stays.
 
-    Parameters
-    ----------
-    names : of the command, see `names_of`.
+    `names`: of the command, see `names_of`.
     """
     known = {**_ELSEWHERE, **_SOURCE, **names}
 

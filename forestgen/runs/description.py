@@ -169,12 +169,7 @@ def dataset_bytes(description: Mapping[str, Any]) -> bytes:
 
 
 def read_description(content: bytes | None, where: str) -> dict[str, Any]:
-    """dataset.json's content.
-
-    Raises
-    ------
-    DatasetError : there is none, or it is damaged.
-    """
+    """dataset.json's content. Raises `DatasetError`: there is none, or it is damaged."""
     hint = "the command that made the data set writes it at its end; with `resume=True` it goes on"
     if content is None:
         raise DatasetError("this is no finished data set", where=where, expected=DATASET_NAME, got="none", hint=hint)

@@ -139,9 +139,7 @@ def write_data_set(
 def recipe_part(loaded: LoadedRecipe, asked: Sequence[Range]) -> RecipePart:
     """A recipe with its maps, as the data set keeps it.
 
-    Raises
-    ------
-    AssetError : a map has changed since the recipe was loaded.
+    Raises `AssetError`: a map has changed since the recipe was loaded.
     """
     data, home = copy.deepcopy(loaded.complete), loaded.path.parent
     identity = recipe_hash({key: value for key, value in data.items() if key not in ("images", "first_image")})

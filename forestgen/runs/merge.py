@@ -224,9 +224,7 @@ def _check_numbers(parts: Sequence[RecipePart], pieces: Sequence[Piece]) -> None
 def _records(pieces: Sequence[Piece]) -> Iterator[tuple[Piece | None, JobRecord]]:
     """Records by image with the piece to take them from; None for one that an earlier piece has as well.
 
-    Raises
-    ------
-    DatasetError : two pieces have different images of one number, or a record is damaged.
+    Raises `DatasetError`: two pieces have different images of one number, or a record is damaged.
     """
     notes: list[str] = []
 

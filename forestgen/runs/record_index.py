@@ -38,9 +38,7 @@ class FileSum:
 class RecordIndex:
     """A context manager; a failure of the disk that the file lies on leaves its block as an `OutputError`.
 
-    Parameters
-    ----------
-    folder : where the file lies while it is needed.
+    `folder`: where the file lies while it is needed.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -79,10 +77,8 @@ class RecordIndex:
     def add(self, record: JobRecord) -> None:
         """Enter a record.
 
-        Raises
-        ------
-        DatasetError : an image, a frame's name or a file that another record has as something else; or a row that the
-            index cannot hold.
+        Raises `DatasetError`: an image, a frame's name or a file that another record has as something else; or a row
+        that the index cannot hold.
         """
         where, names = f"image {record.image}", [str(row["frame"]) for row in record.rows]
         try:

@@ -132,9 +132,7 @@ def done_keys(storage: StorageBackend) -> set[str]:
 def records_of(storage: StorageBackend, note: Callable[[str], None] | None = None) -> Iterator[JobRecord]:
     """All records, by image; one at a time in memory, or nearly.
 
-    Parameters
-    ----------
-    note : told of each damaged record, which is left out.
+    `note`: told of each damaged record, which is left out.
     """
     keys = sorted(_keys(storage), key=lambda key: (image_of_key(key), key))
 

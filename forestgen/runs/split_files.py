@@ -40,9 +40,7 @@ def write_split(
 ) -> None:
     """Merge the formats of a split's frames and write its manifest; the index takes their sums.
 
-    Raises
-    ------
-    OutputError : a frame lacks a file or it is damaged, or one cannot be written.
+    Raises `OutputError`: a frame lacks a file or it is damaged, or one cannot be written.
     """
     staging = storage.staging()
     try:

@@ -100,9 +100,7 @@ def resume_diff(
 def check_stale_outputs(found: ResumeDiff, where: str, *, agreed: bool) -> None:
     """Refuse to throw finished images away unasked.
 
-    Raises
-    ------
-    RecipeError : images would be lost, and nobody has agreed.
+    Raises `RecipeError`: images would be lost, and nobody has agreed.
     """
     if found.discarded and not agreed:
         raise RecipeError(

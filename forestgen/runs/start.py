@@ -58,9 +58,7 @@ class RunOptions:
     def check(self) -> RunOptions:
         """The same with Python's own numbers.
 
-        Raises
-        ------
-        RecipeError : values that are none, or options that exclude one another.
+        Raises `RecipeError`: values that are none, or options that exclude one another.
         """
         numbers: dict[str, Any] = {"retries": whole_of(self.retries, "retries", 0, 100)}
         for name, most in (("count", 10**8), ("threads", 4096), ("workers", 1024)):
