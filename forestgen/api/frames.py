@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from forestgen.core.threads import cores, limit_cores
 from forestgen.core.timing import Timings
 from forestgen.dataset.camera import camera_model
+from forestgen.dataset.data_set import data_set_of
 from forestgen.dataset.exr import frame_parts
 from forestgen.dataset.frame import Frame, Parts
 from forestgen.dataset.maps import write_maps
@@ -26,8 +27,8 @@ from forestgen.pipeline import RenderedFrame, assemble_image, image_frames
 from forestgen.recipe.load import DrawnRecipe, LoadedRecipe, dump_yaml
 from forestgen.render.variant import mitsuba, tracing_on
 from forestgen.runs.tracker import Display
-from forestgen.stages.data_set import data_set_of
-from forestgen.stages.plan import check_memory, make_plan
+from forestgen.scene.plan import check_memory
+from forestgen.scene.planning import make_plan
 
 
 class MadeFrame:
@@ -74,7 +75,7 @@ def frames_of(
         with _tracing(threads, device), display.running():
             plan = make_plan(loaded.draw(index))
             check_memory(plan)
-            image = assemble_image(plan, loaded.seed, display, Timings())
+            image = assemble_image(plan, display, Timings())
         made = image_frames(image, display, Timings())
         while True:
             with _tracing(threads, device), display.running():

@@ -1,31 +1,26 @@
-"""Light meters, colour charts and weather: the methods of `Recipe` that measure in its scene and make no pictures."""
+"""Light meters, colour charts and other instruments; and weather: methods of `Recipe` that make no pictures."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from forestgen.api.display import display_of
 from forestgen.api.rendering import free_folder
-from forestgen.core.arguments import PathLike, listed, number_of, path_of, paths_of, shown, whole_of
+from forestgen.core.arguments import PathLike, path_of, paths_of, shown, texts_of, whole_of
 from forestgen.core.errors import OutputError, RecipeError
 from forestgen.core.progress import Progress
 from forestgen.core.timing import Timings
-from forestgen.recipe.camera_keys import DIRECTIONS
 
 if TYPE_CHECKING:
-    from forestgen.atmosphere.clouds.source import WeatherReport as Weather
+    from forestgen.atmosphere.clouds.source import WeatherReport
+    from forestgen.instruments.calibration import Calibration
+    from forestgen.instruments.instrument import Instrument, Reading, ReadingT
+    from forestgen.instruments.light_meter import LightReadings
     from forestgen.recipe.load import LoadedRecipe
-    from forestgen.stages.calibrate import Calibration
-    from forestgen.stages.light import Point
-    from forestgen.stages.light_text import LightReadings
 
-_LIGHT_FILES = (".csv", ".json")
 _WEATHER_FILES = (".nc", ".vol", ".vdb")
-_SPECTRUM_NM = (1.0, 1100.0)  # steps that can be asked for
-_LEAST_SAMPLES, _MOST_SAMPLES = 512, 100_000_000
 
 
 class Instruments:
@@ -57,36 +52,35 @@ class Instruments:
         spectrum : step in nm of the spectra in `out`.
         overwrite : replace an existing file.
         """
-        from forestgen.stages.light import as_csv, as_json, light_at
-        from forestgen.stages.light_text import LightReadings
-        from forestgen.stages.plant_files import FileSet, check_writable
+        from forestgen.instruments.light_meter import INSTRUMENT
 
-        samples = whole_of(samples, "samples", _LEAST_SAMPLES, _MOST_SAMPLES)
-        step_nm = None if spectrum is None else number_of(spectrum, "spectrum", *_SPECTRUM_NM)
-        target = None if out is None else path_of(out, "out", output=True)
-        if target is not None:
-            _check_ending(target, _LIGHT_FILES)
-            check_writable([target], overwrite=overwrite)
-        points = [point_of(one) for one in listed(at, "at", "points")]
-        directions = [normal_of(one, "normals") for one in listed(normals, "normals", "directions")]
-        display = display_of(progress)
-        with display.running():
-            meters = light_at(
-                self._loaded,
-                points,
-                directions,
-                samples=samples,
-                above_ground=not absolute_z,
-                progress=display,
-                timings=Timings(),
-            )
-        if target is not None:
-            with FileSet(overwrite=overwrite) as files:
-                if target.suffix.lower() == ".json":
-                    files.write(target, as_json(meters, self._loaded, samples=samples, step_nm=step_nm or 10.0))
-                else:
-                    files.write(target, as_csv(meters, step_nm=step_nm))
-        return LightReadings(meters, step_nm)
+        keys = {"at": at, "normals": normals, "samples": samples, "absolute_z": absolute_z, "spectrum": spectrum}
+        return _measured(self._loaded, INSTRUMENT, keys, out, overwrite, progress)
+
+    def measure(
+        self,
+        instrument: str,
+        keys: Mapping[str, Any] | Sequence[str] | None = None,
+        *,
+        out: PathLike | None = None,
+        overwrite: bool = False,
+        progress: bool | Progress | None = None,
+    ) -> Reading:
+        """Measure in the first image's scene with an instrument; `print` shows what it measured.
+
+        Parameters
+        ----------
+        instrument : one of `forestgen.models(kind="instrument")`, whose page has its keys.
+        keys : of the measurement: ``{"at": [[30, 40, 1.5]]}``, or texts ``["at=[[30, 40, 1.5]]"]`` whose values are
+            YAML.
+        out : a file, in one of the formats of the instrument; most write .json.
+        overwrite : replace an existing file.
+        """
+        from forestgen.recipe.registries import INSTRUMENTS
+
+        values = keys if isinstance(keys, Mapping) else _values(texts_of(keys or (), "keys"))
+        INSTRUMENTS.check(instrument, parameter="instrument")
+        return _measured(self._loaded, INSTRUMENTS.load(instrument), values, out, overwrite, progress)
 
     def weather(
         self,
@@ -96,7 +90,7 @@ class Instruments:
         picture: PathLike | None = None,
         overwrite: bool = False,
         progress: bool | Progress | None = None,
-    ) -> list[Weather]:
+    ) -> list[WeatherReport]:
         """Simulate the weather alone, of each of `count` images.
 
         Parameters
@@ -105,8 +99,8 @@ class Instruments:
         picture : a PNG, a row an image.
         """
         from forestgen.atmosphere.clouds.source import cloud_source_of
-        from forestgen.stages.plant_files import check_writable
-        from forestgen.stages.weather import plot_weather
+        from forestgen.community.plot_weather import plot_weather
+        from forestgen.dataset.file_set import check_writable
 
         files = paths_of(out, "out", output=True)
         for one in files:
@@ -155,27 +149,19 @@ class Instruments:
         """
         from forestgen.dataset.folder import OutputFolder
         from forestgen.dataset.manifest import build_manifest, write_manifest
-        from forestgen.stages.calibrate import calibrate
-        from forestgen.stages.calibration_files import write_calibration
+        from forestgen.instruments.calibration import write_calibration
+        from forestgen.instruments.colour_chart import INSTRUMENT
+        from forestgen.instruments.instrument import read_keys
+        from forestgen.pipeline import measure
 
-        loaded = self._loaded
+        keys = {"at": at, "normal": normal, "width_px": width_px, "samples": samples, "absolute_z": absolute_z}
+        loaded, section = self._loaded, read_keys(INSTRUMENT, keys)
         wanted = free_folder(Path("outputs") / f"{loaded.path.stem}-calibration") if out is None else out
         folder = path_of(wanted, "out", output=True)
-        width_px, samples = whole_of(width_px, "width_px", 64, 1024), whole_of(samples, "samples", 4, 65536)
-        point, towards = (None if at is None else point_of(at)), normal_of(normal, "normal")
         timings, display = Timings(), display_of(progress)
         with display.running(), OutputFolder(folder, overwrite=overwrite) as staging:
-            found = calibrate(
-                loaded,
-                at=point,
-                normal=towards,
-                above_ground=not absolute_z,
-                width_px=width_px,
-                samples=samples,
-                progress=display,
-                timings=timings,
-            )
-            write_calibration(staging, found, loaded, samples)
+            found = measure(loaded, INSTRUMENT, section, display, timings)
+            write_calibration(staging, found, loaded)
             manifest = build_manifest(
                 staging,
                 recipe_hash=loaded.hash,
@@ -188,36 +174,46 @@ class Instruments:
         return found, folder
 
 
-def point_of(values: Sequence[float | str]) -> Point:
-    """A point of three numbers, metres, whose place is not checked. Raises `RecipeError`."""
-    try:
-        x, y, z = (float(one) for one in values)
-    except (TypeError, ValueError, OverflowError):
-        several = values if isinstance(values, list | tuple) else [values]
-        got = " ".join(f"{one:.100}" if isinstance(one, str) else shown(one) for one in several)
-        raise RecipeError(
-            "this is no point", parameter="at", expected="three numbers, metres, such as 30 40 1.5", got=got
-        ) from None
-    return x, y, z
+def _values(texts: Sequence[str]) -> dict[str, Any]:
+    """Key -> value of texts ``key=YAML``."""
+    from forestgen.recipe.yaml_source import parse_yaml
+
+    found = {}
+    for text in texts:
+        key, equals, written = text.partition("=")
+        if not equals:
+            raise RecipeError("this gives no key a value", parameter="keys", expected="key=value", got=shown(text))
+        found[key.strip()], _ = parse_yaml(written, f"keys: {key.strip()}", lines=False)
+    return found
 
 
-def normal_of(direction: str | Sequence[float], parameter: str) -> Point:
-    """Unit vector of a direction, by its name or its components. Raises `RecipeError`."""
-    if isinstance(direction, str) and direction.lower() in DIRECTIONS:
-        return DIRECTIONS[direction.lower()]
-    try:
-        x, y, z = (float(one) for one in (direction.split(",") if isinstance(direction, str) else direction))
-        length = math.sqrt(x * x + y * y + z * z)
-    except (TypeError, ValueError, OverflowError):
-        length = math.nan
-    if not (math.isfinite(length) and length > 1e-9):
-        expected = ", ".join(DIRECTIONS) + ", or x,y,z such as 0,0.5,1"
-        got = direction if isinstance(direction, str) else shown(direction)
-        raise RecipeError("this is no direction", parameter=parameter, expected=expected, got=got)
-    return x / length, y / length, z / length
+def _measured(
+    loaded: LoadedRecipe,
+    instrument: Instrument[Any, ReadingT],
+    keys: Mapping[str, Any],
+    out: PathLike | None,
+    overwrite: bool,
+    progress: bool | Progress | None,
+) -> ReadingT:
+    """Measure, and write a file of it."""
+    from forestgen.dataset.file_set import FileSet, check_writable
+    from forestgen.instruments.instrument import read_keys
+    from forestgen.pipeline import measure
+
+    target = None if out is None else path_of(out, "out", output=True)
+    section, display = read_keys(instrument, keys), display_of(progress)
+    if target is not None:
+        _check_ending(target, instrument.endings)
+        check_writable([target], overwrite=overwrite)
+    with display.running():
+        reading = measure(loaded, instrument, section, display, Timings())
+    if target is not None:
+        with FileSet(overwrite=overwrite) as files:
+            files.write(target, reading.content(target.suffix.lower(), loaded))
+    return reading
 
 
-def _save_weather(path: Path, report: Weather) -> None:
+def _save_weather(path: Path, report: WeatherReport) -> None:
     from forestgen.atmosphere.extinction import cloud_grid_of
     from forestgen.atmosphere.weather_files import write_clouds, write_weather
 

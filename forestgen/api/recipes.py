@@ -20,11 +20,11 @@ from forestgen.core.figures import count, show_bytes
 from forestgen.core.progress import Progress
 from forestgen.core.timing import Timings
 from forestgen.recipe.sources import dotted
-from forestgen.stages.load_checked import load_checked
+from forestgen.scene.load_checked import load_checked
 
 if TYPE_CHECKING:
     from forestgen.api.stands import Stand
-    from forestgen.stages.plan import Plan
+    from forestgen.scene.plan import Plan
 
 Overrides = Mapping[str, Any] | Sequence[str] | None
 _MOST_STEPS = 10**9
@@ -195,7 +195,8 @@ class Recipe(Rendering, Instruments):
         ------
         RecipeError, AssetError, ResourceError : what is wrong, or would not fit into memory.
         """
-        from forestgen.stages.plan import check_plan, estimate_bytes
+        from forestgen.scene.plan import estimate_bytes
+        from forestgen.scene.planning import check_plan
 
         loaded = self._loaded
         plan = check_plan(loaded)
@@ -213,7 +214,7 @@ class Recipe(Rendering, Instruments):
             site_size_m=(drawn.site.size_m[0], drawn.site.size_m[1]),
             terrain=drawn.site.terrain.kind,
             community=drawn.community.model,
-            steps=plan.steps,
+            steps=plan.community.steps,
             species=tuple(drawn.species),
             drawn=tuple(dotted(keys) for keys in loaded.distributions),
             sampling=None if loaded.draws.sampler is None else loaded.draws.sampler.describe(),
@@ -281,12 +282,9 @@ class Recipe(Rendering, Instruments):
 
 
 def _notes(plan: Plan) -> Iterator[str]:
-    from forestgen.stages.plan import views_below_ground, why_barren
-    from forestgen.stages.views import check_outside_of_houses
-
-    reason = why_barren(plan)
+    reason = plan.community.empty_reason
     if reason:
         yield reason
-    for name in views_below_ground(plan):
+    for name in plan.views.below_ground:
         yield f"the camera {name} stands below the ground"
-    yield from check_outside_of_houses(plan.drawn, plan.obstacles.entries)
+    yield from plan.views.check_outside_of_buildings()

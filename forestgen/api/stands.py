@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.community.history_files import map_colours
 from forestgen.community.population import Population, Status
+from forestgen.community.summary import SimulationSummary
 from forestgen.core.arguments import shown
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.suggestions import did_you_mean
-from forestgen.stages.history import map_colours
-from forestgen.stages.simulation_summary import SimulationSummary
 
 
 class Stand:
@@ -98,7 +98,7 @@ class Stand:
             plan.obstacles.left_out_of(self.population),
             plan.site,
             map_colours(plan),
-            periodic=plan.model_parameters.periodic,
+            periodic=plan.parameters.periodic,
             obstacles=plan.obstacles,
             axes=_axes_of(ax),
         )

@@ -13,7 +13,7 @@ from forestgen.cli.communities import fit_kernel, lsystem, simulate, stats
 from forestgen.cli.console import errors_for_people, names_of
 from forestgen.cli.datasets import merge, pack, report, verify
 from forestgen.cli.inspect import doctor, models, schema, validate
-from forestgen.cli.instruments import calibrate, light, weather
+from forestgen.cli.instruments import calibrate, light, measure, weather
 from forestgen.cli.parsing import (
     PointsCommand,
     RadiiCommand,
@@ -104,6 +104,7 @@ _COMMANDS: tuple[tuple[Callable[..., None], str, type[typer.core.TyperCommand] |
     (light, "light recipes/quickstart.yaml --at 60 40 1.5", PointsCommand),
     (weather, "weather recipes/weather_cumulus.yaml --picture sky.png", None),
     (calibrate, "calibrate recipes/quickstart.yaml", PointsCommand),
+    (measure, 'measure light_meter recipes/quickstart.yaml --key "at=[[60, 40, 1.5]]"', None),
     (doctor, "doctor", None),
 )
 for _function, _example, _class in _COMMANDS:

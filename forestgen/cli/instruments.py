@@ -1,20 +1,57 @@
-"""The commands that measure in a recipe's scene and make no data set: `light`, `calibrate`, `weather`."""
+"""The commands that measure in a recipe's scene and make no data set: `measure`, `light`, `calibrate`, `weather`."""
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from forestgen.cli.arguments import AbsoluteZ, Count, Overrides, Overwrite, Quiet, RecipePath, option, progress_of
+from forestgen.cli.arguments import (
+    AbsoluteZ,
+    Count,
+    Overrides,
+    Overwrite,
+    Quiet,
+    RecipePath,
+    argument,
+    option,
+    progress_of,
+)
 from forestgen.cli.console import Printer
 from forestgen.core.figures import seconds, table_lines
 
 if TYPE_CHECKING:
     from forestgen.atmosphere.clouds.source import WeatherReport
-    from forestgen.stages.calibrate import Calibration
+
+
+def measure(
+    instrument: Annotated[str, argument("NAME", "An instrument, see forestgen models --kind instrument.")],
+    recipe: RecipePath,
+    keys: Annotated[
+        list[str] | None,
+        option(
+            "--key KEY=VALUE",
+            "A key of the instrument, such as at=[[30,40,1.5]]; its page, forestgen models NAME, has them. May be "
+            "repeated.",
+        ),
+    ] = None,
+    out: Annotated[Path | None, option("--out -o FILE", "A .json file, or another that its page names.")] = None,
+    overrides: Overrides = None,
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
+) -> None:
+    """Measure in a recipe's scene: light, colours, gaps of the canopy, or what an installed package adds."""
+    from forestgen import load
+
+    started, say = time.perf_counter(), Printer(quiet)
+    reading = load(recipe, set=overrides).measure(
+        instrument, keys or (), out=out, overwrite=overwrite, progress=progress_of(quiet)
+    )
+    say(str(reading))
+    say(f"measured in {seconds(time.perf_counter() - started)}")
+    if out is not None:
+        say(f"files: {out}")
 
 
 def light(
@@ -102,7 +139,7 @@ def calibrate(
     """
     from forestgen import load
     from forestgen.core.errors import RecipeError, RenderError
-    from forestgen.stages.calibration_files import SHEET
+    from forestgen.instruments.calibration import SHEET
 
     if at is not None and len(at) > 1:
         raise RecipeError("one chart at a time", where="--at", expected="one point", got=f"{len(at)}")
@@ -117,7 +154,7 @@ def calibrate(
         overwrite=overwrite,
         progress=progress_of(quiet),
     )
-    _print_calibration(found, say)
+    say(str(found))
     say(f"calibrated in {seconds(time.perf_counter() - started)}")
     say(f"files: {folder}/ (look at {folder / SHEET})")
     if missed := [check for check in found.checks if not check.holds]:
@@ -128,28 +165,6 @@ def calibrate(
             got="; ".join(f"{check.value:.3g}" for check in missed),
             hint="more --samples if the picture is noisy; another --at if the chart lies in broken shade",
         )
-
-
-def _print_calibration(found: Calibration, say: Printer) -> None:
-    from forestgen.stages.calibrate import MODES
-
-    x, y, _ = found.point_m
-    say(f"chart at {x:g} {y:g}, {found.above_ground_m:.2f} m above the ground")
-    say(f"{'delta E 2000':<24}" + "".join(f"{title:>16}" for title in MODES.values()))
-    for patch in found.patches:
-        say(f"{patch.name:<24}" + "".join(f"{patch.delta_e[mode]:>16.2f}" for mode in MODES))
-    for word in ("mean", "max"):
-        values = (float(getattr(found.delta_e(mode), word)()) for mode in MODES)
-        say(f"{word:<24}" + "".join(f"{value:>16.2f}" for value in values))
-    meter, white = found.meter, found.white
-    say(
-        f"illuminance {found.illuminance_lux:,.0f} lux by the grey card, {meter.illuminance_lux.value:,.0f} ± "
-        f"{meter.illuminance_lux.error:,.0f} by a light meter; {100 * meter.from_sun.value:.0f}% straight from the sun"
-    )
-    cct = "none" if math.isnan(white.cct_k) else f"{white.cct_k:,.0f} K"
-    say(f"correlated colour temperature {cct}, Duv {white.duv:+.4f}")
-    for note in found.notes:
-        say(f"note: {note}")
 
 
 def weather(

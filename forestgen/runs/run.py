@@ -9,6 +9,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 
 from forestgen.core.errors import DatasetError, ForestgenError, OutputError, RecipeError
+from forestgen.dataset.data_set import check_one_data_set, check_splits, check_stands, data_set_of
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.recipe.load import LoadedRecipe
 from forestgen.recipe.splits import split_of, used_splits
@@ -43,8 +44,7 @@ from forestgen.runs.stale_outputs import ResumeDiff, check_stale_outputs, damage
 from forestgen.runs.storage import LocalStorage, storage_of
 from forestgen.runs.summary import Log, RunSummary, done_fields, failed_fields, write_jobs_table, write_summary
 from forestgen.runs.tracker import Display, ProgressTracker, SilentDisplay
-from forestgen.stages.data_set import check_one_data_set, check_splits, check_stands, data_set_of
-from forestgen.stages.plan import check_plan
+from forestgen.scene.planning import check_plan
 
 _AHEAD = 2  # jobs that are drawn and handed on, for each worker; one by one where the first failure ends the run
 _WAIT_S = 1.0
@@ -212,7 +212,7 @@ def check_recipe(loaded: LoadedRecipe, images: range) -> tuple[DatasetSettings, 
             )
     used = used_splits(splits, images)
     check_splits(loaded, used)
-    check_stands(plan, loaded, used)
+    check_stands(plan.community, loaded, used)
     return settings, splits
 
 
