@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -125,22 +125,7 @@ def render(loaded: LoadedRecipe, target: str, options: RunOptions, display: Disp
         check_disk(work.storage, left, most_disk_bytes(loaded.draw(0)))
         return work
 
-    summary = run_batch(
-        loaded,
-        target,
-        count=options.count or loaded.images,
-        engine=lambda work, _: InProcessEngine(work, display),
-        prepare=prepare,
-        resume=options.resume,
-        discard=options.discard,
-        overwrite=options.overwrite,
-        retries=0,
-        strict=True,
-        threads=options.threads,
-        display=display,
-    )
-    _check_complete(summary)
-    return summary
+    return _run(loaded, target, options, display, lambda work, _: InProcessEngine(work, display), prepare, strict=True)
 
 
 def batch(loaded: LoadedRecipe, target: str, options: RunOptions, display: Display) -> RunSummary:
@@ -152,16 +137,30 @@ def batch(loaded: LoadedRecipe, target: str, options: RunOptions, display: Displ
     DatasetError : images failed, or are missing at the end.
     """
     workers = _Workers(options, display)
+    return _run(loaded, target, options, display, workers.engine, workers.prepare)
+
+
+def _run(
+    loaded: LoadedRecipe,
+    target: str,
+    options: RunOptions,
+    display: Display,
+    engine: Callable[[Work, Notice], Engine],
+    prepare: Callable[[Work, int], Work],
+    *,
+    strict: bool = False,
+) -> RunSummary:
     summary = run_batch(
         loaded,
         target,
         count=options.count or loaded.images,
-        engine=workers.engine,
-        prepare=workers.prepare,
+        engine=engine,
+        prepare=prepare,
         resume=options.resume,
         discard=options.discard,
         overwrite=options.overwrite,
-        retries=options.retries,
+        retries=0 if strict else options.retries,
+        strict=strict,
         threads=options.threads,
         memory_bytes=options.memory_bytes,
         display=display,

@@ -8,7 +8,6 @@ import platform
 import time
 import traceback
 from collections import deque
-from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, cast
@@ -30,7 +29,7 @@ from forestgen.dataset.data_set import check_one_data_set
 from forestgen.dataset.files import STORAGE_ERRNOS, output_error
 from forestgen.dataset.manifest import peak_memory_bytes
 from forestgen.dataset.thumbnails import thumbnail_name, write_thumbnail
-from forestgen.pipeline import WrittenImage, assemble_image, write_image
+from forestgen.pipeline import assemble_image, write_image
 from forestgen.recipe.hashing import recipe_hash
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.paths import MAPS
@@ -171,7 +170,10 @@ def complete(
 
     `memory_budget_bytes` is the memory that the image may take; None: what is free now.
     """
-    _settle(work, timings)
+    if work.threads is not None:
+        limit_cores(work.threads)
+    with timings("load Mitsuba"):  # at once from the second job on
+        mitsuba(work.threads)
     with timings("recipe"):
         drawn = work.loaded.draw(job.index)
         _check_unchanged(drawn, job, work)
@@ -185,20 +187,23 @@ def complete(
         scene = assemble_image(plan, progress, timings, memory_budget_bytes=memory_budget_bytes)
         image = write_image(scene, work.settings, frames, progress, timings)
         with timings("write"):
-            _add_thumbnails(staging, image.folders)
-            record = _record_of(job, drawn, image, _staged_files(staging, job.split))
+            for folder in image.folders:
+                write_thumbnail(folder, staging / thumbnail_name(folder.name))
+            record = JobRecord(
+                key=job.key,
+                image=job.image,
+                split=job.split,
+                image_seed=drawn.image_seed,
+                recipe_hash=recipe_hash(drawn.data),
+                rows=image.rows,
+                files=_staged_files(staging, job.split),
+                report=image.report,
+                notes=image.notes,
+            )
             _put_into_place(work.storage, staging, job, record)
     finally:
         work.storage.discard(staging)
     return record
-
-
-def _settle(work: Work, timings: Timings) -> None:
-    """Load the renderer with the work's threads; at once from the second job on."""
-    if work.threads is not None:
-        limit_cores(work.threads)
-    with timings("load Mitsuba"):
-        mitsuba(work.threads)
 
 
 def _check_unchanged(drawn: DrawnRecipe, job: Job, work: Work) -> None:
@@ -209,11 +214,6 @@ def _check_unchanged(drawn: DrawnRecipe, job: Job, work: Work) -> None:
             expected=f"a drawn recipe of the key {job.key}",
             hint="start the batch again with `resume=True`: what has changed is made anew",
         )
-
-
-def _add_thumbnails(staging: Path, folders: Iterable[Path]) -> None:
-    for folder in folders:
-        write_thumbnail(folder, staging / thumbnail_name(folder.name))
 
 
 def _staged_files(staging: Path, split: str) -> dict[str, dict[str, Any]]:
@@ -227,20 +227,6 @@ def _staged_files(staging: Path, split: str) -> dict[str, dict[str, Any]]:
             digest = hashlib.file_digest(stream, "sha256").hexdigest()
         files[name] = {"bytes": path.stat().st_size, "sha256": digest}
     return dict(sorted(files.items()))
-
-
-def _record_of(job: Job, drawn: DrawnRecipe, image: WrittenImage, files: dict[str, dict[str, Any]]) -> JobRecord:
-    return JobRecord(
-        key=job.key,
-        image=job.image,
-        split=job.split,
-        image_seed=drawn.image_seed,
-        recipe_hash=recipe_hash(drawn.data),
-        rows=image.rows,
-        files=files,
-        report=image.report,
-        notes=image.notes,
-    )
 
 
 def _put_into_place(storage: StorageBackend, staging: Path, job: Job, record: JobRecord) -> None:
@@ -258,17 +244,13 @@ def _put_into_place(storage: StorageBackend, staging: Path, job: Job, record: Jo
             storage.put_file(staging / name, name)
         storage.write(record_path(job.key), record_bytes(record))
     except BaseException as error:
-        if not isinstance(error, Exception) and _has_record(storage, job):
-            raise  # stopped just after the image was done
+        if not isinstance(error, Exception):
+            with suppress(ForestgenError, OSError):
+                if storage.exists(record_path(job.key)):
+                    raise  # stopped just after the image was done
         for name in (record_path(job.key), *(f"{job.split}/{folder.name}" for folder in frames)):
             with suppress(ForestgenError, OSError):
                 storage.remove(name)
         if isinstance(error, OutputError | OSError):
             raise _StorageFailedError from error
         raise
-
-
-def _has_record(storage: StorageBackend, job: Job) -> bool:
-    with suppress(ForestgenError, OSError):
-        return storage.exists(record_path(job.key))
-    return False
