@@ -22,7 +22,7 @@ from itertools import chain, count
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from forestgen.core.errors import DatasetError, ForestgenError, OutputError
+from forestgen.core.errors import ForestgenError, OutputError
 from forestgen.dataset.check import Finding
 from forestgen.dataset.files import output_error
 from forestgen.dataset.foreign import tool_of
@@ -31,10 +31,10 @@ from forestgen.dataset.thumbnails import FOLDER_NAME as THUMBNAILS
 from forestgen.recipe.paths import MAPS
 from forestgen.runs.contract import HIDDEN, RUN, StorageBackend
 from forestgen.runs.folder import BEGUN, MOVING, PREVIOUS, splits_before, written_paths
-from forestgen.runs.record_index import FileSum, RecordIndex
-from forestgen.runs.records import done_keys, records_of
-from forestgen.runs.storage import LOCK_FILES, STAGING, LocalStorage
-from forestgen.runs.verify_files import enter_sums
+from forestgen.runs.record_index import RecordIndex
+from forestgen.runs.records import done_keys
+from forestgen.runs.storage import LOCK_FILES, STAGING, LocalStorage, unreadable_storage
+from forestgen.runs.verify_files import enter_records, enter_sums
 
 _MAP = rf"{MAPS}/[0-9a-f]{{16}}\.[^/]+"
 _OF_RUN = re.compile(rf"SHA256SUMS|report\.html|{RUN}/(log\.jsonl|jobs\.parquet|summary\.json)")  # not in SHA256SUMS
@@ -208,20 +208,14 @@ def foreign_files(root: Path) -> list[str]:
     ------
     OutputError : the folder cannot be read, or the disk of temporary files is full.
     """
-    storage = LocalStorage(root)
     with TemporaryDirectory(prefix="forestgen-foreign-") as scratch, RecordIndex(Path(scratch)) as record_index:
         refused: list[Finding] = []
         is_whole = enter_sums(root, record_index, refused) and not refused
-        splits = set(splits_before(storage))
-        for record in records_of(storage):
-            splits.add(record.split)
-            for path, said in record.files.items():
-                with suppress(DatasetError):  # two records, or a record and SHA256SUMS, disagree
-                    record_index.add_file(FileSum(path, 0, str(said["sha256"])))
+        splits = {*splits_before(LocalStorage(root)), *enter_records(root, record_index)}
         try:
             return sorted(_foreign_in(root, record_index, splits, is_whole))
         except OSError as error:
-            raise OutputError(f"cannot read: {error.strerror or error}", where=str(error.filename or root)) from error
+            raise unreadable_storage(error, error.filename or root) from error
 
 
 def _foreign_in(root: Path, record_index: RecordIndex, splits: set[str], is_whole: bool) -> Iterator[str]:

@@ -26,6 +26,7 @@ from forestgen.runs.contract import StorageBackend
 from forestgen.runs.description import RecipePart
 from forestgen.runs.folder import note_written
 from forestgen.runs.record_index import FileSum, RecordIndex
+from forestgen.runs.storage import LocalStorage
 
 _READ = (".json", ".txt")  # endings of what merging reads of a frame; it only places the rest
 
@@ -59,10 +60,9 @@ def write_split(
 
 def _show_frames(storage: StorageBackend, split: str, root: Path, record_index: RecordIndex) -> None:
     """Make the frames' folders appear in `root`."""
-    home: Path | None = getattr(storage, "root", None)  # of a folder of this machine
-    if home is not None:
+    if isinstance(storage, LocalStorage):
         for frame in record_index.frames(split):
-            _link_folder(home / split / frame, root / frame)
+            _link_folder(storage.root / split / frame, root / frame)
         return
     remote: Any = storage
     names = (file.path for frame in record_index.frames(split) for file in record_index.files(f"{split}/{frame}"))
@@ -118,18 +118,17 @@ def _enter_merged(root: Path, split: str, record_index: RecordIndex) -> Iterator
 
 
 def _publish(storage: StorageBackend, split: str, root: Path, placed: Sequence[tuple[str, str]]) -> None:
-    if getattr(storage, "root", None) is None:
+    if not isinstance(storage, LocalStorage):
         remote: Any = storage
         for _, target in placed:
             (root.parent / target).unlink()
         remote.link(placed)
         remote.upload(root, split)
         return
-    home: Any = storage
     note_written(storage, (f"{split}/{path.name}" for path in root.iterdir()))
     for path in sorted(root.iterdir()):
         if path.is_dir():
-            _keep_foreign(home.root / split / path.name, path)
+            _keep_foreign(storage.root / split / path.name, path)
             storage.put_folder(path, f"{split}/{path.name}")
         else:
             storage.put_file(path, f"{split}/{path.name}")

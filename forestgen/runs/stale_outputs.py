@@ -35,7 +35,7 @@ from forestgen.runs.finish import recipe_part
 from forestgen.runs.folder import images_in_frames, is_made_from
 from forestgen.runs.keys import image_of_key, job_key
 from forestgen.runs.records import done_keys, in_order, records_of
-from forestgen.runs.storage import LocalStorage
+from forestgen.runs.storage import LocalStorage, unreadable_storage
 from forestgen.runs.verify_index import plain_yaml
 
 _MOST_CHANGES = 4  # that are named
@@ -280,6 +280,4 @@ def _local_problem(file: SafePath, listed: Mapping[str, Any]) -> str | None:
             return "is missing"
         if error.errno == errno.EIO:
             return "cannot be read from its disk"
-        raise OutputError(
-            f"cannot read: {error.strerror or error}", where=str(file), hint="check the folder's permissions and disk"
-        ) from error
+        raise unreadable_storage(error, file) from error

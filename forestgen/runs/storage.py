@@ -181,9 +181,13 @@ def _reading(path: SafePath) -> Iterator[None]:
     except RefusedFileError as error:
         raise unreadable(path, error, "a data set's files lie in its own folder: copy it without links") from error
     except OSError as error:
-        raise OutputError(
-            f"cannot read: {error.strerror or error}", where=str(path), hint="check the folder's permissions and disk"
-        ) from error
+        raise unreadable_storage(error, path) from error
+
+
+def unreadable_storage(error: OSError, where: object) -> OutputError:
+    """What is there and cannot be read."""
+    hint = "check the folder's permissions and disk"
+    return OutputError(f"cannot read: {error.strerror or error}", where=str(where), hint=hint)
 
 
 def _sync(files: Sequence[Path]) -> None:

@@ -56,12 +56,20 @@ def enter_sums(root: Path, record_index: RecordIndex, refused: list[Finding]) ->
     return True
 
 
+def enter_records(root: Path, record_index: RecordIndex) -> set[str]:
+    """Enter the sums of the images' records; the splits that have images."""
+    splits = set()
+    for record in records_of(LocalStorage(root)):
+        splits.add(record.split)
+        for path, said in record.files.items():
+            with suppress(DatasetError):  # two records, or a record and SHA256SUMS, disagree: a check names it
+                record_index.add_file(FileSum(path, 0, str(said["sha256"])))
+    return splits
+
+
 def enter_other_sums(root: Path, record_index: RecordIndex, splits: Iterable[str]) -> None:
     """Where SHA256SUMS cannot be read: enter the sums of the records and of the splits' manifests."""
-    for record in records_of(LocalStorage(root)):
-        for path, said in record.files.items():
-            with suppress(DatasetError):  # two records disagree: their own check names it
-                record_index.add_file(FileSum(path, 0, str(said["sha256"])))
+    enter_records(root, record_index)
     for split in splits:
         with suppress(UnreadableError, KeyError, TypeError, AttributeError, DatasetError):
             for path, said in read_json(root, f"{split}/{MANIFEST_NAME}")["files"].items():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import platform
 import time
@@ -25,6 +24,7 @@ from forestgen.core.memory import whole_bytes
 from forestgen.core.progress import Progress, Silent
 from forestgen.core.threads import cores, limit_cores
 from forestgen.core.timing import Timings
+from forestgen.dataset.checksums import file_sum
 from forestgen.dataset.data_set import check_one_data_set
 from forestgen.dataset.files import STORAGE_ERRNOS, output_error
 from forestgen.dataset.manifest import peak_memory_bytes
@@ -223,9 +223,7 @@ def _staged_files(staging: Path, split: str) -> dict[str, dict[str, Any]]:
         relative = path.relative_to(staging)
         inside = relative.relative_to(_FRAMES) if relative.parts[0] == _FRAMES else None
         name = relative.as_posix() if inside is None else f"{split}/{inside.as_posix()}"
-        with path.open("rb") as stream:
-            digest = hashlib.file_digest(stream, "sha256").hexdigest()
-        files[name] = {"bytes": path.stat().st_size, "sha256": digest}
+        files[name] = {"bytes": path.stat().st_size, "sha256": file_sum(path)}
     return dict(sorted(files.items()))
 
 
