@@ -175,10 +175,10 @@ def read_description(content: bytes | None, where: str) -> dict[str, Any]:
         raise DatasetError("this is no finished data set", where=where, expected=DATASET_NAME, got="none", hint=hint)
     try:
         data = load_json(content)
-        said = _Description.model_validate(data)
-        if said.schema_ != SCHEMA:
-            raise ValueError(f"schema {said.schema_!r:.40}")
-        for one in said.recipes:
+        checked = _Description.model_validate(data)
+        if checked.schema_ != SCHEMA:
+            raise ValueError(f"schema {checked.schema_!r:.40}")
+        for one in checked.recipes:
             if any(not 0 <= first <= last for first, last in one.asked):
                 raise ValueError("a range of images ends before it begins")
             if sum(last - first + 1 for first, last in one.asked) > MOST_IMAGES:
@@ -199,17 +199,17 @@ class _Part(BaseModel):
     model_config = ConfigDict(strict=True)
 
 
-class _SplitSaid(_Part):
+class _SplitCounts(_Part):
     images: Count
     frames: Count
 
 
-class _GroupSaid(_Part):
+class _FileGroup(_Part):
     files: Count
     bytes: Count
 
 
-class _RecipeSaid(_Part):
+class _RecipeEntry(_Part):
     file: Annotated[str, Field(pattern=r"^recipe(-[0-9]+)?\.yaml$")]
     hash: str
     root_seed: int
@@ -218,37 +218,37 @@ class _RecipeSaid(_Part):
     draws: dict[str, Any]
 
 
-class _PlatformSaid(_Part):
+class _Platform(_Part):
     system: str
     machine: str
 
 
-class _MachineSaid(_Part):
+class _Versions(_Part):
     versions_hash: str
     packages: dict[str, str | None]
     python: str
-    platform: _PlatformSaid
+    platform: _Platform
 
 
 class _Description(_Part):
     schema_: str = Field(alias="schema")
-    recipes: Annotated[list[_RecipeSaid], Field(min_length=1)]
+    recipes: Annotated[list[_RecipeEntry], Field(min_length=1)]
     images: Count
     frames: Count
-    splits: dict[SplitName, _SplitSaid]
+    splits: dict[SplitName, _SplitCounts]
     image_seeds_sha256: str
     settings: dict[str, Any]
-    made_with: Annotated[list[_MachineSaid], Field(min_length=1)]
-    files: dict[str, _GroupSaid]
+    made_with: Annotated[list[_Versions], Field(min_length=1)]
+    files: dict[str, _FileGroup]
 
 
 _SETTINGS: dict[str, Any] = {name: (kind, ...) for name, kind in get_type_hints(DatasetSettings).items()}
-_SettingsSaid = create_model("_SettingsSaid", __base__=_Part, **_SETTINGS)
+_Settings = create_model("_Settings", __base__=_Part, **_SETTINGS)
 
 
 def _check_settings(settings: DatasetSettings) -> None:
     """Refuse settings of wrong types, or that contradict each other, with a `ValueError`."""
-    _SettingsSaid.model_validate(asdict(settings))
+    _Settings.model_validate(asdict(settings))
     if len(settings.species_category) != len(settings.species_names):
         raise ValueError("settings: not a category a species")
     if not all(0 <= number < len(settings.category_names) for number in settings.species_category):
@@ -267,6 +267,6 @@ def _first_error(error: Exception) -> str:
 
 def settings_of(description: Mapping[str, Any]) -> DatasetSettings:
     """The data set's settings, from dataset.json."""
-    said = {key: tuple(one) if isinstance(one, list) else one for key, one in description["settings"].items()}
-    known: dict[str, Any] = {one.name: said[one.name] for one in fields(DatasetSettings)}
+    stored = {key: tuple(one) if isinstance(one, list) else one for key, one in description["settings"].items()}
+    known: dict[str, Any] = {one.name: stored[one.name] for one in fields(DatasetSettings)}
     return DatasetSettings(**known)

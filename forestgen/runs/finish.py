@@ -125,7 +125,7 @@ def write_data_set(
         storage.remove(path)
     for path, content in kept.items():
         _enter(record_index, path, content)
-    _remove_strangers(storage, folders, record_index)
+    _remove_unlisted(storage, folders, record_index)
     description = describe(record_index, parts, settings, made_with)
     _write_whole(storage, record_index, kept, description)
     missing = tuple(image for one in description["recipes"] for image in numbers_in(one["missing"]))
@@ -176,7 +176,7 @@ def _splits_before(storage: StorageBackend) -> set[str]:
         return set()
 
 
-def _remove_strangers(storage: StorageBackend, folders: Sequence[str], record_index: RecordIndex) -> None:
+def _remove_unlisted(storage: StorageBackend, folders: Sequence[str], record_index: RecordIndex) -> None:
     """Remove what no record vouches for: records of other jobs, then files; a whole folder where all of it goes.
 
     Files that other tools have added stay in folders that stay.
@@ -185,7 +185,7 @@ def _remove_strangers(storage: StorageBackend, folders: Sequence[str], record_in
         if not record_index.has_key(name.removesuffix(".json")):
             storage.remove(f"{JOBS}/{name}")
     removed = ""
-    for path in record_index.strangers():
+    for path in record_index.unlisted():
         if removed and path.startswith(f"{removed}/"):
             continue
         parts = path.split("/")

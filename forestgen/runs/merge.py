@@ -45,7 +45,7 @@ class Piece:
     """A data set to merge."""
 
     root: Path
-    said: dict[str, Any]  # its dataset.json
+    description: dict[str, Any]  # its dataset.json
 
     @property
     def storage(self) -> LocalStorage:
@@ -53,7 +53,7 @@ class Piece:
 
     @property
     def settings(self) -> DatasetSettings:
-        return settings_of(self.said)
+        return settings_of(self.description)
 
 
 def merge(sources: Sequence[Path], target: Path, *, link: bool = False, progress: Progress | None = None) -> Finished:
@@ -76,11 +76,11 @@ def merge(sources: Sequence[Path], target: Path, *, link: bool = False, progress
     pieces = [_piece(root) for root in sources]
     _check_settings(pieces)
     parts = _parts(pieces)
-    by_text = {json.dumps(one, sort_keys=True): one for piece in pieces for one in piece.said["made_with"]}
+    by_text = {json.dumps(one, sort_keys=True): one for piece in pieces for one in piece.description["made_with"]}
     made_with = [by_text[text] for text in sorted(by_text)]
-    groups = [group for piece in pieces for group in piece.said["files"].values()]
+    groups = [group for piece in pieces for group in piece.description["files"].values()]
     needed = 0 if link else sum(int(group["bytes"]) for group in groups)
-    total = sum(int(piece.said["images"]) for piece in pieces)
+    total = sum(int(piece.description["images"]) for piece in pieces)
     with (
         OutputFolder(target, required_bytes=needed) as folder,
         TemporaryDirectory(prefix="forestgen-merge-") as scratch,
@@ -120,15 +120,15 @@ def _check_target(target: Path, sources: Sequence[Path]) -> None:
 
 
 def _piece(root: Path) -> Piece:
-    said = open_data_set(root)
-    if said["images"] and not SafePath(root, JOBS).is_folder():
+    description = open_data_set(root)
+    if description["images"] and not SafePath(root, JOBS).is_folder():
         raise RecipeError(
             "this copy of a data set has no records, by which images are merged",
             where=str(root),
             expected=f"a folder {JOBS}",
             hint="copy the whole folder, with what is hidden in it",
         )
-    return Piece(root, said)
+    return Piece(root, description)
 
 
 def _check_settings(pieces: Sequence[Piece]) -> None:
@@ -174,8 +174,8 @@ def _parts(pieces: Sequence[Piece]) -> list[RecipePart]:
     """The recipes, each once, by their first image."""
     by_hash: dict[str, RecipePart] = {}
     for piece in pieces:
-        for said in piece.said["recipes"]:
-            part = _part(piece, said)
+        for recipe in piece.description["recipes"]:
+            part = _part(piece, recipe)
             known = by_hash.get(part.hash)
             if known is not None:
                 part = replace(known, asked=union_of(known.asked, part.asked), maps={**known.maps, **part.maps})
@@ -194,17 +194,17 @@ def _parts(pieces: Sequence[Piece]) -> list[RecipePart]:
     return parts
 
 
-def _part(piece: Piece, said: dict[str, Any]) -> RecipePart:
-    yaml = piece.storage.read(said["file"])
+def _part(piece: Piece, recipe: dict[str, Any]) -> RecipePart:
+    yaml = piece.storage.read(recipe["file"])
     if yaml is None:
-        raise DatasetError("the data set has lost its recipe", where=str(piece.root / said["file"]))
+        raise DatasetError("the data set has lost its recipe", where=str(piece.root / recipe["file"]))
     maps = {f"{MAPS}/{name}": piece.storage.read(f"{MAPS}/{name}") or b"" for name in piece.storage.names(MAPS)}
-    asked = tuple((int(first), int(last)) for first, last in said["asked"])
+    asked = tuple((int(first), int(last)) for first, last in recipe["asked"])
     try:
         text = yaml.decode()
     except UnicodeDecodeError as error:
-        raise unreadable(SafePath(piece.root, said["file"]), error) from error
-    return RecipePart(said["hash"], int(said["root_seed"]), asked, said["splits"], said["draws"], text, maps)
+        raise unreadable(SafePath(piece.root, recipe["file"]), error) from error
+    return RecipePart(recipe["hash"], int(recipe["root_seed"]), asked, recipe["splits"], recipe["draws"], text, maps)
 
 
 def _check_numbers(parts: Sequence[RecipePart], pieces: Sequence[Piece]) -> None:
@@ -244,11 +244,11 @@ def _records(pieces: Sequence[Piece]) -> Iterator[tuple[Piece | None, JobRecord]
         before = pieces[number], record
         yield before
     for piece, count in zip(pieces, counts, strict=True):
-        if count != piece.said["images"]:
+        if count != piece.description["images"]:
             raise DatasetError(
                 "the data set has not a record for each image",
                 where=str(piece.root / JOBS),
-                expected=f"{piece.said['images']} records",
+                expected=f"{piece.description['images']} records",
                 got=f"{count}" + (f"; {notes[0]}" if notes else ""),
                 hint=f"forestgen verify {piece.root}; the command that made it, with `resume=True`, makes images again",
             )
@@ -284,24 +284,24 @@ def _check_seeds(record_index: RecordIndex) -> None:
 
 def _take(piece: Piece, record: JobRecord, storage: LocalStorage, link: bool) -> None:
     """Copy or link an image's files, then write its record."""
-    for path, said in record.files.items():
+    for path, entry in record.files.items():
         source, target = SafePath(piece.root, path), storage.root / path
         if target.exists():  # a map that images share; the record index compares its sums
             continue
         make_folder(target.parent)
         try:
             if link and source.size_bytes() >= 0 and _linked(source, target):
-                digest, size = said["sha256"], target.stat().st_size  # a link is not read
+                digest, size = entry["sha256"], target.stat().st_size  # a link is not read
             else:
-                digest, size = _copied(source, target, int(said["bytes"]))
+                digest, size = _copied(source, target, int(entry["bytes"]))
         except OSError as error:
             raise unreadable(source, error, "forestgen verify names all such files") from error
-        if size != said["bytes"] or digest != said["sha256"]:
+        if size != entry["bytes"] or digest != entry["sha256"]:
             raise DatasetError(
                 "the file has changed since it was made",
                 where=str(source),
-                expected=f"{said['bytes']} bytes, sha256 {said['sha256']}",
-                got=f"{size} bytes, sha256 {digest}" if size == said["bytes"] else f"{size} bytes",
+                expected=f"{entry['bytes']} bytes, sha256 {entry['sha256']}",
+                got=f"{size} bytes, sha256 {digest}" if size == entry["bytes"] else f"{size} bytes",
                 hint=f"forestgen verify {piece.root} names all such files",
             )
     storage.write(record_path(record.key), record_bytes(record))

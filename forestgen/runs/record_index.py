@@ -98,8 +98,8 @@ class RecordIndex:
             "INSERT INTO frames VALUES (?, ?, ?, ?)",
             [(name, record.split, record.image, json.dumps(row)) for name, row in zip(names, record.rows, strict=True)],
         )
-        for path, said in record.files.items():
-            self.add_file(FileSum(path, int(said["bytes"]), str(said["sha256"])), record.image)
+        for path, entry in record.files.items():
+            self.add_file(FileSum(path, int(entry["bytes"]), str(entry["sha256"])), record.image)
 
     def add_file(self, file: FileSum, image: int | None = None) -> None:
         """Enter a file; of an image, or over several. Images may share one, as maps are, if it is the same."""
@@ -214,7 +214,7 @@ class RecordIndex:
         query = "SELECT path, found.bytes, sha256 FROM files JOIN found USING (path) ORDER BY path"
         yield from (FileSum(*row) for row in self._base.execute(query))
 
-    def strangers(self) -> Iterator[str]:
+    def unlisted(self) -> Iterator[str]:
         """Paths of what was found and is no file of the data set."""
         yield from self._each("SELECT path FROM found WHERE path NOT IN (SELECT path FROM files) ORDER BY path")
 

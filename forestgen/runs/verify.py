@@ -188,25 +188,25 @@ def verify(
     if workers is not None:
         whole_of(workers, "workers", 1, 1024)
     start = perf_counter()
-    said = open_data_set(root)
+    description = open_data_set(root)
     with TemporaryDirectory(prefix="forestgen-verify-") as scratch, RecordIndex(Path(scratch)) as record_index:
-        data_set = OpenDataSet(root, said, record_index)
+        data_set = OpenDataSet(root, description, record_index)
         verifier = _Verifier(data_set, workers, progress or Silent())
         verifier.notes += filter(None, [previous_note(root)])
         _check_files(verifier, hashes)
         _check_descriptions(verifier)
-        for name, holds, looked_at, found in check_frames(root, said, workers, verifier.progress):
+        for name, holds, looked_at, found in check_frames(root, description, workers, verifier.progress):
             verifier.run(name, holds, looked_at, found)
         if labels:
             _check_labels(verifier)
         if rerender:
             holds = "images rendered again have the same bytes"
-            renders = check_renders(root, said, rerender, seed, verifier.progress, verifier.notes.append)
-            verifier.run("renders", holds, min(rerender, int(said["images"])), renders)
+            renders = check_renders(root, description, rerender, seed, verifier.progress, verifier.notes.append)
+            verifier.run("renders", holds, min(rerender, int(description["images"])), renders)
         listed = sum(1 for _ in record_index.files())
     return VerificationReport(
-        int(said["images"]),
-        int(said["frames"]),
+        int(description["images"]),
+        int(description["frames"]),
         listed,
         tuple(verifier.checks),
         tuple(verifier.findings),
@@ -265,42 +265,44 @@ def _check_files(verifier: _Verifier, hashes: bool) -> None:
     refused: list[Finding] = []
     is_listed = files.enter_sums(root, record_index, refused)
     if not is_listed:
-        files.enter_other_sums(root, record_index, verifier.data_set.said["splits"])
+        files.enter_other_sums(root, record_index, verifier.data_set.description["splits"])
     count = sum(1 for _ in record_index.files())
     changed = files.changed(root, record_index, verifier.workers, verifier.progress) if hashes else ()
     found = chain(refused, files.lost(record_index), changed)
     verifier.run("sums", "files are those that SHA256SUMS lists", max(count, 1), found)
-    strangers = files.strangers(record_index, verifier.notes.append) if is_listed else ()
-    verifier.run("listing", "nothing else lies in the folder", count, chain(strangers, files.empty_folders(root)))
+    unlisted = files.unlisted(record_index, verifier.notes.append) if is_listed else ()
+    verifier.run("listing", "nothing else lies in the folder", count, chain(unlisted, files.empty_folders(root)))
 
 
 def _check_descriptions(verifier: _Verifier) -> None:
     """The files that describe others; records where they are: a copy of the data set may do without them."""
-    data_set, said = verifier.data_set, verifier.data_set.said
+    data_set, description = verifier.data_set, verifier.data_set.description
     is_complete = not any(check.found for check in verifier.checks)
     if LocalStorage(data_set.root).names(JOBS):
-        verifier.run("records", "images' records agree with the files", said["images"], record_findings(data_set))
+        verifier.run(
+            "records", "images' records agree with the files", description["images"], record_findings(data_set)
+        )
     else:
         note = f"there are no records in {JOBS}: this copy can be verified, but neither resumed nor merged"
         verifier.notes.append(note)
-    verifier.run("index", "it has a row for each frame", said["frames"], index_findings(data_set))
-    manifests = chain.from_iterable(manifest_findings(data_set, split) for split in said["splits"])
+    verifier.run("index", "it has a row for each frame", description["frames"], index_findings(data_set))
+    manifests = chain.from_iterable(manifest_findings(data_set, split) for split in description["splits"])
     groups = group_findings(data_set) if is_complete else ()
     holds = "they list the files, the recipes and the seeds"
-    verifier.run("manifests", holds, len(said["splits"]), chain(manifests, groups))
-    verifier.run("recipes", "recipes have their hashes", len(said["recipes"]), recipe_findings(data_set))
+    verifier.run("manifests", holds, len(description["splits"]), chain(manifests, groups))
+    verifier.run("recipes", "recipes have their hashes", len(description["recipes"]), recipe_findings(data_set))
 
 
 def _check_labels(verifier: _Verifier) -> None:
     """Labels of each split; the sums are compared already. A format that is broken raises `RecipeError`."""
-    root, said = verifier.data_set.root, verifier.data_set.said
-    for name in settings_of(said).formats:
+    root, description = verifier.data_set.root, verifier.data_set.description
+    for name in settings_of(description).formats:
         if name in DATASET_FORMATS:
             DATASET_FORMATS.load(name)
         else:
             note = f"labels of the format {name} are not checked: no format of that name is registered here"
             verifier.notes.append(note)
-    for split, counts in said["splits"].items():
+    for split, counts in description["splits"].items():
         name, holds = f"labels {split}", "labels are true to each other"
         if not SafePath(root, split).is_folder():
             finding = Finding(split, "the split is no folder of the data set", "a folder, and no link")

@@ -61,9 +61,9 @@ def enter_records(root: Path, record_index: RecordIndex) -> set[str]:
     splits = set()
     for record in records_of(LocalStorage(root)):
         splits.add(record.split)
-        for path, said in record.files.items():
+        for path, entry in record.files.items():
             with suppress(DatasetError):  # two records, or a record and SHA256SUMS, disagree: a check names it
-                record_index.add_file(FileSum(path, 0, str(said["sha256"])))
+                record_index.add_file(FileSum(path, 0, str(entry["sha256"])))
     return splits
 
 
@@ -72,8 +72,8 @@ def enter_other_sums(root: Path, record_index: RecordIndex, splits: Iterable[str
     enter_records(root, record_index)
     for split in splits:
         with suppress(UnreadableError, KeyError, TypeError, AttributeError, DatasetError):
-            for path, said in read_json(root, f"{split}/{MANIFEST_NAME}")["files"].items():
-                record_index.add_file(FileSum(f"{split}/{path}", 0, str(said["sha256"])))
+            for path, entry in read_json(root, f"{split}/{MANIFEST_NAME}")["files"].items():
+                record_index.add_file(FileSum(f"{split}/{path}", 0, str(entry["sha256"])))
 
 
 def lost(record_index: RecordIndex) -> Iterator[Finding]:
@@ -102,11 +102,11 @@ def _sum_finding(root: Path, file: FileSum) -> Finding | None:
     return Finding(file.path, "the file has changed since it was made", f"sha256 {file.sha256}", f"sha256 {digest}")
 
 
-def strangers(record_index: RecordIndex, note: Callable[[str], None]) -> Iterator[Finding]:
+def unlisted(record_index: RecordIndex, note: Callable[[str], None]) -> Iterator[Finding]:
     """Files that SHA256SUMS does not list; those of other tools are a note."""
     foreign: list[str] = []
     count = 0
-    for path in record_index.strangers():
+    for path in record_index.unlisted():
         tool = tool_of(path)
         if tool is None:
             yield Finding(path, "SHA256SUMS does not list this file", "nothing")

@@ -41,26 +41,26 @@ class FrameFacts:
     findings: tuple[Finding, ...]
 
 
-def check_frames(root: Path, said: Mapping[str, Any], jobs: int | None, progress: Progress) -> list[Check]:
+def check_frames(root: Path, description: Mapping[str, Any], jobs: int | None, progress: Progress) -> list[Check]:
     """The checks that open every frame.
 
     Parameters
     ----------
-    said : dataset.json.
+    description : dataset.json.
     jobs : threads; by default the cores.
     """
-    class_names = said["settings"]["class_names"]
+    class_names = description["settings"]["class_names"]
     frames: list[Finding] = []
     seeds, communities = _Shared("seed"), _Shared("plant community")
-    with ThreadPoolExecutor(jobs) as pool, progress.stage("frames", int(said["frames"])) as advance:
+    with ThreadPoolExecutor(jobs) as pool, progress.stage("frames", int(description["frames"])) as advance:
         for facts in in_order(pool, partial(_facts, root, class_names), _rows(root)):
             advance(1)
             frames += facts.findings
             seeds.add(str(facts.row.get("image_seed")).encode(), facts.row)
             communities.add(facts.community, facts.row)
-    images = int(said["images"])
+    images = int(description["images"])
     return [
-        ("frames", "the index tells of frames what their files show", int(said["frames"]), frames),
+        ("frames", "the index tells of frames what their files show", int(description["frames"]), frames),
         ("seeds", "no image's seed is in two splits", images, seeds.findings),
         ("communities", "no plant community is in two splits", images, communities.findings),
     ]
@@ -175,17 +175,17 @@ def _community(plants: Mapping[str, Any]) -> bytes:
 
 
 def check_renders(
-    root: Path, said: Mapping[str, Any], count: int, seed: int, progress: Progress, note: Callable[[str], None]
+    root: Path, description: Mapping[str, Any], count: int, seed: int, progress: Progress, note: Callable[[str], None]
 ) -> Iterator[Finding]:
     """Files that have other bytes than those that are rendered now.
 
     Parameters
     ----------
-    said : dataset.json.
+    description : dataset.json.
     count, seed : how many images; which ones.
     note : told if other versions than those of this machine made the data set.
     """
-    moved = _moved(said)
+    moved = _moved(description)
     if moved:
         note(f"rendered again with other versions ({moved}): bytes may differ for that reason alone")
     with progress.stage("renders", count) as advance:
@@ -307,12 +307,12 @@ def _compare_rows(kept: Mapping[str, Any], made: Mapping[str, Any]) -> Iterator[
             yield Finding(INDEX_NAME, problem, f"{value!r:.120}", f"{kept.get(key)!r:.120}")
 
 
-def _moved(said: Mapping[str, Any]) -> str:
+def _moved(description: Mapping[str, Any]) -> str:
     """What is of another version than when the data set was made, for people; "" if nothing is."""
     now = this_version()
-    if any(one["versions_hash"] == now["versions_hash"] for one in said["made_with"]):
+    if any(one["versions_hash"] == now["versions_hash"] for one in description["made_with"]):
         return ""
-    then = said["made_with"][0]
+    then = description["made_with"][0]
     packages = [
         f"{name} {then['packages'].get(name)}, now {version}"
         for name, version in now["packages"].items()

@@ -36,7 +36,7 @@ class OpenDataSet:
     """What the checks share."""
 
     root: Path
-    said: dict[str, Any]  # dataset.json
+    description: dict[str, Any]  # dataset.json
     record_index: RecordIndex  # with the files of SHA256SUMS, and those that are there
     seeds: dict[int, int] = field(default_factory=dict)  # image -> seed, by the index
     splits: dict[int, str] = field(default_factory=dict)  # image -> split, by the index
@@ -48,11 +48,11 @@ def record_findings(data_set: OpenDataSet) -> Iterator[Finding]:
     images = 0
     for record in records_of(LocalStorage(data_set.root), damaged.append):
         images += 1
-        for path, said in record.files.items():
+        for path, entry in record.files.items():
             listed = data_set.record_index.file(path)
-            if listed is None or listed.sha256 != said["sha256"]:
+            if listed is None or listed.sha256 != entry["sha256"]:
                 got = "not listed" if listed is None else f"sha256 {listed.sha256}"
-                yield Finding(path, "SHA256SUMS and the image's record disagree", f"sha256 {said['sha256']}", got)
+                yield Finding(path, "SHA256SUMS and the image's record disagree", f"sha256 {entry['sha256']}", got)
         yield from _left_out(data_set.record_index, record)
         for row in record.rows:
             own = rows.take(str(row["frame"]))
@@ -66,8 +66,8 @@ def record_findings(data_set: OpenDataSet) -> Iterator[Finding]:
     for note in damaged:
         path, _, problem = note.partition(": ")
         yield Finding(path, problem or "the record is damaged")
-    if images != data_set.said["images"] and not damaged:
-        yield Finding(JOBS, "there is not a record for each image", str(data_set.said["images"]), str(images))
+    if images != data_set.description["images"] and not damaged:
+        yield Finding(JOBS, "there is not a record for each image", str(data_set.description["images"]), str(images))
     for name in rows.rest():
         yield Finding(INDEX_NAME, "a row is of no image that has a record", got=name, image=name)
 
@@ -107,29 +107,31 @@ class _Rows:
 
 def index_findings(data_set: OpenDataSet) -> Iterator[Finding]:
     """What is wrong with the index and dataset.json; enters the images' seeds and splits."""
-    root, said = data_set.root, data_set.said
+    root, description = data_set.root, data_set.description
     frames: dict[str, set[str]] = {}
     try:
-        yield from _column_findings(root, said)
+        yield from _column_findings(root, description)
         for row in read_index(root / INDEX_NAME):
             yield from _row_findings(data_set, row, frames)
     except (DatasetError, TypeError, ValueError, KeyError) as error:
         yield Finding(INDEX_NAME, "the index cannot be read", got=" ".join(str(error).split())[:200])
         return
     images = {split: sum(1 for own in data_set.splits.values() if own == split) for split in frames}
-    for split, counts in said["splits"].items():
+    for split, counts in description["splits"].items():
         counted = {"images": images.get(split, 0), "frames": len(frames.get(split, ()))}
         if counted != counts:
             yield Finding(DATASET_NAME, f"it counts {split} otherwise than the index", str(counted), str(counts))
-    for split in sorted(set(frames) - set(said["splits"])):
+    for split in sorted(set(frames) - set(description["splits"])):
         yield Finding(DATASET_NAME, "the index has a split that is not told here", split, "none")
     text = "".join(f"{data_set.seeds[image]}\n" for image in sorted(data_set.seeds))
     digest = hashlib.sha256(text.encode()).hexdigest()
-    if digest != said["image_seeds_sha256"]:
-        yield Finding(DATASET_NAME, "the images' seeds are not the index'", digest, str(said["image_seeds_sha256"]))
-    yield from _frames_without_rows(root, {*frames, *said["splits"]}, frames)
+    if digest != description["image_seeds_sha256"]:
+        yield Finding(
+            DATASET_NAME, "the images' seeds are not the index'", digest, str(description["image_seeds_sha256"])
+        )
+    yield from _frames_without_rows(root, {*frames, *description["splits"]}, frames)
     try:
-        yield from _description_findings(said, data_set.splits)
+        yield from _description_findings(description, data_set.splits)
     except (KeyError, TypeError, ValueError) as error:
         yield Finding(DATASET_NAME, "the content is not of this format", got=f"{type(error).__name__}: {error}"[:200])
 
@@ -163,9 +165,9 @@ def _frames_without_rows(root: Path, splits: Iterable[str], frames: Mapping[str,
                 yield Finding(f"{split}/{name}", "the index has no row of this frame", "a row", "none", image=name)
 
 
-def _column_findings(root: Path, said: Mapping[str, Any]) -> Iterator[Finding]:
+def _column_findings(root: Path, description: Mapping[str, Any]) -> Iterator[Finding]:
     """Columns of the index that no data set of these recipes has."""
-    known = {*COLUMNS, *(DRAW + key for recipe in said["recipes"] for key in recipe["draws"])}
+    known = {*COLUMNS, *(DRAW + key for recipe in description["recipes"] for key in recipe["draws"])}
     with open_index(root / INDEX_NAME, ()) as file:
         names = file.schema_arrow.names
     for name in names:
@@ -180,7 +182,7 @@ def manifest_findings(data_set: OpenDataSet, split: str) -> Iterator[Finding]:
     try:
         manifest = read_json(data_set.root, name)
         listed = {f"{split}/{path}": entry["sha256"] for path, entry in manifest["files"].items()}
-        recipes = [{"hash": one["hash"], "root_seed": one["root_seed"]} for one in data_set.said["recipes"]]
+        recipes = [{"hash": one["hash"], "root_seed": one["root_seed"]} for one in data_set.description["recipes"]]
         wanted = {"split": split, "recipes": recipes, "image_seeds": seeds}
         for key, value in wanted.items():
             if manifest.get(key) != value:
@@ -202,25 +204,25 @@ def manifest_findings(data_set: OpenDataSet, split: str) -> Iterator[Finding]:
             yield Finding(file.path, f"{name} does not list this file", "its bytes and SHA-256", "none")
 
 
-def _description_findings(said: Mapping[str, Any], split_of_image: Mapping[int, str]) -> Iterator[Finding]:
+def _description_findings(description: Mapping[str, Any], split_of_image: Mapping[int, str]) -> Iterator[Finding]:
     """What is wrong in dataset.json, by the splits of the index' images."""
     for key in ("images", "frames"):
-        total = sum(int(counts[key]) for counts in said["splits"].values())
-        if said[key] != total:
-            yield Finding(DATASET_NAME, f"{key} is not the sum over the splits", str(total), str(said[key]))
-    made = dict.fromkeys(range(len(said["recipes"])), 0)
+        total = sum(int(counts[key]) for counts in description["splits"].values())
+        if description[key] != total:
+            yield Finding(DATASET_NAME, f"{key} is not the sum over the splits", str(total), str(description[key]))
+    made = dict.fromkeys(range(len(description["recipes"])), 0)
     for image, split in split_of_image.items():
-        number = next((at for at, one in enumerate(said["recipes"]) if _holds(one["asked"], image)), None)
+        number = next((at for at, one in enumerate(description["recipes"]) if _holds(one["asked"], image)), None)
         if number is None:
             yield Finding(DATASET_NAME, f"image {image} of the index is of no recipe", "one that asked for it", "none")
             continue
         made[number] += 1
-        shares = said["recipes"][number]["splits"]
+        shares = description["recipes"][number]["splits"]
         if shares and split_of(shares, image) != split:
             problem = f"image {image} is in another split than its number gives"
             yield Finding(INDEX_NAME, problem, split_of(shares, image), split, image=str(image))
     for number, count in made.items():
-        one = said["recipes"][number]
+        one = description["recipes"][number]
         asked, missing = (sum(last - first + 1 for first, last in one[key]) for key in ("asked", "missing"))
         if (one["images"], missing) != (asked, asked - count):
             expected, got = f"{asked} asked, {asked - count} missing", f"{one['images']} asked, {missing} missing"
@@ -229,7 +231,7 @@ def _description_findings(said: Mapping[str, Any], split_of_image: Mapping[int, 
 
 def group_findings(data_set: OpenDataSet) -> Iterator[Finding]:
     """Kinds of files that dataset.json counts otherwise; of a data set in which no file is missing or added."""
-    told = data_set.said["files"]
+    told = data_set.description["files"]
     there = file_groups(file for file in data_set.record_index.present() if file.path not in _NOT_COUNTED)
     for group in sorted({*there, *told}):
         if there.get(group) != told.get(group):
@@ -239,7 +241,7 @@ def group_findings(data_set: OpenDataSet) -> Iterator[Finding]:
 
 def recipe_findings(data_set: OpenDataSet) -> Iterator[Finding]:
     """Recipes of the whole data set that do not have the hash of dataset.json."""
-    for one in data_set.said["recipes"]:
+    for one in data_set.description["recipes"]:
         file = str(one["file"])
         try:
             content = plain_yaml(read_text(data_set.root, file), file)
