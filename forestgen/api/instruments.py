@@ -80,7 +80,8 @@ class Instruments:
 
         values = keys if isinstance(keys, Mapping) else _values(texts_of(keys or (), "keys"))
         INSTRUMENTS.check(instrument, parameter="instrument")
-        return _measured(self._loaded, INSTRUMENTS.load(instrument), values, out, overwrite, progress)
+        chosen: Instrument[Any, Reading] = INSTRUMENTS.load(instrument)
+        return _measured(self._loaded, chosen, values, out, overwrite, progress)
 
     def weather(
         self,
