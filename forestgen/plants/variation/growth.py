@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -273,7 +273,8 @@ def varied_nodes(skeleton: Skeleton, variation: Variation, rng: np.random.Genera
     toward = variation.target_pull.direction() if variation.target_pull else (0.0, 0.0, 1.0)
     signal = np.empty((int(t.steps.max(initial=1)), 3))
     made = walk(base, axes, t, gains, variation.reference == "local", toward, new, signal)
-    return axes, NewNodes(*new[:2], *(column[:made] for column in new[2:]))
+    filled: dict[str, NDArray[Any]] = {name: column[:made] for name, column in new._asdict().items()}
+    return axes, NewNodes(**{**filled, "new_of": new.new_of, "piece_of": new.piece_of})
 
 
 def _radius(base: Skeleton, axes: Axes, new: NewNodes) -> Floats:
