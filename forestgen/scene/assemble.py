@@ -37,11 +37,9 @@ def place_instances(
     The angle belongs to the plant_id, so a plant keeps it through time and whatever else grows beside it; a community
     that knows how its plants stand gives it in a column `azimuth_deg`, clockwise from north, NaN where it does not.
 
-    Parameters
-    ----------
-    stands_for_m : (E,) height of the plant whose own branches an exemplar has; NaN or None: the exemplar's height is
-        that of its plants.
-    is_unique : (E,) exemplars of one plant alone, whose branches know their neighbours: neither turned nor scaled.
+    `stands_for_m`: (E,) height of the plant whose own branches an exemplar has; NaN or None: the exemplar's height is
+    that of its plants. `is_unique`: (E,) exemplars of one plant alone, whose branches know their neighbours: neither
+    turned nor scaled.
     """
     heights = np.array([exemplar.height_m for exemplar in exemplars], dtype=np.float64)
     if stands_for_m is not None:
@@ -77,10 +75,8 @@ def pixel_size_m(
 
     A plant behind a camera counts as if it were in front: its shadow may be in view.
 
-    Parameters
-    ----------
-    position_m : (N, 3) feet of the plants, world.
-    height_m, width_m : (N,) of the upright cylinders that hold the plants.
+    `position_m`: (N, 3) feet of the plants, world. `height_m`, `width_m`: (N,) of the upright cylinders that hold the
+    plants.
     """
     finest = np.full(len(position_m), np.inf)
     for camera in cameras:

@@ -149,9 +149,7 @@ def _lowest_m(plan: Plan, height: HeightField) -> float:
 def choose_exemplars(plan: Plan, population: Population, cameras: Sequence[Camera]) -> ExemplarPlan:
     """Sizes, variants and levels of detail that the plants need.
 
-    Raises
-    ------
-    RecipeError : a trait that the plants do not have.
+    Raises `RecipeError`: a trait that the plants do not have.
     """
     section = plan.drawn.recipe.plants
     check_traits(section.traits, population, plan.drawn.where("plants", "traits"))
@@ -234,9 +232,7 @@ def exemplar_requests(
 ) -> list[ExemplarRequest]:
     """What to grow, all but buildings. A plant's randomness belongs to its species, cluster's rank and variant.
 
-    Parameters
-    ----------
-    population : of the plan, which plants that grew branches of their own are part of.
+    `population`: of the plan, which plants that grew branches of their own are part of.
     """
     names = list(plan.drawn.species)
     own = {} if population is None else own_requests(plan, exemplar_plan, population)

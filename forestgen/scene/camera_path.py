@@ -32,10 +32,7 @@ def expand(
     Points of a path are counted as the camera's own: where z is a height above ground, each frame's position and
     look-at point are lifted by the ground under them, so that a camera walks over a hill and not through it.
 
-    Parameters
-    ----------
-    trunks : that walks go around; without them they go straight.
-    bands : of the sensors that cameras name.
+    `trunks`: that walks go around; without them they go straight. `bands`: of the sensors that cameras name.
     """
     poses = poses_of(section, height, trunks)
     stereo = section.rig if isinstance(section.rig, Stereo) else None

@@ -123,9 +123,7 @@ class SizeError:
 def check_traits(traits: Sequence[str], population: Population, where: str) -> None:
     """Refuse a trait that is no numeric column of the population.
 
-    Raises
-    ------
-    RecipeError : with the columns that there are.
+    Raises `RecipeError`: with the columns that there are.
     """
     known = [*_OWN_TRAITS, *(name for name, column in population.columns.items() if _is_numeric(column))]
     for trait in traits:
@@ -241,10 +239,8 @@ def size_errors(
 ) -> list[SizeError]:
     """Error of the approximation for each species that has plants.
 
-    Parameters
-    ----------
-    exemplar_height_m, exemplar_width_m : (E,) measured on the geometry.
-    plant_width_m : (N,) crown width that each plant should have by its species' allometry; NaN where it has no crown.
+    `exemplar_height_m`, `exemplar_width_m`: (E,) measured on the geometry. `plant_width_m`: (N,) crown width that each
+    plant should have by its species' allometry; NaN where it has no crown.
     """
     errors = []
     for index, name in enumerate(population.species_names):
@@ -276,9 +272,7 @@ def rung_of(value: float, step: float) -> int:
 def rungs_of(radius_m: Floats, most: int) -> Ints:
     """(N,) rung that stands for each plant: its own, or where there are more than `most`, one of those evenly between.
 
-    Parameters
-    ----------
-    radius_m : (N,) of a species' plants, at least one.
+    `radius_m`: (N,) of a species' plants, at least one.
     """
     own: Ints = np.rint(np.log(radius_m) / np.log(SIZE_STEP)).astype(np.int64)
     if len(np.unique(own)) <= most:

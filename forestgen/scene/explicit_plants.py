@@ -71,13 +71,8 @@ def has_own(plan: Plan, population: Population) -> bool:
 def plan_own_plants(plan: Plan, population: Population, pixel_m: Floats) -> dict[int, ExemplarPlan]:
     """Plans of the species that are clothed by modules, and of buildings, by their index in the population.
 
-    Parameters
-    ----------
-    pixel_m : (N,) what a pixel covers of each plant where it is seen largest.
-
-    Raises
-    ------
-    ResourceError : the recipe asks for more plants as themselves than the memory holds.
+    `pixel_m`: (N,) what a pixel covers of each plant where it is seen largest. Raises `ResourceError`: the recipe asks
+    for more plants as themselves than the memory holds.
     """
     own = _own(plan, population)
     built = plan_buildings(plan.community.obstacles.rows_of(population), population)

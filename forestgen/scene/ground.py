@@ -25,9 +25,7 @@ _LEAST_MM = 1e-6  # of water: less would divide to infinity, or by 0
 def height_field(drawn: DrawnRecipe) -> HeightField:
     """Height of the ground at any x and y; the same object whenever a recipe's image is asked for again.
 
-    Raises
-    ------
-    RecipeError : a map of heights that cannot be read, has holes, or has not the site's shape; with its line.
+    Raises `RecipeError`: a map of heights that cannot be read, has holes, or has not the site's shape; with its line.
     """
     site = drawn.recipe.site
     try:
@@ -60,9 +58,7 @@ def community_site(drawn: DrawnRecipe) -> Site:
 def check_wet_soil(drawn: DrawnRecipe, model: object, parameters: CommunityParameters) -> None:
     """Refuse a recipe that says how wet soil shows where no community knows of any.
 
-    Raises
-    ------
-    RecipeError : with the line of the key.
+    Raises `RecipeError`: with the line of the key.
     """
     section = drawn.recipe.site.wet_soil
     if section is not None and section.shown and capability(model, SoilWater) is None:

@@ -60,11 +60,8 @@ def unique_plants(
 def plan_own(population: Population, index: int, is_unique: Bools, per_species: int, seed: int) -> ExemplarPlan:
     """The plan of one species whose plants have branches of their own.
 
-    Parameters
-    ----------
-    index : of the species.
-    is_unique : (N,) see `unique_plants`.
-    per_species : exemplars of the plants that are not unique, at most; of the dead among them as many again.
+    `index`: of the species. `is_unique`: (N,) see `unique_plants`. `per_species`: exemplars of the plants that are not
+    unique, at most; of the dead among them as many again.
     """
     rows = np.flatnonzero(population.species == index)
     unique, others = rows[is_unique[rows]], rows[~is_unique[rows]]

@@ -28,9 +28,7 @@ _ROOF_M = 0.5  # its thickness, and more: a camera on the roof is outside
 def drawn_cameras(drawn: DrawnRecipe, trunks: Trunks | None = None) -> list[list[Camera]]:
     """The cameras of each entry; walks go straight where no trunks are given.
 
-    Raises
-    ------
-    RecipeError, AssetError : bands that no file has, or a walk without a way, with its line.
+    Raises `RecipeError`, `AssetError`: bands that no file has, or a walk without a way, with its line.
     """
     bands = _bands(drawn)
     cameras = []
@@ -84,9 +82,7 @@ def ground_below(drawn: DrawnRecipe, camera: Camera) -> float:
 def check_above_ground(drawn: DrawnRecipe) -> None:
     """Refuse cameras below the ground, of entries whose `obstructed` is an error.
 
-    Raises
-    ------
-    RecipeError : with the camera's line.
+    Raises `RecipeError`: with the camera's line.
     """
     for index, camera, above_m in below_ground(drawn):
         section = drawn.recipe.cameras[index]
@@ -131,9 +127,7 @@ def _is_within(building: Building, at_m: NDArray[np.float64]) -> NDArray[np.bool
 def check_outside_of_buildings(drawn: DrawnRecipe) -> list[str]:
     """Refuse cameras inside of buildings, which see dark walls; notes on those whose `obstructed` is a note.
 
-    Raises
-    ------
-    RecipeError : with the camera's line.
+    Raises `RecipeError`: with the camera's line.
     """
     notes = []
     for index, camera, number in in_buildings(drawn):
@@ -168,9 +162,7 @@ def _place_key(section: CameraSection) -> tuple[str, ...]:
 def check_trunks(drawn: DrawnRecipe, cameras: Sequence[Sequence[Camera]], trunks: Trunks) -> list[str]:
     """Refuse cameras in trunks or right before them; notes on those of entries whose `obstructed` is a note.
 
-    Raises
-    ------
-    RecipeError : with the camera's line.
+    Raises `RecipeError`: with the camera's line.
     """
     notes = []
     for index, entry in enumerate(cameras):

@@ -53,9 +53,7 @@ _ADAPTER: TypeAdapter[Any] = TypeAdapter(OrganShape)
 def organ_shape(keys: dict[str, Any]) -> OrganForm:
     """The shape that a mapping of keys describes.
 
-    Raises
-    ------
-    pydantic.ValidationError : an unknown form or key, or a value out of bounds.
+    Raises `pydantic.ValidationError`: an unknown form or key, or a value out of bounds.
     """
     shape: OrganForm = _ADAPTER.validate_python(keys)
     return shape

@@ -104,10 +104,7 @@ def divide(
 def pose(branching: Branching, wind: Wind, stiffness: float, phases_rad: Floats) -> Pose:
     """The branching in a wind, its segments placed one after the other.
 
-    Parameters
-    ----------
-    stiffness : k_f, 0 to 1.
-    phases_rad : (N, 2) R_x and R_z of each segment.
+    `stiffness`: k_f, 0 to 1. `phases_rad`: (N, 2) R_x and R_z of each segment.
     """
     bearer = np.maximum(branching.parent, 0)
     amplitude = np.radians(wind.speed_undirected) * (1.0 - stiffness) * branching.length_m[bearer]

@@ -77,9 +77,7 @@ def leaf_places(
     Where a level of detail cut a branch of several strands short, its leaves are larger by the root of their number,
     so that the area stays.
 
-    Raises
-    ------
-    RecipeError : more leaves than memory holds.
+    Raises `RecipeError`: more leaves than memory holds.
     """
     density = min(round(evaluate_one(leaves.density, height_m)), 200)
     ends = np.ones(len(branching.parent), bool)
