@@ -160,7 +160,7 @@ class Parameters(PlantParameters):
     silhouette: Silhouette = Field(
         "ellipsoid",
         description="branch_len(0, .): form of the crown: ellipsoid, ovoid, cone, column, or a curve of its radius "
-        "over the height within it, 0 its base and 1 its top, in any unit: the greatest is the width that the plant has",
+        "over the height within it, 0 its base and 1 its top, in any unit: the greatest is the plant's width",
     )
     crown_base: Curve = Field(
         ((0.0, 0.3),), description="crown's lower end, share of height, over the height in metres"
