@@ -27,8 +27,7 @@ from forestgen.plants.levels import level_of_index
 from forestgen.plants.parameters import PlantParameters
 from forestgen.recipe.species import Material, Species
 from forestgen.scene.building import plan_buildings
-from forestgen.scene.exemplars import ExemplarPlan
-from forestgen.scene.own_exemplars import plan_own, unique_plants
+from forestgen.scene.exemplars import ExemplarPlan, plan_own, unique_plants
 from forestgen.scene.plan import Plan, check_own_triangles
 
 Floats = NDArray[np.float64]

@@ -19,8 +19,8 @@ from forestgen.plants.plan import PlantPlan
 from forestgen.plants.registry import GENERATORS
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.plants import Plants
+from forestgen.scene.exemplars import MOST_TRIANGLES
 from forestgen.scene.ground import height_field
-from forestgen.scene.own_exemplars import MOST_TRIANGLES
 from forestgen.scene.views import drawn_cameras
 
 # Kept free for the operating system and for what no estimate sees.

@@ -93,8 +93,18 @@ from forestgen.plants.budget import check_budget
 from forestgen.plants.fitting import fit, moved
 from forestgen.plants.parameters import PlantParameters
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
-from forestgen.plants.strands.kernel import JITTERS, ORDERS, Branching, Pose, Wind, divide, pose
-from forestgen.plants.strands.leaves import Leaves, carried, leaf_places
+from forestgen.plants.strands import (
+    JITTERS,
+    ORDERS,
+    Branching,
+    Leaves,
+    Pose,
+    Wind,
+    carried,
+    divide,
+    leaf_places,
+    pose,
+)
 from forestgen.recipe.curves import Curve, Formula, PositiveCurve, Smooth, evaluate, evaluate_one
 from forestgen.recipe.fields import Section
 
