@@ -22,7 +22,40 @@ by k-means over the logarithms of height, crown radius, number of modules and tr
 cluster's centre stands for it, scaled to each plant's height and turned by each plant's own angle. The dead are grouped
 by themselves.
 
-Which plants are unique is decided by their size in pixels, the largest first: those at least `LEAST_PIXELS = 24.0  # height of a unique plant in the image that shows it largest
+Which plants are unique is decided by their size in pixels, the largest first: those at least `LEAST_PIXELS` high, as
+long as `MOST_TRIANGLES` allow. Both are fixed, so that images do not depend on the machine.
+
+References
+----------
+Lane, B. (2002). Models of plant communities for image synthesis. MSc thesis, University of Calgary, chapter 6.
+Deussen, O. et al. (1998). Realistic modeling and rendering of plant ecosystems. SIGGRAPH 1998, 275-286, section 5.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.community.population import Population, Status
+from forestgen.core.errors import RecipeError
+from forestgen.core.randomness import child_rng, child_seed
+from forestgen.recipe.load import DrawnRecipe
+from forestgen.recipe.species import Species
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+TRAIT_WEIGHT = 0.5  # of a trait against the radius
+LEAST_SPREAD = 0.1  # standard deviation of the radius' logarithm at least, where traits are weighed against it
+SIZE_STEP = 1.25  # of radii: a plant is at most 12% from its rung
+SLENDERNESS_STEP = 1.15  # of the scale of the heights' allometry, which a recipe may draw for each image
+LEAST_PIXELS = 24.0  # height of a unique plant in the image that shows it largest
 MOST_TRIANGLES = 10_000_000  # of all unique plants
 _WEIGHTS = {"height_m": 1.0, "radius_m": 0.7, "modules": 0.5, "trunk_diameter_m": 0.5}
 _LEAST = 1e-3  # metres, below which a size's logarithm tells nothing
