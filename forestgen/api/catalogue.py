@@ -25,9 +25,11 @@ from forestgen.recipe.registries import (
     CLOUD_SOURCES,
     DATASET_FORMATS,
     GROUND_COVERS,
+    INSTRUMENTS,
     LABEL_CHANNELS,
     PACKS,
     PROJECTIONS,
+    RIGS,
     SKIES,
     TERRAINS,
 )
@@ -48,6 +50,8 @@ _REGISTRIES: dict[str, Registry] = {
     "terrain": TERRAINS,
     "ground_cover": GROUND_COVERS,
     "projection": PROJECTIONS,
+    "rig": RIGS,
+    "instrument": INSTRUMENTS,
     "building": BUILDINGS,
     "mesh_exporter": MESH_EXPORTERS,
 }

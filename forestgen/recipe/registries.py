@@ -129,6 +129,27 @@ def each_once(names: tuple[str, ...]) -> tuple[str, ...]:
     return names
 
 
+RIGS = Registry(
+    "rig",
+    {
+        "stereo": ("forestgen.scene.rigs.stereo:RIG", "two cameras side by side, axes parallel"),
+        "orbit": ("forestgen.scene.rigs.orbit:RIG", "a circle of cameras around look_at_m"),
+        "walk": ("forestgen.scene.rigs.walk:RIG", "at eye height over the ground, around trunks"),
+        "drone_grid": ("forestgen.scene.rigs.drone_grid:RIG", "straight down in lines over an area, overlapping"),
+    },
+    contract="forestgen.scene.rigs.rig:Rig",
+)
+
+INSTRUMENTS = Registry(
+    "instrument",
+    {
+        "light_meter": ("forestgen.instruments.light_meter:INSTRUMENT", "illuminance, colour and spectra at points"),
+        "colour_chart": ("forestgen.instruments.colour_chart:INSTRUMENT", "colours against those of colour science"),
+        "gap_fraction": ("forestgen.instruments.gap_fraction:INSTRUMENT", "the canopy's gaps in fisheyes that look up"),
+    },
+    contract="forestgen.instruments.instrument:Instrument",
+)
+
 PROJECTIONS = Registry(
     "projection",
     {

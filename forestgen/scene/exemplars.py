@@ -359,7 +359,7 @@ def unique_plants(
     Parameters
     ----------
     species : (N,) plants of species that are clothed by modules.
-    pixel_m : (N,) what a pixel covers of each plant, see `scene.assemble.pixel_size_m`.
+    pixel_m : (N,) what a pixel covers of each plant, see `scene.growth.pixel_size_m`.
     triangles : (N,) of each plant, estimated; asked for where it matters.
     wanted : auto, all, none, or the number of plants.
     """

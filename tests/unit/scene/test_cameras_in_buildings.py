@@ -7,7 +7,6 @@ import pytest
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.load import load_recipe
 from forestgen.scene.planning import make_plan
-from forestgen.scene.views import check_outside_of_buildings
 
 # The house is 12 m along its ridge, which goes from north-west to south-east, and 6 m deep.
 STAND = """
@@ -42,7 +41,7 @@ def test_a_camera_in_a_house_is_refused_at_its_line(tmp_path, position):
 @pytest.mark.parametrize("position", INSIDE)
 def test_a_camera_in_a_house_is_a_note_where_cameras_stand_at_random(tmp_path, position):
     plan = make_plan(drawn_of(tmp_path, position, "note"))
-    (note,) = check_outside_of_buildings(plan.drawn)
+    (note,) = plan.views.check_outside_of_buildings()
     assert note == "the camera camera0 stands inside of a house"
 
 

@@ -15,7 +15,7 @@ from forestgen.architecture.skeletal_graph import skeletal_graph
 from forestgen.architecture.tables import tables_of
 from forestgen.community.population import Population
 from forestgen.plants.grown import woods_of
-from forestgen.scene.assemble import place_instances
+from forestgen.scene.build import place_instances
 from forestgen.scene.exemplars import LEAST_PIXELS, MOST_TRIANGLES, plan_exemplars, plan_own, unique_plants
 from support.scenes import simple_tree
 
