@@ -14,7 +14,7 @@ from forestgen.plants.parameters import Lifeless
 from forestgen.plants.registry import GENERATORS
 from forestgen.recipe.assets import list_assets
 from forestgen.recipe.load import load_recipe_data
-from forestgen.scene import build
+from forestgen.scene import growth
 from forestgen.scene.planning import make_plan
 from forestgen.scene.views import drawn_cameras
 from tests.unit.community.test_model_contract import FOUNDED, NEEDED, PLACEMENTS
@@ -50,8 +50,8 @@ def test_a_species_grows_with_a_model(name: str, model: str) -> None:
     plan = make_plan(drawn)
     plants = final_population(plan.community, Silent())
     cameras = [camera for entry in drawn_cameras(drawn) for camera in entry]
-    chosen = build.choose_exemplars(plan, plants, cameras)
-    requests = build.exemplar_requests(plan, chosen, plants)
+    chosen = growth.choose_exemplars(plan, plants, cameras)
+    requests = growth.exemplar_requests(plan, chosen, plants)
     assert len(requests) == len(chosen)
     if model in (*PLACEMENTS, *FOUNDED):
         assert len(plants)
