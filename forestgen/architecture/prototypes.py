@@ -182,12 +182,7 @@ def load_prototypes() -> tuple[Prototype, ...]:
 
 
 def read_prototype(path: Path) -> Prototype:
-    """The prototype of a file.
-
-    Raises
-    ------
-    AssetError : the file holds no prototype.
-    """
+    """The prototype of a file; an `AssetError` if it holds none."""
     data, sources = read_yaml(path, error=AssetError)
     try:
         return PrototypeFile.model_validate(data).prototype(path.stem)
@@ -203,10 +198,7 @@ def choose_prototype(
 ) -> NDArray[np.uint8]:
     """Index of the prototype whose Voronoi region of the morphospace holds each point; the first of equals.
 
-    Parameters
-    ----------
-    apical_control, determinacy : (...) lambda and D', 0 to 1; of one shape, or one number.
-    allowed : (..., S) among which prototypes each may choose, at least one; None: all.
+    The points are lambda and D', 0 to 1, of one shape (...); `allowed` (..., S) says which prototypes each may choose.
     """
     control, determinate = np.broadcast_arrays(
         np.asarray(apical_control, dtype=np.float64), np.asarray(determinacy, dtype=np.float64)

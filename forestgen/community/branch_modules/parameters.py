@@ -356,12 +356,7 @@ def cells_at(
 def parameters_at(
     parameters: BranchModulesParameters, types: Mapping[str, PlantType], step: int
 ) -> tuple[BranchModulesParameters, dict[str, PlantType]]:
-    """The parameters and the plant types, by the names of the species that grow, with all changes up to a step's end.
-
-    Raises
-    ------
-    ValueError : a value that its key does not take, or no such key or species; a recipe's check refuses them before.
-    """
+    """The parameters, and the plant types by the names of the species that grow, with all changes up to a step."""
     changed, kinds = parameters, dict(types)
     for _, one in changes_in_order(parameters):
         if one.step(parameters.step_yr) > step:
@@ -370,8 +365,6 @@ def parameters_at(
         if own:
             changed = type(parameters).model_validate({**values_of(changed), **own})
         for name, values in of_species.items():
-            if name not in kinds:
-                raise ValueError(f"no species {name!r} grows by branch modules")
             kinds[name] = PlantType.model_validate({**values_of(kinds[name]), **values})
     return changed, kinds
 

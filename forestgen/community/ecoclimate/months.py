@@ -309,12 +309,7 @@ def _arriving(forest: State, parameters: EcoclimateParameters) -> Arriving:
 
 
 def shown_section(drawn: DrawnRecipe, parameters: EcoclimateParameters) -> WeatherSection:
-    """The community's weather at its last step, with the cells and the hours of the picture.
-
-    Raises
-    ------
-    RecipeError : no weather then; no such time; too many cells, or too few.
-    """
+    """The community's weather at its last step, with the cells and the hours of the picture."""
     clouds: Any = drawn.recipe.sky.clouds
     types = {name: one.modules for name, one in drawn.species.items() if one.modules is not None}
     at_the_end, _ = parameters_at(parameters, types, parameters.steps)
@@ -343,12 +338,7 @@ def shown_section(drawn: DrawnRecipe, parameters: EcoclimateParameters) -> Weath
 
 
 def shown_weather(drawn: DrawnRecipe, section: WeatherSection, state: Ecoclimate, progress: Progress) -> Weather:
-    """The air at the end of the hours that are simulated of a day, from the cache or simulated.
-
-    Raises
-    ------
-    RecipeError : the air cannot be stepped.
-    """
+    """The air at the end of the hours that are simulated of a day, from the cache or simulated."""
     clouds: Any = drawn.recipe.sky.clouds
     case = air_over(state, section, clouds.day or 0)
     told = (code_hash(_SOURCES, _COMPUTE_WITH), section.hours, described(case))
