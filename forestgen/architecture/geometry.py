@@ -53,6 +53,7 @@ from forestgen.architecture.modules import Modules
 from forestgen.architecture.prototypes import Tables
 from forestgen.core.threads import over_ranges
 
+_MOST_OPACITY = 0.99
 Types = NDArray[Any]  # (P,) index of each plant's type
 
 
@@ -165,9 +166,6 @@ def over_plants(modules: Modules, work: Any) -> None:
         work(int(np.searchsorted(begins, first)), int(np.searchsorted(begins, end)))
 
     over_ranges(len(modules), of_modules)
-
-
-_MOST_OPACITY = 0.99
 
 
 @dataclass(frozen=True)

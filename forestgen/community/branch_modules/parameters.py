@@ -51,6 +51,8 @@ from forestgen.recipe.plant_type import PlantType
 from forestgen.recipe.sources import Keys
 from forestgen.recipe.suggestions import nearest
 
+BLOCKED_ABOVE = 0.5  # a soil map's values above this bar plants
+MOST_PLANTS = 1_000_000  # at the start
 #: Keys of the section that a simulation starts with, and cannot change on its way.
 FIXED = (
     "steps", "step_yr", "periodic", "disturbances", "initial_plants", "biome", "soil", "obstacles", "changes",
@@ -121,10 +123,6 @@ def species_key(key: str) -> tuple[str, str] | None:
     """Name and key of ``species.NAME.KEY``; None: a key of the section itself."""
     parts = key.split(".")
     return (parts[1], parts[2]) if len(parts) == 3 and parts[0] == "species" else None
-
-
-BLOCKED_ABOVE = 0.5  # a soil map's values above this bar plants
-MOST_PLANTS = 1_000_000  # at the start
 
 
 def _within(low: float, high: float, unit: str) -> AfterValidator:

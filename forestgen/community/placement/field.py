@@ -131,9 +131,11 @@ class _Fields:
         upper_level, upper_lines, upper_stride = _upper_levels(panels, groups)
         sum_level, sum_stride = _levels(rows)
         cell_stride, node_stride = strips * rows * LANES, panels * rows * LANES
-        strides = cell_stride, node_stride, upper_stride, sum_stride
         trees = Trees(
-            *(_aligned(count * stride) for stride in strides),
+            _aligned(count * cell_stride),
+            _aligned(count * node_stride),
+            _aligned(count * upper_stride),
+            _aligned(count * sum_stride),
             upper_level,
             upper_lines,
             sum_level,
@@ -143,7 +145,10 @@ class _Fields:
             cols,
             strips,
             groups,
-            *strides,
+            cell_stride,
+            node_stride,
+            upper_stride,
+            sum_stride,
             size_m[0] / cols,
             size_m[1] / rows,
             bool(periodic),

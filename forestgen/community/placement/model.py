@@ -38,6 +38,10 @@ from forestgen.community.standing import FixedPopulation, State, first_state
 from forestgen.core.randomness import child_rng
 from forestgen.recipe.fields import Whole
 
+_BYTES_PER_PLANT = 400  # a state, its successor, a snapshot, what a placement holds meanwhile
+_BYTES_AT_LEAST = 4 * 1024 * 1024
+_GRIDS_AT_ONCE = 6  # beside one a species: masks, sums, a field's own
+_Kind = TypeVar("_Kind", np.float64, np.bool_)
 _FEWEST_EXPECTED = 5.0  # of a bin: below, chi-square's distribution is not that of the table
 _MOST_BLOCKS = 256
 
@@ -158,12 +162,6 @@ def describe_densities(densities: Densities, placed: Population, site: Site) -> 
         chi_square = asdict(test) if test is not None else None
         described[name] = {"asked": asked, "placed": len(points_m), "chi_square": chi_square}
     return described
-
-
-_BYTES_PER_PLANT = 400  # a state, its successor, a snapshot, what a placement holds meanwhile
-_BYTES_AT_LEAST = 4 * 1024 * 1024
-_GRIDS_AT_ONCE = 6  # beside one a species: masks, sums, a field's own
-_Kind = TypeVar("_Kind", np.float64, np.bool_)
 
 
 @dataclass(frozen=True)
