@@ -239,16 +239,10 @@ def day_of(section: WeatherSection, month: Month, of_year: int, index: int, wind
     """A day of a month, with normally distributed heat and vapour from the region (Algorithm 1, line 3)."""
     heat, vapour = child_rng(seed, "air", of_year, index).normal(size=2)
     layers = Layers(
-        month.temperature_c,
-        section.mixed_layer_m,
-        section.lapse_rate_k_per_km,
-        section.inversion_m,
-        section.inversion_jump_k,
-        _LAPSE_ABOVE_K_PER_KM,
-        section.relative_humidity,
-        section.relative_humidity_aloft,
+        month.temperature_c, section.mixed_layer_m, section.lapse_rate_k_per_km, section.inversion_m,
+        section.inversion_jump_k, _LAPSE_ABOVE_K_PER_KM, section.relative_humidity, section.relative_humidity_aloft,
         0.6 * section.relative_humidity_aloft,
-    )
+    )  # fmt: skip
     return Day(
         layers.sounding(section.height_m, wind_towards(section.wind_m_per_s, wind_from_deg)),
         section.heat_of(of_year) * max(0.0, 1.0 + section.spread * heat),

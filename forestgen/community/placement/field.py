@@ -132,27 +132,11 @@ class _Fields:
         sum_level, sum_stride = _levels(rows)
         cell_stride, node_stride = strips * rows * LANES, panels * rows * LANES
         trees = Trees(
-            _aligned(count * cell_stride),
-            _aligned(count * node_stride),
-            _aligned(count * upper_stride),
-            _aligned(count * sum_stride),
-            upper_level,
-            upper_lines,
-            sum_level,
-            len(upper_level),
-            len(sum_level),
-            rows,
-            cols,
-            strips,
-            groups,
-            cell_stride,
-            node_stride,
-            upper_stride,
-            sum_stride,
-            size_m[0] / cols,
-            size_m[1] / rows,
-            bool(periodic),
-        )
+            _aligned(count * cell_stride), _aligned(count * node_stride), _aligned(count * upper_stride),
+            _aligned(count * sum_stride), upper_level, upper_lines, sum_level, len(upper_level), len(sum_level),
+            rows, cols, strips, groups, cell_stride, node_stride, upper_stride, sum_stride,
+            size_m[0] / cols, size_m[1] / rows, bool(periodic),
+        )  # fmt: skip
         return cls(trees, np.zeros(count, dtype=np.int64))
 
     @property
