@@ -69,13 +69,8 @@ class Nodes:
 def _packed(tables: Tables) -> Shapes:
     """The tables as kernels read them."""
     shapes = np.concatenate([tables.direction, tables.length[..., None], tables.birth[..., None]], axis=-1)
-    columns = (
-        tables.mature_age,
-        tables.length_per_age_m,
-        tables.longest_segment_m,
-        tables.tropism_strength,
-        tables.tropism_decay,
-    )
+    lengths_m = tables.length_per_age_m, tables.longest_segment_m
+    columns = tables.mature_age, *lengths_m, tables.tropism_strength, tables.tropism_decay
     return Shapes(
         np.ascontiguousarray(shapes), np.ascontiguousarray(np.stack(columns, axis=-1)), tables.parent, tables.nodes,
         tables.birth, tables.thickness, tables.disused_node, tables.first_child, tables.next_sibling,

@@ -35,17 +35,7 @@ from forestgen.community.model import CommunityParameters
 from forestgen.community.obstacles import Obstacle
 from forestgen.community.placement.density_map import DensityMap
 from forestgen.recipe.biome import COLDEST_C, DRIEST_MM, WARMEST_C, WETTEST_MM
-from forestgen.recipe.fields import (
-    Flag,
-    Fraction,
-    NonNegative,
-    Number,
-    Positive,
-    Section,
-    Text,
-    Whole,
-    mistake,
-)
+from forestgen.recipe.fields import Flag, Fraction, NonNegative, Number, Positive, Section, Text, Whole, mistake
 from forestgen.recipe.messages import show
 from forestgen.recipe.plant_type import PlantType
 from forestgen.recipe.sources import Keys

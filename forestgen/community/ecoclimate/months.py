@@ -266,12 +266,9 @@ def _share_of_months(parameters: EcoclimateParameters, count: int) -> float:
 def _month_later(state: Ecoclimate, soil: SoilWater, leaves: Floats, now: Month) -> Ecoclimate:
     """The water one month later, and what plants feel."""
     parameters = state.parameters
+    rain, step_days = now.rain_mm_per_day * state.wetness, parameters.soil_water.substep_days
     passed = soil.advance(
-        state.water,
-        DAYS_PER_MONTH,
-        plants_g_per_m2=leaves,
-        rain_mm_per_day=now.rain_mm_per_day * state.wetness,
-        substep_days=parameters.soil_water.substep_days,
+        state.water, DAYS_PER_MONTH, plants_g_per_m2=leaves, rain_mm_per_day=rain, substep_days=step_days
     )
     share = _share_of_months(parameters, 1)
     felt = state.soil_mean_mm + share * (passed.water.soil_mm - state.soil_mean_mm)

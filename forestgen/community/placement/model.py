@@ -239,21 +239,12 @@ def placed_state(
     missing = []
     for i, one in enumerate(species):
         if standing[i] < asked[i]:
-            bars = None if standing[i] else _bars(parameters, site, one.name)
-            missing.append(
-                f"{standing[i]:,} of {asked[i]:,} plants of {one.name} were placed: {bars or reasons[one.name]}"
-            )
-    return first_state(
-        parameters,
-        species,
-        seed,
-        sp=wanted.sp[placed],
-        x_m=position_m[placed],
-        r_m=wanted.r_m[placed],
-        height_m=wanted.height_m[placed],
-        notes=[*missing, *notes],
-        found=found,
-    )
+            reason = (None if standing[i] else _bars(parameters, site, one.name)) or reasons[one.name]
+            missing.append(f"{standing[i]:,} of {asked[i]:,} plants of {one.name} were placed: {reason}")
+    kept: dict[str, NDArray[Any]] = {"sp": wanted.sp, "r_m": wanted.r_m, "height_m": wanted.height_m}
+    kept = {name: values[placed] for name, values in kept.items()}
+    notes = [*missing, *notes]
+    return first_state(parameters, species, seed, x_m=position_m[placed], **kept, notes=notes, found=found)
 
 
 def _bars(parameters: PlacementParameters, site: Site, name: str) -> str | None:
