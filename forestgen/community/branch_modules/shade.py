@@ -171,7 +171,7 @@ def _by_layer(height, layer_m, layers, start, order):  # type: ignore[no-untyped
 
 
 def _open_shares(boxes: Boxes, box_layers: NDArray[np.int64], grid: ShadowGrid, top: int) -> Iterator[Floats]:
-    """(ny, nx) share of each cell that no box takes, which bounds the light in it: of layer top - 1 down to the ground."""
+    """(ny, nx) share of each cell that no box takes, which bounds its light: of layer top - 1 down to the ground."""
     waiting, taken = np.argsort(box_layers, kind="stable").tolist(), np.zeros(grid.cells[::-1])  # the highest last
     for layer in range(top - 1, -1, -1):
         while waiting and layer < box_layers[waiting[-1]]:
