@@ -42,7 +42,7 @@ def family(t: float, spacing_m: float) -> KernelTable:
     knots = _knots(t) if t >= 0 else []
     reach = knots[-1][0] if knots else 2.5 * -t
     distance = np.linspace(0.0, reach, SAMPLES + 1)
-    values = np.interp(distance, *zip(*knots, strict=True)) if knots else np.where(distance < -t, 0.0, 1.0)
+    values = np.interp(distance, *np.array(knots).T) if knots else np.where(distance < -t, 0.0, 1.0)
     return KernelTable(values, reach * spacing_m, in_radii=False, balanced=True)
 
 
