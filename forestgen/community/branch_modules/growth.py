@@ -280,8 +280,8 @@ def died_back(plants: Plants, modules: Modules, now: StepParameters) -> tuple[ND
 def snags_after(state: State, now: StepParameters, plants: Plants, wood: Modules, alive: NDArray[np.bool_]) -> Snags:
     """The snags one step later: those of before and the dead over 1.3 m, without those that have fallen.
 
-    `plants` and `wood` are all that lived, and their modules before the step's shedding; `alive` (P,) says who still
-    does.
+    `plants` and `wood` are all that lived, and their modules before the step's shedding; `alive` (P,) says which still
+    live.
     """
     parameters, snags, step = now.parameters, state.snags, state.step + 1
     if parameters.standing_dead_yr == 0:

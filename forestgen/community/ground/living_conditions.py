@@ -55,7 +55,7 @@ _UNITS = {"elevation_m": " m", "slope_deg": " degrees"}
 def ground_raster(site: Site, name: str, shape: tuple[int, int], rows: slice = slice(None)) -> Floats:
     """(rows, cols) of one living condition, or of some rows of the grid alone."""
     if (height := site.height) is not None:
-        # Height functions are told apart by identity, as many cannot be compared; a ground that is kept keeps its own.
+        # The key has the height function's identity, since many cannot be compared; a kept ground keeps its function.
         key = (site.size_m, site.altitude_m, site.latitude_deg, site.wind_from_deg, id(height))
         return _grounds.get(key, lambda: _Ground(site, height)).on_cells(name, shape, rows)
     level = {"elevation_m": site.altitude_m, "slope_deg": 0.0, "moisture": 0.5, "wind": 0.5, "sun": 1.0}[name]
