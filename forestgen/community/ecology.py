@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 
-from forestgen.architecture.plant_type import PlantType
+from forestgen.recipe.plant_type import PlantType
 from forestgen.recipe.species import Species
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.community.model import Site
-from forestgen.community.placement.asked_and_placed import Densities
+from forestgen.community.placement.model import Densities
 from forestgen.community.plots import colours_of, darker, new_figure, save_figure
 from forestgen.community.population import Population
 

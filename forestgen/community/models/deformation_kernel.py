@@ -123,13 +123,12 @@ from pydantic import Field
 from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.ground.living_conditions import Conditions
 from forestgen.community.model import Site
-from forestgen.community.placement.asked_and_placed import Densities, asked_densities, deformed
 from forestgen.community.placement.clustering import (
     CELLS_PER_SPACING,
     FEWEST,
-    MOST_REHEARSED,
+    MOST_TRIAL_PLANTS,
     Found,
-    Rehearsal,
+    TrialPlacement,
     describe,
     kernel_for,
     notes_on,
@@ -138,6 +137,7 @@ from forestgen.community.placement.clustering import (
 from forestgen.community.placement.densities import (
     COUNTING_CELLS,
     MOST_ALONG,
+    PlacementParameters,
     cells_for,
     grid_shape,
     plant_counts,
@@ -157,14 +157,16 @@ from forestgen.community.placement.kernels import (
     species_named,
 )
 from forestgen.community.placement.model import (
+    Densities,
     PlacementModel,
-    Wanted,
-    chances,
+    PlantingTargets,
+    asked_densities,
+    deformed,
     placed_state,
     placement_rng,
+    uniform_samples,
     wanted_plants,
 )
-from forestgen.community.placement.stands import PlacementParameters
 from forestgen.community.population import Population
 from forestgen.community.standing import State
 from forestgen.recipe.fields import Whole
@@ -277,7 +279,7 @@ class DeformationKernel(PlacementModel):
         """The plants at their places."""
         rng = placement_rng(seed)
         wanted = wanted_plants(parameters, site, species, rng)
-        uniform = chances(wanted, species, rng)
+        uniform = uniform_samples(wanted, species, rng)
         layout = _layout(parameters, site, species)
         shape = grid_shape(site, layout.cells)
         densities = [species_density(parameters, site, species[i].name, shape) for i in layout.species]
@@ -352,7 +354,7 @@ def _found(
     species: Sequence[SpeciesEcology],
     layout: _Layout,
     densities: Sequence[NDArray[np.float64]],
-    wanted: Wanted,
+    wanted: PlantingTargets,
     uniform: NDArray[np.float64],
 ) -> Found | None:
     """The kernel that gives the recipe's Hopkins index; None: it names none, or there are too few plants."""
@@ -362,14 +364,14 @@ def _found(
         return None
     counts = np.bincount(field, minlength=len(densities))
     spacing_m = spacing(densities, counts, site.area_m2)
-    few = slice(None, None, math.ceil(n / MOST_REHEARSED))
+    few = slice(None, None, math.ceil(n / MOST_TRIAL_PLANTS))
     share = len(field[few]) / n
     size_m = (site.size_m[0] * math.sqrt(share), site.size_m[1] * math.sqrt(share))
     if share < 1:
         shape = grid_shape(site, max(_FEWEST_CELLS, round(layout.cells * math.sqrt(share))))
         densities = [species_density(parameters, site, species[i].name, shape) for i in layout.species]
-    rehearsal = Rehearsal(densities, size_m, parameters.periodic, field[few], uniform[few], spacing_m)
-    return kernel_for(parameters.kernels.hopkins, rehearsal)
+    trial = TrialPlacement(densities, size_m, parameters.periodic, field[few], uniform[few], spacing_m)
+    return kernel_for(parameters.kernels.hopkins, trial)
 
 
 def _why(barred: bool) -> str:

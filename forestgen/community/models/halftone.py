@@ -67,9 +67,14 @@ from pydantic import Field
 
 from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.model import Site
-from forestgen.community.placement.densities import COUNTING_CELLS, grid_shape, plant_counts, species_density
+from forestgen.community.placement.densities import (
+    COUNTING_CELLS,
+    PlacementParameters,
+    grid_shape,
+    plant_counts,
+    species_density,
+)
 from forestgen.community.placement.model import PlacementModel, placed_state, placement_rng, wanted_plants
-from forestgen.community.placement.stands import PlacementParameters
 from forestgen.community.standing import State
 from forestgen.core.compiled import compiled
 from forestgen.recipe.fields import Flag, Fraction, Whole

@@ -63,10 +63,16 @@ from pydantic import Field
 
 from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.model import Site
-from forestgen.community.placement.gridded import GriddedModel, GriddedParameters, density_at, read_densities
-from forestgen.community.placement.labelling import deal, label
-from forestgen.community.placement.lattice import lattice_shape
-from forestgen.community.placement.model import placed_state, placement_rng, wanted_plants
+from forestgen.community.placement.labelling import assign, label, lattice_shape
+from forestgen.community.placement.model import (
+    GriddedModel,
+    GriddedParameters,
+    density_at,
+    placed_state,
+    placement_rng,
+    read_densities,
+    wanted_plants,
+)
 from forestgen.community.standing import State
 from forestgen.core.compiled import compiled
 from forestgen.recipe.fields import Fraction, NonNegative
@@ -166,7 +172,7 @@ class HeightField(GriddedModel):
             weight = np.array([density_at(field, at, site.size_m) for field in fields])
             # Of fewer places than trees, the largest trees have theirs.
             labels = label(weight, np.bincount(mine[: len(at)], minlength=len(species)), rng)
-            position_m = deal(wanted, at, labels, rng)
+            position_m = assign(wanted, at, labels, rng)
         return placed_state(parameters, site, species, seed, wanted, position_m, _WHY)
 
 

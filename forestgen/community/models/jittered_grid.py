@@ -54,11 +54,9 @@ from pydantic import Field
 
 from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.model import Site
-from forestgen.community.placement.densities import COUNTING_CELLS
-from forestgen.community.placement.labelling import choose, deal, label
-from forestgen.community.placement.lattice import Lattice, lattice, lattice_shape
+from forestgen.community.placement.densities import COUNTING_CELLS, PlacementParameters
+from forestgen.community.placement.labelling import Lattice, assign, choose, label, lattice, lattice_shape
 from forestgen.community.placement.model import PlacementModel, placed_state, placement_rng, wanted_plants
-from forestgen.community.placement.stands import PlacementParameters
 from forestgen.community.standing import State
 from forestgen.recipe.fields import Fraction
 
@@ -121,7 +119,7 @@ class JitteredGrid(PlacementModel):
             places = np.full((len(cell), 2), np.nan)
             given = labels >= 0
             places[given] = grid.draw(cell[given], labels[given], rng.random((int(given.sum()), 3)))
-            position_m = deal(wanted, places, labels, rng)
+            position_m = assign(wanted, places, labels, rng)
         return placed_state(parameters, site, species, seed, wanted, position_m, _WHY)
 
     def estimate_bytes(self, parameters: PlacementParameters, site: Site, species: Sequence[SpeciesEcology]) -> int:

@@ -57,17 +57,24 @@ from scipy.spatial import cKDTree
 
 from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.model import Site
-from forestgen.community.placement.densities import COUNTING_CELLS, grid_shape, plant_counts, species_density
-from forestgen.community.placement.gridded import (
+from forestgen.community.placement.densities import (
+    COUNTING_CELLS,
+    PlacementParameters,
+    grid_shape,
+    plant_counts,
+    species_density,
+)
+from forestgen.community.placement.labelling import assign, choose, label
+from forestgen.community.placement.model import (
     GriddedModel,
     GriddedParameters,
     density_at,
+    placed_state,
+    placement_rng,
     read_densities,
     stays_apart,
+    wanted_plants,
 )
-from forestgen.community.placement.labelling import choose, deal, label
-from forestgen.community.placement.model import placed_state, placement_rng, wanted_plants
-from forestgen.community.placement.stands import PlacementParameters
 from forestgen.community.standing import State
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.fields import Positive
@@ -173,7 +180,7 @@ class PoissonDisc(GriddedModel):
                 density_at(field, chosen, site.size_m) * (k / max(float(field.mean()), 1e-300))
                 for field, k in zip(fields, counts, strict=True)
             ]
-            position_m = deal(wanted, chosen, label(np.array(weight), able, rng), rng)
+            position_m = assign(wanted, chosen, label(np.array(weight), able, rng), rng)
         why = f"no more fit at {distance:.3g} m from one another on the ground that the map and the conditions allow"
         return placed_state(parameters, site, species, seed, wanted, position_m, why)
 

@@ -58,11 +58,23 @@ from pydantic import Field
 
 from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.model import Site
-from forestgen.community.placement.densities import COUNTING_CELLS, grid_shape, plant_counts, species_density
+from forestgen.community.placement.densities import (
+    COUNTING_CELLS,
+    PlacementParameters,
+    grid_shape,
+    plant_counts,
+    species_density,
+)
 from forestgen.community.placement.field import DensityField
-from forestgen.community.placement.gridded import GriddedModel, GriddedParameters, read_densities, stays_apart
-from forestgen.community.placement.model import placed_state, placement_rng, wanted_plants
-from forestgen.community.placement.stands import PlacementParameters
+from forestgen.community.placement.model import (
+    GriddedModel,
+    GriddedParameters,
+    placed_state,
+    placement_rng,
+    read_densities,
+    stays_apart,
+    wanted_plants,
+)
 from forestgen.community.standing import State
 from forestgen.core.compiled import borrowed, compiled
 from forestgen.core.errors import RecipeError

@@ -54,9 +54,16 @@ from pydantic import Field
 
 from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.model import Site
-from forestgen.community.placement.gridded import GriddedModel, GriddedParameters, density_at, read_densities
-from forestgen.community.placement.model import placed_state, placement_rng, wanted_plants
-from forestgen.community.placement.stands import PlacementParameters
+from forestgen.community.placement.densities import PlacementParameters
+from forestgen.community.placement.model import (
+    GriddedModel,
+    GriddedParameters,
+    density_at,
+    placed_state,
+    placement_rng,
+    read_densities,
+    wanted_plants,
+)
 from forestgen.community.standing import State
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.fields import Number, Positive

@@ -43,8 +43,15 @@ import numpy as np
 from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.model import Site
 from forestgen.community.placement.field import DensityField
-from forestgen.community.placement.gridded import GriddedModel, GriddedParameters, read_densities
-from forestgen.community.placement.model import chances, placed_state, placement_rng, wanted_plants
+from forestgen.community.placement.model import (
+    GriddedModel,
+    GriddedParameters,
+    placed_state,
+    placement_rng,
+    read_densities,
+    uniform_samples,
+    wanted_plants,
+)
 from forestgen.community.standing import State
 
 _WHY = "the map and the conditions bar the whole site"
@@ -65,7 +72,7 @@ class Uniform(GriddedModel):
         wanted = wanted_plants(parameters, site, species, rng)
         position_m = np.full((len(wanted.sp), 2), np.nan)
         fields = read_densities(parameters, site, species)
-        uniform = chances(wanted, species, rng)
+        uniform = uniform_samples(wanted, species, rng)
         for index, density in enumerate(fields):
             mine = wanted.sp == index
             field = DensityField(density, site.size_m, periodic=parameters.periodic)
