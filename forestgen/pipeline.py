@@ -13,8 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from forestgen.community.model import Site
-from forestgen.community.population import Population, Status
-from forestgen.community.statistics import count_by_species, stems_by_species
+from forestgen.community.population import Population, Status, count_by_species, stems_by_species
 from forestgen.core.progress import Progress
 from forestgen.core.timing import Timings
 from forestgen.dataset.folder import OutputFolder

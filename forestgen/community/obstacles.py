@@ -1,4 +1,4 @@
-"""What stands on a site and is no plant: a recipe's entry, its checks, and what it changes about a population."""
+"""Obstacles on a site, which are no plants: a recipe's entry, its checks, and what it changes about a population."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Obstacle(Section):
 
 @dataclass(frozen=True)
 class Obstacles:
-    """The obstacles of a site, and the species that are none but such."""
+    """The obstacles of a site, and the species that only obstacles have."""
 
     entries: tuple[Obstacle, ...] = ()  # a population has them in its first rows by plant_id, in this order
     species: frozenset[str] = frozenset()
@@ -83,23 +83,17 @@ NO_OBSTACLES = Obstacles()
 
 
 def check_obstacles(drawn: DrawnRecipe, obstacles: Obstacles) -> None:
-    """Refuse obstacles that are plants or that stand beyond the site, and buildings that stand nowhere.
-
-    Raises
-    ------
-    RecipeError : with the line of the key.
-    """
+    """Raise `RecipeError` for obstacles that are plants or stand beyond the site, and buildings that stand nowhere."""
     for index, one in enumerate(obstacles.entries):
         _check_obstacle(drawn, index, one)
-    for name in sorted(obstacles.species):
-        if name not in obstacles.counts:
-            raise RecipeError(
-                f"{name} is no plant, and none stands anywhere",
-                where=drawn.where("species", name),
-                expected="an obstacle of this species, or no such species",
-                got="obstacles of " + ", ".join(sorted(obstacles.counts)) if obstacles.counts else "no obstacle",
-                hint=f"community.obstacles: [{{species: {name}, position_m: [...]}}], or leave {name} out",
-            )
+    for name in sorted(obstacles.species - obstacles.counts.keys()):
+        raise RecipeError(
+            f"{name} is no plant, and none stands anywhere",
+            where=drawn.where("species", name),
+            expected="an obstacle of this species, or no such species",
+            got="obstacles of " + ", ".join(sorted(obstacles.counts)) if obstacles.counts else "no obstacle",
+            hint=f"community.obstacles: [{{species: {name}, position_m: [...]}}], or leave {name} out",
+        )
 
 
 def _check_obstacle(drawn: DrawnRecipe, index: int, obstacle: Obstacle) -> None:
@@ -117,17 +111,13 @@ def _check_obstacle(drawn: DrawnRecipe, index: int, obstacle: Obstacle) -> None:
     width, depth = drawn.recipe.site.size_m
     corners = obstacle.corners_m()
     if np.any(corners < 0) or np.any(corners > (width, depth)):
-        x, y = obstacle.position_m
+        (x, y), (west, south), (east, north) = obstacle.position_m, corners.min(axis=0), corners.max(axis=0)
         raise RecipeError(
             "this obstacle does not lie on the site",
             where=drawn.where(*keys, "position_m"),
             expected=f"all of its ground plan within x from 0 to {width:g} and y from 0 to {depth:g} metres",
-            got=f"[{x:g}, {y:g}], from [{_point(corners.min(axis=0))}] to [{_point(corners.max(axis=0))}]",
+            got=f"[{x:g}, {y:g}], from [{west:.1f}, {south:.1f}] to [{east:.1f}, {north:.1f}]",
         )
-
-
-def _point(xy_m: np.ndarray[tuple[int], np.dtype[np.float64]]) -> str:
-    return ", ".join(f"{one:.1f}" for one in xy_m)
 
 
 def _without_species(population: Population, left_out: Collection[str]) -> Population:
@@ -135,16 +125,12 @@ def _without_species(population: Population, left_out: Collection[str]) -> Popul
     stays = np.array([name not in left_out for name in names], dtype=np.bool_)
     number = np.cumsum(stays) - 1  # of each species among those that stay
     rows = stays[population.species]
+    arrays = ("plant_id", "position_m", "radius_m", "height_m", "age_yr", "status")
     return replace(
         population,
         species_names=tuple(name for name in names if name not in left_out),
-        plant_id=population.plant_id[rows],
         species=number[population.species[rows]].astype(np.uint16),
-        position_m=population.position_m[rows],
-        radius_m=population.radius_m[rows],
-        height_m=population.height_m[rows],
-        age_yr=population.age_yr[rows],
-        status=population.status[rows],
         columns={name: values[rows] for name, values in population.columns.items()},
         modules=None,
+        **{name: getattr(population, name)[rows] for name in arrays},
     )

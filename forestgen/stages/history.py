@@ -17,13 +17,9 @@ from forestgen.community.animation import MOST_FRAMES, Film
 from forestgen.community.capabilities import AskedDensities, OwnSkeletons, capability, models_with
 from forestgen.community.history import write_history
 from forestgen.community.placement.asked_and_placed import describe_densities
-from forestgen.community.plot_densities import plot_densities
-from forestgen.community.plot_series import plot_curves, plot_thinning
-from forestgen.community.plot_sizes import plot_sizes
-from forestgen.community.plot_water import WaterSeries, plot_water
-from forestgen.community.plots import plot_map
-from forestgen.community.population import Population
-from forestgen.community.statistics import plant_mass
+from forestgen.community.plot_series import WaterSeries, plot_curves, plot_sizes, plot_thinning, plot_water
+from forestgen.community.plots import map_figure, plot_densities, save_figure
+from forestgen.community.population import Population, plant_mass
 from forestgen.community.trajectory import Moment, Trajectory, describe_step, describe_thinning, moment, thinning_slope
 from forestgen.core.errors import OutputError, RecipeError
 from forestgen.stages.plan import Plan
@@ -118,8 +114,8 @@ def _watched(
         if is_described(step):
             told[0].described.append(describe_step(plants, site, seed))
         if step in wanted:
-            path = folder / f"map-{step:06d}.png"
-            plot_map(plants, site, colours, path, periodic=periodic, obstacles=obstacles)
+            figure = map_figure(plants, site, colours, periodic=periodic, obstacles=obstacles)
+            save_figure(figure, folder / f"map-{step:06d}.png")
         yield population
 
 

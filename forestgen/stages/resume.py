@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 
 from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.history import open_history
+from forestgen.community.history_tables import MODULES_NAME
 from forestgen.community.model import CommunityParameters
-from forestgen.community.module_history import NAME
 from forestgen.community.population import Population
 from forestgen.community.snapshot_checks import ImpossibleValueError, check_snapshot
 from forestgen.core.errors import AssetError, RecipeError
@@ -106,7 +106,7 @@ def snapshot_to_resume(plan: Plan, path: Path, step: int | None) -> Population:
         raise RecipeError(
             f"{path} has no modules, from which alone its plants can go on",
             parameter="resume",
-            expected=f"a history with {NAME} beside it",
+            expected=f"a history with {MODULES_NAME} beside it",
             got="one row a plant",
             hint="simulate it again with `set='community.history_modules=true'`, and resume that",
         )

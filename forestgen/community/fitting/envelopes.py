@@ -24,8 +24,7 @@ from forestgen.community.fitting.simulate import NewStand, Nursery
 from forestgen.community.fitting.stand import MeasuredStand
 from forestgen.community.fitting.summaries import nearest_m, shares_within
 from forestgen.community.placement.kernels import KernelTable
-from forestgen.community.point_patterns import Window
-from forestgen.community.ripley import pair_correlation
+from forestgen.community.point_patterns import Window, pair_correlation
 
 STANDS = 39
 RADII = 50

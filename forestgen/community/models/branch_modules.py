@@ -94,7 +94,6 @@ Decided where the print is silent or wrong:
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -112,7 +111,7 @@ from forestgen.community.branch_modules.snapshot import check_resumable, populat
 from forestgen.community.branch_modules.state import State, appended, refuse_more_modules, rows_of_plants
 from forestgen.community.branch_modules.step import advanced
 from forestgen.community.disturbance import Planting, planted
-from forestgen.community.ecology import SpeciesEcology
+from forestgen.community.ecology import Ecologies, SpeciesEcology
 from forestgen.community.model import Site
 from forestgen.community.population import Population
 
@@ -127,9 +126,7 @@ class BranchModules(ModuleCapabilities):
 
     Parameters = BranchModulesParameters
 
-    def init(
-        self, parameters: BranchModulesParameters, site: Site, species: Sequence[SpeciesEcology], seed: int
-    ) -> State:
+    def init(self, parameters: BranchModulesParameters, site: Site, species: Ecologies, seed: int) -> State:
         """The obstacles, and the plants of the start as seeds at random places."""
         _refuse_without_modules(parameters, species)
         refuse_overflow(1, float(parameters.counts([one.name for one in _growing(species)]).sum()))
@@ -145,23 +142,14 @@ class BranchModules(ModuleCapabilities):
         return population_of(state)
 
     def resume(
-        self,
-        parameters: BranchModulesParameters,
-        site: Site,
-        species: Sequence[SpeciesEcology],
-        seed: int,
-        population: Population,
+        self, parameters: BranchModulesParameters, site: Site, species: Ecologies, seed: int, population: Population
     ) -> State:
         """The state of a snapshot; it needs the snapshot's modules."""
         _refuse_without_modules(parameters, species)
         return state_of(parameters, site, species, seed, population)
 
     def check_snapshot(
-        self,
-        parameters: BranchModulesParameters,
-        site: Site,
-        species: Sequence[SpeciesEcology],
-        population: Population,
+        self, parameters: BranchModulesParameters, site: Site, species: Ecologies, population: Population
     ) -> None:
         """Refuse plants, obstacles and snags that no snapshot has; modules have their own checksum."""
         _refuse_without_modules(parameters, species)
@@ -190,9 +178,7 @@ class BranchModules(ModuleCapabilities):
             modules=appended(state.modules, modules),
         )
 
-    def expected_plants(
-        self, parameters: BranchModulesParameters, site: Site, species: Sequence[SpeciesEcology]
-    ) -> float:
+    def expected_plants(self, parameters: BranchModulesParameters, site: Site, species: Ecologies) -> float:
         """Upper bound: those of the start, planted or built, and as many seedlings as find room and light.
 
         With the dead that stand: see `with_dead`.
@@ -203,16 +189,14 @@ class BranchModules(ModuleCapabilities):
             total += most_seedlings(parameters, site)
         return total * with_dead(parameters) + len(parameters.obstacles)
 
-    def why_barren(
-        self, parameters: BranchModulesParameters, site: Site, species: Sequence[SpeciesEcology]
-    ) -> str | None:
+    def why_barren(self, parameters: BranchModulesParameters, site: Site, species: Ecologies) -> str | None:
         """Why no plant can ever grow, or None if one may."""
         _refuse_without_modules(parameters, species)
         if _founders(parameters, species) > 0:
             return None
         return "no plant can grow: community.initial_plants is 0, and none is planted"
 
-    def estimate_bytes(self, parameters: BranchModulesParameters, site: Site, species: Sequence[SpeciesEcology]) -> int:
+    def estimate_bytes(self, parameters: BranchModulesParameters, site: Site, species: Ecologies) -> int:
         """Bytes for so many modules as the light feeds, at most most_modules, and for the finest shadow grid."""
         plants = self.expected_plants(parameters, site, species)
         alive = site.area_m2 * _MODULES_PER_M2 + 10 * _founders(parameters, species)
@@ -238,17 +222,17 @@ def with_dead(parameters: BranchModulesParameters) -> float:
     return 1.0 + standing_yr / 20.0
 
 
-def _growing(species: Sequence[SpeciesEcology]) -> list[SpeciesEcology]:
+def _growing(species: Ecologies) -> list[SpeciesEcology]:
     return [one for one in species if one.modules is not None]
 
 
-def _founders(parameters: BranchModulesParameters, species: Sequence[SpeciesEcology]) -> float:
+def _founders(parameters: BranchModulesParameters, species: Ecologies) -> float:
     """Plants of the start, and those that disturbances plant."""
     counts = parameters.counts([one.name for one in _growing(species)])
     return float(counts.sum() if len(counts) else 0) + planted(parameters.disturbances)
 
 
-def _refuse_without_modules(parameters: BranchModulesParameters, species: Sequence[SpeciesEcology]) -> None:
+def _refuse_without_modules(parameters: BranchModulesParameters, species: Ecologies) -> None:
     """Every species must grow by modules but those that stand for obstacles."""
     built = {one.species for one in parameters.obstacles}
     for one in species:

@@ -33,12 +33,18 @@ class GriddedParameters(PlacementParameters):
     )
 
 
-class GriddedModel(PlacementModel):
+P = TypeVar("P", bound=GriddedParameters)
+
+
+class GriddedModel(PlacementModel[P]):
     """A `PlacementModel` whose densities are constant in the cells of one grid."""
 
-    def estimate_bytes(self, parameters: PlacementParameters, site: Site, species: Sequence[SpeciesEcology]) -> int:
+    def grid(self, parameters: P, site: Site, name: str, n: int) -> tuple[int, int]:
+        """By the recipe's `cells`."""
+        return grid_shape(site, parameters.cells)
+
+    def estimate_bytes(self, parameters: P, site: Site, species: Sequence[SpeciesEcology]) -> int:
         """Bytes for all plants and all grids at once."""
-        assert isinstance(parameters, GriddedParameters)
         rows, cols = grid_shape(site, parameters.cells)
         grids = 8 * rows * cols * (_GRIDS_AT_ONCE + len(parameters.plants))
         return super().estimate_bytes(parameters, site, species) + grids

@@ -11,9 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from forestgen.community import ripley
-from forestgen.community.point_patterns import Window
-from forestgen.community.point_table import read_points
-from forestgen.community.ripley import (
+from forestgen.community.point_patterns import (
+    Window,
     besag_l,
     count_pairs,
     greatest_radius,
@@ -21,6 +20,7 @@ from forestgen.community.ripley import (
     ripley_bound,
     ripley_k,
 )
+from forestgen.community.point_table import read_points
 
 DATA = Path(__file__).parent / "data"
 UNIT = Window(0.0, 1.0, 0.0, 1.0)
