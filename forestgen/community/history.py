@@ -105,7 +105,12 @@ def _write(
             maps.add(population)
         if writer is None:
             raise ValueError("a history needs at least one snapshot")
-        about = {"version": _VERSION, "species_names": names, "snapshots": snapshots, "origin": dict(origin)}
+        about: dict[str, Any] = {
+            "version": _VERSION,
+            "species_names": names,
+            "snapshots": snapshots,
+            "origin": dict(origin),
+        }
         if has_modules:
             about["modules"] = None if modules is None else modules.marks
         if maps.names:
@@ -210,7 +215,7 @@ class History:
 
     def _population(self, table: Any, index: int) -> Population:
         time_yr, _, step, state = self._snapshots[index]
-        columns = {name: _values(table, name, step) for name in table.column_names}
+        columns: dict[str, Any] = {name: _values(table, name, step) for name in table.column_names}
         return Population(
             time_yr=time_yr,
             species_names=self.species_names,

@@ -293,8 +293,8 @@ def draw_field(
     width, height = site.size_m
     some = density[density > 0]
     top = max(least_top, float(np.quantile(some, 0.995)) if len(some) else 0.0) or 1.0
-    palette = LinearSegmentedColormap.from_list("density", _DENSITY_COLOURS)
-    palette = palette.with_extremes(bad=_DENSITY_COLOURS[0])  # 0 has no logarithm
+    colours = LinearSegmentedColormap.from_list("density", _DENSITY_COLOURS)
+    palette = colours.with_extremes(bad=_DENSITY_COLOURS[0])  # 0 has no logarithm
     least = max(top / 10**_DECADES, float(some.min()) / 3 if len(some) else 0.0)  # what is least is not paper yet
     image = axes.imshow(
         _fewer(density), origin="lower", extent=(0, width, 0, height), cmap=palette,

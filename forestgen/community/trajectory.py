@@ -86,6 +86,8 @@ class Trajectory:
     @classmethod
     def of(cls, moments: Sequence[Moment], species_names: tuple[str, ...], site: Site, mass_unit: str) -> Trajectory:
         """Moments, at least one of them, side by side."""
+        if not moments:
+            raise ValueError("a trajectory needs at least one moment")
         columns = {
             name: np.array([getattr(one, name) for one in moments])
             for name in ("time_yr", "counts", "cover", "mass_sum", "square_sum_m2")

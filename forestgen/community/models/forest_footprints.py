@@ -67,7 +67,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -248,7 +248,11 @@ class ForestFootprints:
         size = [parameters.derivation_steps_of.get(one.name, parameters.derivation_steps) for one in species]
         derivation_steps = np.floor(np.array(size, dtype=np.float64)[plants.sp] * (plants.r_m / largest))
         derived = derivation_steps.astype(np.int32)
-        columns = {"vigour": plants.vigour, "health": plants.health, "derivation_steps": derived}
+        columns: dict[str, NDArray[Any]] = {
+            "vigour": plants.vigour,
+            "health": plants.health,
+            "derivation_steps": derived,
+        }
         return plants.population(species, state.step, parameters.step_yr, state.next_id, plants.dominated, columns)
 
     def resume(

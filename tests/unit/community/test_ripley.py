@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from forestgen.community import ripley
+from forestgen.community import point_patterns
 from forestgen.community.point_patterns import (
     Window,
     besag_l,
@@ -156,7 +156,7 @@ def test_portions_of_pairs_add_up(monkeypatch):
     points = np.random.default_rng(1).random((200, 2))
     radii = np.array([0.05, 0.2])
     whole = {one: ripley_k(points, UNIT, radii, one) for one in CORRECTIONS}
-    monkeypatch.setattr(ripley, "_PAIRS_AT_ONCE", 50)
+    monkeypatch.setattr(point_patterns, "_PAIRS_AT_ONCE", 50)
     for one in CORRECTIONS:
         assert ripley_k(points, UNIT, radii, one) == pytest.approx(whole[one])
 
