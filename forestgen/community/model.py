@@ -155,7 +155,7 @@ class CommunityModel(Protocol[P, S]):
     def expected_plants(self, parameters: P, site: Site, species: Sequence[SpeciesEcology]) -> float:
         """Upper bound of the mean number of plants at any step; 0: no plant can ever grow."""
 
-    def why_barren(self, parameters: P, site: Site, species: Sequence[SpeciesEcology]) -> str | None:
+    def empty_reason(self, parameters: P, site: Site, species: Sequence[SpeciesEcology]) -> str | None:
         """Why no plant can ever grow, or None if one may."""
 
     def estimate_bytes(self, parameters: P, site: Site, species: Sequence[SpeciesEcology]) -> int:

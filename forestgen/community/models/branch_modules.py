@@ -189,7 +189,7 @@ class BranchModules(ModuleCapabilities):
             total += most_seedlings(parameters, site)
         return total * with_dead(parameters) + len(parameters.obstacles)
 
-    def why_barren(self, parameters: BranchModulesParameters, site: Site, species: Ecologies) -> str | None:
+    def empty_reason(self, parameters: BranchModulesParameters, site: Site, species: Ecologies) -> str | None:
         """Why no plant can ever grow, or None if one may."""
         _refuse_without_modules(parameters, species)
         if _founders(parameters, species) > 0:

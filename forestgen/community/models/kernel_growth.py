@@ -306,7 +306,7 @@ class KernelGrowth:
             total += min(float(rain), 1e30) * min(_longest_life(parameters, one), parameters.steps)
         return total
 
-    def why_barren(self, parameters: KernelGrowthParameters, site: Site, species: Ecologies) -> str | None:
+    def empty_reason(self, parameters: KernelGrowthParameters, site: Site, species: Ecologies) -> str | None:
         """Why no plant can ever grow, or None if one may."""
         if self.expected_plants(parameters, site, species) > 0:
             return None

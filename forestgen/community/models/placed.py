@@ -251,7 +251,7 @@ class Placed(FixedPopulation[PlacedParameters]):
         """Plants that are placed, and those that disturbances plant."""
         return float(len(parameters.everyone) + planted(parameters.disturbances))
 
-    def why_barren(self, parameters: PlacedParameters, site: Site, species: Ecologies) -> str | None:
+    def empty_reason(self, parameters: PlacedParameters, site: Site, species: Ecologies) -> str | None:
         """Why no plant will ever stand there, or None if some will."""
         if self.expected_plants(parameters, site, species) > 0:
             return None
