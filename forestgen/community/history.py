@@ -29,16 +29,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from forestgen.community.history_tables import (
-    MAPS_NAME,
-    MODULES_NAME,
-    MapWriter,
-    ModuleWriter,
-    read_maps,
-    read_modules,
-    readable,
-    refuse_large,
-)
+from forestgen.community import history_tables as tables
 from forestgen.community.population import Population
 from forestgen.core.errors import OutputError
 
@@ -84,8 +75,8 @@ def _write(
     path: Path,
     populations: Iterable[Population],
     origin: Mapping[str, Any],
-    modules: ModuleWriter | None,
-    maps: MapWriter,
+    modules: tables.ModuleWriter | None,
+    maps: tables.MapWriter,
 ) -> None:
     writer, names, snapshots, has_modules = None, None, [], False
     try:
@@ -145,8 +136,8 @@ def write_history(
     partial = path.with_name(path.name + ".partial")
     try:
         with (
-            ModuleWriter(path.with_name(MODULES_NAME)) if modules else nullcontext() as writer,
-            MapWriter(path.with_name(MAPS_NAME), size_m) as maps,
+            tables.ModuleWriter(path.with_name(tables.MODULES_NAME)) if modules else nullcontext() as writer,
+            tables.MapWriter(path.with_name(tables.MAPS_NAME), size_m) as maps,
         ):
             _write(partial, populations, origin or {}, writer, maps)
         partial.replace(path)
@@ -192,10 +183,10 @@ class History:
         """
         population, index = self.snapshot(step), self.steps.index(step)
         if self._modules is not None:
-            modules = read_modules(self.path.with_name(MODULES_NAME), population, self._modules, index)
+            modules = tables.read_modules(self.path.with_name(tables.MODULES_NAME), population, self._modules, index)
             population = replace(population, modules=modules)
         if self.maps:
-            maps = read_maps(self.path.with_name(MAPS_NAME), step, self.maps, self._map_sums[index])
+            maps = tables.read_maps(self.path.with_name(tables.MAPS_NAME), step, self.maps, self._map_sums[index])
             population = replace(population, maps=maps)
         return population
 
@@ -246,14 +237,14 @@ def _check_rows(file: Any, group: int, plants: int) -> None:
     rows = file.metadata.row_group(group).num_rows if 0 <= group < file.metadata.num_row_groups else 0
     if rows != plants:
         raise ValueError(f"{rows:,} rows where the history tells of {plants:,} plants")
-    refuse_large(16 * rows * file.metadata.num_columns, "plants")  # of 8 bytes at most, twice
+    tables.refuse_large(16 * rows * file.metadata.num_columns, "plants")  # of 8 bytes at most, twice
 
 
 @contextmanager
 def _opened(path: Path) -> Iterator[Any]:
     """The Parquet file; whatever is wrong with it is an `AssetError`."""
     expected = "a history.parquet written by this version of forestgen"
-    with readable(path, "not a readable history of a community", expected), pq.ParquetFile(path) as file:
+    with tables.readable(path, "not a readable history of a community", expected), pq.ParquetFile(path) as file:
         yield file
 
 

@@ -123,18 +123,8 @@ from pydantic import Field
 from forestgen.community.ecology import Ecologies
 from forestgen.community.ground.living_conditions import Conditions
 from forestgen.community.model import Site
+from forestgen.community.placement import clustering
 from forestgen.community.placement.asked_and_placed import Densities, asked_densities, deformed
-from forestgen.community.placement.clustering import (
-    CELLS_PER_SPACING,
-    FEWEST,
-    MOST_REHEARSED,
-    Found,
-    Rehearsal,
-    describe,
-    kernel_for,
-    notes_on,
-    spacing,
-)
 from forestgen.community.placement.densities import (
     COUNTING_CELLS,
     MOST_ALONG,
@@ -250,7 +240,7 @@ def _layout(parameters: DeformationKernelParameters, site: Site, species: Ecolog
     maps = [one for one in (parameters.keep_out, *(stand.map for stand in stands)) if one is not None]
     pixels = min(_MOST_PIXELS, max((max(one.shape) for one in maps), default=0))
     at_least = max(_FEWEST_CELLS, pixels, 0 if level else COUNTING_CELLS)
-    per_length = _CELLS_PER_LENGTH if parameters.hopkins is None else CELLS_PER_SPACING
+    per_length = _CELLS_PER_LENGTH if parameters.hopkins is None else clustering.CELLS_PER_SPACING
     cells = cells_for(site, length_m, per_length=per_length, at_least=at_least, fields=len(chosen))
     return _Layout(chosen, field_of, cells, length_m)
 
@@ -301,8 +291,8 @@ class DeformationKernel(PlacementModel[DeformationKernelParameters]):
         notes, state = [*_notes(site, layout), *_idle(parameters, site, species)], {}
         if parameters.hopkins is not None:
             points_m = position_m[~np.isnan(position_m[:, 0])]
-            state = {"clustering": describe(parameters.hopkins, found, points_m, site, seed, layout.cells)}
-            notes += notes_on(state["clustering"])
+            state = {"clustering": clustering.describe(parameters.hopkins, found, points_m, site, seed, layout.cells)}
+            notes += clustering.notes_on(state["clustering"])
         return placed_state(parameters, site, species, seed, wanted, position_m, why, notes, state)
 
     def estimate_bytes(self, parameters: DeformationKernelParameters, site: Site, species: Ecologies) -> int:
@@ -350,22 +340,22 @@ def _found(
     densities: Sequence[Floats],
     wanted: Wanted,
     uniform: Floats,
-) -> Found | None:
+) -> clustering.Found | None:
     """The kernel that gives the recipe's Hopkins index; None: it names none, or there are too few plants."""
     field = layout.field_of[wanted.sp]
     n = len(field)
-    if parameters.hopkins is None or n < FEWEST or not all(one.any() for one in densities):
+    if parameters.hopkins is None or n < clustering.FEWEST or not all(one.any() for one in densities):
         return None
     counts = np.bincount(field, minlength=len(densities))
-    spacing_m = spacing(densities, counts, site.area_m2)
-    few = slice(None, None, math.ceil(n / MOST_REHEARSED))
+    spacing_m = clustering.spacing(densities, counts, site.area_m2)
+    few = slice(None, None, math.ceil(n / clustering.MOST_REHEARSED))
     share = len(field[few]) / n
     size_m = (site.size_m[0] * math.sqrt(share), site.size_m[1] * math.sqrt(share))
     if share < 1:
         shape = grid_shape(site, max(_FEWEST_CELLS, round(layout.cells * math.sqrt(share))))
         densities = layout.densities(parameters, site, species, shape)
-    rehearsal = Rehearsal(densities, size_m, parameters.periodic, field[few], uniform[few], spacing_m)
-    return kernel_for(parameters.hopkins, rehearsal)
+    rehearsal = clustering.Rehearsal(densities, size_m, parameters.periodic, field[few], uniform[few], spacing_m)
+    return clustering.kernel_for(parameters.hopkins, rehearsal)
 
 
 def _notes(site: Site, layout: _Layout) -> list[str]:
