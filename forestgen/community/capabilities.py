@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from forestgen.community.registry import COMMUNITY_MODELS
 
 if TYPE_CHECKING:
-    from forestgen.architecture.tables import Tables
+    from forestgen.architecture.prototypes import Tables
     from forestgen.atmosphere.weather import AirGrid, Weather
     from forestgen.community.ecology import Ecologies
     from forestgen.community.model import Site
     from forestgen.community.obstacles import Obstacle
-    from forestgen.community.placement.asked_and_placed import Densities
+    from forestgen.community.placement.model import Densities
     from forestgen.community.population import Population
     from forestgen.core.progress import Progress
     from forestgen.recipe.load import DrawnRecipe

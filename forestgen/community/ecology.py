@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
-from forestgen.architecture.plant_type import PlantType
+from forestgen.recipe.plant_type import PlantType
 from forestgen.recipe.species import Species
 
 

@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
+from forestgen.architecture.geometry import skeletal_graph
 from forestgen.architecture.graph_files import GRAPH_FORMATS, write_graph
-from forestgen.architecture.skeletal_graph import skeletal_graph
 from forestgen.community.animation import MOST_FRAMES, Film
 from forestgen.community.capabilities import AskedDensities, OwnSkeletons, capability, models_with
 from forestgen.community.history import write_history
-from forestgen.community.placement.asked_and_placed import describe_densities
+from forestgen.community.placement.model import describe_densities
 from forestgen.community.plan import CommunityPlan
 from forestgen.community.plot_series import WaterSeries, plot_curves, plot_sizes, plot_thinning, plot_water
 from forestgen.community.plots import map_figure, plot_densities, save_figure

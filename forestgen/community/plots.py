@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from matplotlib.image import AxesImage
     from matplotlib.lines import Line2D
 
-    from forestgen.community.placement.asked_and_placed import Densities
+    from forestgen.community.placement.model import Densities
 
 HERB, DECIDUOUS, CONIFER = "#D6409F", "#F08C00", "#14532D"  # apart in lightness too, for the colour-blind and in grey
 _OTHERS = ("#0072B2", "#56B4E9", "#7A5195", "#8C564B", "#666666")

@@ -33,7 +33,6 @@ from numpy.typing import NDArray
 from forestgen.community.branch_modules.boxes import NO_BOXES, Boxes, volume_in_boxes
 from forestgen.community.branch_modules.crowding import (
     LEAST_RADIUS_M,
-    Cells,
     SphereGrid,
     cells_of,
     nearest_image,
@@ -232,27 +231,12 @@ def _turn(first, end, parity, angle, table, rows, fixed, moving, boxes, at, rota
 
 
 def orient(
-    grid: SphereGrid,
-    turning: Turning,
-    *,
-    steps: int = 3,
-    angle_rad: float = 0.35,
-    boxes: Boxes = NO_BOXES,
+    grid: SphereGrid, turning: Turning, *, steps: int = 3, angle_rad: float = 0.35, boxes: Boxes = NO_BOXES
 ) -> NDArray[np.float32]:
-    """Turn young modules, `steps` times.
+    """(N, 4) float32 unit quaternions of young modules after `steps` turns.
 
-    Parameters
-    ----------
-    grid : spheres of all modules. Those that turn are taken out by their rows; for them count the spheres that they
-        will have when grown.
-    turning : the modules that may turn, the newborn ones too, in the order of rows.
-    steps : of the optimisation; 0 leaves all as they are.
-    angle_rad : alpha of the first step.
-    boxes : obstacles.
-
-    Returns
-    -------
-    (N, 4) float32 unit quaternions.
+    `grid` holds the spheres of all modules. Those that turn are taken out by their rows; their spheres count as they
+    will be when grown. They come in the order of rows, newborn ones too. `angle_rad` is alpha of the first step.
     """
     n = len(turning)
     rotation = np.array(turning.rotation, dtype=np.float64).reshape(n, 4)
@@ -275,14 +259,8 @@ def orient(
         if step:  # where they are now, with room for what they may turn in this step
             moving = cells_of(at[:, :3], table[:, _R] + angle * table[:, _ARM], grid.period_m)
         for parity in (0, 1):
-
-            def work(first: int, end: int, moving: Cells = moving, parity: int = parity, angle: float = angle) -> None:
-                _turn(
-                    first, end, parity, angle, table, rows, fixed, moving, boxes_rows,
-                    at, rotation, new_at, new_rotation,
-                )  # fmt: skip
-
-            over_ranges(n, work)
+            arguments = parity, angle, table, rows, fixed, moving, boxes_rows, at, rotation, new_at, new_rotation
+            over_ranges(n, lambda first, end, arguments=arguments: _turn(first, end, *arguments))
             at[:], rotation[:] = new_at, new_rotation
     out = np.empty((n, 4), dtype=np.float32)
     out[order] = rotation

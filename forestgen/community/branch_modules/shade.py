@@ -52,10 +52,6 @@ class ShadowGrid:
     spread: float = 0.25  # s, 0 to 0.5: share that moves to each side for each layer down
     periodic: bool = False
 
-    def __post_init__(self) -> None:
-        if not (min(self.size_m) > 0 and self.cell_m > 0 and self.layer_m > 0 and 0 <= self.spread <= 0.5):
-            raise ValueError(f"a shadow grid needs lengths above 0 and a spread of 0 to 0.5, got {self!r}")
-
     @property
     def cells(self) -> tuple[int, int]:
         """Number of cells along x and y."""
@@ -83,8 +79,7 @@ class Shade:
         if self.grid.periodic:
             column, line = column % nx, line % ny
         at = np.clip(line, 0, ny - 1), np.clip(column, 0, nx - 1)
-        answer: Floats = self.ground_share[at] * np.exp(-self.ground_depth[at])
-        return answer
+        return np.asarray(self.ground_share[at] * np.exp(-self.ground_depth[at]))
 
 
 @compiled
@@ -152,15 +147,13 @@ def _spread(above, plane, s, periodic, out):  # type: ignore[no-untyped-def]
             filled[slot] = b + step
             for a in range(nx):
                 left, right = _place(a - 1, nx, periodic), _place(a + 1, nx, periodic)
-                line[slot, a] = (1.0 - 2.0 * s) * (above[source, a] + plane[source, a] / UNITS) + s * (
-                    above[source, left]
-                    + plane[source, left] / UNITS
-                    + above[source, right]
-                    + plane[source, right] / UNITS
-                )
-        before, here, after = (b - 1) % 3, b % 3, (b + 1) % 3
+                beside = above[source, left] + plane[source, left] / UNITS
+                beside = beside + above[source, right] + plane[source, right] / UNITS
+                here = above[source, a] + plane[source, a] / UNITS
+                line[slot, a] = (1.0 - 2.0 * s) * here + s * beside
+        before, own, after = (b - 1) % 3, b % 3, (b + 1) % 3
         for a in range(nx):
-            out[b, a] = (1.0 - 2.0 * s) * line[here, a] + s * (line[before, a] + line[after, a])
+            out[b, a] = (1.0 - 2.0 * s) * line[own, a] + s * (line[before, a] + line[after, a])
 
 
 @compiled
@@ -232,19 +225,7 @@ def _near(at: Floats, middle: float, reach: float, grid: ShadowGrid, axis: int) 
     offset = at - middle
     if grid.periodic:
         offset -= np.round(offset / grid.size_m[axis]) * grid.size_m[axis]
-    near: NDArray[np.bool_] = np.abs(offset) <= reach
-    return near
-
-
-def _check_layers(top: int, grid: ShadowGrid, height: Floats) -> None:
-    if top > _MOST_LAYERS:
-        raise ResourceError(
-            "the trees are too tall for layers of light so thin",
-            where="community.cell_m",
-            expected=f"at most {_MOST_LAYERS:,} layers of {grid.layer_m:g} m",
-            got=f"modules {height.max():,.0f} m above the ground",
-            hint="make cell_m larger",
-        )
+    return np.asarray(np.abs(offset) <= reach)
 
 
 def shade(
@@ -257,15 +238,10 @@ def shade(
 ) -> Shade:
     """The light that reaches each module.
 
-    Parameters
-    ----------
-    position_m : (M, 2) or (M, 3) centre of each module's sphere, world x and y, metres; beyond the site: at its edge,
-        or around the torus.
-    height_m : (M,) of the centre above the local ground, metres; below it: the lowest layer.
-    radius_m : (M,) of the spheres, metres.
-    depth : (M,) optical depth of each module over its sphere's disc: opacity x share that is grown.
-    grid : extent.
-    boxes : obstacles, each from the local ground up.
+    `position_m`, (M, 2) or (M, 3), are the centres of the modules' spheres, world x and y; beyond the site they count
+    at its edge, or around the torus. `height_m` (M,) are their heights above the local ground, below which they count
+    in the lowest layer. `depth` (M,) is the optical depth of each module over its sphere's disc: opacity x share that
+    is grown. Boxes stand on the local ground.
 
     Raises
     ------
@@ -284,7 +260,14 @@ def shade(
         raise ValueError("modules need finite positions")
     covers = _Covers(boxes, grid)
     top = max(int(max(height.max(initial=0.0), 0.0) // grid.layer_m) + 1, int(covers.layers.max(initial=0)))
-    _check_layers(top, grid, height)
+    if top > _MOST_LAYERS:
+        raise ResourceError(
+            "the trees are too tall for layers of light so thin",
+            where="community.cell_m",
+            expected=f"at most {_MOST_LAYERS:,} layers of {grid.layer_m:g} m",
+            got=f"modules {height.max():,.0f} m above the ground",
+            hint="make cell_m larger",
+        )
     start, order = np.zeros(top + 2, dtype=np.int64), np.empty(len(height), dtype=np.int64)
     _by_layer(height, grid.layer_m, top, start, order)
     light = np.empty(len(height), dtype=np.float32)

@@ -7,12 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.architecture.geometry import plant_sizes
 from forestgen.architecture.modules import Modules
-from forestgen.architecture.prototypes import load_prototypes
-from forestgen.architecture.sizes import plant_sizes
-from forestgen.community.branch_modules.kinds import kinds_at
 from forestgen.community.branch_modules.parameters import BranchModulesParameters
-from forestgen.community.branch_modules.state import Plants, Snags, State, appended, reordered, rows_of_plants
+from forestgen.community.branch_modules.state import Plants, Snags, State, step_parameters
 from forestgen.community.branch_modules.surroundings import ground_at
 from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.model import Site
@@ -27,9 +25,9 @@ DOMINATED_BELOW = 0.5  # mean light of a plant's modules
 def population_of(state: State) -> Population:
     """Snapshot, the standing dead among the living; z is 0."""
     plants, modules, died = _with_snags(state)
-    kinds, step_yr = kinds_at(state), state.parameters.step_yr
+    tables, step_yr = step_parameters(state).tables, state.parameters.step_yr
     dead = died <= state.step
-    sizes = plant_sizes(kinds.tables, modules, plants.species)
+    sizes = plant_sizes(tables, modules, plants.species)
     light, vigour = np.where(dead, 0.0, _mean(modules, modules.light)), np.zeros(len(plants))
     rooted = (np.diff(modules.first) > 0) & ~dead
     vigour[rooted] = modules.vigour[modules.first[:-1][rooted]]
@@ -81,7 +79,7 @@ def _with_snags(state: State) -> tuple[Plants, Modules, NDArray[np.int32]]:
         return state.plants, state.modules, died
     plants, died = state.plants.and_then(snags.plants), np.concatenate([died, snags.died])
     order = np.argsort(plants.plant_id).astype(np.int64)
-    return plants.where(order), reordered(appended(state.modules, snags.modules), order), died[order]
+    return plants.where(order), state.modules.and_then(snags.modules).of_plants(order), died[order]
 
 
 def _on_request(state: State, plants: Plants, died: NDArray[np.int32]) -> dict[str, NDArray[np.float32]]:
@@ -144,10 +142,9 @@ def state_of(
         seed,
         population.step,
         int(population.state["next_id"]),
-        load_prototypes(),
         plants.where(~dead),
-        rows_of_plants(population.modules, ~dead),
-        Snags(plants.where(dead), rows_of_plants(population.modules, dead), died[dead]),
+        population.modules.of_plants(~dead),
+        Snags(plants.where(dead), population.modules.of_plants(dead), died[dead]),
         tuple(population.notes),
     )
 

@@ -124,10 +124,10 @@ from forestgen.community.ecology import Ecologies
 from forestgen.community.ground.living_conditions import Conditions
 from forestgen.community.model import Site
 from forestgen.community.placement import clustering
-from forestgen.community.placement.asked_and_placed import Densities, asked_densities, deformed
 from forestgen.community.placement.densities import (
     COUNTING_CELLS,
     MOST_ALONG,
+    PlacementParameters,
     cells_for,
     grid_shape,
     plant_counts,
@@ -147,14 +147,16 @@ from forestgen.community.placement.kernels import (
     species_named,
 )
 from forestgen.community.placement.model import (
+    Densities,
     PlacementModel,
-    Wanted,
-    chances,
+    PlantingTargets,
+    asked_densities,
+    deformed,
     placed_state,
     placement_rng,
+    uniform_samples,
     wanted_plants,
 )
-from forestgen.community.placement.stands import PlacementParameters
 from forestgen.community.population import Floats, Population
 from forestgen.community.static_model import State
 from forestgen.recipe.fields import Whole
@@ -274,7 +276,7 @@ class DeformationKernel(PlacementModel[DeformationKernelParameters]):
         """The plants at their places."""
         rng = placement_rng(seed)
         wanted = wanted_plants(parameters, site, species, rng)
-        uniform = chances(wanted, species, rng)
+        uniform = uniform_samples(wanted, species, rng)
         layout = _layout(parameters, site, species)
         densities = layout.densities(parameters, site, species, grid_shape(site, layout.cells))
         found = _found(parameters, site, species, layout, densities, wanted, uniform)
@@ -338,7 +340,7 @@ def _found(
     species: Ecologies,
     layout: _Layout,
     densities: Sequence[Floats],
-    wanted: Wanted,
+    wanted: PlantingTargets,
     uniform: Floats,
 ) -> clustering.Found | None:
     """The kernel that gives the recipe's Hopkins index; None: it names none, or there are too few plants."""
@@ -348,14 +350,14 @@ def _found(
         return None
     counts = np.bincount(field, minlength=len(densities))
     spacing_m = clustering.spacing(densities, counts, site.area_m2)
-    few = slice(None, None, math.ceil(n / clustering.MOST_REHEARSED))
+    few = slice(None, None, math.ceil(n / clustering.MOST_TRIAL_PLANTS))
     share = len(field[few]) / n
     size_m = (site.size_m[0] * math.sqrt(share), site.size_m[1] * math.sqrt(share))
     if share < 1:
         shape = grid_shape(site, max(_FEWEST_CELLS, round(layout.cells * math.sqrt(share))))
         densities = layout.densities(parameters, site, species, shape)
-    rehearsal = clustering.Rehearsal(densities, size_m, parameters.periodic, field[few], uniform[few], spacing_m)
-    return clustering.kernel_for(parameters.hopkins, rehearsal)
+    trial = clustering.TrialPlacement(densities, size_m, parameters.periodic, field[few], uniform[few], spacing_m)
+    return clustering.kernel_for(parameters.hopkins, trial)
 
 
 def _notes(site: Site, layout: _Layout) -> list[str]:

@@ -43,18 +43,21 @@ from forestgen.community.branch_modules.state import refuse_more_seeds
 from forestgen.community.capabilities import SoilWaterMaps
 from forestgen.community.disturbance import Planting
 from forestgen.community.ecoclimate.air import grid_of
-from forestgen.community.ecoclimate.months import advanced_ecoclimate, begun
-from forestgen.community.ecoclimate.own_air import shown_section, shown_weather
+from forestgen.community.ecoclimate.months import (
+    Ecoclimate,
+    initial_ecoclimate,
+    shown_section,
+    shown_weather,
+    step_ecoclimate,
+)
 from forestgen.community.ecoclimate.parameters import EcoclimateParameters, GlobalSeeding, seedings_in_time
-from forestgen.community.ecoclimate.state import Books, Ecoclimate
 from forestgen.community.ecology import Ecologies
 from forestgen.community.model import Site
 from forestgen.community.models.branch_modules import MODEL as FOREST
 from forestgen.community.models.branch_modules import most_seedlings, with_dead
 from forestgen.community.population import Population
 from forestgen.community.snapshot_checks import ImpossibleValueError, check_number
-from forestgen.community.soil_water.ground import Ground
-from forestgen.community.soil_water.model import Water
+from forestgen.community.soil_water import Ground, Water, WaterBudget
 from forestgen.core.errors import RecipeError
 from forestgen.core.progress import Progress
 from forestgen.recipe.load import DrawnRecipe
@@ -74,11 +77,11 @@ class EcoclimateModel(ModuleCapabilities):
 
     def init(self, parameters: EcoclimateParameters, site: Site, species: Ecologies, seed: int) -> Ecoclimate:
         """The forest of the start, on soil that is as wet as its climate leaves it."""
-        return begun(FOREST.init(parameters, site, species, seed))
+        return initial_ecoclimate(FOREST.init(parameters, site, species, seed))
 
     def step(self, state: Ecoclimate) -> Ecoclimate:
         """Whole months of climate and soil, then a step of the forest."""
-        return advanced_ecoclimate(state)
+        return step_ecoclimate(state)
 
     def population(self, state: Ecoclimate) -> Population:
         """Snapshot; z is 0."""
@@ -121,7 +124,7 @@ class EcoclimateModel(ModuleCapabilities):
             warmth,
             vapour,
             wetness,
-            _books(told["water"]),
+            _water_budget(told["water"]),
         )
 
     def check_snapshot(
@@ -134,7 +137,7 @@ class EcoclimateModel(ModuleCapabilities):
         water = told.get("water")
         if not isinstance(water, Mapping):
             raise ImpossibleValueError("water", "a table", f"{water!s:.80}")
-        for name in Books.__dataclass_fields__:
+        for name in WaterBudget.__dataclass_fields__:
             check_number(water, name, -_MOST_WATER_MM, _MOST_WATER_MM, within="water")
 
     def remove(self, state: Ecoclimate, plant_id: NDArray[np.uint32]) -> Ecoclimate:
@@ -201,8 +204,8 @@ def _seeds_of_step(parameters: EcoclimateParameters, seedings: Sequence[GlobalSe
     )
 
 
-def _books(water: Mapping[str, Any]) -> Books:
-    return Books(**{name: float(water[name]) for name in Books.__dataclass_fields__})
+def _water_budget(water: Mapping[str, Any]) -> WaterBudget:
+    return WaterBudget(**{name: float(water[name]) for name in WaterBudget.__dataclass_fields__})
 
 
 MODEL = EcoclimateModel()

@@ -66,9 +66,14 @@ from pydantic import Field
 
 from forestgen.community.ecology import Ecologies
 from forestgen.community.model import Site
-from forestgen.community.placement.densities import COUNTING_CELLS, grid_shape, plant_counts, species_density
+from forestgen.community.placement.densities import (
+    COUNTING_CELLS,
+    PlacementParameters,
+    grid_shape,
+    plant_counts,
+    species_density,
+)
 from forestgen.community.placement.model import PlacementModel
-from forestgen.community.placement.stands import PlacementParameters
 from forestgen.community.population import Floats
 from forestgen.core.compiled import compiled
 from forestgen.recipe.fields import Flag, Fraction, Whole

@@ -62,10 +62,14 @@ from pydantic import Field
 
 from forestgen.community.ecology import Ecologies
 from forestgen.community.model import Site
-from forestgen.community.placement.gridded import GriddedModel, GriddedParameters, density_at, read_densities
-from forestgen.community.placement.labelling import deal, label
-from forestgen.community.placement.lattice import lattice_shape
-from forestgen.community.placement.model import Wanted
+from forestgen.community.placement.labelling import assign, label, lattice_shape
+from forestgen.community.placement.model import (
+    GriddedModel,
+    GriddedParameters,
+    PlantingTargets,
+    density_at,
+    read_densities,
+)
 from forestgen.community.population import Floats
 from forestgen.core.compiled import compiled
 from forestgen.recipe.fields import Fraction, NonNegative
@@ -153,7 +157,7 @@ class HeightField(GriddedModel[HeightFieldParameters]):
         parameters: HeightFieldParameters,
         site: Site,
         species: Ecologies,
-        wanted: Wanted,
+        wanted: PlantingTargets,
         rng: np.random.Generator,
     ) -> tuple[Floats, str]:
         """The trees of all species on one grid."""
@@ -168,7 +172,7 @@ class HeightField(GriddedModel[HeightFieldParameters]):
         weight = np.array([density_at(field, at, site.size_m) for field in fields])
         # Of fewer places than trees, the largest trees have theirs.
         labels = label(weight, np.bincount(mine[: len(at)], minlength=len(species)), rng)
-        return deal(wanted, at, labels, rng), self.missing_reason
+        return assign(wanted, at, labels, rng), self.missing_reason
 
 
 def _places(

@@ -53,11 +53,9 @@ from pydantic import Field
 
 from forestgen.community.ecology import Ecologies
 from forestgen.community.model import Site
-from forestgen.community.placement.densities import COUNTING_CELLS
-from forestgen.community.placement.labelling import choose, deal, label
-from forestgen.community.placement.lattice import Lattice, lattice, lattice_shape
-from forestgen.community.placement.model import PlacementModel, Wanted
-from forestgen.community.placement.stands import PlacementParameters
+from forestgen.community.placement.densities import COUNTING_CELLS, PlacementParameters
+from forestgen.community.placement.labelling import Lattice, assign, choose, label, lattice, lattice_shape
+from forestgen.community.placement.model import PlacementModel, PlantingTargets
 from forestgen.community.population import Floats
 from forestgen.recipe.fields import Fraction
 
@@ -101,7 +99,7 @@ class JitteredGrid(PlacementModel[JitteredGridParameters]):
         parameters: JitteredGridParameters,
         site: Site,
         species: Ecologies,
-        wanted: Wanted,
+        wanted: PlantingTargets,
         rng: np.random.Generator,
     ) -> tuple[Floats, str]:
         """The plants of all species on one lattice."""
@@ -117,7 +115,7 @@ class JitteredGrid(PlacementModel[JitteredGridParameters]):
         places = np.full((len(cell), 2), np.nan)
         given = labels >= 0
         places[given] = grid.draw(cell[given], labels[given], rng.random((int(given.sum()), 3)))
-        return deal(wanted, places, labels, rng), self.missing_reason
+        return assign(wanted, places, labels, rng), self.missing_reason
 
     def estimate_bytes(self, parameters: JitteredGridParameters, site: Site, species: Ecologies) -> int:
         """Bytes for all plants and the finest lattice at once."""

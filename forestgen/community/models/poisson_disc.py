@@ -58,15 +58,15 @@ from scipy.spatial import cKDTree
 from forestgen.community.ecology import Ecologies
 from forestgen.community.model import Site
 from forestgen.community.placement.densities import COUNTING_CELLS, grid_shape, plant_counts, species_density
-from forestgen.community.placement.gridded import (
+from forestgen.community.placement.labelling import assign, choose, label
+from forestgen.community.placement.model import (
     GriddedModel,
     GriddedParameters,
+    PlantingTargets,
     density_at,
     read_densities,
     stays_apart,
 )
-from forestgen.community.placement.labelling import choose, deal, label
-from forestgen.community.placement.model import Wanted
 from forestgen.community.population import Floats
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.fields import Positive
@@ -147,7 +147,7 @@ class PoissonDisc(GriddedModel[PoissonDiscParameters]):
         parameters: PoissonDiscParameters,
         site: Site,
         species: Ecologies,
-        wanted: Wanted,
+        wanted: PlantingTargets,
         rng: np.random.Generator,
     ) -> tuple[Floats, str]:
         """The plants of all species at points of one pattern."""
@@ -167,7 +167,7 @@ class PoissonDisc(GriddedModel[PoissonDiscParameters]):
                 density_at(field, chosen, site.size_m) * (k / max(float(field.mean()), 1e-300))
                 for field, k in zip(fields, counts, strict=True)
             ]
-            position_m = deal(wanted, chosen, label(np.array(weight), able, rng), rng)
+            position_m = assign(wanted, chosen, label(np.array(weight), able, rng), rng)
         why = f"no more fit at {distance:.3g} m from one another on the ground that the map and the conditions allow"
         return position_m, why
 

@@ -58,7 +58,7 @@ from forestgen.community.ecology import Ecologies
 from forestgen.community.model import Site
 from forestgen.community.placement.densities import COUNTING_CELLS, grid_shape, plant_counts, species_density
 from forestgen.community.placement.field import DensityField
-from forestgen.community.placement.gridded import GriddedModel, GriddedParameters, stays_apart
+from forestgen.community.placement.model import GriddedModel, GriddedParameters, stays_apart
 from forestgen.community.population import Floats
 from forestgen.core.compiled import borrowed, compiled
 from forestgen.core.errors import RecipeError

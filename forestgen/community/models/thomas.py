@@ -52,7 +52,7 @@ from pydantic import Field
 
 from forestgen.community.ecology import Ecologies
 from forestgen.community.model import Site
-from forestgen.community.placement.gridded import GriddedModel, GriddedParameters, density_at
+from forestgen.community.placement.model import GriddedModel, GriddedParameters, density_at
 from forestgen.community.population import Floats
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.fields import Number, Positive

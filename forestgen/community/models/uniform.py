@@ -41,8 +41,13 @@ import numpy as np
 from forestgen.community.ecology import Ecologies
 from forestgen.community.model import Site
 from forestgen.community.placement.field import DensityField
-from forestgen.community.placement.gridded import GriddedModel, GriddedParameters, read_densities
-from forestgen.community.placement.model import Wanted, chances
+from forestgen.community.placement.model import (
+    GriddedModel,
+    GriddedParameters,
+    PlantingTargets,
+    read_densities,
+    uniform_samples,
+)
 from forestgen.community.population import Floats
 
 
@@ -56,11 +61,16 @@ class Uniform(GriddedModel[UniformParameters]):
     Parameters = UniformParameters
 
     def positions(
-        self, parameters: UniformParameters, site: Site, species: Ecologies, wanted: Wanted, rng: np.random.Generator
+        self,
+        parameters: UniformParameters,
+        site: Site,
+        species: Ecologies,
+        wanted: PlantingTargets,
+        rng: np.random.Generator,
     ) -> tuple[Floats, str]:
         """Each species' places from its own stream of random numbers."""
         position_m = np.full((len(wanted.sp), 2), np.nan)
-        uniform = chances(wanted, species, rng)
+        uniform = uniform_samples(wanted, species, rng)
         for index, density in enumerate(read_densities(parameters, site, species)):
             mine = wanted.sp == index
             field = DensityField(density, site.size_m, periodic=parameters.periodic)

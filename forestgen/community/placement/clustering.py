@@ -26,7 +26,7 @@ from forestgen.community.placement.kernels import SAMPLES, KernelTable
 from forestgen.community.point_patterns import hopkins_index
 from forestgen.community.trajectory import reported_hopkins
 
-MOST_REHEARSED = 2000  # plants: of more, every so-manieth is placed on a site that is smaller by as much
+MOST_TRIAL_PLANTS = 2000  # plants: of more, every so-manieth is placed on a site that is smaller by as much
 FEWEST = 10  # plants that have a Hopkins index worth aiming at
 CELLS_PER_SPACING = 12  # the family's finest detail is 0.08 spacings
 _LEAST, _MOST = -0.85, 6.2  # t
@@ -75,10 +75,7 @@ def as_section(t: float, spacing_m: float) -> dict[str, Any]:
 def spacing(densities: Sequence[NDArray[np.float64]], counts: NDArray[np.integer], area_m2: float) -> float:
     """Root of the area that a plant has, metres, at the mean density where plants stand.
 
-    Parameters
-    ----------
-    densities : (rows, cols) of each species, in any unit.
-    counts : (S,) plants of each species.
+    `densities` are grids of each species in any unit, `counts` (S,) its plants.
     """
     summed = np.zeros(densities[0].shape)
     for density, count in zip(densities, counts, strict=True):
@@ -89,7 +86,7 @@ def spacing(densities: Sequence[NDArray[np.float64]], counts: NDArray[np.integer
 
 
 @dataclass(frozen=True)
-class Rehearsal:
+class TrialPlacement:
     """What is placed again and again while a kernel is looked for, each time with the same numbers."""
 
     densities: Sequence[NDArray[np.float64]]  # (rows, cols) of each field
@@ -119,14 +116,14 @@ class Found:
 
     kernel: KernelTable
     t: float
-    hopkins: float  # in the rehearsal
+    hopkins: float  # in the trial
     section: dict[str, Any]  # the kernel as a recipe says it
 
     def misses(self, target: float) -> bool:
         return abs(self.hopkins - target) > TOLERANCE * max(1.0, target)
 
 
-def kernel_for(target: float, rehearsal: Rehearsal) -> Found:
+def kernel_for(target: float, trial: TrialPlacement) -> Found:
     """The kernel of the family under which plants come nearest to a Hopkins index.
 
     By bisection: H rises with t. Because every trial has the same random numbers, H is a function of t alone; plants
@@ -135,7 +132,7 @@ def kernel_for(target: float, rehearsal: Rehearsal) -> Found:
     tried: dict[float, float] = {}
 
     def off(t: float) -> float:
-        tried[t] = rehearsal.hopkins(t)
+        tried[t] = trial.hopkins(t)
         return math.log(max(tried[t], 1e-9) / target)
 
     low, high = (_LEAST, 0.0) if off(0.0) > 0 else (0.0, _MOST)
@@ -146,19 +143,16 @@ def kernel_for(target: float, rehearsal: Rehearsal) -> Found:
             break
         low, high = (low, middle) if error > 0 else (middle, high)
     t = min(tried, key=lambda one: abs(math.log(max(tried[one], 1e-9) / target)))
-    return Found(family(t, rehearsal.spacing_m), t, tried[t], as_section(t, rehearsal.spacing_m))
+    return Found(family(t, trial.spacing_m), t, tried[t], as_section(t, trial.spacing_m))
 
 
 def describe(
     target: float, found: Found | None, position_m: NDArray[np.float64], site: Site, seed: int, cells: int
 ) -> dict[str, Any]:
-    """What became of a target, plain as in JSON.
+    """What became of a target, plain as in JSON; nothing was `found` where there were too few plants.
 
-    Parameters
-    ----------
-    found : None: there were too few plants.
-    position_m : (N, 2) the plants that found a place.
-    cells : along the site's longer side; with as many, the kernel makes the same pattern again.
+    `position_m` (N, 2) are the plants that found a place. With as many `cells` along the site's longer side, the kernel
+    makes the same pattern again.
     """
     if found is None:
         return {"asked_hopkins": target}

@@ -20,7 +20,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from fractions import Fraction
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +35,6 @@ from pydantic import (
 )
 from pydantic_core import core_schema
 
-from forestgen.community.placement.resampling import resample
 from forestgen.core.bounded_cache import BoundedCache
 from forestgen.core.errors import AssetError, RecipeError
 from forestgen.core.grey_picture import GreyPicture, read_grey
@@ -44,11 +43,66 @@ from forestgen.recipe.map_files import file_sha256
 from forestgen.recipe.paths import inside
 from forestgen.recipe.sources import Keys
 
+if TYPE_CHECKING:
+    from scipy.sparse import csc_array
+
+_ROWS_AT_ONCE = 256
 LARGEST = 1e12  # a map's values, scaled; more would make sums over the site meaningless
 LEAST = 1e-100  # what is less counts as 0: its square, and what it divides, must still be numbers
 
 _pictures: BoundedCache[GreyPicture] = BoundedCache(400_000_000, lambda one: one.values.nbytes)
 _grids: BoundedCache[NDArray[np.float64]] = BoundedCache(200_000_000, lambda one: one.nbytes)
+
+
+def resample(
+    stored: NDArray[Any],
+    values_of: Callable[[NDArray[Any]], NDArray[np.float64]],
+    shape: tuple[int, int],
+    *,
+    smooth: bool,
+) -> NDArray[np.float64]:
+    """(rows, cols) float64 means in the cells of a grid of `shape`, of the same mean as the pixels.
+
+    `stored` (rows, cols) is turned into numbers by `values_of`, a block of rows at a time. If `smooth`, values run
+    straight between the middles of pixels along an axis that has more cells than pixels; else, and without it, they are
+    constant in each pixel.
+    """
+    across = _weights(stored.shape[1], shape[1], smooth).tocsr()
+    along = _weights(stored.shape[0], shape[0], smooth)
+    out = np.zeros(shape)
+    for start in range(0, stored.shape[0], _ROWS_AT_ONCE):
+        stop = min(start + _ROWS_AT_ONCE, stored.shape[0])
+        block = (across @ values_of(stored[start:stop]).T).T
+        share = along[:, start:stop]
+        reached = slice(int(share.indices.min()), int(share.indices.max()) + 1)
+        out[reached] += share.tocsr()[reached] @ np.ascontiguousarray(block)
+    return out
+
+
+def _weights(pixels: int, cells: int, smooth: bool) -> csc_array:
+    """(cells, pixels) sparse: each cell's mean as a weighted sum of pixels, along one axis.
+
+    Between all edges of cells and all edges (or middles) of pixels the function is straight, so that its mean there is
+    its value halfway.
+    """
+    from scipy.sparse import csc_array  # slow to import
+
+    straight = smooth and cells > pixels
+    # An edge of both grids is the same float in both: i * pixels / cells is exact where it is whole.
+    edges = np.arange(cells + 1) * pixels / cells
+    bends = np.arange(pixels) + 0.5 if straight else np.arange(1, pixels, dtype=np.float64)
+    ends = np.union1d(edges, bends)
+    middle, length = (ends[1:] + ends[:-1]) / 2, np.diff(ends)
+    cell = np.searchsorted(edges, middle, side="right") - 1
+    share = length * cells / pixels
+    if not straight:
+        pixel = np.floor(middle).astype(np.int64)
+        return csc_array((share, (cell, pixel)), shape=(cells, pixels))
+    lower = np.floor(middle - 0.5).astype(np.int64)
+    upper_share = (middle - 0.5 - lower) * share
+    pairs = np.clip(np.concatenate([lower, lower + 1]), 0, pixels - 1)
+    weights = np.concatenate([share - upper_share, upper_share])
+    return csc_array((weights, (np.concatenate([cell, cell]), pairs)), shape=(cells, pixels))
 
 
 def _spelled_out(value: Any) -> Any:
@@ -129,9 +183,9 @@ class MapSection(Section):
             raise mistake(cause.expected or "a map", problem=cause.problem, got=got, hint=cause.hint) from cause
 
     def _check_values(self) -> None:
-        picture = self._picture
+        picture, name = self._picture, self.file or "the rows"
         low, high = picture.lowest, picture.highest
-        name = self.file or "the rows"
+        largest = high * self.scale
         if not (np.isfinite(low) and np.isfinite(high)):
             where = _first(picture, ~np.isfinite(picture.values))
             raise mistake("finite numbers", problem="not every value of the map is a number", got=f"{name}: {where}")
@@ -140,18 +194,13 @@ class MapSection(Section):
             raise mistake(
                 "values of at least 0", problem="the map has negative values", got=f"{name}: {where}", hint="clip them"
             )
-        if self.invert and high > 1:
-            raise mistake(
-                "values of at most 1", problem="only values from 0 to 1 can be inverted", got=f"{name}: up to {high:g}"
-            )
-        if 0 < high * self.scale < LEAST:
-            raise mistake(
-                f"a value of at least {LEAST:g}", problem="the map's values are too small", got=f"{name}: {high:g}"
-            )
-        if high * self.scale > LARGEST:
-            raise mistake(
-                f"values of at most {LARGEST:g}", problem="the map's values are too large", got=f"{name}: {high:g}"
-            )
+        for wrong, expected, problem, got in (
+            (self.invert and high > 1, "values of at most 1", "only values from 0 to 1 can be inverted", "up to "),
+            (0 < largest < LEAST, f"a value of at least {LEAST:g}", "the map's values are too small", ""),
+            (largest > LARGEST, f"values of at most {LARGEST:g}", "the map's values are too large", ""),
+        ):
+            if wrong:
+                raise mistake(expected, problem=problem, got=f"{name}: {got}{high:g}")
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -16,6 +16,8 @@ from math import frexp, ldexp
 from typing import Any, NamedTuple
 
 from forestgen.community.placement.field_lanes import (
+    LANES,
+    SMALLEST,
     load,
     load_across,
     load_line,
@@ -28,7 +30,6 @@ from forestgen.community.placement.field_lanes import (
     sum_of,
     with_number,
 )
-from forestgen.community.placement.field_layout import LANES, SMALLEST
 from forestgen.core.compiled import contracted, inlined
 
 GREATEST_TOTAL, SMALLEST_TOTAL = 1e250, 1e-150  # outside, a field is scaled by a power of two

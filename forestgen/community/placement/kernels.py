@@ -21,7 +21,7 @@ import difflib
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
@@ -260,15 +260,16 @@ class KernelTable:
         return bool(np.all(self.values == 1.0))
 
 
+@lru_cache(maxsize=1024)
 def table(kernel: KernelSection) -> KernelTable:
-    """The kernel's table."""
+    """The kernel's table; the same object for the same kernel, as a matrix of many species repeats a few."""
     reach = kernel.reach if kernel.reach is not None else float(_points(kernel.curve)[-1][0])
     values = evaluate(kernel.curve, np.linspace(0.0, reach, SAMPLES + 1))
     return KernelTable(values, reach, kernel.distance == "radii", kernel.balanced)
 
 
 NEUTRAL = KernelTable(np.ones(SAMPLES + 1), 1.0, in_radii=True)
-#: Made once: a matrix of hundreds of species names a few kernels many thousand times.
+#: Made once: a matrix of many species names a few kernels many times.
 _sections = {name: KernelSection(**keys) for name, keys in NAMED.items()}
 
 
@@ -283,28 +284,8 @@ def kernel_matrix(
     ----------
     Lane 2002, section 5.4, M_ij.
     """
-    if isinstance(kernels, KernelSection):
-        return [[table(kernels)] * len(species)] * len(species)
-    matrix = [[NEUTRAL] * len(species) for _ in species]
-    made: dict[KernelSection, KernelTable] = {}  # a matrix of many species repeats a few kernels
-
-    def table_of(kernel: KernelSection) -> KernelTable:
-        if kernel not in made:
-            made[kernel] = table(kernel)
-        return made[kernel]
-
-    for j, acting in enumerate(species):
-        row = kernels.get(acting)
-        if row is None:
-            continue
-        if isinstance(row, KernelSection):
-            for i in range(len(species)):
-                matrix[i][j] = table_of(row)
-        else:
-            for i, affected in enumerate(species):
-                if affected in row:
-                    matrix[i][j] = table_of(row[affected])
-    return matrix
+    found = [[_effect(kernels, acting, affected) for acting in species] for affected in species]
+    return [[NEUTRAL if one is None else table(one[1]) for one in row] for row in found]
 
 
 @dataclass(frozen=True)
@@ -334,12 +315,9 @@ def kernel_work(
 ) -> KernelWork:
     """Sum over plants that act and what they affect within reach.
 
-    Parameters
-    ----------
-    acting : by species: number of plants, and their radius in metres.
-    affected : by species: what there is of it on the whole site, such as cells or plants.
+    `acting` is by species the number of plants, and their radius in metres; `affected` is by species what there is of
+    it on the whole site, such as cells or plants.
     """
-    made: dict[KernelSection, KernelTable] = {}
     total, most = 0.0, KernelWork()
     for actor, (plants, radius_m) in acting.items():
         for other, there in affected.items():
@@ -347,9 +325,7 @@ def kernel_work(
             if found is None or plants * there == 0.0:
                 continue
             keys, section = found
-            if section not in made:
-                made[section] = table(section)
-            kernel = made[section]
+            kernel = table(section)
             reach_m = 0.0 if kernel.is_neutral else float(kernel.reach_m(radius_m))
             cost = plants * there * min(1.0, math.pi * reach_m**2 / site.area_m2)
             total += cost

@@ -16,8 +16,8 @@ from typer.testing import CliRunner
 import forestgen as fg
 from forestgen.cli import app
 from forestgen.community.fitting import fit as fitting
-from forestgen.community.fitting import founders, likeliest, matching
-from forestgen.community.fitting.fit_text import in_words
+from forestgen.community.fitting import likelihood
+from forestgen.community.fitting.report import in_words
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.load import load_recipe
 
@@ -45,11 +45,10 @@ def quick(monkeypatch):
     """Few new stands: the command is tested here, not the fit."""
     monkeypatch.setattr(fitting, "_MOST_STANDS", 8)
     monkeypatch.setattr(fitting, "_FEWEST_STANDS", 8)
-    one = matching.Round(1.0, 1, 2.0)
-    monkeypatch.setattr(matching, "ROUNDS", (one, one))
-    monkeypatch.setattr(founders, "ROUNDS", (one, one))
+    one = fitting.Round(1.0, 1, 2.0)
+    monkeypatch.setattr(fitting, "ROUNDS", (one, one))
     monkeypatch.setattr(fitting, "_POOR", np.inf)
-    monkeypatch.setattr(likeliest, "_PLANTS_IN_ALL", 100)
+    monkeypatch.setattr(likelihood, "_PLANTS_IN_ALL", 100)
 
 
 def scattered(n, seed=0):
@@ -86,8 +85,8 @@ def test_a_fit_leaves_a_recipe_a_picture_and_numbers(quick, tmp_path):
 
 def test_founders_are_a_species_of_the_recipe_that_comes_first(quick, tmp_path, monkeypatch):
     monkeypatch.setattr(fitting, "_POOR", 0.0)
-    monkeypatch.setattr(founders, "_BETTER", np.inf)
-    monkeypatch.setattr(founders, "_PLANTS_OF_A_FOUNDER", (4.5,))
+    monkeypatch.setattr(fitting, "_BETTER", np.inf)
+    monkeypatch.setattr(fitting, "_PLANTS_OF_A_FOUNDER", (4.5,))
     target = tmp_path / "redwood.yaml"
     result = run(DATA / "redwood.csv", "-o", target, "--species", "spruce")
     assert result.exit_code == 0, result.output

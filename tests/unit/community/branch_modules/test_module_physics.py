@@ -7,9 +7,8 @@ import pytest
 from test_module_engine import MODEL, ecology, last, mixed, plant_type, same, states
 
 from forestgen.architecture.geometry import diameters
-from forestgen.community.branch_modules.growth import on_axis
-from forestgen.community.branch_modules.kinds import kinds_at
-from forestgen.community.branch_modules.shedding import PATIENCE, STUNTED
+from forestgen.community.branch_modules.growth import PATIENCE, STUNTED, on_axis
+from forestgen.community.branch_modules.state import step_parameters
 from forestgen.community.branch_modules.vigour import stature_of
 from forestgen.community.model import Site
 from forestgen.core.errors import RecipeError
@@ -46,7 +45,7 @@ def test_the_height_of_a_lone_plant_levels_off_by_its_reach(row, low, high):
 
 def test_leaves_and_sizes_of_modules_are_those_of_their_terminals():
     state = last(**mixed(12))
-    modules, kinds = state.modules, kinds_at(state)
+    modules, kinds = state.modules, step_parameters(state)
     stature = stature_of(modules, state.plants.species, kinds.tables, kinds.traits)
     assert np.all((stature.leaves >= 0) & (stature.leaves <= 1) & (stature.size > 0) & (stature.size <= 1))
     bearer, ends = modules.parent_row(), kinds.tables.terminals[modules.prototype]
@@ -78,7 +77,7 @@ def test_a_crown_that_sheds_and_grows_keeps_the_share_of_disused_pipes_and_no_no
         before = {}
         for state in states("", 45, plants=60, side_m=14.0, types={"x": pine(disused_share=share)}):
             modules = state.modules
-            width = diameters(kinds_at(state).tables, modules, state.plants.species)
+            width = diameters(step_parameters(state).tables, modules, state.plants.species)
             plant = state.plants.plant_id[modules.plant()].tolist()
             after = dict(zip(zip(plant, modules.number.tolist(), strict=True), width.tolist(), strict=True))
             for key, wide in after.items():
@@ -98,7 +97,7 @@ def test_crowded_conifers_lose_their_lowest_branches_and_keep_their_tops():
         lost = max([lost, *(1 - height / top[key] for key, height in now.items() if top.get(key, 0) > 3)])
         top = {key: max(height, top.get(key, 0.0)) for key, height in now.items()}
         if state.step in (30, 80):
-            kinds, modules = kinds_at(state), state.modules
+            kinds, modules = step_parameters(state), state.modules
             branch = ~on_axis(modules, kinds.main_path)
             foot = np.full(len(now), np.nan)
             np.fmin.at(foot, modules.plant()[branch], modules.base_m[branch, 2])

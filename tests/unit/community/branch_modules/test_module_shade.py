@@ -123,8 +123,6 @@ def test_what_no_grid_can_hold() -> None:
         shade(np.zeros((1, 2)), np.full(1, 1e9), np.ones(1), np.ones(1), SITE)
     with pytest.raises(ValueError, match="finite"):
         shade(np.full((1, 2), np.nan), np.zeros(1), np.ones(1), np.ones(1), SITE)
-    with pytest.raises(ValueError, match="spread"):
-        ShadowGrid((1.0, 1.0), spread=0.7)
 
 
 def many_houses(count: int) -> Boxes:

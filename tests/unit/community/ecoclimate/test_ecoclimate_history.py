@@ -109,7 +109,7 @@ def test_what_is_still_to_come_has_done_nothing_yet(months: int, from_yr: float)
     begun = change.step(months / 12)
     assert begun == seeds.step(months / 12) >= 1
     before, end = (begun - 1) * months, begun * months
-    assert all(month_at(NORMALS, [change.turn], k) == month_at(NORMALS, [], k) for k in range(before))
+    assert all(month_at(NORMALS, [change], k) == month_at(NORMALS, [], k) for k in range(before))
     assert seeds.times_before(before) == 0
     assert seeds.times_before(end) == 1
 
