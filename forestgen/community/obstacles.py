@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Annotated
@@ -67,7 +66,21 @@ class Obstacles:
 
     def left_out_of(self, population: Population) -> Population:
         """The plants of a snapshot: no row is an obstacle, and no species' name; modules are left out, too."""
-        return _without_species(population, self.species) if self.species else population
+        if not self.species:
+            return population
+        names = population.species_names
+        stays = np.array([name not in self.species for name in names], dtype=np.bool_)
+        number = np.cumsum(stays) - 1  # of each species among those that stay
+        rows = stays[population.species]
+        arrays = ("plant_id", "position_m", "radius_m", "height_m", "age_yr", "status")
+        return replace(
+            population,
+            species_names=tuple(name for name in names if name not in self.species),
+            species=number[population.species[rows]].astype(np.uint16),
+            columns={name: values[rows] for name, values in population.columns.items()},
+            modules=None,
+            **{name: getattr(population, name)[rows] for name in arrays},
+        )
 
     def turned(self, population: Population) -> Population:
         """The population with obstacles' azimuths in the column `azimuth_deg`, which the scene places plants by."""
@@ -118,19 +131,3 @@ def _check_obstacle(drawn: DrawnRecipe, index: int, obstacle: Obstacle) -> None:
             expected=f"all of its ground plan within x from 0 to {width:g} and y from 0 to {depth:g} metres",
             got=f"[{x:g}, {y:g}], from [{west:.1f}, {south:.1f}] to [{east:.1f}, {north:.1f}]",
         )
-
-
-def _without_species(population: Population, left_out: Collection[str]) -> Population:
-    names = population.species_names
-    stays = np.array([name not in left_out for name in names], dtype=np.bool_)
-    number = np.cumsum(stays) - 1  # of each species among those that stay
-    rows = stays[population.species]
-    arrays = ("plant_id", "position_m", "radius_m", "height_m", "age_yr", "status")
-    return replace(
-        population,
-        species_names=tuple(name for name in names if name not in left_out),
-        species=number[population.species[rows]].astype(np.uint16),
-        columns={name: values[rows] for name, values in population.columns.items()},
-        modules=None,
-        **{name: getattr(population, name)[rows] for name in arrays},
-    )

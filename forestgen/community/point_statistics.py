@@ -119,7 +119,15 @@ def measure_file(
     """
     table = read_points(path, window, allow_duplicates=True)
     points_m, window_m, radii = table.points_m, table.window, _radii(radii_m, table)
-    _check_pairs(points_m, float(radii.max()))
+    pairs = patterns.count_pairs(points_m, most_m := float(radii.max()))
+    if pairs > _MOST_PAIRS:
+        raise ResourceError(
+            "too many pairs of points lie within the greatest radius",
+            parameter="radii",
+            expected=f"at most {_MOST_PAIRS:,}",
+            got=f"{pairs:,} within {most_m:g} m",
+            hint="lower the greatest radius",
+        )
     distances = patterns.measure_distances(points_m, window_m, child_rng(0, "stats"))
     return PointStatistics(
         n=len(points_m),
@@ -151,18 +159,6 @@ def _radii(given: Sequence[float | str], table: PointTable) -> Floats:
             "too few or too many radii", parameter="radii", expected=f"1 to {_MOST_RADII}", got=str(len(radii))
         )
     return np.array(radii)
-
-
-def _check_pairs(points_m: Floats, most_m: float) -> None:
-    pairs = patterns.count_pairs(points_m, most_m)
-    if pairs > _MOST_PAIRS:
-        raise ResourceError(
-            "too many pairs of points lie within the greatest radius",
-            parameter="radii",
-            expected=f"at most {_MOST_PAIRS:,}",
-            got=f"{pairs:,} within {most_m:g} m",
-            hint="lower the greatest radius",
-        )
 
 
 def _radius(text: str, most: float) -> float:

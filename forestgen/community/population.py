@@ -55,8 +55,12 @@ class Population:
             shape = (n, 3) if name == "position_m" else (n,)
             if getattr(self, name).shape != shape:
                 raise ValueError(f"{name} must have shape {shape}, got {getattr(self, name).shape}")
-        if n and (self.plant_id[0] == 0 or np.any(np.diff(self.plant_id.astype(np.int64)) <= 0)):
-            raise ValueError(f"plant_id must be positive, unique and sorted, got {_unsorted(self.plant_id)}")
+        before = np.concatenate([[0], self.plant_id[:-1].astype(np.int64)])
+        unsorted = np.flatnonzero(self.plant_id <= before[:n])
+        if len(unsorted):
+            row = int(unsorted[0])
+            got = f"{self.plant_id[row]} in row {row}" + (f" after {before[row]}" if row else "")
+            raise ValueError(f"plant_id must be positive, unique and sorted, got {got}")
         if self.modules is not None and self.modules.plants != n:
             raise ValueError(f"modules must be those of {n} plants, got {self.modules.plants}")
 
@@ -67,13 +71,6 @@ class Population:
     def notes(self) -> tuple[str, ...]:
         """What the model reports to users, such as that not all plants found a place."""
         return tuple(self.state.get("notes", ()))
-
-
-def _unsorted(plant_id: NDArray[np.uint32]) -> str:
-    """The first id that is not above the one before."""
-    before = np.concatenate([[0], plant_id[:-1].astype(np.int64)])
-    row = int(np.flatnonzero(plant_id <= before)[0])
-    return f"{plant_id[row]} in row {row}" + (f" after {before[row]}" if row else "")
 
 
 def count_by_species(population: Population, above_m: float = -math.inf) -> dict[str, int]:

@@ -111,7 +111,7 @@ def check_whole(values: Mapping[str, Any], key: str, least: int, most: int) -> N
 
 def check_number(values: Mapping[str, Any], key: str, least: float, most: float, *, within: str = "") -> None:
     """Raise `ImpossibleValueError` unless a key of the state, or of a table `within` it, is a number of a range."""
-    value = values.get(key)
+    value: Any = values.get(key)
     key = f"{within}.{key}" if within else key
     if type(value) not in (int, float) or not least <= value <= most:
         raise ImpossibleValueError(key, f"a number from {least:g} to {most:g}", _shown(value))

@@ -102,22 +102,22 @@ class Trajectory:
     @property
     def mean_mass(self) -> Floats:
         """(T,) mean mass of a plant; nan where none lives."""
-        return _over(self.mass_sum.sum(axis=1), self.counts.sum(axis=1))
+        return np.asarray(self.mass_sum.sum(axis=1) / self._plants)
 
     @property
     def quadratic_mean_diameter_m(self) -> Floats:
         """(T,) of the plants' circles, metres; nan where there is none."""
-        return np.asarray(2 * np.sqrt(_over(self.square_sum_m2.sum(axis=1), self.counts.sum(axis=1))))
+        return np.asarray(2 * np.sqrt(self.square_sum_m2.sum(axis=1) / self._plants))
+
+    @property
+    def _plants(self) -> Floats:
+        """(T,) plants of all species; nan where there is none."""
+        plants = self.counts.sum(axis=1)
+        return np.where(plants > 0, plants, math.nan)
 
     def is_even_aged(self) -> bool:
         """Whether plants only ever get fewer, as those of one sowing do."""
         return bool(np.all(np.diff(self.counts.sum(axis=1)) <= 0))
-
-
-def _over(sums: Floats, counts: NDArray[np.int64]) -> Floats:
-    means = np.full(len(sums), math.nan)
-    np.divide(sums, counts, out=means, where=counts > 0)
-    return means
 
 
 def thinning_slope(trajectory: Trajectory) -> Slope | None:
@@ -151,6 +151,7 @@ def describe_step(population: Population, site: Site, seed: int) -> dict[str, An
     groups = {ALL: alive}
     groups.update({name: alive & (population.species == k) for k, name in enumerate(population.species_names)})
     patterns = {name: _pattern(population, pick, site, seed, name) for name, pick in groups.items()}
+    logs = {name: fit_log_normal(mass[pick & (mass > 0) & np.isfinite(mass)]) for name, pick in groups.items()}
     return {
         "step": population.step,
         "time_yr": population.time_yr,
@@ -164,7 +165,7 @@ def describe_step(population: Population, site: Site, seed: int) -> dict[str, An
         "mean_mass": float(mass[alive].mean()) if n else None,
         "hopkins": {name: one[0] for name, one in patterns.items()},
         "clark_evans_donnelly": {name: one[1] for name, one in patterns.items()},
-        "mass_log_normal": {name: _log_normal(mass[pick]) for name, pick in groups.items()},
+        "mass_log_normal": {name: asdict(fit) if fit else None for name, fit in logs.items()},
     }
 
 
@@ -192,11 +193,6 @@ def reported_hopkins(points_m: Floats, site: Site, seed: int) -> float:
 
 def _estimate(one: Estimate) -> dict[str, float | None]:
     return {name: value if math.isfinite(value) else None for name, value in one._asdict().items()}
-
-
-def _log_normal(mass: Floats) -> dict[str, Any] | None:
-    fit = fit_log_normal(mass[(mass > 0) & np.isfinite(mass)])
-    return asdict(fit) if fit else None
 
 
 @dataclass(frozen=True)
