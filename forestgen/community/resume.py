@@ -13,13 +13,13 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from forestgen.community.community_cache import simulation_code
 from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.history import open_history
 from forestgen.community.history_tables import MODULES_NAME
 from forestgen.community.model import CommunityParameters
 from forestgen.community.plan import CommunityPlan
 from forestgen.community.population import Population
+from forestgen.community.simulation import simulation_code
 from forestgen.community.snapshot_checks import ImpossibleValueError, check_snapshot
 from forestgen.core.errors import AssetError, RecipeError
 from forestgen.core.version import __version__

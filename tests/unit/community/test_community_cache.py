@@ -14,15 +14,14 @@ from PIL import Image
 from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
 
-from forestgen.community import community_cache
+from forestgen.community import simulation
 from forestgen.community import simulation as community
-from forestgen.community.community_cache import _told, as_kept, community_key
 from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.model import Site
 from forestgen.community.placement.density_map import MapSection
 from forestgen.community.population import Population
 from forestgen.community.registry import COMMUNITY_MODELS
-from forestgen.community.simulation import final_population
+from forestgen.community.simulation import _told, as_kept, community_key, final_population
 from forestgen.core.disk_cache import ENVIRONMENT
 from forestgen.core.errors import RecipeError
 from forestgen.core.packed import pack
@@ -111,12 +110,12 @@ def test_what_comes_from_disk_is_what_would_be_simulated(
 
 
 def test_an_empty_community_and_a_states_lists_come_back(cache: Path, tmp_path: Path) -> None:
-    store = community_cache.community_store()
+    store = simulation.community_store()
     assert store is not None
     empty = final_population(planned(tmp_path, SUCCESSION, "community.steps=0").community, Silent())
     told = replace(empty, state={"notes": ["one", "two"], "next_id": 7, "deep": {"a": [1, [2.5, None]], "b": (1,)}})
-    assert community_cache.keep_community(store, "x", told)
-    found = community_cache.load_community(store, "x")
+    assert simulation.keep_community(store, "x", told)
+    found = simulation.load_community(store, "x")
     assert found is not None
     assert pack(found) == pack(told)
     assert found.state == told.state
@@ -221,7 +220,7 @@ def test_seed_steps_files_and_code_are_in_the_key(cache: Path, tmp_path: Path, m
     seen.add(community_key(planned(tmp_path, PLACED, "community.model=uniform").community))
     np.save(tmp_path / "hills.npy", np.full((4, 6), 2.0))
     seen.add(community_key(planned(tmp_path, PLACED).community))
-    monkeypatch.setattr(community_cache, "code_hash", lambda *_: "other")
+    monkeypatch.setattr(simulation, "code_hash", lambda *_: "other")
     seen.add(community_key(planned(tmp_path, PLACED).community))
     assert len(seen) == 6
     assert None not in seen
