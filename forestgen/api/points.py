@@ -186,8 +186,8 @@ def _on_fit(fit: Fit) -> list[str]:
         )
     if fit.nursery.founders:
         notes.append(
-            f"one kernel leaves the nearest neighbours far off (loss {fit.plain.losses[-1]:.3g}); "
-            f"{fit.nursery.founders} founders that come first leave {fit.matched.losses[-1]:.3g}"
+            f"one kernel leaves the nearest neighbours far off (loss {fit.plain.loss:.3g}); "
+            f"{fit.nursery.founders} founders that come first leave {fit.matched.loss:.3g}"
         )
     return notes
 

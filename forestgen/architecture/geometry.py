@@ -53,14 +53,15 @@ from forestgen.architecture.modules import Modules
 from forestgen.architecture.prototypes import Tables
 from forestgen.core.threads import over_ranges
 
+_MOST_OPACITY = 0.99
 Types = NDArray[Any]  # (P,) index of each plant's type
 
 
 @dataclass(frozen=True)
 class Nodes:
-    """Nodes of chosen modules, one module's after another's."""
+    """Nodes of modules, one module's after another's."""
 
-    start: NDArray[np.int64]  # (K + 1,) the k-th module's nodes are start[k] to start[k + 1], in its prototype's order
+    start: NDArray[np.int64]  # (M + 1,) module m's nodes are start[m] to start[m + 1], in its prototype's order
     position_m: NDArray[np.float32]  # (., 3) from the plant's foot, world's axes
     length_m: NDArray[np.float32]  # (.,) of the segment that the node ends, 0 for root nodes and the unborn
 
@@ -68,13 +69,8 @@ class Nodes:
 def _packed(tables: Tables) -> Shapes:
     """The tables as kernels read them."""
     shapes = np.concatenate([tables.direction, tables.length[..., None], tables.birth[..., None]], axis=-1)
-    columns = (
-        tables.mature_age,
-        tables.length_per_age_m,
-        tables.longest_segment_m,
-        tables.tropism_strength,
-        tables.tropism_decay,
-    )
+    lengths_m = tables.length_per_age_m, tables.longest_segment_m
+    columns = tables.mature_age, *lengths_m, tables.tropism_strength, tables.tropism_decay
     return Shapes(
         np.ascontiguousarray(shapes), np.ascontiguousarray(np.stack(columns, axis=-1)), tables.parent, tables.nodes,
         tables.birth, tables.thickness, tables.disused_node, tables.first_child, tables.next_sibling,
@@ -128,13 +124,12 @@ def terminal_pose(
     return position, direction
 
 
-def node_positions(tables: Tables, modules: Modules, type_of_plant: Types, rows: Any = None) -> Nodes:
-    """Nodes of the modules of the rows, all if None."""
+def node_positions(tables: Tables, modules: Modules, type_of_plant: Types) -> Nodes:
+    """Nodes of all modules."""
     shapes, poses = _packed(tables), _poses(modules, type_of_plant)
-    chosen = np.arange(len(modules)) if rows is None else np.ascontiguousarray(rows, dtype=np.int64)
-    start = np.concatenate([[0], np.cumsum(tables.nodes[modules.prototype[chosen]], dtype=np.int64)])
+    start = np.concatenate([[0], np.cumsum(tables.nodes[modules.prototype], dtype=np.int64)])
     position, length = np.empty((start[-1], 3), dtype=np.float32), np.empty(start[-1], dtype=np.float32)
-    over_ranges(len(chosen), lambda first, end: fill_nodes(shapes, poses, chosen, start, first, end, position, length))
+    over_ranges(len(modules), lambda first, end: fill_nodes(shapes, poses, start, first, end, position, length))
     return Nodes(start, position, length)
 
 
@@ -166,9 +161,6 @@ def over_plants(modules: Modules, work: Any) -> None:
         work(int(np.searchsorted(begins, first)), int(np.searchsorted(begins, end)))
 
     over_ranges(len(modules), of_modules)
-
-
-_MOST_OPACITY = 0.99
 
 
 @dataclass(frozen=True)

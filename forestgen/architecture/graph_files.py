@@ -33,15 +33,11 @@ Columns = Mapping[str, Sequence[Any] | NDArray[Any]]
 
 
 def write_graph(path: Path, graph: SkeletalGraph, *, foot_m: Any = None, columns: Columns | None = None) -> None:
-    """Write a graph in the format that the path's suffix names.
+    """Write a graph in the format that the path's suffix names; an `OutputError` if that is not possible.
 
     With `foot_m` (P, 3), of all plants of the population, positions are the world's; without, each plant's from its own
     foot. `columns` are name -> (P,) what else is known of each plant, such as plant_id and species: columns of tables,
     custom data of scenes.
-
-    Raises
-    ------
-    OutputError : no such format, or the file cannot be written.
     """
     suffix = path.suffix.lower()
     if suffix not in GRAPH_FORMATS:

@@ -49,7 +49,7 @@ class Modules:
         chosen = np.arange(self.plants)[plants]
         counts = self.first[chosen + 1] - self.first[chosen]
         begins = np.cumsum(counts) - counts
-        return np.arange(counts.sum()) + np.repeat(self.first[chosen] - begins, counts)
+        return np.asarray(np.arange(counts.sum()) + np.repeat(self.first[chosen] - begins, counts))
 
     def of_plants(self, plants: NDArray[np.integer] | NDArray[np.bool_]) -> Modules:
         """The modules of these plants, in this order; `plants` as in `rows`."""

@@ -44,6 +44,7 @@ from forestgen.recipe.plant_type import PlantType
 from forestgen.recipe.yaml_source import read_yaml
 
 MOST_NODES = 32
+_COLUMNS = ("mature_age", "length_per_age_m", "longest_segment_m", "tropism_strength", "tropism_decay", "opacity")
 
 
 @dataclass(frozen=True)
@@ -74,22 +75,17 @@ _UnitFree = Annotated[Number, Field(ge=-1e3, le=1e3)]
 class PrototypeNode(Section):
     """One node of a prototype's file, and the branch segment that it ends."""
 
-    parent: Annotated[Whole, Field(ge=0, le=MOST_NODES - 2, description="Number of the node it grows from; 0: root.")]
-    direction: Annotated[
-        tuple[_UnitFree, _UnitFree, _UnitFree] | None,
-        Field(description="Of the segment, in the module's frame, of any length; in place of the angles."),
-    ] = None
-    angle_deg: Annotated[
-        Number | None, Field(ge=0, le=180, description="From the segment that the parent ends, degrees.")
-    ] = None
-    azimuth_deg: Annotated[Number, Field(ge=-3600, le=3600, description="Side of that angle, degrees.")] = 0.0
-    length: Annotated[Positive, Field(ge=1e-3, le=20, description="Factor on the plant type's segment lengths.")]
-    birth: Annotated[
-        Fraction, Field(le=0.95, description="Share of the mature age at which the segment begins to grow.")
-    ] = 0.0
-    thickness: Annotated[
-        Positive, Field(ge=1e-3, le=20, description="Factor on the plant type's thickening, of a terminal node.")
-    ] = 1.0
+    parent: Whole = Field(ge=0, le=MOST_NODES - 2, description="Number of the node it grows from; 0: root.")
+    direction: tuple[_UnitFree, _UnitFree, _UnitFree] | None = Field(
+        None, description="Of the segment, in the module's frame, of any length; in place of the angles."
+    )
+    angle_deg: Number | None = Field(None, ge=0, le=180, description="From the segment that the parent ends, degrees.")
+    azimuth_deg: Number = Field(0.0, ge=-3600, le=3600, description="Side of that angle, degrees.")
+    length: Positive = Field(ge=1e-3, le=20, description="Factor on the plant type's segment lengths.")
+    birth: Fraction = Field(0.0, le=0.95, description="Share of the mature age at which the segment begins to grow.")
+    thickness: Positive = Field(
+        1.0, ge=1e-3, le=20, description="Factor on the plant type's thickening, of a terminal node."
+    )
 
     @model_validator(mode="after")
     def _one_way(self) -> Self:
@@ -106,13 +102,12 @@ class PrototypeNode(Section):
 class PrototypeFile(Section):
     """A prototype's file."""
 
-    description: Annotated[Text, Field(max_length=1000, description="What branches it draws.")] = ""
-    apical_control: Annotated[Fraction, Field(description="Place in the morphospace [lambda].")]
-    determinacy: Annotated[Fraction, Field(description="Place in the morphospace [D].")]
-    nodes: Annotated[
-        tuple[PrototypeNode, ...],
-        Field(min_length=1, max_length=MOST_NODES - 1, description="All but the root, parents first; see the page."),
-    ]
+    description: Text = Field("", max_length=1000, description="What branches it draws.")
+    apical_control: Fraction = Field(description="Place in the morphospace [lambda].")
+    determinacy: Fraction = Field(description="Place in the morphospace [D].")
+    nodes: tuple[PrototypeNode, ...] = Field(
+        min_length=1, max_length=MOST_NODES - 1, description="All but the root, parents first; see the page."
+    )
 
     @model_validator(mode="after")
     def _is_a_tree(self) -> Self:
@@ -182,12 +177,7 @@ def load_prototypes() -> tuple[Prototype, ...]:
 
 
 def read_prototype(path: Path) -> Prototype:
-    """The prototype of a file.
-
-    Raises
-    ------
-    AssetError : the file holds no prototype.
-    """
+    """The prototype of a file; an `AssetError` if it holds none."""
     data, sources = read_yaml(path, error=AssetError)
     try:
         return PrototypeFile.model_validate(data).prototype(path.stem)
@@ -203,10 +193,7 @@ def choose_prototype(
 ) -> NDArray[np.uint8]:
     """Index of the prototype whose Voronoi region of the morphospace holds each point; the first of equals.
 
-    Parameters
-    ----------
-    apical_control, determinacy : (...) lambda and D', 0 to 1; of one shape, or one number.
-    allowed : (..., S) among which prototypes each may choose, at least one; None: all.
+    The points are lambda and D', 0 to 1, of one shape (...); `allowed` (..., S) says which prototypes each may choose.
     """
     control, determinate = np.broadcast_arrays(
         np.asarray(apical_control, dtype=np.float64), np.asarray(determinacy, dtype=np.float64)
@@ -221,9 +208,6 @@ def choose_prototype(
         chosen[closer] = index
         nearest = np.where(closer, distance, nearest)
     return chosen
-
-
-_COLUMNS = ("mature_age", "length_per_age_m", "longest_segment_m", "tropism_strength", "tropism_decay", "opacity")
 
 
 @dataclass(frozen=True)

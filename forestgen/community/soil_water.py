@@ -54,6 +54,9 @@ from forestgen.core.compiled import compiled
 from forestgen.core.threads import cores, over_ranges
 
 Floats = NDArray[np.float64]
+Map = NDArray[np.floating] | float
+SUBSTEP_DAYS = 0.5
+_MANNING = 0.5  # power of the gradient
 _LITTLE = 0.25  # the share of a cell that leaves it: up to here one explicit step will do
 _SMALL = 100_000  # cells, below which a transform is done before other threads have begun
 
@@ -237,11 +240,6 @@ def _run_downhill(field, order, to, rates, days):  # type: ignore[no-untyped-def
             for way in range(4):
                 if rates[k, way] > 0.0:
                     field[to[k, way]] += days * rates[k, way] * stays
-
-
-Map = NDArray[np.floating] | float
-SUBSTEP_DAYS = 0.5
-_MANNING = 0.5  # power of the gradient
 
 
 @dataclass(frozen=True)

@@ -35,22 +35,14 @@ from forestgen.community.model import CommunityParameters
 from forestgen.community.obstacles import Obstacle
 from forestgen.community.placement.density_map import DensityMap
 from forestgen.recipe.biome import COLDEST_C, DRIEST_MM, WARMEST_C, WETTEST_MM
-from forestgen.recipe.fields import (
-    Flag,
-    Fraction,
-    NonNegative,
-    Number,
-    Positive,
-    Section,
-    Text,
-    Whole,
-    mistake,
-)
+from forestgen.recipe.fields import Flag, Fraction, NonNegative, Number, Positive, Section, Text, Whole, mistake
 from forestgen.recipe.messages import show
 from forestgen.recipe.plant_type import PlantType
 from forestgen.recipe.sources import Keys
 from forestgen.recipe.suggestions import nearest
 
+BLOCKED_ABOVE = 0.5  # a soil map's values above this bar plants
+MOST_PLANTS = 1_000_000  # at the start
 #: Keys of the section that a simulation starts with, and cannot change on its way.
 FIXED = (
     "steps", "step_yr", "periodic", "disturbances", "initial_plants", "biome", "soil", "obstacles", "changes",
@@ -121,10 +113,6 @@ def species_key(key: str) -> tuple[str, str] | None:
     """Name and key of ``species.NAME.KEY``; None: a key of the section itself."""
     parts = key.split(".")
     return (parts[1], parts[2]) if len(parts) == 3 and parts[0] == "species" else None
-
-
-BLOCKED_ABOVE = 0.5  # a soil map's values above this bar plants
-MOST_PLANTS = 1_000_000  # at the start
 
 
 def _within(low: float, high: float, unit: str) -> AfterValidator:
@@ -356,12 +344,7 @@ def cells_at(
 def parameters_at(
     parameters: BranchModulesParameters, types: Mapping[str, PlantType], step: int
 ) -> tuple[BranchModulesParameters, dict[str, PlantType]]:
-    """The parameters and the plant types, by the names of the species that grow, with all changes up to a step's end.
-
-    Raises
-    ------
-    ValueError : a value that its key does not take, or no such key or species; a recipe's check refuses them before.
-    """
+    """The parameters, and the plant types by the names of the species that grow, with all changes up to a step."""
     changed, kinds = parameters, dict(types)
     for _, one in changes_in_order(parameters):
         if one.step(parameters.step_yr) > step:
@@ -370,8 +353,6 @@ def parameters_at(
         if own:
             changed = type(parameters).model_validate({**values_of(changed), **own})
         for name, values in of_species.items():
-            if name not in kinds:
-                raise ValueError(f"no species {name!r} grows by branch modules")
             kinds[name] = PlantType.model_validate({**values_of(kinds[name]), **values})
     return changed, kinds
 

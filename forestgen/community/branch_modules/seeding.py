@@ -58,13 +58,8 @@ def initial_state(
     place = _open_places(len(sp), parameters, site, child_rng(seed, "community", 0))
     notes = () if len(place) == len(sp) else (f"only {len(place)} of {len(sp)} plants found open ground",)
     new, roots = new_seedlings(place, sp[: len(place)], state, step_parameters(state), 0)
-    return replace(
-        state,
-        next_id=state.next_id + len(new),
-        plants=plants.and_then(new),
-        modules=modules.and_then(roots),
-        notes=notes,
-    )
+    plants, modules, next_id = plants.and_then(new), modules.and_then(roots), state.next_id + len(new)
+    return replace(state, next_id=next_id, plants=plants, modules=modules, notes=notes)
 
 
 def _open_places(count: int, parameters: BranchModulesParameters, site: Site, rng: np.random.Generator) -> Floats:

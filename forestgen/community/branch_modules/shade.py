@@ -169,25 +169,6 @@ def _by_layer(height, layer_m, layers, start, order):  # type: ignore[no-untyped
         start[k] += 1
 
 
-class _Covers:
-    """What boxes take of a layer's cells, for layers from the highest to the ground; one plane, however many boxes."""
-
-    def __init__(self, boxes: Boxes, grid: ShadowGrid) -> None:
-        self.layers = np.ceil(boxes.size_m[:, 2] / grid.layer_m - 1e-9).astype(np.int64)  # (B,) of each box
-        self._boxes, self._grid = boxes, grid
-        self._waiting = np.argsort(self.layers, kind="stable").tolist()  # the highest last
-        self._taken = np.zeros(grid.cells[::-1])
-
-    def open_share(self, layer: int) -> Floats:
-        """(ny, nx) share of each cell of a layer that no box takes: more light than that cannot be in it.
-
-        To be asked for from layer to layer downwards.
-        """
-        while self._waiting and layer < self.layers[self._waiting[-1]]:
-            _add_cover(self._boxes, self._waiting.pop(), self._grid, self._taken)
-        return np.asarray(np.maximum(1.0 - self._taken, 0.0))
-
-
 def _add_cover(boxes: Boxes, k: int, grid: ShadowGrid, taken: Floats) -> None:
     """Add to `taken` (ny, nx) the share of each cell that box k covers: that of points; O(cells near it)."""
     (nx, ny), (per_x, per_y) = grid.cells, grid.per_m
@@ -258,8 +239,9 @@ def shade(
         np.clip(position, 0.0, np.array(grid.size_m) * (1 - 1e-12), out=position)
     if not (np.isfinite(position).all() and np.isfinite(height).all()):
         raise ValueError("modules need finite positions")
-    covers = _Covers(boxes, grid)
-    top = max(int(max(height.max(initial=0.0), 0.0) // grid.layer_m) + 1, int(covers.layers.max(initial=0)))
+    box_layers = np.ceil(boxes.size_m[:, 2] / grid.layer_m - 1e-9).astype(np.int64)  # (B,)
+    waiting, taken = np.argsort(box_layers, kind="stable").tolist(), np.zeros((ny, nx))  # the highest box last
+    top = max(int(max(height.max(initial=0.0), 0.0) // grid.layer_m) + 1, int(box_layers.max(initial=0)))
     if top > _MOST_LAYERS:
         raise ResourceError(
             "the trees are too tall for layers of light so thin",
@@ -275,8 +257,10 @@ def shade(
     plane, nothing = np.zeros((ny, nx), dtype=np.int64), np.zeros((ny, nx), dtype=np.int64)
     for k in range(top - 1, -1, -1):
         rows = order[start[k] : start[k + 1]]
-        if len(boxes):
-            np.minimum(share, covers.open_share(k), out=share)
+        while waiting and k < box_layers[waiting[-1]]:
+            _add_cover(boxes, waiting.pop(), grid, taken)
+        if len(boxes):  # no more light than the share of a cell that no box takes
+            np.minimum(share, np.maximum(1.0 - taken, 0.0), out=share)
         plane[:] = 0
         _deposit(rows, position, radius, opaque, per_x, per_y, grid.periodic, plane)
         _read(rows, position, radius, opaque, per_x, per_y, grid.periodic, plane, above, share, light)

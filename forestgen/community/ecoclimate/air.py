@@ -37,6 +37,14 @@ from forestgen.community.soil_water import Floats, Ground
 from forestgen.core.randomness import child_rng
 from forestgen.core.threads import apart
 
+MOST = 3.0
+_MARK_S = 300.0  # between two looks at the clouds
+_NOISE_K = 0.1
+_RELAXATION_S = 1800.0
+_LEAST_KG_PER_M2 = 1e-3  # of condensed water: days with less over the region's ground have no clouds to compare
+_FLAT = 0.5  # of a cell's height: lower hills are no terrain to the air
+_LAPSE_ABOVE_K_PER_KM = 4.0  # cooling upwards above the inversion
+
 
 @dataclass(frozen=True)
 class AreaRegridder:
@@ -68,17 +76,10 @@ class AreaRegridder:
 
 
 def regridder_for(ground: Ground, air: AirGrid) -> AreaRegridder:
-    """The regridder of a ground whose middle is that of the air's box.
-
-    Raises
-    ------
-    ValueError : the ground is larger than the box.
-    """
+    """The regridder of a ground that lies in the middle of the air's box."""
     shares: list[list[Floats]] = [[], [], []]
     for axis in (1, 0):
         length, box = ground.size_m[axis], air.size_m[axis]
-        if length > box * (1 + 1e-9):
-            raise ValueError(f"a ground of {length:g} m does not lie in a box of {box:g} m")
         start = 0.5 * (box - length)
         edges = start + np.linspace(0.0, length, ground.shape[1 - axis] + 1)
         of_air = np.linspace(0.0, box, air.cells[axis] + 1)
@@ -99,15 +100,6 @@ def _overlap(ours: Floats, theirs: Floats) -> Floats:
 def _product(down: Floats, values: Floats, across: Floats) -> Floats:
     """`down @ values @ across.T`; no BLAS, since the last digits of its sums depend on its threads."""
     return np.asarray(np.einsum("ac,bc->ab", np.einsum("ab,bc->ac", down, values), across))
-
-
-MOST = 3.0
-_MARK_S = 300.0  # between two looks at the clouds
-_NOISE_K = 0.1
-_RELAXATION_S = 1800.0
-_LEAST_KG_PER_M2 = 1e-3  # of condensed water: days with less over the region's ground have no clouds to compare
-_FLAT = 0.5  # of a cell's height: lower hills are no terrain to the air
-_LAPSE_ABOVE_K_PER_KM = 4.0  # cooling upwards above the inversion
 
 
 @dataclass(frozen=True)
@@ -170,7 +162,6 @@ def month_of_air(
     grid = grid_of(section, bounds.ground)
     maps = regridder_for(bounds.ground, grid)
     of_year, indices = number % MONTHS_PER_YR, range(section.days_per_month)
-
     usual = partial(_usual, section, grid, of_year=of_year, wind_from_deg=wind_from_deg, seed=seed)
     normal = replace(month, vapour=1.0)
 
@@ -183,7 +174,7 @@ def month_of_air(
     if month.vapour != 1.0:
         jobs.append(lambda index: usual(month, index=index))
     days: list[Any] = apart([partial(job, index) for index in indices for job in jobs])
-    looks: list[tuple[Floats, Floats, float, float, float]] = []
+    looks: list[tuple[Floats, Floats, float, float]] = []
     for index in indices:
         here, (usual_kg, usual_k), *changed = days[len(jobs) * index : len(jobs) * (index + 1)]
         now_kg, now_k = changed[0] if changed else (usual_kg, usual_k)
@@ -193,15 +184,10 @@ def month_of_air(
         # The site's mean is bounded: a cap by cell would take from the peaks and give to none.
         ratio = ours / max(usual_kg, ours.mean() / MOST) if clouds else np.ones_like(ours)
         region = min(now_kg / usual_kg, MOST) if clouds else 1.0
-        looks.append((ratio, maps.for_ground(warmth), region, float(ours.mean()), here.water_error))
-    wetness, warmths, regions, condensed, errors = zip(*looks, strict=True)
-    return MonthOfAir(
-        np.mean(wetness, axis=0),
-        float(np.mean(regions)),
-        np.mean(warmths, axis=0),
-        float(np.mean(condensed)),
-        max(errors),
-    )
+        looks.append((ratio, maps.for_ground(warmth), region, float(ours.mean())))
+    wetness, warmth, region, condensed = (np.mean(one, axis=0) for one in zip(*looks, strict=True))
+    error = max(days[len(jobs) * index].water_error for index in indices)
+    return MonthOfAir(wetness, float(region), warmth, float(condensed), error)
 
 
 def case_of(
@@ -253,16 +239,10 @@ def day_of(section: WeatherSection, month: Month, of_year: int, index: int, wind
     """A day of a month, with normally distributed heat and vapour from the region (Algorithm 1, line 3)."""
     heat, vapour = child_rng(seed, "air", of_year, index).normal(size=2)
     layers = Layers(
-        month.temperature_c,
-        section.mixed_layer_m,
-        section.lapse_rate_k_per_km,
-        section.inversion_m,
-        section.inversion_jump_k,
-        _LAPSE_ABOVE_K_PER_KM,
-        section.relative_humidity,
-        section.relative_humidity_aloft,
+        month.temperature_c, section.mixed_layer_m, section.lapse_rate_k_per_km, section.inversion_m,
+        section.inversion_jump_k, _LAPSE_ABOVE_K_PER_KM, section.relative_humidity, section.relative_humidity_aloft,
         0.6 * section.relative_humidity_aloft,
-    )
+    )  # fmt: skip
     return Day(
         layers.sounding(section.height_m, wind_towards(section.wind_m_per_s, wind_from_deg)),
         section.heat_of(of_year) * max(0.0, 1.0 + section.spread * heat),

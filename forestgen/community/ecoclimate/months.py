@@ -266,12 +266,9 @@ def _share_of_months(parameters: EcoclimateParameters, count: int) -> float:
 def _month_later(state: Ecoclimate, soil: SoilWater, leaves: Floats, now: Month) -> Ecoclimate:
     """The water one month later, and what plants feel."""
     parameters = state.parameters
+    rain, step_days = now.rain_mm_per_day * state.wetness, parameters.soil_water.substep_days
     passed = soil.advance(
-        state.water,
-        DAYS_PER_MONTH,
-        plants_g_per_m2=leaves,
-        rain_mm_per_day=now.rain_mm_per_day * state.wetness,
-        substep_days=parameters.soil_water.substep_days,
+        state.water, DAYS_PER_MONTH, plants_g_per_m2=leaves, rain_mm_per_day=rain, substep_days=step_days
     )
     share = _share_of_months(parameters, 1)
     felt = state.soil_mean_mm + share * (passed.water.soil_mm - state.soil_mean_mm)
@@ -309,12 +306,7 @@ def _arriving(forest: State, parameters: EcoclimateParameters) -> Arriving:
 
 
 def shown_section(drawn: DrawnRecipe, parameters: EcoclimateParameters) -> WeatherSection:
-    """The community's weather at its last step, with the cells and the hours of the picture.
-
-    Raises
-    ------
-    RecipeError : no weather then; no such time; too many cells, or too few.
-    """
+    """The community's weather at its last step, with the cells and the hours of the picture."""
     clouds: Any = drawn.recipe.sky.clouds
     types = {name: one.modules for name, one in drawn.species.items() if one.modules is not None}
     at_the_end, _ = parameters_at(parameters, types, parameters.steps)
@@ -343,12 +335,7 @@ def shown_section(drawn: DrawnRecipe, parameters: EcoclimateParameters) -> Weath
 
 
 def shown_weather(drawn: DrawnRecipe, section: WeatherSection, state: Ecoclimate, progress: Progress) -> Weather:
-    """The air at the end of the hours that are simulated of a day, from the cache or simulated.
-
-    Raises
-    ------
-    RecipeError : the air cannot be stepped.
-    """
+    """The air at the end of the hours that are simulated of a day, from the cache or simulated."""
     clouds: Any = drawn.recipe.sky.clouds
     case = air_over(state, section, clouds.day or 0)
     told = (code_hash(_SOURCES, _COMPUTE_WITH), section.hours, described(case))

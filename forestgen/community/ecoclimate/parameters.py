@@ -57,8 +57,7 @@ class WeatherSection(Section):
         150.0, description="Heat from open ground [E], W/m2; or of twelve months, January first."
     )
     vapour_w_per_m2: _Monthly = Field(
-        60.0,
-        description="Vapour that the region brings in [E_M], as its latent heat, W/m2; or of twelve months.",
+        60.0, description="Vapour that the region brings in [E_M], as its latent heat, W/m2; or of twelve months."
     )
     spread: Fraction = Field(0.1, description="Standard deviation of both from day to day, by their mean.")
     daylight_h: Positive = Field(12.0, le=24, description="Hours of a day in which ground and plants give vapour.")

@@ -46,6 +46,10 @@ from forestgen.core.errors import RecipeError
 from forestgen.core.progress import Progress, Silent
 from forestgen.core.randomness import child_rng
 
+_PLANTS_AT_ONCE = 16_000  # in the new stands of a look
+_FEWEST_STANDS, _MOST_STANDS = 40, 250
+_POOR = 2.0  # deviations: with nearest neighbours as far from the stand's as this, founders are tried
+_CHECKS = 1_000_000  # seeds of checks are far from those of a fit
 _GREATEST_STEP = 0.7  # of a log κ
 _LEAST_GAIN, _SMALL_GAINS = 0.01, 2  # of the loss: with less in so many steps on end, a round is done
 _DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 0.1, 0.01, 20.0
@@ -81,9 +85,9 @@ class Matched:
 
     log_kappa: NDArray[np.float64]  # (P, M)
     differences: NDArray[np.float64]  # (A,) mean of new stands less the stand, in their standard deviations
-    losses: tuple[float, ...]  # of the accepted steps of both rounds
-    stands: int  # placed in all
+    loss: float
     rough_loss: float  # at the end of the first round
+    stands: int  # placed in all
 
 
 @dataclass(frozen=True)
@@ -157,7 +161,6 @@ class Climb:
     """The steps of one round."""
 
     look: Look  # the best
-    losses: tuple[float, ...]  # of the accepted steps
     stands: int  # placed
 
 
@@ -165,7 +168,6 @@ def climb(matcher: Matcher, start: NDArray[np.float64], one: Round, told: Callab
     """Take the steps of a round until they gain little."""
     matcher.begin(one)
     best, damping = matcher.look(start.ravel()), _DAMPING
-    losses = [best.loss]
     looks, small = 1, 0
     told(matcher.number)
     while looks <= one.steps and damping <= _MOST_DAMPING:
@@ -178,11 +180,10 @@ def climb(matcher: Matcher, start: NDArray[np.float64], one: Round, told: Callab
             continue
         damping = max(damping / 3, _LEAST_DAMPING)
         best = tried
-        losses.append(best.loss)
         small = small + 1 if gain < _LEAST_GAIN else 0
         if small == _SMALL_GAINS:
             break
-    return Climb(best, tuple(losses), looks * matcher.number)
+    return Climb(best, looks * matcher.number)
 
 
 def match(matcher: Matcher, start: NDArray[np.float64], told: Callable[[int], None]) -> Matched:
@@ -194,9 +195,8 @@ def match(matcher: Matcher, start: NDArray[np.float64], told: Callable[[int], No
 
 def matched(matcher: Matcher, first: Climb, second: Climb) -> Matched:
     """What two rounds came to."""
-    log_kappa = second.look.log_kappa.reshape(matcher.shapes.free)
-    losses, stands = first.losses + second.losses, first.stands + second.stands
-    return Matched(log_kappa, second.look.z, losses, stands, first.look.loss)
+    look, log_kappa = second.look, second.look.log_kappa.reshape(matcher.shapes.free)
+    return Matched(log_kappa, look.z, look.loss, first.look.loss, first.stands + second.stands)
 
 
 @dataclass(frozen=True)
@@ -230,7 +230,7 @@ def match_founders(plain: Matcher, of_one: Matched, told: Callable[[int], None])
     if first.look.loss > _BETTER * of_one.rough_loss:
         return Founded(matcher.nursery, shapes, None, stands)
     second = climb(matcher, first.look.log_kappa, ROUNDS[1], told)
-    better = second.look.loss <= _BETTER * of_one.losses[-1]
+    better = second.look.loss <= _BETTER * of_one.loss
     result = matched(matcher, first, second) if better else None
     return Founded(matcher.nursery, shapes, result, stands + second.stands)
 
@@ -245,17 +245,10 @@ def _starts(stand: MeasuredStand, shapes: KernelShapes, founders: int) -> list[N
         drawn = math.log(_DRAWN * stand.area_m2 / (founders * math.pi * radius_m**2))
         start = np.zeros(shapes.free)
         start[0] = np.interp(shapes.knots_m[0, :-1], [radius_m, 2 * radius_m], [_APART, 0.0])
-        start[1] = np.interp(
-            shapes.knots_m[1, :-1], [radius_m, 1.5 * radius_m], [float(np.clip(drawn, 0.0, _GREATEST)), 0.0]
-        )
+        most = float(np.clip(drawn, 0.0, _GREATEST))
+        start[1] = np.interp(shapes.knots_m[1, :-1], [radius_m, 1.5 * radius_m], [most, 0.0])
         starts.append(start)
     return starts
-
-
-_PLANTS_AT_ONCE = 16_000  # in the new stands of a look
-_FEWEST_STANDS, _MOST_STANDS = 40, 250
-_POOR = 2.0  # deviations: with nearest neighbours as far from the stand's as this, founders are tried
-_CHECKS = 1_000_000  # seeds of checks are far from those of a fit
 
 
 @dataclass(frozen=True)
@@ -308,22 +301,14 @@ class Fit:
             return first, self.stand.n - first
         return tuple(np.bincount(self.stand.species, minlength=len(self.stand.names)).tolist())
 
-    def held(self, name: str) -> int:
-        """In how many of the checks all functions of a name lie within their envelopes."""
-        return sum(not any(one.left.any() for one in check if one.name == name) for check in self.checks)
-
-    def own_held(self, name: str) -> int:
-        """In how many of the checks those of one more new stand do."""
-        return sum(not any(one.own_left.any() for one in check if one.name == name) for check in self.checks)
+    def held(self, name: str, *, own: bool = False) -> int:
+        """In how many of the checks all functions of a name lie within their envelopes; or those of one more stand."""
+        left = [[one.own_left if own else one.left for one in check if one.name == name] for check in self.checks]
+        return sum(not any(one.any() for one in check) for check in left)
 
 
 def fit_stand(stand: MeasuredStand, settings: Settings, progress: Progress | None = None) -> Fit:
-    """Fit, then test with new random numbers.
-
-    Raises
-    ------
-    RecipeError : `reach_m` does not suit the window.
-    """
+    """Fit, then test with new random numbers; a `RecipeError` if `reach_m` does not suit the window."""
     began, listener = time.perf_counter(), progress or Silent()
     _check_reach(stand, settings.reach_m)
     shapes = kernel_shapes(stand, settings.reach_m)

@@ -26,6 +26,12 @@ _FUNCTIONS = (("K", "pairs"), ("g", "pair correlation"), ("G", "nearest neighbou
 _COLOURS = ("#14532D", "#D95F02", "#4C5FB0")
 _ENVELOPE, _MEAN, _STAND = "#CBD8C4", "#6B8F5E", "#B3261E"
 _DPI = 160
+#: Title of a function in the picture, what joins two species, and a line that it is compared with.
+_SHOWN: dict[str, tuple[str, str, float | None]] = {
+    "K": ("L(r) - r (m)", " ↔ ", 0.0),
+    "g": ("pair correlation g(r)", " ↔ ", 1.0),
+    "G": ("G(r), nearest neighbours", " → ", None),
+}
 _MIXED_SIGMA = 0.4  # radii that only serve to mix the species' order of placement
 _RADIUS_OF_SPACING = 0.3
 _FOUNDER, _FIRST = "-founder", 1.05  # name and radius of those that come first
@@ -143,25 +149,21 @@ def document(fit: Fit, where: str, notes: list[str]) -> dict[str, object]:
             for k, (i, j) in enumerate(fit.shapes.pairs)
         ],
         "new_stands_of_the_fit": fit.placed,
-        "loss": fit.matched.losses[-1],
-        "loss_without_founders": fit.plain.losses[-1],
+        "loss": fit.matched.loss,
+        "loss_without_founders": fit.plain.loss,
         "largest_difference_in_deviations": float(np.abs(fit.matched.differences).max()),
         "checks": len(fit.checks),
         "checks_k_holds": fit.held("K"),
         "checks_pair_correlation_holds": fit.held("g"),
         "checks_nearest_holds": fit.held("G"),
-        "checks_hold_of_its_own_stands": {name: fit.own_held(name) for name in "KgG"},
+        "checks_hold_of_its_own_stands": {name: fit.held(name, own=True) for name in "KgG"},
         "unevenness_p": fit.trend,
         "first_check": [
             {
                 "function": one.name,
                 "from": names[one.species[0]],
                 "to": names[one.species[1]],
-                "radii_m": one.radii_m.tolist(),
-                "stand": one.stand.tolist(),
-                "low": one.low.tolist(),
-                "mean": one.mean.tolist(),
-                "high": one.high.tolist(),
+                **{name: getattr(one, name).tolist() for name in ("radii_m", "stand", "low", "mean", "high")},
             }
             for one in fit.checks[0]
         ],
@@ -185,7 +187,7 @@ def check_lines(fit: Fit) -> Iterator[str]:
         for name, what in _FUNCTIONS:
             yield (
                 f"{name}, {what}: within at all radii in {fit.held(name)} of {len(fit.checks)} such checks; "
-                f"a fortieth new stand in {fit.own_held(name)}"
+                f"a fortieth new stand in {fit.held(name, own=True)}"
             )
 
 
@@ -196,7 +198,7 @@ def in_words(fit: Fit) -> str:
     more new stand does: at 50 distances even such a one leaves its envelope now and then.
     """
     sets = len(fit.checks)
-    enough = {name: sets / 2 if sets == 1 else min(sets / 2, fit.own_held(name)) for name, _ in _FUNCTIONS}
+    enough = {name: sets / 2 if sets == 1 else min(sets / 2, fit.held(name, own=True)) for name, _ in _FUNCTIONS}
     off = [what for name, what in _FUNCTIONS if fit.held(name) < enough[name]]
     inside = ", ".join(f"{name} ({what}) in {fit.held(name)} of {sets}" for name, what in _FUNCTIONS)
     verdict = f"differ from the measured one in {' and '.join(off)}" if off else "agree with the measured one"
@@ -206,7 +208,7 @@ def in_words(fit: Fit) -> str:
 
 
 def _verdict(one: Envelope, stand: MeasuredStand) -> str:
-    whose = "the stand" if len(stand.names) == 1 else _between(one, stand)
+    whose = "the stand" if len(stand.names) == 1 else _species_of(one, stand, " to ")
     left = one.left
     if not left.any():
         return f"{one.name}(r) of {whose} lies within the envelope of {STANDS} new stands at all {RADII} radii"
@@ -218,9 +220,9 @@ def _verdict(one: Envelope, stand: MeasuredStand) -> str:
     )
 
 
-def _between(one: Envelope, stand: MeasuredStand) -> str:
+def _species_of(one: Envelope, stand: MeasuredStand, joint: str) -> str:
     i, j = one.species
-    return stand.names[i] if i == j else f"{stand.names[i]} to {stand.names[j]}"
+    return stand.names[i] if i == j else f"{stand.names[i]}{joint}{stand.names[j]}"
 
 
 def fit_picture(fit: Fit, title: str) -> bytes:
@@ -234,17 +236,12 @@ def fit_picture(fit: Fit, title: str) -> bytes:
     shown = fit.example.placed_m if fit.stand.step_m == 0 else fit.example.measured_m
     _draw_stand(figure.add_subplot(grid[0, 1]), fit.stand, shown, fit.example.species, "a new stand")
     _draw_kernels(figure.add_subplot(grid[0, 2]), fit)
-    check = fit.checks[0]
-    by_k = [one for one in check if one.name == "K"]
-    if pairs == 1:
-        _draw_l(figure.add_subplot(grid[1, 0]), by_k[0], fit.stand)
-        _draw_correlation(figure.add_subplot(grid[1, 1]), next(one for one in check if one.name == "g"))
-        _draw_nearest(figure.add_subplot(grid[1, 2]), check[-1], fit.stand)
-    else:
-        by_near = [one for one in check if one.name == "G" and one.species[0] <= one.species[1]]
-        for column, (one, near) in enumerate(zip(by_k, by_near, strict=True)):
-            _draw_l(figure.add_subplot(grid[1, column]), one, fit.stand)
-            _draw_nearest(figure.add_subplot(grid[2, column]), near, fit.stand)
+    shown_functions = [one for one in fit.checks[0] if one.species[0] <= one.species[1]]
+    places = {name: [one for one in shown_functions if one.name == name] for name in "KgG"}
+    lines = [[*places["K"], *places["g"], *places["G"]]] if pairs == 1 else [places["K"], places["G"]]
+    for row, line in enumerate(lines, 1):
+        for column, one in enumerate(line):
+            _draw_function(figure.add_subplot(grid[row, column]), one, fit.stand)
     _legend(figure)
     content = io.BytesIO()
     figure.savefig(content, format="png", dpi=_DPI, metadata={"Software": None})
@@ -281,12 +278,10 @@ def _draw_kernels(axes: Axes, fit: Fit) -> None:
     """κ on a scale of octaves: a factor of two up is as far as one down."""
     least = 1 / 16
     axes.axhline(1.0, color="#999999", lw=0.8)
-    styles = ("-", "--", ":")
-    for k, (points, (i, j)) in enumerate(
-        zip(fit.shapes.control_points(fit.matched.log_kappa), fit.shapes.pairs, strict=True)
-    ):
+    styles, names = ("-", "--", ":"), fit.kinds
+    curves = fit.shapes.control_points(fit.matched.log_kappa)
+    for k, (points, (i, j)) in enumerate(zip(curves, fit.shapes.pairs, strict=True)):
         r, kappa = np.array(points).T
-        names = fit.kinds
         label = names[j] if i == j else f"{names[j]} {'→' if fit.directed else '↔'} {names[i]}"
         colour = _COLOURS[i] if i == j else "#555555"
         axes.plot(r, np.maximum(kappa, least), color=colour, lw=2, ls=styles[0 if i == j else 1 + k % 2], label=label)
@@ -299,36 +294,20 @@ def _draw_kernels(axes: Axes, fit: Fit) -> None:
         axes.legend(fontsize=9, framealpha=0.9)
 
 
-def _band(axes: Axes, radii: NDArray[np.float64], low: NDArray[np.float64], mean: NDArray[np.float64],
-          high: NDArray[np.float64], stand: NDArray[np.float64]) -> None:  # fmt: skip
-    axes.fill_between(radii, low, high, color=_ENVELOPE, lw=0)
-    axes.plot(radii, mean, color=_MEAN, lw=1.4, ls="--")
-    axes.plot(radii, stand, color=_STAND, lw=1.8)
-    axes.set_xlim(0, radii[-1])
-    axes.set_xlabel("r (m)")
-
-
-def _of(one: Envelope, stand: MeasuredStand, arrow: str) -> str:
-    if len(stand.names) == 1:
-        return ""
-    i, j = one.species
-    return f" of {stand.names[i]}" if i == j else f": {stand.names[i]} {arrow} {stand.names[j]}"
-
-
-def _draw_l(axes: Axes, one: Envelope, stand: MeasuredStand) -> None:
-    excess = [np.sqrt(k / np.pi) - one.radii_m for k in (one.low, one.mean, one.high, one.stand)]
-    axes.axhline(0.0, color="#999999", lw=0.8)
-    _band(axes, one.radii_m, *excess)
-    axes.set_title(f"L(r) - r (m){_of(one, stand, '↔')}", fontsize=12)
-
-
-def _draw_nearest(axes: Axes, one: Envelope, stand: MeasuredStand) -> None:
-    _band(axes, one.radii_m, one.low, one.mean, one.high, one.stand)
-    axes.set_ylim(0, 1.02)
-    axes.set_title(f"G(r), nearest neighbours{_of(one, stand, '→')}", fontsize=12)
-
-
-def _draw_correlation(axes: Axes, one: Envelope) -> None:
-    axes.axhline(1.0, color="#999999", lw=0.8)
-    _band(axes, one.radii_m, one.low, one.mean, one.high, one.stand)
-    axes.set_title("pair correlation g(r)", fontsize=12)
+def _draw_function(axes: Axes, one: Envelope, stand: MeasuredStand) -> None:
+    """A function of the stand and of new stands; K as L(r) - r."""
+    curves = one.low, one.high, one.mean, one.stand
+    if one.name == "K":
+        curves = tuple(np.sqrt(k / np.pi) - one.radii_m for k in curves)  # type: ignore[assignment]
+    low, high, mean, measured = curves
+    title, arrow, level = _SHOWN[one.name]
+    if level is None:
+        axes.set_ylim(0, 1.02)
+    else:
+        axes.axhline(level, color="#999999", lw=0.8)
+    axes.fill_between(one.radii_m, low, high, color=_ENVELOPE, lw=0)
+    axes.plot(one.radii_m, mean, color=_MEAN, lw=1.4, ls="--")
+    axes.plot(one.radii_m, measured, color=_STAND, lw=1.8)
+    axes.set(xlim=(0, one.radii_m[-1]), xlabel="r (m)")
+    whose = (" of " if one.species[0] == one.species[1] else ": ") + _species_of(one, stand, arrow)
+    axes.set_title(title + (whose if len(stand.names) > 1 else ""), fontsize=12)

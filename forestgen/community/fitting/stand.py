@@ -77,13 +77,7 @@ class MeasuredStand:
 
 
 def measured_stand(table: PointTable, where: str) -> tuple[MeasuredStand, list[str]]:
-    """The stand of a table, and notes on what was left out.
-
-    Raises
-    ------
-    AssetError : too few plants, or of a species; too many species; all on one line; a window larger than any site.
-    ResourceError : too many plants.
-    """
+    """The stand of a table, and notes on it; an `AssetError` or `ResourceError` if it cannot be fitted."""
     _check_points(table, where)
     n = len(table.points_m)
     labels = np.array(table.species) if table.species is not None else np.full(n, "")
@@ -188,13 +182,7 @@ class Nursery:
 
     stand: MeasuredStand
     cells: int  # along the longer side
-    density: NDArray[np.float64] | None = None  # (S, rows, cols) relative; None: even
     founders: int = 0  # plants of the one species that come first and have kernels of their own; 0: all are alike
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Rows and columns."""
-        return field_shape(self.stand.size_m, self.cells)
 
     def grow(self, kernels: list[list[KernelTable]], seed: int, number: int) -> NewStand:
         """The stand of one number, among those of a seed.
@@ -206,9 +194,8 @@ class Nursery:
         uniform = rng.random((stand.n, 2))
         species = stand.species if stand.ordered else rng.permutation(stand.species)
         kind = species if self.founders == 0 else (np.arange(stand.n) >= self.founders).astype(np.int64)
-        even = np.ones(self.shape)
-        densities = [even] * len(kernels) if self.density is None else list(self.density)
-        fields = [DensityField(one, stand.size_m, periodic=False) for one in densities]
+        even = np.ones(field_shape(stand.size_m, self.cells))
+        fields = [DensityField(even, stand.size_m, periodic=False) for _ in kernels]
         placement = place(fields, kind, np.ones(stand.n), kernels, uniform)
         placed = placement.placed
         found = placement.position_m[placed]

@@ -210,17 +210,15 @@ def envelopes(nursery: Nursery, kernels: list[list[KernelTable]], seed: int) -> 
     data = functions.of(stand.position_m, stand.species)
     more = nursery.grow(kernels, seed, STANDS)
     own = functions.of(more.measured_m, more.species)
+    least, mean, most = new.min(axis=0), new.mean(axis=0), new.max(axis=0)
     return [
-        Envelope(
-            name, (i, j), radii, data[k], new[:, k].min(axis=0), new[:, k].mean(axis=0), new[:, k].max(axis=0), own[k]
-        )
-        for k, ((name, i, j), radii) in enumerate(zip(functions.species, functions.radii_m, strict=True))
+        Envelope(name, (i, j), functions.radii_m[k], data[k], least[k], mean[k], most[k], own[k])
+        for k, (name, i, j) in enumerate(functions.species)
     ]
 
 
 def _stands(nursery: Nursery, kernels: list[list[KernelTable]], seed: int) -> Iterator[NewStand]:
-    for number in range(STANDS):
-        yield nursery.grow(kernels, seed, number)
+    return (nursery.grow(kernels, seed, number) for number in range(STANDS))
 
 
 def trend(stand: MeasuredStand, nursery: Nursery, kernels: list[list[KernelTable]], seed: int) -> float:

@@ -48,12 +48,16 @@ from forestgen.recipe.curves import Curve, Formula, Function, Smooth, evaluate
 from forestgen.recipe.fields import Section, mistake
 
 Floats = NDArray[np.float64]
+_BLOCK_CELLS = 1 << 20  # of a grid at a time: a suitability takes little more memory than its own
+_UNITS = {"elevation_m": " m", "slope_deg": " degrees"}
 
 
 def ground_raster(site: Site, name: str, shape: tuple[int, int], rows: slice = slice(None)) -> Floats:
     """(rows, cols) of one living condition, or of some rows of the grid alone."""
-    if site.height is not None:
-        return _ground(site, site.height).on_cells(name, shape, rows)
+    if (height := site.height) is not None:
+        # Height functions are told apart by identity, as many cannot be compared; a ground that is kept keeps its own.
+        key = (site.size_m, site.altitude_m, site.latitude_deg, site.wind_from_deg, id(height))
+        return _grounds.get(key, lambda: _Ground(site, height)).on_cells(name, shape, rows)
     level = {"elevation_m": site.altitude_m, "slope_deg": 0.0, "moisture": 0.5, "wind": 0.5, "sun": 1.0}[name]
     return np.full((len(range(shape[0])[rows]), shape[1]), level)
 
@@ -79,18 +83,18 @@ class _Ground:
     def _at_nodes(self, name: str) -> tuple[Nodes, Floats]:
         """Nodes over the site, and (rows, cols) one living condition there."""
         near, site, over = self._near, self.site, self._near.over(self.site)
-        slopes = [np.ascontiguousarray(one[over]) for one in near.slopes]
+        along_x, along_y = (np.ascontiguousarray(one[over]) for one in near.slopes)
         nodes = Nodes(near.nodes.x_m[over[1]], near.nodes.y_m[over[0]])
         match name:
             case "elevation_m":
                 return nodes, site.altitude_m + near.z_m[over]
             case "slope_deg":
-                return nodes, np.asarray(np.degrees(np.arctan(np.hypot(*slopes))))
+                return nodes, np.asarray(np.degrees(np.arctan(np.hypot(along_x, along_y))))
             case "moisture":
                 return nodes, np.ascontiguousarray(moisture(near)[over])
             case "wind":
                 return self._views.nodes, exposure(self._views, site.wind_from_deg)
-        return nodes, irradiation(*slopes, nodes, self._views, site.latitude_deg)
+        return nodes, irradiation(along_x, along_y, nodes, self._views, site.latitude_deg)
 
     @cached_property
     def _near(self) -> Relief:
@@ -103,19 +107,6 @@ class _Ground:
 
 #: The grounds asked for last, each of which counts as one; they take some tens of megabytes each.
 _grounds: BoundedCache[_Ground] = BoundedCache(4, lambda ground: 1)
-
-
-def _ground(site: Site, height: GroundHeight) -> _Ground:
-    """The ground of a site, the same object for the same site.
-
-    Height functions are told apart by identity, as many cannot be compared; a ground that is kept keeps its function,
-    so that no other can take its number.
-    """
-    key = (site.size_m, site.altitude_m, site.latitude_deg, site.wind_from_deg, id(height))
-    return _grounds.get(key, lambda: _Ground(site, height))
-
-
-_BLOCK_CELLS = 1 << 20  # of a grid at a time: a suitability takes little more memory than its own
 
 
 def _response(least: float, most: float, unit: str) -> Callable[[Function], Function]:
@@ -151,23 +142,19 @@ Sunshine = Annotated[Curve, AfterValidator(_response(0.0, 5.0, "(1 is level grou
 class Conditions(Section):
     """What a species asks of the ground: the share of its density that grows, 0 to 1, by each condition's value."""
 
-    elevation_m: Annotated[
-        Elevation | None,
-        Field(description="Response to height above sea level, metres: site.altitude_m and the ground's height."),
-    ] = None
-    slope_deg: Annotated[Slope | None, Field(description="Response to the ground's slope, degrees; 0 is level.")] = None
-    moisture: Annotated[
-        Share | None,
-        Field(description="Response to topographic wetness: 0 dry crest, 0.5 level ground, 1 valley floor."),
-    ] = None
-    wind: Annotated[
-        Share | None,
-        Field(description="Response to exposure to wind: 0 sheltered hollow, 0.5 level ground, 1 crest."),
-    ] = None
-    sun: Annotated[
-        Sunshine | None,
-        Field(description="Response to the year's direct sun: 0 none, 1 level open ground, above 1 sunny slopes."),
-    ] = None
+    elevation_m: Elevation | None = Field(
+        None, description="Response to height above sea level, metres: site.altitude_m and the ground's height."
+    )
+    slope_deg: Slope | None = Field(None, description="Response to the ground's slope, degrees; 0 is level.")
+    moisture: Share | None = Field(
+        None, description="Response to topographic wetness: 0 dry crest, 0.5 level ground, 1 valley floor."
+    )
+    wind: Share | None = Field(
+        None, description="Response to exposure to wind: 0 sheltered hollow, 0.5 level ground, 1 crest."
+    )
+    sun: Sunshine | None = Field(
+        None, description="Response to the year's direct sun: 0 none, 1 level open ground, above 1 sunny slopes."
+    )
 
     def responses(self) -> Iterator[tuple[str, Function]]:
         """Name and curve of every condition that counts."""
@@ -199,9 +186,6 @@ def why_barred(conditions: Conditions, site: Site, shape: tuple[int, int]) -> st
             return f"{name} bars it on the whole site, where it is {there}{_UNITS.get(name, '')}"
     shares = ", ".join(f"{name} on {int(100 * where.mean())}%" for name, where in bars.items() if where.any())
     return f"its conditions bar it on the whole site together: {shares}"
-
-
-_UNITS = {"elevation_m": " m", "slope_deg": " degrees"}
 
 
 def _answer(curve: Function, value: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -1,7 +1,7 @@
 """Ecoclimates: forests of branch modules that depend on local soil water and temperature, and change both.
 
 Reference: M. Makowski, 2023, chapter 4. Equations are numbered as there. The forest is that of `branch_modules`; soil
-and climate are described in forestgen/community/soil_water and forestgen/community/ecoclimate, decisions in
+and climate are described in forestgen/community/soil_water.py and forestgen/community/ecoclimate, decisions in
 docs/adr/0012-ecoclimates.md.
 
 A step has whole months (`step_yr`; 1/12 by default). Each month, rain and warmth follow the `climate` and its

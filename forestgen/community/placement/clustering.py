@@ -39,36 +39,26 @@ _CORE, _RISEN, _TOP, _FALLEN = 0.06, 0.08, 0.4, 0.65  # knots of a kernel that m
 
 def family(t: float, spacing_m: float) -> KernelTable:
     """The kernel of parameter t; see the module's page."""
-    if t < 0:
-        reach = 2.5 * -t
-        distance = np.linspace(0.0, reach, SAMPLES + 1)
-        values = np.where(distance < -t, 0.0, 1.0)
-    else:
-        reach = _reach(t)
-        distance = np.linspace(0.0, reach, SAMPLES + 1)
-        core = _core(t)
-        values = np.interp(distance, [0.0, _CORE, _RISEN, _TOP, _FALLEN], [core, core, math.exp(t), math.exp(t), 1.0])
+    knots = _knots(t) if t >= 0 else []
+    reach = knots[-1][0] if knots else 2.5 * -t
+    distance = np.linspace(0.0, reach, SAMPLES + 1)
+    values = np.interp(distance, *zip(*knots, strict=True)) if knots else np.where(distance < -t, 0.0, 1.0)
     return KernelTable(values, reach * spacing_m, in_radii=False, balanced=True)
 
 
-def _reach(t: float) -> float:
-    return 1.5 + 0.6 * max(0.0, t - 1.2)
-
-
-def _core(t: float) -> float:
-    """κ at the plant itself: neutral at t = 0, without a jump."""
-    return max(0.0, 1.0 - 2.0 * t)
+def _knots(t: float) -> list[tuple[float, float]]:
+    """Distances in spacings and κ of a kernel that makes clusters; neutral at t = 0, without a jump."""
+    core, top, reach = max(0.0, 1.0 - 2.0 * t), math.exp(t), 1.5 + 0.6 * max(0.0, t - 1.2)
+    return [(0.0, core), (_CORE, core), (_RISEN, top), (_TOP, top), (_FALLEN, 1.0), (reach, 1.0)]
 
 
 def as_section(t: float, spacing_m: float) -> dict[str, Any]:
     """The kernel of parameter t as a recipe says it, to six digits: a `KernelSection` with the same table."""
+    knots = _knots(t)
     if t < 0:
         reach, edge = 2.5 * -t, 0.5 / SAMPLES  # the step lies between two samples of the table, as in `family`
-        points = [(0.0, 0.0), (reach * (0.4 - edge / 2), 0.0), (reach * (0.4 + edge / 2), 1.0), (reach, 1.0)]
-    else:
-        core, top = _core(t), math.exp(t)
-        points = [(0.0, core), (_CORE, core), (_RISEN, top), (_TOP, top), (_FALLEN, 1.0), (_reach(t), 1.0)]
-    curve = [[float(f"{one * spacing_m:.6g}"), float(f"{value:.6g}")] for one, value in points]
+        knots = [(0.0, 0.0), (reach * (0.4 - edge / 2), 0.0), (reach * (0.4 + edge / 2), 1.0), (reach, 1.0)]
+    curve = [[float(f"{one * spacing_m:.6g}"), float(f"{value:.6g}")] for one, value in knots]
     return {"curve": curve, "distance": "metres", "balanced": True}
 
 

@@ -17,7 +17,7 @@ site is the map's on every grid. Where cells are larger than pixels it is the pi
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
@@ -136,27 +136,22 @@ class MapSection(Section):
     )
     smooth: Flag = Field(True, description="Whether values are interpolated between the middles of pixels.")
 
-    _read_picture: GreyPicture | None = PrivateAttr(None)
+    _picture: GreyPicture = PrivateAttr()
 
     @model_validator(mode="after")
     def _read(self, info: ValidationInfo) -> Self:
-        if self._read_picture is not None:  # a map that becomes part of other parameters, without its recipe's folder
+        if hasattr(self, "_picture"):  # part of other parameters now, without its recipe's folder
             return self
         if (self.file is None) == (self.rows is None):
             problem = "the map has neither file nor rows" if self.file is None else "the map has both file and rows"
             raise mistake("one of them", problem=problem)
         if self.rows is not None:
             _check_rows(self.rows)
-            self._read_picture = GreyPicture(np.array(self.rows, dtype=np.float64), 1.0)
+            self._picture = GreyPicture(np.array(self.rows, dtype=np.float64), 1.0)
         else:
-            self._read_picture = self._opened((info.context or {}).get("folder"))
+            self._picture = self._opened((info.context or {}).get("folder"))
         self._check_values()
         return self
-
-    @property
-    def _picture(self) -> GreyPicture:
-        assert self._read_picture is not None
-        return self._read_picture
 
     def _opened(self, folder: Path | None) -> GreyPicture:
         """The file's picture, read once for all maps of its content; without a recipe's folder, of any path."""
@@ -201,12 +196,6 @@ class MapSection(Section):
         ):
             if wrong:
                 raise mistake(expected, problem=problem, got=f"{name}: {got}{high:g}")
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Its rows and columns."""
-        rows, cols = self._picture.values.shape
-        return rows, cols
 
     @property
     def is_zero(self) -> bool:
@@ -279,30 +268,21 @@ DensityMap = Annotated[MapSection, BeforeValidator(_spelled_out), _ShortForms()]
 
 def maps_in(value: Any, keys: Keys = ()) -> Iterator[tuple[Keys, MapSection]]:
     """Key path and map, of all maps in a model's parameters."""
+    inner: Iterable[tuple[Any, Any]] = ()
     if isinstance(value, MapSection):
         yield keys, value
     elif isinstance(value, BaseModel):
-        for name in type(value).model_fields:
-            yield from maps_in(getattr(value, name), (*keys, name))
-    elif isinstance(value, Mapping):
-        for name, item in value.items():
-            yield from maps_in(item, (*keys, name))
-    elif isinstance(value, list | tuple):
-        for index, item in enumerate(value):
-            yield from maps_in(item, (*keys, index))
+        inner = ((name, getattr(value, name)) for name in type(value).model_fields)
+    elif isinstance(value, Mapping | list | tuple):
+        inner = value.items() if isinstance(value, Mapping) else enumerate(value)
+    for key, item in inner:
+        yield from maps_in(item, (*keys, key))
 
 
 def check_maps(parameters: BaseModel, size_m: tuple[float, float], where: Callable[..., str]) -> None:
-    """What only a recipe's site, and a map's use, can tell to be wrong.
+    """Raise `RecipeError` for a density that is 0 everywhere, or pixels not square on the site of a map not to stretch.
 
-    Parameters
-    ----------
-    size_m : of the site, metres.
-    where : place of a key path of the parameters, for messages.
-
-    Raises
-    ------
-    RecipeError : a density that is 0 everywhere; pixels that are not square on the site, of a map not to be stretched.
+    `size_m` is the site's; `where` gives the place of a key path of the parameters.
     """
     for keys, one in maps_in(parameters):
         if one.is_zero and keys[-1] not in ("keep_out", "soil"):
@@ -314,12 +294,13 @@ def check_maps(parameters: BaseModel, size_m: tuple[float, float], where: Callab
                 hint="invert: false" if one.invert else None,
             )
         exact = one.fit == "exact" or (one.fit is None and one.file is not None)
-        if exact and not _square(one.shape, size_m):
+        rows, cols = one._picture.values.shape
+        if exact and not _square((rows, cols), size_m):
             raise RecipeError(
                 "the map's shape is not the site's",
                 where=where(*keys),
-                expected=f"{_shape_of(size_m, one.shape)}, for a site of {size_m[0]:g} x {size_m[1]:g} m",
-                got=f"{one.shape[1]} x {one.shape[0]} pixels",
+                expected=f"{_shape_of(size_m, (rows, cols))}, for a site of {size_m[0]:g} x {size_m[1]:g} m",
+                got=f"{cols} x {rows} pixels",
                 hint="fit: stretch",
             )
 

@@ -30,21 +30,13 @@ class DensityField:
     Its sum may neither overflow nor vanish, however often it is deformed: a field whose sum leaves 1e-150 to 1e250 is
     divided by a power of two, which `exponent` remembers. A cell below 1e-290 counts as 0.
 
-    Parameters
-    ----------
-    density : (rows, cols) float64, >= 0, finite; row 0 lies at y = 0, column 0 at x = 0. Copied.
-    size_m : W, H, metres; a cell is W / cols wide and H / rows high.
-    periodic : opposite edges meet: kernels reach across them. A cell is deformed once, at its least distance.
-
-    Raises
-    ------
-    ValueError : for densities that are negative, not finite, or not a grid.
+    It begins as a copy of a density (rows, cols), >= 0 and finite, or else a ValueError; row 0 lies at y = 0, column 0
+    at x = 0. If `periodic`, opposite edges meet: kernels reach across them, and a cell is deformed once, at its least
+    distance.
     """
 
     def __init__(self, density: NDArray[np.float64], size_m: tuple[float, float], *, periodic: bool) -> None:
         density = np.asarray(density, dtype=np.float64)
-        if density.ndim != 2 or 0 in density.shape:
-            raise ValueError(f"a density is a grid of rows and columns, got the shape {density.shape}")
         least, greatest = float(density.min()), float(density.max())
         if not (least >= 0.0 and np.isfinite(greatest)):
             raise ValueError("densities are numbers from 0 up, and finite")
@@ -109,14 +101,9 @@ def place(
 ) -> Placement:
     """Place plants one by one, each of which deforms the fields of all species.
 
-    A plant whose species' field is 0 everywhere finds no place; others go on.
-
-    Parameters
-    ----------
-    fields : of each species, all of one shape; deformed in place.
-    species, radius_m : (N,) of the plants, in the order of placement.
-    kernels : kernels[i][j] is the effect of a plant of species j on the field of species i (Lane's M_ij, Figure 5.7).
-    uniform : (N, 2) in [0, 1), row k for plant k, used or not.
+    A plant whose species' field is 0 everywhere finds no place; others go on. The fields are of one shape, and deformed
+    in place. `species` and `radius_m` (N,) come in the order of placement; row k of `uniform` (N, 2), in [0, 1), is
+    plant k's, used or not. kernels[i][j] is the effect of a plant of species j on the field of species i (Lane's M_ij).
     """
     places = np.full((len(species), 2), np.nan)
     if len(species) == 0:
@@ -144,23 +131,12 @@ class _Fields:
         upper_level, upper_lines, upper_stride = _upper_levels(panels, groups)
         sum_level, sum_stride = _levels(rows)
         cell_stride, node_stride = strips * rows * LANES, panels * rows * LANES
-        strides = cell_stride, node_stride, upper_stride, sum_stride
         trees = Trees(
-            *(_aligned(count * stride) for stride in strides),
-            upper_level,
-            upper_lines,
-            sum_level,
-            len(upper_level),
-            len(sum_level),
-            rows,
-            cols,
-            strips,
-            groups,
-            *strides,
-            size_m[0] / cols,
-            size_m[1] / rows,
-            bool(periodic),
-        )
+            _aligned(count * cell_stride), _aligned(count * node_stride), _aligned(count * upper_stride),
+            _aligned(count * sum_stride), upper_level, upper_lines, sum_level, len(upper_level), len(sum_level),
+            rows, cols, strips, groups, cell_stride, node_stride, upper_stride, sum_stride,
+            size_m[0] / cols, size_m[1] / rows, bool(periodic),
+        )  # fmt: skip
         return cls(trees, np.zeros(count, dtype=np.int64))
 
     @property

@@ -64,28 +64,9 @@ class Trees(NamedTuple):
 @contracted
 def pointed(t):  # type: ignore[no-untyped-def]
     """The trees by pointers: Numba would count references to arrays in every call."""
-    return Trees(
-        pointer(t.cells),
-        pointer(t.nodes),
-        pointer(t.upper),
-        pointer(t.sums),
-        pointer(t.upper_level),
-        pointer(t.upper_lines),
-        pointer(t.sum_level),
-        t.upper_levels,
-        t.sum_levels,
-        t.rows,
-        t.cols,
-        t.strips,
-        t.groups,
-        t.cell_stride,
-        t.node_stride,
-        t.upper_stride,
-        t.sum_stride,
-        t.width_m,
-        t.height_m,
-        t.periodic,
-    )
+    memory = (pointer(t.cells), pointer(t.nodes), pointer(t.upper), pointer(t.sums))
+    levels = (pointer(t.upper_level), pointer(t.upper_lines), pointer(t.sum_level))
+    return Trees(*(memory + levels + t[7:]))
 
 
 @inlined

@@ -21,7 +21,7 @@ import difflib
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
@@ -81,52 +81,41 @@ class KernelSection(Section):
     @model_validator(mode="after")
     def _has_a_reach(self) -> Self:
         points: Any = () if isinstance(self.curve, Formula) else _points(self.curve)
+        unit = "radii of the plant" if self.distance == "radii" else "metres"
         if self.reach is None and len(points) < 2:
-            raise mistake(
-                "reach, the distance beyond which κ is 1",
-                problem="this kernel does not end",
-                hint=f"reach: 3 is three {'radii of the plant' if self.distance == 'radii' else 'metres'}",
-                at=("curve",),
-            )
+            expected, hint = "reach, the distance beyond which κ is 1", f"reach: 3 is three {unit}"
+            raise _wrong_curve(expected, problem="this kernel does not end", hint=hint)
         if len(points) > 1 and (points[0][0] < 0 or points[-1][0] <= 0):
-            raise mistake(
-                "positions from 0 on", problem="a distance is not negative", got=f"{points[0][0]:g}", at=("curve",)
-            )
+            got = f"{points[0][0]:g}"
+            raise _wrong_curve("positions from 0 on", problem="a distance is not negative", got=got)
         if self.reach is None and points[-1][0] > GREATEST_REACH:
-            raise mistake(
-                f"a last point at {GREATEST_REACH:g} at most",
-                problem="this kernel reaches too far",
-                got=f"{points[-1][0]:g}",
-                at=("curve",),
-            )
+            expected, got = f"a last point at {GREATEST_REACH:g} at most", f"{points[-1][0]:g}"
+            raise _wrong_curve(expected, problem="this kernel reaches too far", got=got)
         return self
 
     @model_validator(mode="after")
     def _has_values_that_a_field_can_take(self) -> Self:
         values = table(self).values
         if values.min() < 0:
-            raise mistake(
+            raise _wrong_curve(
                 "values of 0 and more",
                 problem="a kernel multiplies probabilities, which are never negative",
                 got=f"{values.min():g}",
                 hint="0 bars plants, 1 leaves the field as it is",
-                at=("curve",),
             )
         if values.max() > GREATEST:
-            raise mistake(
-                f"values from 0 to {GREATEST:g}",
-                problem="this kernel is too strong",
-                got=f"{values.max():g}",
-                at=("curve",),
-            )
+            expected, got = f"values from 0 to {GREATEST:g}", f"{values.max():g}"
+            raise _wrong_curve(expected, problem="this kernel is too strong", got=got)
         if self.balanced and not values.any():
-            raise mistake(
+            raise _wrong_curve(
                 "a kernel that is above 0 somewhere within its reach",
                 problem="a balanced kernel moves probability about, and this one leaves it no place",
                 hint="enlarge reach, or leave balanced out",
-                at=("curve",),
             )
         return self
+
+
+_wrong_curve = partial(mistake, at=("curve",))
 
 
 class HopkinsTarget(Section):
@@ -149,10 +138,8 @@ def _named(value: Any, check: Callable[[Any], Any]) -> Any:
     if isinstance(value, str):
         if value not in NAMED:
             near = difflib.get_close_matches(value, NAMED, n=1)
-            hint = f"did you mean {near[0]!r}?" if near else None
-            raise mistake(
-                f"{', '.join(NAMED)}, or {{curve: ...}}", problem="no such kernel", got=repr(value[:60]), hint=hint
-            )
+            expected, hint = f"{', '.join(NAMED)}, or {{curve: ...}}", f"did you mean {near[0]!r}?" if near else None
+            raise mistake(expected, problem="no such kernel", got=repr(value[:60]), hint=hint)
         return _sections[value]
     if not isinstance(value, Mapping):
         hint = "write {curve: ...}" if isinstance(value, int | float | list | tuple) else None
@@ -279,9 +266,6 @@ def kernel_matrix(
     """Tables of the kernels of some species: [i][j] is the effect of a plant of species j on the field of species i.
 
     A recipe has them the other way round, by who acts (j), then by who is affected (i); what it leaves out is neutral.
-
-    References
-    ----------
     Lane 2002, section 5.4, M_ij.
     """
     found = [[_effect(kernels, acting, affected) for acting in species] for affected in species]

@@ -38,6 +38,10 @@ from forestgen.community.static_model import FixedPopulation, Placement, State, 
 from forestgen.core.randomness import child_rng
 from forestgen.recipe.fields import Whole
 
+_BYTES_PER_PLANT = 400  # a state, its successor, a snapshot, what a placement holds meanwhile
+_BYTES_AT_LEAST = 4 * 1024 * 1024
+_GRIDS_AT_ONCE = 6  # beside one a species: masks, sums, a field's own
+_Kind = TypeVar("_Kind", np.float64, np.bool_)
 _FEWEST_EXPECTED = 5.0  # of a bin: below, chi-square's distribution is not that of the table
 _MOST_BLOCKS = 256
 
@@ -87,10 +91,7 @@ def deformed(
         field = DensityField(asked.asked_per_ha[one.name], site.size_m, periodic=periodic)
         edges = [0, *(np.flatnonzero(np.diff(placed.species)) + 1).tolist(), len(placed)]
         for first, last in itertools.pairwise(edges):  # runs of plants of one species
-            if first == last:
-                continue
-            kernel = kernels[affected][int(placed.species[first])]
-            if not kernel.is_neutral:
+            if last > first and not (kernel := kernels[affected][int(placed.species[first])]).is_neutral:
                 field.deform(placed.position_m[first:last, :2], placed.radius_m[first:last], kernel)
         left[one.name] = np.asarray(field.cells)
     return Densities(asked.asked, asked.asked_per_ha, asked.barred, left)
@@ -119,10 +120,8 @@ def counts_against(
     n, total = len(position_m), float(asked.sum())
     if n < 2 * _FEWEST_EXPECTED or total <= 0:
         return None
-    rows, cols = asked.shape
-    width, height = size_m
-    across = max(1, round(math.sqrt(min(_MOST_BLOCKS, max(4, n / 10)) * width / height)))
-    up = max(1, round(math.sqrt(min(_MOST_BLOCKS, max(4, n / 10)) * height / width)))
+    (rows, cols), (width, height), blocks = asked.shape, size_m, min(_MOST_BLOCKS, max(4, n / 10))
+    across, up = (max(1, round(math.sqrt(one))) for one in (blocks * width / height, blocks * height / width))
     row_block, col_block = (np.arange(rows) * up) // rows, (np.arange(cols) * across) // cols
     block = row_block[:, None] * across + np.where(row_block[:, None] % 2, across - 1 - col_block, col_block)
     col = np.clip((position_m[:, 0] / width * cols).astype(np.intp), 0, cols - 1)
@@ -160,18 +159,9 @@ def describe_densities(densities: Densities, placed: Population, site: Site) -> 
     for name, asked in densities.asked.items():
         points_m = placed.position_m[placed.species == placed.species_names.index(name), :2]
         test = counts_against(densities.asked_per_ha[name], points_m, site.size_m)
-        described[name] = {
-            "asked": asked,
-            "placed": len(points_m),
-            "chi_square": asdict(test) if test is not None else None,
-        }
+        chi_square = asdict(test) if test is not None else None
+        described[name] = {"asked": asked, "placed": len(points_m), "chi_square": chi_square}
     return described
-
-
-_BYTES_PER_PLANT = 400  # a state, its successor, a snapshot, what a placement holds meanwhile
-_BYTES_AT_LEAST = 4 * 1024 * 1024
-_GRIDS_AT_ONCE = 6  # beside one a species: masks, sums, a field's own
-_Kind = TypeVar("_Kind", np.float64, np.bool_)
 
 
 @dataclass(frozen=True)
@@ -192,18 +182,15 @@ def wanted_plants(
     """
     check_sizes(parameters, species)
     counts = plant_counts(parameters, site, species)
-    sp = [np.zeros(0, dtype=np.uint16)]
     r_m, height_m = [np.zeros(0)], [np.zeros(0)]
-    for index, (one, count) in enumerate(zip(species, counts, strict=True)):
+    for one, count in zip(species, counts, strict=True):
         stream = _stream(rng, "sizes", one.name)
         stand = parameters.plants.get(one.name)
-        radii = draw_radii(stand.radius_m if stand else None, one, int(count), stream)
-        sp.append(np.full(count, index, dtype=np.uint16))
-        r_m.append(radii)
-        height_m.append(draw_heights(stand, one, radii, stream))
-    radius = np.concatenate(r_m)
+        r_m.append(draw_radii(stand.radius_m if stand else None, one, int(count), stream))
+        height_m.append(draw_heights(stand, one, r_m[-1], stream))
+    sp, radius = np.repeat(np.arange(len(species), dtype=np.uint16), counts), np.concatenate(r_m)
     order = np.argsort(-radius, kind="stable")
-    return PlantingTargets(np.concatenate(sp)[order], radius[order], np.concatenate(height_m)[order])
+    return PlantingTargets(sp[order], radius[order], np.concatenate(height_m)[order])
 
 
 def uniform_samples(
@@ -252,10 +239,8 @@ def placed_state(
     missing = []
     for i, one in enumerate(species):
         if standing[i] < asked[i]:
-            bars = None if standing[i] else _bars(parameters, site, one.name)
-            missing.append(
-                f"{standing[i]:,} of {asked[i]:,} plants of {one.name} were placed: {bars or reasons[one.name]}"
-            )
+            reason = (None if standing[i] else _bars(parameters, site, one.name)) or reasons[one.name]
+            missing.append(f"{standing[i]:,} of {asked[i]:,} plants of {one.name} were placed: {reason}")
     plants = Placement(wanted.sp[placed], position_m[placed], wanted.r_m[placed], wanted.height_m[placed])
     return first_state(parameters, species, seed, plants, [*missing, *notes], found)
 

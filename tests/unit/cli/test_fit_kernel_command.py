@@ -154,7 +154,7 @@ def test_a_window_that_nobody_stated_is_told_before_the_fit(points, tmp_path, mo
 
 
 @pytest.mark.parametrize(
-    ("held", "own", "says"),
+    ("held", "one_more", "says"),
     [
         ({"K": 19, "g": 12, "G": 20}, 20, "new stands agree with the measured one: "),
         ({"K": 7, "g": 6, "G": 20}, 6, "new stands agree with the measured one: "),
@@ -162,8 +162,8 @@ def test_a_window_that_nobody_stated_is_told_before_the_fit(points, tmp_path, mo
         ({"K": 0, "g": 12, "G": 2}, 15, "in pairs and nearest neighbours: "),
     ],
 )
-def test_the_verdict_in_words(held, own, says):
-    fit = SimpleNamespace(checks=[()] * 20, held=held.__getitem__, own_held=lambda _: own)
+def test_the_verdict_in_words(held, one_more, says):
+    fit = SimpleNamespace(checks=[()] * 20, held=lambda name, own=False: one_more if own else held[name])
     verdict = in_words(fit)
     assert says in verdict
     assert f"K (pairs) in {held['K']} of 20, " in verdict

@@ -7,6 +7,7 @@ import pytest
 from test_module_engine import MODEL, ecology, last, mixed, plant_type, same, states
 
 from forestgen.architecture.geometry import diameters
+from forestgen.architecture.prototypes import load_prototypes
 from forestgen.community.branch_modules.growth import PATIENCE, STUNTED, on_axis
 from forestgen.community.branch_modules.state import step_parameters
 from forestgen.community.branch_modules.vigour import stature_of
@@ -22,7 +23,7 @@ def pine(**more):
 
 def test_a_type_has_the_prototypes_that_it_names_and_no_others():
     state = last("", 12, types={"x": plant_type("b", prototypes=("spiral", "zigzag"), seeds_per_yr=0.0)})
-    names = [one.name for one in state.prototypes]
+    names = [one.name for one in load_prototypes()]
     assert {names[k] for k in state.modules.prototype} <= {"spiral", "zigzag"}
     free = last("", 12, types={"x": plant_type("b", prototypes=tuple(names), seeds_per_yr=0.0)})
     assert same(free, last("", 12, types={"x": plant_type("b", seeds_per_yr=0.0)}))

@@ -59,11 +59,6 @@ def test_a_small_ground_in_the_middle_of_a_cell_sees_that_cell() -> None:
     np.testing.assert_allclose(maps.for_ground(other), 7.0)
 
 
-def test_a_ground_larger_than_the_box_is_refused() -> None:
-    with pytest.raises(ValueError, match="does not lie in a box"):
-        regridder_for(Ground((100.0, 50.0), (5, 5)), air_of((4, 4), (90.0, 90.0)))
-
-
 @given(width=sides, depth=sides, rows=counts, cols=counts, box=st.floats(900.0, 5000.0), seed=st.integers(0, 99))
 def test_around_a_smaller_ground_heights_are_those_of_its_edge(width, depth, rows, cols, box, seed) -> None:
     ground = Ground((width, depth), (rows, cols))
