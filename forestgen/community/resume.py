@@ -76,6 +76,7 @@ def _about_site(plan: CommunityPlan) -> dict[str, Any]:
         "altitude_m": site.altitude_m,
         "latitude_deg": site.latitude_deg,
         "wind_from_deg": site.wind_from_deg,
+        **({"buildings": [one.model_dump(mode="json") for one in site.buildings]} if site.buildings else {}),
     }
 
 

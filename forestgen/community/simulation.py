@@ -1,4 +1,4 @@
-"""Recipe -> population; from disk where it was simulated before, by the hash of all that a community depends on.
+"""Recipe -> population; and communities kept on disk, by the hash of all that they depend on.
 
 A simulation is a function of the model, its parameters, the site with its ground, how each species lives, the seed, and
 the code. Images of one stand, cameras added later, a batch that is done again: they take the community from the folder
@@ -36,7 +36,7 @@ Kept = TypeVar("Kept", Population, Modules)
 
 
 class _UnknownError(TypeError):
-    """A value that cannot be told by its content."""
+    """A value whose content cannot be hashed."""
 
 
 def snapshots(plan: CommunityPlan, progress: Progress, start: Population | None = None) -> Iterator[Population]:
@@ -74,14 +74,14 @@ def community_store() -> DiskCache | None:
 
 
 def community_key(plan: CommunityPlan) -> str | None:
-    """Hash of everything that the community at the recipe's last step depends on; None if that cannot be told."""
+    """Hash of everything that the community at the recipe's last step depends on; None if that cannot be hashed."""
     try:
         content = (
             type(plan.model).__module__,
             type(plan.model).__qualname__,
-            _told(plan.parameters),
-            _told(plan.site),
-            _told(plan.ecologies),
+            _content(plan.parameters),
+            _content(plan.site),
+            _content(plan.ecologies),
             plan.steps,
             plan.drawn.image_seed,
         )
@@ -134,29 +134,31 @@ def as_kept(one: Kept) -> Kept:
     return replace(one, **ordered)
 
 
-def _told(value: Any) -> Any:
+def _content(value: Any) -> Any:
     """Plain and complete, for a hash: arrays and maps by their content.
 
-    Raises `_UnknownError` for what content does not tell, such as a function or a file without a hash.
+    Raises
+    ------
+    _UnknownError : it is, or holds, something without a content to hash, such as a function or a file without a hash.
     """
     if isinstance(value, BaseModel):
-        return _told_section(value)
+        return _content_of_section(value)
     if is_dataclass(value) and not isinstance(value, type):
-        told = [(field.name, _told(getattr(value, field.name))) for field in fields(value)]
-        return type(value).__qualname__, *told
+        content = [(field.name, _content(getattr(value, field.name))) for field in fields(value)]
+        return type(value).__qualname__, *content
     if isinstance(value, np.ndarray):
         digest = hashlib.blake2b(np.ascontiguousarray(value).tobytes(), digest_size=20).hexdigest()
         return value.dtype.str, value.shape, digest
     if isinstance(value, Mapping):
-        return "mapping", *((_told(key), _told(one)) for key, one in value.items())  # its order may count
+        return "mapping", *((_content(key), _content(one)) for key, one in value.items())  # its order may count
     if isinstance(value, list | tuple):
-        return "list", *(_told(one) for one in value)
+        return "list", *(_content(one) for one in value)
     if value is None or isinstance(value, bool | int | float | str):
         return repr(value)
     raise _UnknownError(type(value).__name__)
 
 
-def _told_section(section: BaseModel) -> Any:
+def _content_of_section(section: BaseModel) -> Any:
     """A section's keys. A map's file is excluded from what is dumped, for its SHA-256 tells it."""
     content = {}
     for name, field in type(section).model_fields.items():
@@ -165,4 +167,4 @@ def _told_section(section: BaseModel) -> Any:
             raise _UnknownError(name)
         if not field.exclude:
             content[name] = value
-    return type(section).__qualname__, _told({**content, **(section.model_extra or {})})
+    return type(section).__qualname__, _content({**content, **(section.model_extra or {})})

@@ -44,10 +44,10 @@ _LEAST_SPACING_M = 0.01  # no two plants stand at one place
 def initial_state(
     parameters: BranchModulesParameters, site: Site, species: Sequence[SpeciesEcology], seed: int
 ) -> State:
-    """State of step 0: obstacles come first, then the plants at random places, species by species."""
+    """State of step 0: buildings come first, then the plants at random places, species by species."""
     names = [one.name for one in species]
-    kind = np.array([names.index(one.species) for one in parameters.obstacles], dtype=np.uint16)
-    place = np.array([one.position_m for one in parameters.obstacles], dtype=np.float64).reshape(len(kind), 2)
+    kind = np.array([names.index(one.kind) for one in site.buildings], dtype=np.uint16)
+    place = np.array([one.position_m for one in site.buildings], dtype=np.float64).reshape(len(kind), 2)
     plants = _new_plants(1, kind, place, site, step=0, modules=0)
     modules = no_modules(len(plants))
     state = State(parameters, site, tuple(species), seed, 0, 1 + len(plants), plants, modules, no_snags(plants))
@@ -75,10 +75,10 @@ def _open_places(count: int, parameters: BranchModulesParameters, site: Site, rn
 
 
 def _is_open(place: Floats, parameters: BranchModulesParameters, site: Site) -> NDArray[np.bool_]:
-    """(N,) whether neither soil nor obstacles bar places on the site."""
+    """(N,) whether neither soil nor buildings bar places on the site."""
     is_open = ~is_blocked(parameters.blocked_soil(), place, site.size_m)
-    if parameters.obstacles:
-        is_open &= ~boxes_of(parameters, site).cover(place, site.size_m if parameters.periodic else None)
+    if site.buildings:
+        is_open &= ~boxes_of(site).cover(place, site.size_m if parameters.periodic else None)
     return is_open
 
 

@@ -24,6 +24,7 @@ memory a few cells a column.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from math import exp, floor, pi, sqrt
 
@@ -169,6 +170,15 @@ def _by_layer(height, layer_m, layers, start, order):  # type: ignore[no-untyped
         start[k] += 1
 
 
+def _open_shares(boxes: Boxes, box_layers: NDArray[np.int64], grid: ShadowGrid, top: int) -> Iterator[Floats]:
+    """(ny, nx) share of each cell that no box takes, which bounds its light: of layer top - 1 down to the ground."""
+    waiting, taken = np.argsort(box_layers, kind="stable").tolist(), np.zeros(grid.cells[::-1])  # the highest last
+    for layer in range(top - 1, -1, -1):
+        while waiting and layer < box_layers[waiting[-1]]:
+            _add_cover(boxes, waiting.pop(), grid, taken)
+        yield np.asarray(np.maximum(1.0 - taken, 0.0))
+
+
 def _add_cover(boxes: Boxes, k: int, grid: ShadowGrid, taken: Floats) -> None:
     """Add to `taken` (ny, nx) the share of each cell that box k covers: that of points; O(cells near it)."""
     (nx, ny), (per_x, per_y) = grid.cells, grid.per_m
@@ -240,7 +250,6 @@ def shade(
     if not (np.isfinite(position).all() and np.isfinite(height).all()):
         raise ValueError("modules need finite positions")
     box_layers = np.ceil(boxes.size_m[:, 2] / grid.layer_m - 1e-9).astype(np.int64)  # (B,)
-    waiting, taken = np.argsort(box_layers, kind="stable").tolist(), np.zeros((ny, nx))  # the highest box last
     top = max(int(max(height.max(initial=0.0), 0.0) // grid.layer_m) + 1, int(box_layers.max(initial=0)))
     if top > _MOST_LAYERS:
         raise ResourceError(
@@ -250,6 +259,7 @@ def shade(
             got=f"modules {height.max():,.0f} m above the ground",
             hint="make cell_m larger",
         )
+    open_shares = _open_shares(boxes, box_layers, grid, top)
     start, order = np.zeros(top + 2, dtype=np.int64), np.empty(len(height), dtype=np.int64)
     _by_layer(height, grid.layer_m, top, start, order)
     light = np.empty(len(height), dtype=np.float32)
@@ -257,10 +267,8 @@ def shade(
     plane, nothing = np.zeros((ny, nx), dtype=np.int64), np.zeros((ny, nx), dtype=np.int64)
     for k in range(top - 1, -1, -1):
         rows = order[start[k] : start[k + 1]]
-        while waiting and k < box_layers[waiting[-1]]:
-            _add_cover(boxes, waiting.pop(), grid, taken)
-        if len(boxes):  # no more light than the share of a cell that no box takes
-            np.minimum(share, np.maximum(1.0 - taken, 0.0), out=share)
+        if len(boxes):
+            np.minimum(share, next(open_shares), out=share)
         plane[:] = 0
         _deposit(rows, position, radius, opaque, per_x, per_y, grid.periodic, plane)
         _read(rows, position, radius, opaque, per_x, per_y, grid.periodic, plane, above, share, light)

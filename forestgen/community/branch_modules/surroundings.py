@@ -104,14 +104,14 @@ class Surroundings:
         return np.ones(len(position_m)) if self.shade is None else self.shade.light_at(position_m)
 
 
-def boxes_of(parameters: BranchModulesParameters, site: Site) -> Boxes:
-    """The obstacles as boxes on the ground."""
-    if not parameters.obstacles:
+def boxes_of(site: Site) -> Boxes:
+    """The buildings as boxes on the ground."""
+    if not site.buildings:
         return NO_BOXES
-    position = np.array([one.position_m for one in parameters.obstacles])
+    position = np.array([one.position_m for one in site.buildings])
     base_m = np.column_stack([position, ground_at(site, position)])
-    azimuth = np.array([one.turn_rad for one in parameters.obstacles])
-    return Boxes(base_m, np.array([one.size_m for one in parameters.obstacles]), azimuth)
+    azimuth = np.array([one.turn_rad for one in site.buildings])
+    return Boxes(base_m, np.array([one.size_m for one in site.buildings]), azimuth)
 
 
 def ground_at(site: Site, position_m: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -132,7 +132,7 @@ def surroundings_of(state: State, now: StepParameters, leaves: NDArray[np.float3
     world = np.column_stack([position, ground + centre[:, 2]])
     periodic = parameters.periodic
     grid = SphereGrid.of(world, radius, state.site.size_m if periodic else None)
-    boxes = boxes_of(parameters, state.site)
+    boxes = boxes_of(state.site)
     light = overlap(grid, modules.parent_row(), boxes)
     np.exp(np.multiply(light, np.float32(-parameters.crowding), out=light), out=light)
     seen = None

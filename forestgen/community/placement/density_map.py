@@ -198,6 +198,12 @@ class MapSection(Section):
                 raise mistake(expected, problem=problem, got=f"{name}: {got}{high:g}")
 
     @property
+    def shape(self) -> tuple[int, int]:
+        """Its rows and columns."""
+        rows, cols = self._picture.values.shape
+        return rows, cols
+
+    @property
     def is_zero(self) -> bool:
         """Whether it is 0 everywhere."""
         return self._picture.lowest == 1 if self.invert else self._picture.highest == 0
@@ -294,13 +300,12 @@ def check_maps(parameters: BaseModel, size_m: tuple[float, float], where: Callab
                 hint="invert: false" if one.invert else None,
             )
         exact = one.fit == "exact" or (one.fit is None and one.file is not None)
-        rows, cols = one._picture.values.shape
-        if exact and not _square((rows, cols), size_m):
+        if exact and not _square(one.shape, size_m):
             raise RecipeError(
                 "the map's shape is not the site's",
                 where=where(*keys),
-                expected=f"{_shape_of(size_m, (rows, cols))}, for a site of {size_m[0]:g} x {size_m[1]:g} m",
-                got=f"{cols} x {rows} pixels",
+                expected=f"{_shape_of(size_m, one.shape)}, for a site of {size_m[0]:g} x {size_m[1]:g} m",
+                got=f"{one.shape[1]} x {one.shape[0]} pixels",
                 hint="fit: stretch",
             )
 
