@@ -198,10 +198,10 @@ class History:
         group = list(accumulate((n > 0 for n in plants), initial=0))  # snapshots without plants have none
         with _opened(self.path) as file:
             needed = [name for name in file.schema_arrow.names if name not in _FOR_PEOPLE]
-            nobody = file.schema_arrow.empty_table().select(needed)
+            empty = file.schema_arrow.empty_table().select(needed)
             for index in indices:
                 _check_rows(file, group[index], plants[index])
-                table = file.read_row_group(group[index], columns=needed) if plants[index] else nobody
+                table = file.read_row_group(group[index], columns=needed) if plants[index] else empty
                 yield self._population(table, index)
 
     def _population(self, table: Any, index: int) -> Population:
@@ -236,7 +236,7 @@ def _check_rows(file: Any, group: int, plants: int) -> None:
         return
     rows = file.metadata.row_group(group).num_rows if 0 <= group < file.metadata.num_row_groups else 0
     if rows != plants:
-        raise ValueError(f"{rows:,} rows where the history tells of {plants:,} plants")
+        raise ValueError(f"{rows:,} rows where the history has {plants:,} plants")
     tables.refuse_large(16 * rows * file.metadata.num_columns, "plants")  # of 8 bytes at most, twice
 
 
@@ -263,7 +263,7 @@ def open_history(path: Path) -> History:
 
 
 def _check_metadata(history: History) -> None:
-    """Raise `ValueError` unless what a file's metadata tells of its snapshots fits together."""
+    """Raise `ValueError` unless what a file's metadata says of its snapshots fits together."""
     snapshots, steps = history._snapshots, history.steps
     if not snapshots or steps[0] < 0 or any(one >= other for one, other in pairwise(steps)):
         raise ValueError("its steps do not rise from 0 or more")
@@ -276,4 +276,4 @@ def _check_metadata(history: History) -> None:
     expected = len(snapshots)
     marks = expected if history._modules is None else len(history._modules)
     if marks != expected or len(history._map_sums) != (expected if history.maps else 0):
-        raise ValueError("modules or maps are told of another number of snapshots")
+        raise ValueError("modules or maps are those of another number of snapshots")

@@ -91,7 +91,7 @@ def write_community(
     held but the current one. Fellings and plantings thin a stand as no crowding does: with them there is no
     self-thinning line. Obstacles, which are in the history, are no plants in pictures and statistics.
 
-    `check_map_steps` tells whether the simulation reaches `map_steps`.
+    `check_map_steps` checks whether the simulation reaches `map_steps`.
     """
     observer = _Observer(folder, plan, map_steps)
     skeletons = capability(plan.model, OwnSkeletons)

@@ -6,7 +6,7 @@ of the module that bears it, counted from its plant's first row. A snapshot is o
 ``forestgen.modules``, has the number of modules of every snapshot and the checksum of their columns.
 
 ``maps.nc`` is NetCDF-4. Dimensions ``snapshot``, ``y`` and ``x``; coordinates ``y`` and ``x`` are the cells' middles in
-the world, metres, row 0 at the least y; ``step`` and ``time_yr`` tell the snapshots. Values are as they were, in double
+the world, metres, row 0 at the least y; ``step`` and ``time_yr`` identify the snapshots. Values are as they were, in double
 precision: a simulation goes on from them to the bit.
 
 The history has the same numbers and checksums: so it refuses files of another simulation, and changed values.
@@ -75,7 +75,7 @@ def readable(path: Path, problem: str, expected: str, hint: str | None = None) -
 
 
 def refuse_large(need_bytes: float, what: str) -> None:
-    """Raise `ResourceError` for what does not fit into memory: a few bytes of a file may tell of a large table."""
+    """Raise `ResourceError` for what does not fit into memory: a small file may announce a large table."""
     free = free_bytes()
     if need_bytes > free / 2:
         raise ResourceError(

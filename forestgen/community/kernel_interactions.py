@@ -240,7 +240,7 @@ class Ground:
 
     @cached_property
     def bare(self) -> tuple[DensityField | None, ...]:
-        """The densities where nobody invites, ready to draw from."""
+        """The densities where no plant invites, ready to draw from."""
         return tuple(None if one is None else DensityField(one, self._size_m, periodic=True) for one in self.density)
 
 
@@ -269,7 +269,7 @@ def ground_of(
 def _mean(
     make: Callable[[], Floats], section: GroundSection, keep_out: DensityMap | None, site: Site, shape: tuple[int, int]
 ) -> float:
-    """Mean of the density that `make` makes of the others; maps of files are told apart by their SHA-256."""
+    """Mean of the density that `make` makes of the others; maps of files are distinguished by their SHA-256."""
     maps = [one for one in (section.map, keep_out) if one is not None]
     if any(one.rows is None and one.sha256 is None for one in maps):
         return float(make().mean())

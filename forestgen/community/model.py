@@ -1,4 +1,4 @@
-"""What every community model offers, and what it is told about species and site."""
+"""What every community model offers, and what it gets: parameters, the site, the species' ecology."""
 
 from __future__ import annotations
 

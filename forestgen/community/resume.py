@@ -1,6 +1,6 @@
 """A simulation goes on from a snapshot of its history.
 
-A history tells its origin: seed, image, model with its parameters, species and site. A recipe continues it if all of
+A history has its origin: seed, image, model with its parameters, species and site. A recipe continues it if all of
 that is the same, except the number of steps and the disturbances and changes of parameters or climate that are still to
 come: a stand may be felled or not.
 """

@@ -1,4 +1,4 @@
-"""A community in time, as numbers: what is kept of a snapshot, and what sizes tell.
+"""A community in time, as numbers: what is kept of a snapshot, and statistics of sizes.
 
 Sizes: the log-normal size hierarchy, and the self-thinning line (Lane 2002, sections 2.2 and 2.3).
 """

@@ -1,4 +1,4 @@
-"""What every competition model offers, and what it is told about the circles."""
+"""What every competition model offers, and what it knows of the circles."""
 
 from __future__ import annotations
 

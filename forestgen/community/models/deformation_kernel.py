@@ -95,7 +95,7 @@ Decisions
 - The field does not depend on the size of the plant that arrives, only on those that stand. So inhibition keeps stems
   apart, not crowns: two equal plants may overlap by up to half.
 - Sizes are log-normal, cut off at the species' largest radius. A species' sizes, and the random numbers that place
-  its plants, hang on the recipe's seed and on its name alone: on one grid, another species that it does not see
+  its plants, depend on the recipe's seed and on its name alone: on one grid, another species that it does not see
   leaves it where it was.
 - Cells are an eighth of the least median radius, kernel reach in metres, or spacing; at most 2^25 in all fields.
   Where that is too coarse a note says so. A kernel counts at a cell's middle: a hard core may be violated by part of
@@ -103,9 +103,9 @@ Decisions
 - Kernels that would change more than 2e10 cells in all, about a minute's work, are refused before the first plant.
 - Plants that find no place are left out, and a note says how many and why.
 - {hopkins: H}: all kernels are one, of the family in `placement/clustering.py`, found by bisection with the same
-  random numbers, on the plants themselves or, of more than 2,000, on every so-manieth of them on a smaller site. H is
-  that of all plants together, in the window of the site, as `forestgen simulate` tells it. Plants keep to the map. A
-  target that cannot be reached ends as near as it comes. statistics.json has the kernel that was found and what H came
+  random numbers, on the plants themselves or, of more than 2,000, on every k-th of them on a smaller site. H is
+  that of all plants together, in the window of the site, as `forestgen simulate` reports it. Plants keep to the map. A
+  target that cannot be reached ends as near as possible. statistics.json has the kernel that was found and what H came
   to; if that differs from the target by more than 0.05, or above 1 by more than 5 percent, a note says so too.
 """
 

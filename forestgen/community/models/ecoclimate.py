@@ -115,16 +115,16 @@ class EcoclimateModel(ModuleCapabilities):
                 hint="simulate again from the start",
             )
         soil, surface, mean, warmth, vapour, wetness = (population.maps[name] for name in _MAPS)
-        told = population.state
+        state = population.state
         return Ecoclimate(
             forest,
             Water(soil, surface),
             mean,
-            told["temperature_mean_c"],
+            state["temperature_mean_c"],
             warmth,
             vapour,
             wetness,
-            _water_budget(told["water"]),
+            _water_budget(state["water"]),
         )
 
     def check_snapshot(
@@ -132,9 +132,9 @@ class EcoclimateModel(ModuleCapabilities):
     ) -> None:
         """Refuse what no snapshot of a forest has, and books of water that no ground has; maps have a checksum."""
         FOREST.check_snapshot(parameters, site, species, population)
-        told = population.state
-        check_number(told, "temperature_mean_c", -_MOST_CELSIUS, _MOST_CELSIUS)
-        water = told.get("water")
+        state = population.state
+        check_number(state, "temperature_mean_c", -_MOST_CELSIUS, _MOST_CELSIUS)
+        water = state.get("water")
         if not isinstance(water, Mapping):
             raise ImpossibleValueError("water", "a table", f"{water!s:.80}")
         for name in WaterBudget.__dataclass_fields__:

@@ -146,7 +146,7 @@ class State:
 
 @compiled
 def _mark(circle, entry, start, vigour, plant_id, periodic, width, height, out):  # type: ignore[no-untyped-def]
-    """Set `out` for each circle that meets one of more vigour: whoever meets shares a cell of the grid."""
+    """Set `out` for each circle that meets one of more vigour: circles that meet share a cell of the grid."""
     for cell in range(len(start) - 1):
         for a in range(start[cell], start[cell + 1]):
             i = entry[a]
@@ -184,8 +184,8 @@ def dominated_by_vigour(
 def _new(x_m: Floats, r_m: Floats, sp: NDArray[np.uint16], vigour: Floats, first_id: int, born: int) -> Plants:
     """Plants of full health, numbered from `first_id`."""
     n = len(sp)
-    nobody = np.zeros(n, dtype=np.bool_)
-    return Plants(x_m, r_m, sp, new_ids(first_id, n), np.full(n, born, dtype=np.int32), vigour, np.ones(n), nobody)
+    free = np.zeros(n, dtype=np.bool_)
+    return Plants(x_m, r_m, sp, new_ids(first_id, n), np.full(n, born, dtype=np.int32), vigour, np.ones(n), free)
 
 
 def _saplings(state: State, sp: NDArray[np.uint16], rng: np.random.Generator) -> Plants:
@@ -227,8 +227,8 @@ class ForestFootprints:
         refuse_overflow(1, n)
         rng = child_rng(seed, "community", 0)
         sp = rng.integers(0, max(1, len(species)), size=n, dtype=np.uint16)
-        nobody = _new(np.zeros((0, 2)), np.zeros(0), sp[:0], np.zeros(0), 1, 0)
-        bare = State(parameters, site, tuple(species), seed, 0, 1, nobody)
+        none = _new(np.zeros((0, 2)), np.zeros(0), sp[:0], np.zeros(0), 1, 0)
+        bare = State(parameters, site, tuple(species), seed, 0, 1, none)
         return _competing(bare, _saplings(bare, sp, rng))
 
     def step(self, state: State) -> State:
@@ -315,7 +315,7 @@ def _cohort_size(parameters: FootprintParameters, site: Site) -> int:
 def _longest_life(parameters: FootprintParameters, one: SpeciesEcology) -> float:
     """Upper bound of the mean number of steps of a life.
 
-    In every step in which nobody dominates it a plant has a health of at least min(1, gain Δt) and grows accordingly,
+    In every step in which no plant dominates it, a plant has a health of at least min(1, gain Δt) and grows accordingly,
     so there are few such steps before it is mature; domination takes all the health that they and birth gave, so there
     are few of its steps too; and a mature plant lives 1 / (1 - oldage) steps in the mean.
     """

@@ -143,7 +143,7 @@ class State:
 def _answered(state: State) -> State:
     """The competition model's part: every plant on the site, and c of every ?E(c, ...) set.
 
-    Writes into the state's own parameters, which nobody else holds yet.
+    Writes into the state's own parameters, which no other object holds yet.
     """
     parameters, form, size_m = state.parameters, state.form, state.site.size_m
     plants = plants_of(state.derivation.multiset, form, state.program.name)
@@ -369,7 +369,7 @@ class MultisetLSystem:
     def expected_plants(self, parameters: MultisetParameters, site: Site, species: Ecologies) -> float:
         """Upper bound of the mean number of plants at any step, those that are planted counted.
 
-        Known for programs that tell by the names of their values how many plants they start with and how many arrive;
+        Known for programs whose values say by their names how many plants they start with and how many arrive;
         `most_plants` for others.
         """
         program, _ = program_of(parameters, site, species)
@@ -407,7 +407,7 @@ def _most_modules(parameters: MultisetParameters) -> int:
 
 
 def _cohort(program: Program, site: Site) -> float:
-    """Number of plants of the axiom, as far as the program's initial_plants_per_ha tells, a number or one a species."""
+    """Number of plants of the axiom, by the program's initial_plants_per_ha, a number or one a species."""
     name, macros = "initial_plants_per_ha", program.listing.macros
     if name in program.listing.arrays:
         return sum(program.listing.arrays[name]) * site.area_ha
