@@ -6,8 +6,8 @@ of the module that bears it, counted from its plant's first row. A snapshot is o
 ``forestgen.modules``, has the number of modules of every snapshot and the checksum of their columns.
 
 ``maps.nc`` is NetCDF-4. Dimensions ``snapshot``, ``y`` and ``x``; coordinates ``y`` and ``x`` are the cells' middles in
-the world, metres, row 0 at the least y; ``step`` and ``time_yr`` identify the snapshots. Values are as they were, in double
-precision: a simulation goes on from them to the bit.
+the world, metres, row 0 at the least y; ``step`` and ``time_yr`` identify the snapshots. Values are as they were, in
+double precision: a simulation goes on from them to the bit.
 
 The history has the same numbers and checksums: so it refuses files of another simulation, and changed values.
 """

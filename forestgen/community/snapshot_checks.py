@@ -85,7 +85,7 @@ def check_columns(population: Population, limits: Mapping[str, Limits]) -> None:
 
 
 def arrival_limits(population: Population, step_yr: float, *, dead: bool = False) -> dict[str, Limits]:
-    """Limits of ages, which give the step in which a plant arrived, and of the status in models that keep the dead or not."""
+    """Limits of ages, which give the step of arrival, and of the status in models that keep the `dead` or not."""
     return {
         "age_yr": Limits("f8", 0, (population.step + 0.5) * step_yr),
         "status": Limits("u1", 0, Status.DEAD if dead else Status.MATURE),

@@ -315,9 +315,9 @@ def _cohort_size(parameters: FootprintParameters, site: Site) -> int:
 def _longest_life(parameters: FootprintParameters, one: SpeciesEcology) -> float:
     """Upper bound of the mean number of steps of a life.
 
-    In every step in which no plant dominates it, a plant has a health of at least min(1, gain Δt) and grows accordingly,
-    so there are few such steps before it is mature; domination takes all the health that they and birth gave, so there
-    are few of its steps too; and a mature plant lives 1 / (1 - oldage) steps in the mean.
+    In every step in which no plant dominates it, a plant has a health of at least min(1, gain Δt) and grows
+    accordingly, so there are few such steps before it is mature; domination takes all the health that they and birth
+    gave, so there are few of its steps too; and a mature plant lives 1 / (1 - oldage) steps in the mean.
     """
     gain = parameters.health_gain_per_yr * parameters.step_yr
     loss = parameters.health_loss_per_yr * (1 - one.shade_tolerance) * parameters.step_yr
