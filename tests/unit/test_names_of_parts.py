@@ -83,7 +83,7 @@ def trees() -> dict[str, ast.Module]:
 
 MODEL_REGISTRY = "community/registry.py"
 MODEL_FOLDERS = ("models", "branch_modules", "ecoclimate")  # of the models' own code, in community/
-MODEL_FILES = ("community/multiset_parameters.py", "community/multiset_state.py")
+MODEL_FILES = ("community/multiset_program.py",)
 OTHER_THAN_MODELS = {  # file -> names that are no community model's in it, or are one's example
     "cli/__init__.py": {"multiset_lsystem"},  # an example of a command
     "cli/suggestions.py": {"multiset_lsystem"},  # an example of a setting
