@@ -100,7 +100,7 @@ class Instruments:
         picture : a PNG, a row an image.
         """
         from forestgen.atmosphere.clouds.source import cloud_source_of
-        from forestgen.community.plot_weather import plot_weather
+        from forestgen.community.plot_series import plot_weather
         from forestgen.dataset.file_set import check_writable
 
         files = paths_of(out, "out", output=True)
