@@ -69,7 +69,7 @@ def simulate_weather(
     progress: bool | Progress | None,
 ) -> list[WeatherReport]:
     """See `Recipe.weather`."""
-    from forestgen.community.plot_weather import plot_weather
+    from forestgen.community.plot_series import plot_weather
 
     for one in out:
         _check_ending(one, _WEATHER_FILES)

@@ -9,9 +9,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.architecture.prototype import MOST_NODES
-from forestgen.architecture.skeletal_graph import skeletal_graph
-from forestgen.architecture.tables import Tables
+from forestgen.architecture.geometry import skeletal_graph
+from forestgen.architecture.prototypes import MOST_NODES, Tables
 from forestgen.community.population import Population, Status
 from forestgen.geometry.vectors import any_perpendicular, unit
 from forestgen.plants.skeleton import Skeleton

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.architecture.tables import Tables
+from forestgen.architecture.prototypes import Tables
 from forestgen.community.capabilities import OwnSkeletons, capability
 from forestgen.community.population import Population, Status
 from forestgen.core.progress import Progress

@@ -48,7 +48,7 @@ REGISTRY_FILES = {"recipe/registries.py", "community/registry.py", "plants/regis
 OTHER_MEANINGS = {  # file -> names that are no part's in it, or a default
     "instruments/instrument.py": {"points"},  # what a list holds, for its error
     "api/points.py": {"points"},  # a parameter
-    "community/fitting/recipe_text.py": {"points"},  # a key of community model strauss
+    "community/fitting/report.py": {"points"},  # a key of community model strauss
     "dataset/check/branches.py": {"module"},  # a part of frame.exr
     "dataset/check/coverage.py": {"coverage"},  # the same
     "dataset/check/frame_data.py": {"coverage"},  # the same
@@ -87,12 +87,12 @@ def trees() -> dict[str, ast.Module]:
 
 MODEL_REGISTRY = "community/registry.py"
 MODEL_FOLDERS = ("models", "branch_modules", "ecoclimate")  # of the models' own code, in community/
-MODEL_FILES = ("community/multiset_parameters.py", "community/multiset_state.py")
+MODEL_FILES = ("community/multiset_program.py",)
 OTHER_THAN_MODELS = {  # file -> names that are no community model's in it, or are one's example
     "cli/__init__.py": {"multiset_lsystem"},  # an example of a command
     "cli/suggestions.py": {"multiset_lsystem"},  # an example of a setting
-    "community/fitting/recipe_text.py": {"deformation_kernel"},  # the model that is fitted
-    "community/placement/asked_and_placed.py": {"placed"},  # a key of the statistics
+    "community/fitting/report.py": {"deformation_kernel"},  # the model that is fitted
+    "community/placement/model.py": {"placed"},  # a key of the statistics
     "plants/generators/branch_modules.py": {"branch_modules"},  # the plant generator
     "plants/registry.py": {"branch_modules"},  # the same
     "plants/variation/model.py": {"uniform"},  # a distribution

@@ -5,12 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from forestgen.architecture.geometry import skeletal_graph
 from forestgen.architecture.graph_files import write_graph
-from forestgen.architecture.prototypes import load_prototypes
-from forestgen.architecture.skeletal_graph import skeletal_graph
-from forestgen.architecture.tables import tables_of
-from forestgen.community.branch_modules.state import MOST_SEEDS, no_modules, refuse_more_seeds
-from forestgen.community.branch_modules.traits import STAND_IN
+from forestgen.architecture.prototypes import load_prototypes, tables_of
+from forestgen.community.branch_modules.state import MOST_SEEDS, STAND_IN, no_modules, refuse_more_seeds
 from forestgen.community.history_files import check_graphs
 from forestgen.community.model import simulate
 from forestgen.community.simulation import snapshots

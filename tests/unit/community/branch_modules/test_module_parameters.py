@@ -4,18 +4,23 @@ from __future__ import annotations
 
 import math
 import re
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from forestgen.architecture.plant_type import PlantType
-from forestgen.community.branch_modules.changes import check_changes, parameters_at
-from forestgen.community.branch_modules.parameters import BranchModulesParameters, is_blocked
+from forestgen.community.branch_modules.capabilities import check_changes
+from forestgen.community.branch_modules.parameters import (
+    BranchModulesParameters,
+    is_blocked,
+    parameters_at,
+)
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.buildings import Building
 from forestgen.recipe.messages import Explainer
+from forestgen.recipe.plant_type import PlantType
 from forestgen.recipe.sources import SourceMap
 
 PINE = PlantType(
@@ -85,9 +90,9 @@ def test_mistakes_are_told(keys: dict[str, Any], message: str) -> None:
 
 def test_soil_bars_what_is_above_half_with_its_first_row_in_the_north() -> None:
     blocked = made(soil=[[1, 0], [0, 0.5]]).blocked_soil()
-    x, y = np.array([5.0, 15.0, 5.0, 15.0, 20.0]), np.array([15.0, 15.0, 5.0, 5.0, 20.0])
-    assert is_blocked(blocked, x, y, (20.0, 20.0)).tolist() == [True, False, False, False, False]
-    assert not is_blocked(None, x, y, (20.0, 20.0)).any()
+    points = np.array([[5.0, 15.0], [15.0, 15.0], [5.0, 5.0], [15.0, 5.0], [20.0, 20.0]])
+    assert is_blocked(blocked, points, (20.0, 20.0)).tolist() == [True, False, False, False, False]
+    assert not is_blocked(None, points, (20.0, 20.0)).any()
 
 
 def test_an_obstacle_turns_clockwise() -> None:
@@ -131,7 +136,8 @@ def _checked(*changes: dict[str, Any]) -> None:
             raise Explainer(model, data, SourceMap(), tuple(keys)).error(failure) from failure
 
     parameters = made(temperature_c=5, precipitation_mm_per_yr=900, changes=list(changes))
-    check_changes(parameters, {"pine": PINE}, ("column",), parse, lambda *keys: ".".join(map(str, keys)))
+    drawn: Any = SimpleNamespace(parse=parse, where=lambda *keys: ".".join(map(str, keys)))
+    check_changes(drawn, parameters, {"pine": PINE}, ("column",))
 
 
 @pytest.mark.parametrize(
