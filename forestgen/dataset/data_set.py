@@ -84,9 +84,7 @@ def _show(value: object) -> str:
 def check_splits(loaded: LoadedRecipe, splits: Sequence[str]) -> None:
     """Refuse a run that would show one stand in several of the splits that it uses.
 
-    Raises
-    ------
-    RecipeError : the recipe has ``same_stand: true`` and there is more than one split.
+    Raises `RecipeError`: the recipe has ``same_stand: true`` and there is more than one split.
     """
     if loaded.data.get("same_stand") is True and len(splits) > 1:
         raise RecipeError(

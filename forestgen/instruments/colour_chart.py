@@ -153,9 +153,7 @@ def with_chart(spec: SceneSpec, point_m: Floats, normal: Floats, camera: Camera)
 def find_regions(spec: SceneSpec, camera: Camera, progress: Progress) -> tuple[NDArray[np.int64], list[str]]:
     """(H, W) region of each pixel that lies well inside of one, else -1; and what is to be told.
 
-    Raises
-    ------
-    RecipeError : something hides a patch from its camera.
+    Raises `RecipeError`: something hides a patch from its camera.
     """
     from scipy.ndimage import maximum_filter, minimum_filter
 

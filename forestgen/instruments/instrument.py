@@ -55,9 +55,7 @@ class Instrument(Generic[KeysT, ReadingT]):
     def measure(self, scene: BuiltScene, keys: KeysT, progress: Progress, timings: Timings) -> ReadingT:
         """Measure in the scene of a recipe's first image.
 
-        Raises
-        ------
-        RecipeError : it cannot be measured there.
+        Raises `RecipeError`: it cannot be measured there.
         """
         raise NotImplementedError
 
@@ -65,9 +63,7 @@ class Instrument(Generic[KeysT, ReadingT]):
 def read_keys(instrument: Instrument[KeysT, Any], values: Mapping[str, Any]) -> KeysT:
     """The keys of a measurement.
 
-    Raises
-    ------
-    RecipeError : what is wrong with the first one, by its name.
+    Raises `RecipeError`: what is wrong with the first one, by its name.
     """
     values = {key: value.tolist() if hasattr(value, "tolist") else value for key, value in values.items()}  # of NumPy
     try:

@@ -170,9 +170,7 @@ class LightAtPoints(Instrument[LightMeterKeys, LightReadings]):
 def place(drawn: DrawnRecipe, point: Point, *, above_ground: bool) -> tuple[Point, float]:
     """A point in the world, and its height above ground.
 
-    Raises
-    ------
-    RecipeError : it lies far away, below the ground or in the clouds.
+    Raises `RecipeError`: it lies far away, below the ground or in the clouds.
     """
     said = " ".join(f"{value:g}" for value in point)
     recipe = drawn.recipe
