@@ -116,7 +116,7 @@ def _key(read: Callable[[Any], Any]) -> BeforeValidator:
     return BeforeValidator(validated)
 
 
-Place3 = Annotated[Point, _key(point_of)]
-Direction = Annotated[Point, _key(direction_of)]
-Places = Annotated[tuple[Place3, ...], _key(lambda value: tuple(listed(value, "at", "points")))]
-Directions = Annotated[tuple[Direction, ...], _key(lambda value: tuple(listed(value, "normals", "directions")))]
+PointKey = Annotated[Point, _key(point_of)]
+DirectionKey = Annotated[Point, _key(direction_of)]
+PointsKey = Annotated[tuple[PointKey, ...], _key(lambda value: tuple(listed(value, "at", "points")))]
+DirectionsKey = Annotated[tuple[DirectionKey, ...], _key(lambda value: tuple(listed(value, "normals", "directions")))]

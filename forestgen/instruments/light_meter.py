@@ -23,7 +23,7 @@ import itertools
 import json
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from typing import Annotated, Any
 
 import numpy as np
@@ -38,7 +38,7 @@ from forestgen.core.progress import Progress
 from forestgen.core.randomness import child_seed
 from forestgen.core.spectrum import LUMINANCE, Spectrum
 from forestgen.core.timing import Timings
-from forestgen.instruments.instrument import Directions, Instrument, Places, Point, Reading
+from forestgen.instruments.instrument import DirectionsKey, Instrument, Point, PointsKey, Reading
 from forestgen.recipe.fields import Flag, Number, Section, Whole
 from forestgen.recipe.load import DrawnRecipe, LoadedRecipe
 from forestgen.render.irradiance import REPLICATES, PointLight, measure
@@ -88,8 +88,8 @@ class LightMeter:
 class LightMeterKeys(Section):
     """Keys of a light meter."""
 
-    at: Annotated[Places, Field(min_length=1, max_length=MOST_POINTS, description="Points, metres, z above ground.")]
-    normals: Annotated[Directions, Field(min_length=1, description="Where the meter looks at each point.")] = (
+    at: Annotated[PointsKey, Field(min_length=1, max_length=MOST_POINTS, description="Points, metres, z above ground.")]
+    normals: Annotated[DirectionsKey, Field(min_length=1, description="Where the meter looks at each point.")] = (
         (0.0, 0.0, 1.0),
     )
     samples: Annotated[
@@ -300,10 +300,7 @@ def _as_csv(meters: Sequence[LightMeter], step_nm: float | None) -> bytes:
     """A row a point; with `step_nm` a column for each step of the spectrum, in W/m²/nm."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    names = [
-        "illuminance_lux", "from_sun", "from_sky", "illuminance_colour_mode_lux", "cct_k", "par_umol_per_m2_s",
-        "irradiance_w_per_m2",
-    ]  # fmt: skip
+    names = [one.name for one in fields(LightMeter) if one.type == "Quantity"]
     header = ["x_m", "y_m", "z_m", "above_ground_m", "normal_x", "normal_y", "normal_z", "duv"]
     header += [column for name in names for column in (name, f"{name}_error")]
     if step_nm is not None and meters:
