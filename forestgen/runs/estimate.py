@@ -207,7 +207,7 @@ def _guess(upper: float) -> Range:
 
 
 def _range(values: Sequence[float], of_one: float = _UNKNOWN_SPREAD) -> Range:
-    """Of what several images take; a single one tells no spread, which is `of_one` then."""
+    """Interval of several images; of a single one with the spread `of_one`."""
     mean = fmean(values)
     logarithms = [math.log(max(value, 1e-9)) for value in values]
     more = math.sqrt(1 + 1 / len(values))

@@ -106,7 +106,7 @@ def write_data_set(
     ----------
     record_index : with the records of the images.
     parts, made_with : see `describe`.
-    splits : whose folders may hold what no record vouches for.
+    splits : whose folders may hold files that no record lists.
     """
     folders = sorted({*splits, *record_index.splits, *_splits_before(storage), THUMBNAILS, MAPS})
     for folder in folders:
@@ -177,7 +177,7 @@ def _splits_before(storage: StorageBackend) -> set[str]:
 
 
 def _remove_unlisted(storage: StorageBackend, folders: Sequence[str], record_index: RecordIndex) -> None:
-    """Remove what no record vouches for: records of other jobs, then files; a whole folder where all of it goes.
+    """Remove what no record lists: records of other jobs, then files; a whole folder where all of it goes.
 
     Files that other tools have added stay in folders that stay.
     """

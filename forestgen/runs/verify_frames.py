@@ -183,7 +183,7 @@ def check_renders(
     ----------
     description : dataset.json.
     count, seed : how many images; which ones.
-    note : told if other versions than those of this machine made the data set.
+    note : called if other versions than those of this machine made the data set.
     """
     moved = _moved(description)
     if moved:

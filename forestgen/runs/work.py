@@ -44,7 +44,7 @@ _FRAMES = "frames"  # of a staging folder: what belongs into the split's folder
 
 
 class _StorageFailedError(Exception):
-    """The data set's place has failed; the cause tells how."""
+    """The data set's storage has failed; `__cause__` is the error."""
 
 
 def make_job(work: Work, job: Job, attempt: int) -> Outcome:
@@ -141,7 +141,7 @@ def _storage_failed(error: BaseException | None) -> bool:
     """Whether a disk, a quota or a network is behind an error."""
     while error is not None:
         if isinstance(error, _StorageFailedError) or (isinstance(error, OutputError) and error.__cause__ is not None):
-            return True  # an `OutputError` without a cause tells of what a format cannot hold
+            return True  # an `OutputError` without a cause is about what a format cannot hold
         if isinstance(error, OSError) and (error.errno in STORAGE_ERRNOS or isinstance(error, ConnectionError)):
             return True
         error = error.__cause__
