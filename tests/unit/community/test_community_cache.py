@@ -271,6 +271,8 @@ def test_everything_of_the_site_and_of_a_species_is_told(tmp_path: Path) -> None
                 changed = replace(whole, size_m=(20.0, 17.0))
             elif one.name == "name":
                 changed = replace(whole, name="other")
+            elif one.name == "buildings":
+                changed = replace(whole, buildings=("a house",))
             else:
                 changed = replace(whole, **{one.name: getattr(whole, one.name) * 0.5 + 0.01})
             assert _content(changed) != _content(whole), one.name
