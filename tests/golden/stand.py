@@ -24,7 +24,7 @@ from forestgen.render.rendering import render_frame
 from forestgen.scene.build import BuiltScene, build_scene
 from forestgen.scene.plan import Plan
 from forestgen.scene.planning import make_plan
-from forestgen.scene.plant_measures import measure_plants
+from forestgen.scene.plant_measures import PlantMeter
 from forestgen.scene.spec import SceneSpec
 from support.ztest import Comparison, NoisyImage, welch, welch_blocks
 
@@ -51,7 +51,8 @@ def shoot(plan: Plan, built: BuiltScene, seed: int) -> LabelledFrame:
     frame = render_frame(tracer, built.spec.cameras[0], plan.drawn.recipe, seed, Silent(), Timings())
     channels = plan.drawn.recipe.labels.channels
     frame = add_channels(frame, channels, ChannelView(tracer, None, Silent(), Timings()))
-    return label_frame(frame, built.population, class_map(plan.drawn), measure_plants(built.spec), channels)
+    measures = PlantMeter(built.spec.exemplars).measure(built.spec.instances)
+    return label_frame(frame, built.population, class_map(plan.drawn), measures, channels)
 
 
 def without(built: BuiltScene, plant_id: int) -> BuiltScene:
