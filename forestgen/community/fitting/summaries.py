@@ -26,8 +26,7 @@ from scipy.spatial import cKDTree
 
 from forestgen.community.fitting.stand import MeasuredStand, NewStand, Nursery
 from forestgen.community.placement.kernels import KernelTable
-from forestgen.community.point_patterns import Window
-from forestgen.community.ripley import pair_correlation
+from forestgen.community.point_patterns import Window, pair_correlation
 
 STANDS = 39
 RADII = 50

@@ -94,7 +94,6 @@ Decided where the print is silent or wrong:
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -108,7 +107,7 @@ from forestgen.community.branch_modules.snapshot import check_resumable, populat
 from forestgen.community.branch_modules.state import State, refuse_more_modules, step_parameters
 from forestgen.community.branch_modules.step import step_forest
 from forestgen.community.disturbance import Planting, planted
-from forestgen.community.ecology import SpeciesEcology
+from forestgen.community.ecology import Ecologies, SpeciesEcology
 from forestgen.community.model import Site
 from forestgen.community.population import Population
 
@@ -123,9 +122,7 @@ class BranchModules(ModuleCapabilities):
 
     Parameters = BranchModulesParameters
 
-    def init(
-        self, parameters: BranchModulesParameters, site: Site, species: Sequence[SpeciesEcology], seed: int
-    ) -> State:
+    def init(self, parameters: BranchModulesParameters, site: Site, species: Ecologies, seed: int) -> State:
         """The obstacles, and the plants of the start as seeds at random places."""
         _refuse_without_modules(site, species)
         refuse_overflow(1, float(parameters.counts([one.name for one in _growing(species)]).sum()))
@@ -141,23 +138,14 @@ class BranchModules(ModuleCapabilities):
         return population_of(state)
 
     def resume(
-        self,
-        parameters: BranchModulesParameters,
-        site: Site,
-        species: Sequence[SpeciesEcology],
-        seed: int,
-        population: Population,
+        self, parameters: BranchModulesParameters, site: Site, species: Ecologies, seed: int, population: Population
     ) -> State:
         """The state of a snapshot; it needs the snapshot's modules."""
         _refuse_without_modules(site, species)
         return state_of(parameters, site, species, seed, population)
 
     def check_snapshot(
-        self,
-        parameters: BranchModulesParameters,
-        site: Site,
-        species: Sequence[SpeciesEcology],
-        population: Population,
+        self, parameters: BranchModulesParameters, site: Site, species: Ecologies, population: Population
     ) -> None:
         """Refuse plants, obstacles and snags that no snapshot has; modules have their own checksum."""
         _refuse_without_modules(site, species)
@@ -188,9 +176,7 @@ class BranchModules(ModuleCapabilities):
             modules=state.modules.and_then(modules),
         )
 
-    def expected_plants(
-        self, parameters: BranchModulesParameters, site: Site, species: Sequence[SpeciesEcology]
-    ) -> float:
+    def expected_plants(self, parameters: BranchModulesParameters, site: Site, species: Ecologies) -> float:
         """Upper bound: those of the start, planted or built, and as many seedlings as find room and light.
 
         With the dead that stand: see `with_dead`.
@@ -201,16 +187,14 @@ class BranchModules(ModuleCapabilities):
             total += most_seedlings(parameters, site)
         return total * with_dead(parameters) + len(site.buildings)
 
-    def empty_reason(
-        self, parameters: BranchModulesParameters, site: Site, species: Sequence[SpeciesEcology]
-    ) -> str | None:
+    def empty_reason(self, parameters: BranchModulesParameters, site: Site, species: Ecologies) -> str | None:
         """Why no plant can ever grow, or None if one may."""
         _refuse_without_modules(site, species)
         if _founders(parameters, species) > 0:
             return None
         return "no plant can grow: community.initial_plants is 0, and none is planted"
 
-    def estimate_bytes(self, parameters: BranchModulesParameters, site: Site, species: Sequence[SpeciesEcology]) -> int:
+    def estimate_bytes(self, parameters: BranchModulesParameters, site: Site, species: Ecologies) -> int:
         """Bytes for so many modules as the light feeds, at most most_modules, and for the finest shadow grid."""
         plants = self.expected_plants(parameters, site, species)
         alive = site.area_m2 * _MODULES_PER_M2 + 10 * _founders(parameters, species)
@@ -236,17 +220,17 @@ def with_dead(parameters: BranchModulesParameters) -> float:
     return 1.0 + standing_yr / 20.0
 
 
-def _growing(species: Sequence[SpeciesEcology]) -> list[SpeciesEcology]:
+def _growing(species: Ecologies) -> list[SpeciesEcology]:
     return [one for one in species if one.modules is not None]
 
 
-def _founders(parameters: BranchModulesParameters, species: Sequence[SpeciesEcology]) -> float:
+def _founders(parameters: BranchModulesParameters, species: Ecologies) -> float:
     """Plants of the start, and those that disturbances plant."""
     counts = parameters.counts([one.name for one in _growing(species)])
     return float(counts.sum() if len(counts) else 0) + planted(parameters.disturbances)
 
 
-def _refuse_without_modules(site: Site, species: Sequence[SpeciesEcology]) -> None:
+def _refuse_without_modules(site: Site, species: Ecologies) -> None:
     """Every species must grow by modules but those that stand for buildings."""
     built = {one.kind for one in site.buildings}
     for one in species:

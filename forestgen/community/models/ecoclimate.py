@@ -51,7 +51,7 @@ from forestgen.community.ecoclimate.months import (
     step_ecoclimate,
 )
 from forestgen.community.ecoclimate.parameters import EcoclimateParameters, GlobalSeeding, seedings_in_time
-from forestgen.community.ecology import SpeciesEcology
+from forestgen.community.ecology import Ecologies
 from forestgen.community.model import Site
 from forestgen.community.models.branch_modules import MODEL as FOREST
 from forestgen.community.models.branch_modules import most_seedlings, with_dead
@@ -67,14 +67,7 @@ _BYTES_PER_SEED = 200  # from elsewhere, of one step: places, climate and light 
 _MOST_CELSIUS = 1000.0
 _SOIL_DEPTH_M = {"forest": 1.0, "dryland": 0.05}  # by the kind of soil: ours
 _MOST_WATER_MM = 1e12
-_MAPS = (
-    "soil_water_mm",
-    "surface_water_mm",
-    "soil_mean_mm",
-    "warmth_mean_k",
-    "vapour_mm_per_day",
-    "wetness",
-)
+_MAPS = ("soil_water_mm", "surface_water_mm", "soil_mean_mm", "warmth_mean_k", "vapour_mm_per_day", "wetness")
 
 
 class EcoclimateModel(ModuleCapabilities):
@@ -82,9 +75,7 @@ class EcoclimateModel(ModuleCapabilities):
 
     Parameters = EcoclimateParameters
 
-    def init(
-        self, parameters: EcoclimateParameters, site: Site, species: Sequence[SpeciesEcology], seed: int
-    ) -> Ecoclimate:
+    def init(self, parameters: EcoclimateParameters, site: Site, species: Ecologies, seed: int) -> Ecoclimate:
         """The forest of the start, on soil that is as wet as its climate leaves it."""
         return initial_ecoclimate(FOREST.init(parameters, site, species, seed))
 
@@ -111,12 +102,7 @@ class EcoclimateModel(ModuleCapabilities):
         )
 
     def resume(
-        self,
-        parameters: EcoclimateParameters,
-        site: Site,
-        species: Sequence[SpeciesEcology],
-        seed: int,
-        population: Population,
+        self, parameters: EcoclimateParameters, site: Site, species: Ecologies, seed: int, population: Population
     ) -> Ecoclimate:
         """The state of a snapshot; it needs the snapshot's modules and maps."""
         forest = FOREST.resume(parameters, site, species, seed, population)
@@ -129,26 +115,26 @@ class EcoclimateModel(ModuleCapabilities):
                 hint="simulate again from the start",
             )
         soil, surface, mean, warmth, vapour, wetness = (population.maps[name] for name in _MAPS)
-        told = population.state
+        state = population.state
         return Ecoclimate(
             forest,
             Water(soil, surface),
             mean,
-            told["temperature_mean_c"],
+            state["temperature_mean_c"],
             warmth,
             vapour,
             wetness,
-            _water_budget(told["water"]),
+            _water_budget(state["water"]),
         )
 
     def check_snapshot(
-        self, parameters: EcoclimateParameters, site: Site, species: Sequence[SpeciesEcology], population: Population
+        self, parameters: EcoclimateParameters, site: Site, species: Ecologies, population: Population
     ) -> None:
         """Refuse what no snapshot of a forest has, and books of water that no ground has; maps have a checksum."""
         FOREST.check_snapshot(parameters, site, species, population)
-        told = population.state
-        check_number(told, "temperature_mean_c", -_MOST_CELSIUS, _MOST_CELSIUS)
-        water = told.get("water")
+        state = population.state
+        check_number(state, "temperature_mean_c", -_MOST_CELSIUS, _MOST_CELSIUS)
+        water = state.get("water")
         if not isinstance(water, Mapping):
             raise ImpossibleValueError("water", "a table", f"{water!s:.80}")
         for name in WaterBudget.__dataclass_fields__:
@@ -162,19 +148,17 @@ class EcoclimateModel(ModuleCapabilities):
         """The forest with new plants, seeds all."""
         return replace(state, forest=FOREST.plant(state.forest, planting))
 
-    def expected_plants(self, parameters: EcoclimateParameters, site: Site, species: Sequence[SpeciesEcology]) -> float:
+    def expected_plants(self, parameters: EcoclimateParameters, site: Site, species: Ecologies) -> float:
         """Upper bound: as without water, and as many seedlings of seeds from elsewhere as find room."""
         total = FOREST.expected_plants(parameters, site, species)
         arrive = _seeds_arrive(parameters) and parameters.steps > 0
         return total + most_seedlings(parameters, site) * with_dead(parameters) if arrive else total
 
-    def empty_reason(
-        self, parameters: EcoclimateParameters, site: Site, species: Sequence[SpeciesEcology]
-    ) -> str | None:
+    def empty_reason(self, parameters: EcoclimateParameters, site: Site, species: Ecologies) -> str | None:
         """Why no plant can ever grow, or None if one may."""
         return None if _seeds_arrive(parameters) else FOREST.empty_reason(parameters, site, species)
 
-    def estimate_bytes(self, parameters: EcoclimateParameters, site: Site, species: Sequence[SpeciesEcology]) -> int:
+    def estimate_bytes(self, parameters: EcoclimateParameters, site: Site, species: Ecologies) -> int:
         """Of the forest, of the maps of water, and of the seeds from elsewhere that fall in a step."""
         cells = math.ceil(site.area_m2 / parameters.soil_water.cell_m**2)
         seeds = 0.0
@@ -193,7 +177,7 @@ class EcoclimateModel(ModuleCapabilities):
         drawn: DrawnRecipe,
         parameters: EcoclimateParameters,
         site: Site,
-        species: Sequence[SpeciesEcology],
+        species: Ecologies,
         population: Population,
         progress: Progress,
     ) -> Weather:

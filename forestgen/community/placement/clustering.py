@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 from forestgen.community.model import Site
 from forestgen.community.placement.field import DensityField, place
 from forestgen.community.placement.kernels import SAMPLES, KernelTable
-from forestgen.community.statistics import hopkins_index
-from forestgen.community.trajectory import told_hopkins
+from forestgen.community.point_patterns import hopkins_index
+from forestgen.community.trajectory import reported_hopkins
 
 MOST_TRIAL_PLANTS = 2000  # of more plants, a regular share is placed on a site that is smaller by as much
 FEWEST = 10  # plants that have a Hopkins index worth aiming at
@@ -146,7 +146,7 @@ def describe(
     """
     if found is None:
         return {"asked_hopkins": target}
-    measured = told_hopkins(position_m, site, seed)
+    measured = reported_hopkins(position_m, site, seed)
     return {
         "asked_hopkins": target,
         "hopkins": measured if math.isfinite(measured) else None,

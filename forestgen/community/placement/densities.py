@@ -13,8 +13,9 @@ from scipy.special import ndtr, ndtri
 
 from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.ground.living_conditions import Conditions, suitability
-from forestgen.community.model import CommunityParameters, Site
+from forestgen.community.model import Site
 from forestgen.community.placement.density_map import LEAST, DensityMap, MapSection
+from forestgen.community.static_model import StaticParameters
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.fields import Flag, Name, NonNegative, Positive, Section, Whole, mistake
 from forestgen.recipe.sources import Keys
@@ -63,13 +64,11 @@ class Stand(Section):
         return self
 
 
-class PlacementParameters(CommunityParameters):
+class PlacementParameters(StaticParameters):
     """What every placement model's recipe says."""
 
     memory_hint: ClassVar[str] = "ask for fewer plants in community.plants"
 
-    steps: Whole = Field(0, ge=0, le=100_000, description="number of steps, in which plants only age")
-    step_yr: float = Field(1.0, gt=0, description="duration of a step, years")
     plants: dict[Name, Stand] = Field({}, description="the plants of each species")
     keep_out: DensityMap | None = Field(
         None, description="where no plant of any species may stand: any value above 0 of this map bars"

@@ -34,7 +34,7 @@ from forestgen.community.placement.densities import (
 from forestgen.community.placement.field import DensityField
 from forestgen.community.placement.kernels import KernelTable
 from forestgen.community.population import Population
-from forestgen.community.standing import FixedPopulation, State, first_state
+from forestgen.community.static_model import FixedPopulation, Placement, State, first_state
 from forestgen.core.randomness import child_rng
 from forestgen.recipe.fields import Whole
 
@@ -241,10 +241,8 @@ def placed_state(
         if standing[i] < asked[i]:
             reason = (None if standing[i] else _bars(parameters, site, one.name)) or reasons[one.name]
             missing.append(f"{standing[i]:,} of {asked[i]:,} plants of {one.name} were placed: {reason}")
-    kept: dict[str, NDArray[Any]] = {"sp": wanted.sp, "r_m": wanted.r_m, "height_m": wanted.height_m}
-    kept = {name: values[placed] for name, values in kept.items()}
-    notes = [*missing, *notes]
-    return first_state(parameters, species, seed, x_m=position_m[placed], **kept, notes=notes, found=found)
+    plants = Placement(wanted.sp[placed], position_m[placed], wanted.r_m[placed], wanted.height_m[placed])
+    return first_state(parameters, species, seed, plants, [*missing, *notes], found)
 
 
 def _bars(parameters: PlacementParameters, site: Site, name: str) -> str | None:
@@ -258,16 +256,54 @@ def _bars(parameters: PlacementParameters, site: Site, name: str) -> str | None:
     return conditions or "the map, the conditions and keep_out bar the whole site"
 
 
-class PlacementModel(FixedPopulation):
-    """A `CommunityModel` but for its Parameters and `init`, which draws from `placement_rng`."""
+P = TypeVar("P", bound=PlacementParameters)
 
-    def expected_plants(self, parameters: PlacementParameters, site: Site, species: Sequence[SpeciesEcology]) -> float:
+
+class PlacementModel(FixedPopulation[P]):
+    """A `CommunityModel` but for its Parameters and either `positions`, or `grid` and `place_species`."""
+
+    missing_reason = "the map and the conditions bar the whole site"  # why plants found no place
+
+    def init(self, parameters: P, site: Site, species: Sequence[SpeciesEcology], seed: int) -> State:
+        """The plants at their places."""
+        rng = placement_rng(seed)
+        wanted = wanted_plants(parameters, site, species, rng)
+        position_m, why = self.positions(parameters, site, species, wanted, rng)
+        return placed_state(parameters, site, species, seed, wanted, position_m, why)
+
+    def positions(
+        self,
+        parameters: P,
+        site: Site,
+        species: Sequence[SpeciesEcology],
+        wanted: PlantingTargets,
+        rng: np.random.Generator,
+    ) -> tuple[NDArray[np.float64], str]:
+        """(N, 2) places of the plants, metres, nan where there is none; and why. Here species do not see each other."""
+        position_m = np.full((len(wanted.sp), 2), np.nan)
+        for index, (one, stream) in enumerate(zip(species, rng.spawn(len(species)), strict=True)):
+            mine = np.flatnonzero(wanted.sp == index)
+            if len(mine):
+                density = species_density(parameters, site, one.name, self.grid(parameters, site, one.name, len(mine)))
+                if density.any():
+                    position_m[mine] = self.place_species(parameters, site, density, len(mine), stream)
+        return position_m, self.missing_reason
+
+    def grid(self, parameters: P, site: Site, name: str, n: int) -> tuple[int, int]:
+        """Rows and columns in which the density of a species with n plants is read."""
+        raise NotImplementedError
+
+    def place_species(
+        self, parameters: P, site: Site, density: NDArray[np.float64], n: int, rng: np.random.Generator
+    ) -> NDArray[np.float64]:
+        """(n, 2) places of a species, metres, by its (rows, cols) density; nan where there is none."""
+        raise NotImplementedError
+
+    def expected_plants(self, parameters: P, site: Site, species: Sequence[SpeciesEcology]) -> float:
         """The plants to be placed, and those that disturbances plant."""
         return float(plant_counts(parameters, site, species).sum() + planted(parameters.disturbances))
 
-    def empty_reason(
-        self, parameters: PlacementParameters, site: Site, species: Sequence[SpeciesEcology]
-    ) -> str | None:
+    def empty_reason(self, parameters: P, site: Site, species: Sequence[SpeciesEcology]) -> str | None:
         """Why no plant will ever stand there, or None if some may."""
         if planted(parameters.disturbances) > 0:
             return None
@@ -282,7 +318,7 @@ class PlacementModel(FixedPopulation):
                 reasons += [f"no plant is placed: of {name}, {bars}"] if bars else []
         return reasons[0] if reasons else "no plant is placed: every number in community.plants is 0, or rounded to 0"
 
-    def estimate_bytes(self, parameters: PlacementParameters, site: Site, species: Sequence[SpeciesEcology]) -> int:
+    def estimate_bytes(self, parameters: P, site: Site, species: Sequence[SpeciesEcology]) -> int:
         """Bytes for all plants at once.
 
         It is what a plan asks first, so it also looks at the sizes: what is wrong is said before anything is built.
@@ -290,9 +326,7 @@ class PlacementModel(FixedPopulation):
         check_sizes(parameters, species)
         return _BYTES_AT_LEAST + math.ceil(self.expected_plants(parameters, site, species) * _BYTES_PER_PLANT)
 
-    def densities(
-        self, parameters: PlacementParameters, site: Site, species: Sequence[SpeciesEcology], placed: Population
-    ) -> Densities:
+    def densities(self, parameters: P, site: Site, species: Sequence[SpeciesEcology], placed: Population) -> Densities:
         """What the recipe asks for, for pictures and statistics of the plants `placed` in step 0."""
         return asked_densities(parameters, site, species)
 
@@ -315,12 +349,18 @@ class GriddedParameters(PlacementParameters):
     )
 
 
-class GriddedModel(PlacementModel):
+G = TypeVar("G", bound=GriddedParameters)
+
+
+class GriddedModel(PlacementModel[G]):
     """A `PlacementModel` whose densities are constant in the cells of one grid."""
 
-    def estimate_bytes(self, parameters: PlacementParameters, site: Site, species: Sequence[SpeciesEcology]) -> int:
+    def grid(self, parameters: G, site: Site, name: str, n: int) -> tuple[int, int]:
+        """By the recipe's `cells`."""
+        return grid_shape(site, parameters.cells)
+
+    def estimate_bytes(self, parameters: G, site: Site, species: Sequence[SpeciesEcology]) -> int:
         """Bytes for all plants and all grids at once."""
-        assert isinstance(parameters, GriddedParameters)
         rows, cols = grid_shape(site, parameters.cells)
         grids = 8 * rows * cols * (_GRIDS_AT_ONCE + len(parameters.plants))
         return super().estimate_bytes(parameters, site, species) + grids

@@ -26,9 +26,8 @@ from forestgen.community.fitting.stand import MeasuredStand, Nursery, measured_s
 from forestgen.community.fitting.summaries import STANDS, cross_k, envelopes, functions_for, summaries_for
 from forestgen.community.placement.field import DensityField
 from forestgen.community.placement.kernels import KernelSection, KernelTable, table
-from forestgen.community.point_patterns import Window
+from forestgen.community.point_patterns import Window, ripley_k
 from forestgen.community.point_table import read_points
-from forestgen.community.ripley import ripley_k
 from forestgen.core.randomness import child_rng
 
 DATA = Path(__file__).parent / "data"

@@ -13,7 +13,7 @@ from ecoclimate_cases import HILLY, ecology, parameters
 from forestgen.community.ecoclimate.climate import MonthlyClimate, month_at
 from forestgen.community.ecoclimate.parameters import ClimateChange, GlobalSeeding
 from forestgen.community.history import open_history, write_history
-from forestgen.community.map_history import NAME
+from forestgen.community.history_tables import MAPS_NAME as NAME
 from forestgen.community.model import simulate
 from forestgen.community.models.ecoclimate import MODEL
 from forestgen.community.population import Population
