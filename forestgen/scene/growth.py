@@ -41,9 +41,10 @@ from forestgen.scene.exemplars import (
     modelled_species,
     origin_of,
     plan_exemplars,
+    plan_own,
     size_errors,
+    unique_plants,
 )
-from forestgen.scene.own_exemplars import plan_own, unique_plants
 from forestgen.scene.plan import Plan, check_own_triangles
 from forestgen.scene.projection import projection_of
 from forestgen.scene.spec import Camera

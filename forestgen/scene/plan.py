@@ -19,7 +19,7 @@ from forestgen.plants.plan import PlantPlan
 from forestgen.plants.registry import GENERATORS
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.plants import Plants
-from forestgen.scene.own_exemplars import MOST_TRIANGLES
+from forestgen.scene.exemplars import MOST_TRIANGLES
 from forestgen.scene.views import Views
 
 # Kept free for the operating system and for what no estimate sees.

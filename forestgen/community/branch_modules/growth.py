@@ -26,6 +26,7 @@ Reference: Keen, F. P. (1955). The rate of natural falling of beetle-killed pond
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -135,7 +136,7 @@ def rows_after(
     over_plants(modules, lambda start, end: _count(start, end, modules.first, keep, sprouts, first))
     np.cumsum(first, out=first)
     n, following = int(first[-1]), next_number.copy()
-    out = first, *(np.empty(n, kind) for kind in (np.int64, np.bool_, np.int32, np.int16, np.uint32))
+    out: Any = (first, *(np.empty(n, kind) for kind in (np.int64, np.bool_, np.int32, np.int16, np.uint32)))
     columns = modules.first, modules.parent, modules.node, modules.number
     over_plants(modules, lambda start, end: _fill(start, end, columns, keep, sprouts, following, MOST_NODES, out))
     return NextRows(*out, next_number=following)
@@ -279,8 +280,8 @@ def died_back(plants: Plants, modules: Modules, now: StepParameters) -> tuple[ND
 def snags_after(state: State, now: StepParameters, plants: Plants, wood: Modules, alive: NDArray[np.bool_]) -> Snags:
     """The snags one step later: those of before and the dead over 1.3 m, without those that have fallen.
 
-    `plants` and `wood` are all that lived, and their modules before the step's shedding; `alive` (P,) says who still
-    does.
+    `plants` and `wood` are all that lived, and their modules before the step's shedding; `alive` (P,) says which still
+    live.
     """
     parameters, snags, step = now.parameters, state.snags, state.step + 1
     if parameters.standing_dead_yr == 0:

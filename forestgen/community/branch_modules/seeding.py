@@ -89,7 +89,7 @@ class Standing:
     plants: Plants
     adapted: Floats  # (P,) how well the climate suits them
     trunk_m: Floats  # (P,) diameters of their stems at the foot, metres
-    alive: NDArray[np.bool_]  # (P,) who stays, and takes room
+    alive: NDArray[np.bool_]  # (P,) which stay, and take room
 
 
 @dataclass(frozen=True)

@@ -232,12 +232,7 @@ def shade(
     `position_m`, (M, 2) or (M, 3), are the centres of the modules' spheres, world x and y; beyond the site they count
     at its edge, or around the torus. `height_m` (M,) are their heights above the local ground, below which they count
     in the lowest layer. `depth` (M,) is the optical depth of each module over its sphere's disc: opacity x share that
-    is grown. Boxes stand on the local ground.
-
-    Raises
-    ------
-    ResourceError : more than 2000 layers.
-    ValueError : positions that are not finite.
+    is grown. Boxes stand on the local ground. More than 2000 layers are a ResourceError.
     """
     position, height = np.array(position_m[:, :2], dtype=np.float64), np.ascontiguousarray(height_m, dtype=np.float64)
     radius = np.maximum(np.ascontiguousarray(radius_m, dtype=np.float64), 1e-6)

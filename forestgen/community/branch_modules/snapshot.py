@@ -20,7 +20,7 @@ from forestgen.community.snapshot_checks import ImpossibleValueError, Limits, ar
 from forestgen.core.errors import RecipeError
 
 LEAST_SIZE_M = 0.01  # of a seed, which has no length yet
-_ALIVE = np.iinfo(np.int32).max  # step of death of who lives
+_ALIVE = np.iinfo(np.int32).max  # step of death of living plants
 DOMINATED_BELOW = 0.5  # mean light of a plant's modules
 
 

@@ -1,8 +1,8 @@
 """The state of a simulation, and what one step goes by.
 
 The state is its plants, their modules, and everything else that the future depends on. A step goes by the parameters,
-and by plant types and prototypes as arrays, with all changes up to then. Random numbers and attitudes of modules follow
-from who they are: they are the same whatever else grows.
+and by plant types and prototypes as arrays, with all changes up to then. Random numbers and orientations of modules
+follow from their identity: other plants do not change them.
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ columns of cloud and rain tells, by place, how much of the region's normal rain 
     Q_region = water condensed over the region's ground / the same with the region's normal vapour; 1 but for a change
 
 s, `local_share`, is the share of rain whose clouds the place itself makes. So a month in which the forest does what is
-usual has its normal rain; a cleared place, whose ground gives less vapour, has less. Q and Q_region are told by the
+usual has its normal rain; a cleared place, whose ground gives less vapour, has less. Q and Q_region refer to the
 region's normal vapour: where a change of the climate takes vapour from region and place alike, there is less rain. In
 their means over the site, both are at most 3. The temperature of the lowest air over that of the region's ground,
 colder with elevation at the usual rate, is the place's own warmth: Foehn. Each year has the same drawn days.

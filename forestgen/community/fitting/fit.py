@@ -236,7 +236,7 @@ def match_founders(plain: Matcher, of_one: Matched, told: Callable[[int], None])
 
 
 def _starts(stand: MeasuredStand, shapes: KernelShapes, founders: int) -> list[NDArray[np.float64]]:
-    """(3, M) log κ: founders keep apart, those that follow are drawn to them and do not mind one another."""
+    """(3, M) log κ: founders keep apart, followers are drawn to them and ignore one another."""
     tree = cKDTree(stand.position_m)
     near_m = float(np.quantile(nearest_m(tree, tree), _MOST))
     starts = []

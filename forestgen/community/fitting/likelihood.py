@@ -109,7 +109,7 @@ def kernel_shapes(stand: MeasuredStand, reach_m: float | None) -> KernelShapes:
 def founder_shapes(shapes: KernelShapes) -> KernelShapes:
     """Of a stand of one kind, of which some come first: kernels among founders, between the two, among followers.
 
-    Followers act on founders' field in vain: founders have been placed by then.
+    What followers do to founders' field has no effect: founders have been placed by then.
     """
     kernel_of = np.array([[0, 1], [1, 2]])
     return KernelShapes(kernel_of, ((0, 0), (1, 0), (1, 1)), np.tile(shapes.knots_m, (3, 1)), np.tile(shapes.core_m, 3))

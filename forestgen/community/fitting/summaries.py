@@ -36,7 +36,7 @@ _SMOOTHING = 0.15  # of the mean spacing: Stoyan's bandwidth
 _TOLERANCE = 1e-9  # of the data's greatest value: sums of the same pairs in another order
 _PAIR_RADII, _NEAR_RADII = 50, 32
 _PAIRS_WORTH, _RINGS_WORTH, _NEAR_WORTH = 0.5, 1.0, 0.5  # of a number, against the smoothness of kernels
-_PER_RING = 5  # radii; rings tell of g what circles, which add up, do not
+_PER_RING = 5  # radii; rings show g, which sums over circles hide
 _NEAR_BEYOND = 1.2  # of the farthest nearest neighbour
 
 
@@ -63,7 +63,7 @@ class Summaries:
         return np.concatenate(parts)
 
     def nearest(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The part of (A,) numbers, or of their differences, that tells of nearest neighbours."""
+        """The part of (A,) numbers, or of their differences, that is about nearest neighbours."""
         return np.asarray(values[-self.near_radii_m.size :])
 
     @property

@@ -55,7 +55,7 @@ _UNITS = {"elevation_m": " m", "slope_deg": " degrees"}
 def ground_raster(site: Site, name: str, shape: tuple[int, int], rows: slice = slice(None)) -> Floats:
     """(rows, cols) of one living condition, or of some rows of the grid alone."""
     if (height := site.height) is not None:
-        # Height functions are told apart by identity, as many cannot be compared; a ground that is kept keeps its own.
+        # The key has the height function's identity, since many cannot be compared; a kept ground keeps its function.
         key = (site.size_m, site.altitude_m, site.latitude_deg, site.wind_from_deg, id(height))
         return _grounds.get(key, lambda: _Ground(site, height)).on_cells(name, shape, rows)
     level = {"elevation_m": site.altitude_m, "slope_deg": 0.0, "moisture": 0.5, "wind": 0.5, "sun": 1.0}[name]
@@ -142,19 +142,22 @@ Sunshine = Annotated[Curve, AfterValidator(_response(0.0, 5.0, "(1 is level grou
 class Conditions(Section):
     """What a species asks of the ground: the share of its density that grows, 0 to 1, by each condition's value."""
 
-    elevation_m: Elevation | None = Field(
-        None, description="Response to height above sea level, metres: site.altitude_m and the ground's height."
-    )
-    slope_deg: Slope | None = Field(None, description="Response to the ground's slope, degrees; 0 is level.")
-    moisture: Share | None = Field(
-        None, description="Response to topographic wetness: 0 dry crest, 0.5 level ground, 1 valley floor."
-    )
-    wind: Share | None = Field(
-        None, description="Response to exposure to wind: 0 sheltered hollow, 0.5 level ground, 1 crest."
-    )
-    sun: Sunshine | None = Field(
-        None, description="Response to the year's direct sun: 0 none, 1 level open ground, above 1 sunny slopes."
-    )
+    elevation_m: Annotated[
+        Elevation | None,
+        Field(description="Response to height above sea level, metres: site.altitude_m and the ground's height."),
+    ] = None
+    slope_deg: Annotated[Slope | None, Field(description="Response to the ground's slope, degrees; 0 is level.")] = None
+    moisture: Annotated[
+        Share | None,
+        Field(description="Response to topographic wetness: 0 dry crest, 0.5 level ground, 1 valley floor."),
+    ] = None
+    wind: Annotated[
+        Share | None, Field(description="Response to exposure to wind: 0 sheltered hollow, 0.5 level ground, 1 crest.")
+    ] = None
+    sun: Annotated[
+        Sunshine | None,
+        Field(description="Response to the year's direct sun: 0 none, 1 level open ground, above 1 sunny slopes."),
+    ] = None
 
     def responses(self) -> Iterator[tuple[str, Function]]:
         """Name and curve of every condition that counts."""

@@ -26,14 +26,14 @@ from forestgen.community.placement.kernels import SAMPLES, KernelTable
 from forestgen.community.point_patterns import hopkins_index
 from forestgen.community.trajectory import reported_hopkins
 
-MOST_TRIAL_PLANTS = 2000  # plants: of more, every so-manieth is placed on a site that is smaller by as much
+MOST_TRIAL_PLANTS = 2000  # of more plants, a regular share is placed on a site that is smaller by as much
 FEWEST = 10  # plants that have a Hopkins index worth aiming at
 CELLS_PER_SPACING = 12  # the family's finest detail is 0.08 spacings
 _LEAST, _MOST = -0.85, 6.2  # t
 _ROUNDS = 14
 _CLOSE = 0.005  # of the logarithm of H: nearer is not looked for
 TOLERANCE = 0.1  # of H or, above 1, of its ratio to the target: what counts as reached
-TOLD = 0.05  # the same, of the placed plants: what is farther off is told
+TOLD = 0.05  # the same, of the placed plants: a note reports what is farther off
 _CORE, _RISEN, _TOP, _FALLEN = 0.06, 0.08, 0.4, 0.65  # knots of a kernel that makes clusters, in spacings
 
 
@@ -42,7 +42,7 @@ def family(t: float, spacing_m: float) -> KernelTable:
     knots = _knots(t) if t >= 0 else []
     reach = knots[-1][0] if knots else 2.5 * -t
     distance = np.linspace(0.0, reach, SAMPLES + 1)
-    values = np.interp(distance, *zip(*knots, strict=True)) if knots else np.where(distance < -t, 0.0, 1.0)
+    values = np.interp(distance, *np.array(knots).T) if knots else np.where(distance < -t, 0.0, 1.0)
     return KernelTable(values, reach * spacing_m, in_radii=False, balanced=True)
 
 

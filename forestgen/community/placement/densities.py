@@ -45,7 +45,7 @@ class Stand(Section):
         None, le=1e8, description="How many per hectare (10,000 m²) where map and conditions are 1; the sum is rounded."
     )
     map: DensityMap | None = Field(None, description="Relative density over the site, such as a painted picture.")
-    conditions: Conditions = Field(Conditions.model_validate({}), description="What the species asks of the ground.")
+    conditions: Conditions = Field(Conditions(), description="What the species asks of the ground.")
     radius_m: Annotated[Sizes | None, BeforeValidator(_one_size)] = Field(
         None, description="Radii: a number, or {median, sigma} of a log-normal; null: median half of the largest."
     )

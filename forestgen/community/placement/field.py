@@ -206,7 +206,7 @@ def _levels(leaves: int) -> tuple[NDArray[np.int64], int]:
 def _upper_levels(panels: int, groups: int) -> tuple[NDArray[np.int64], NDArray[np.int64], int]:
     """Where each level of sums of panels begins, how many lines its blocks have, and the length of all.
 
-    Whoever reads eight lines of a block of four reads on: a block of eight is left free at the end.
+    Reading eight lines of a block of four passes its end: so a block of eight is left free at the end.
     """
     starts, lines, length = [], [], 0
     while panels > 1:

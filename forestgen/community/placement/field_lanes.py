@@ -74,7 +74,7 @@ def _instruction(returns: Any, *takes: Any) -> Callable[[Callable[..., Any]], An
 
 @intrinsic
 def pointer(typing_context, array):  # type: ignore[no-untyped-def]
-    """The memory of an array, which the caller keeps alive: nobody counts references to it."""
+    """The memory of an array, without a reference: the caller keeps it alive."""
 
     def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return context.make_array(signature.args[0])(context, builder, arguments[0]).data

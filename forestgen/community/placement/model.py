@@ -228,7 +228,7 @@ def placed_state(
 ) -> State:
     """The state of step 0; plants whose (N, 2) position is nan found no place, and a note says how many and `why`.
 
-    `why` is the reason, or one by species; conditions that bar a species on the whole site are told instead. `notes`
+    `why` is the reason, or one by species; conditions that bar a species on the whole site replace it. `notes`
     are what else a user should know. `found` is what the model worked out for itself, plain as in JSON; it is kept with
     every snapshot.
     """
@@ -300,7 +300,7 @@ class PlacementModel(FixedPopulation[P]):
         raise NotImplementedError
 
     def expected_plants(self, parameters: P, site: Site, species: Sequence[SpeciesEcology]) -> float:
-        """Who is to be placed, and who will be planted."""
+        """The plants to be placed, and those that disturbances plant."""
         return float(plant_counts(parameters, site, species).sum() + planted(parameters.disturbances))
 
     def empty_reason(self, parameters: P, site: Site, species: Sequence[SpeciesEcology]) -> str | None:

@@ -91,7 +91,7 @@ def test_obstacles_of_older_recipes_are_told_their_new_key(tmp_path, model):
 
 def test_a_house_among_the_species_is_told_its_new_key(tmp_path):
     with pytest.raises(AssetError) as told:
-        plan_of(tmp_path, "species={pine: , house: }")
+        plan_of(tmp_path, "species={pine: , house: }", "site.buildings=[]")
     assert "site: {buildings: [{kind: house" in told.value.hint
 
 

@@ -74,7 +74,7 @@ def test_a_map_shows_more_colour_where_plants_stand(site, tmp_path):
 
 
 def test_an_obstacle_is_its_grey_ground_plan(site, tmp_path):
-    house = Obstacles((Building(kind="house", position_m=(20, 17.5), size_m=(20, 15, 7)),))
+    house = Obstacles((Building.model_validate({"kind": "house", "position_m": (20, 17.5), "size_m": (20, 15, 7)}),))
     grey = tuple(round(255 * one) for one in to_rgb(OBSTACLE))
     shares = []
     for obstacles in (NO_OBSTACLES, house):
@@ -89,7 +89,7 @@ def test_an_obstacle_is_its_grey_ground_plan(site, tmp_path):
 
 def test_plants_without_obstacles_keep_their_species():
     population = stand(9, names=("oak", "house", "pine"))
-    plants = Obstacles((Building(kind="house", position_m=(20, 17.5)),)).left_out_of(population)
+    plants = Obstacles((Building.model_validate({"kind": "house", "position_m": (20, 17.5)}),)).left_out_of(population)
     assert plants.species_names == ("oak", "pine")
     assert plants.plant_id.tolist() == [1, 3, 4, 6, 7, 9]
     assert plants.species.tolist() == [0, 1] * 3

@@ -14,8 +14,7 @@ from forestgen.community.population import Population
 from forestgen.plants.grown import woods_of
 from forestgen.recipe.plant_type import PlantType
 from forestgen.scene.build import place_instances
-from forestgen.scene.exemplars import plan_exemplars
-from forestgen.scene.own_exemplars import LEAST_PIXELS, MOST_TRIANGLES, plan_own, unique_plants
+from forestgen.scene.exemplars import LEAST_PIXELS, MOST_TRIANGLES, plan_exemplars, plan_own, unique_plants
 from support.scenes import simple_tree
 
 TYPE = PlantType(life_span_yr=100, root_vigour_max=50, growth_rate_per_yr=0.2, apical_control=0.8, determinacy=0.8)

@@ -350,7 +350,7 @@ def test_the_estimate_is_above_what_a_stand_holds(stand):
 
 def test_a_house_is_a_row_without_modules_that_stays():
     parameters = MODEL.Parameters(initial_plants={"x": 5}, steps=3)
-    site = Site((20.0, 20.0), buildings=(Building(kind="house", position_m=(10, 10)),))
+    site = Site((20.0, 20.0), buildings=(Building.model_validate({"kind": "house", "position_m": (10, 10)}),))
     species = [ecology("x", plant_type("b", seeds_per_yr=0.0)), ecology("house", None)]
     states_ = list(simulate(MODEL, parameters, site, species, 1, steps=3))
     for found in states_:

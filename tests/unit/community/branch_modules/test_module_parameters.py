@@ -96,11 +96,13 @@ def test_soil_bars_what_is_above_half_with_its_first_row_in_the_north() -> None:
 
 
 def test_an_obstacle_turns_clockwise() -> None:
-    house = Building(kind="house", position_m=(10, 20), azimuth_deg=90, size_m=(8, 4, 6))
+    house = Building.model_validate({"kind": "house", "position_m": (10, 20), "azimuth_deg": 90, "size_m": (8, 4, 6)})
     corners = house.corners_m()
     np.testing.assert_allclose(corners.min(axis=0), [8, 16], atol=1e-12)
     np.testing.assert_allclose(corners.max(axis=0), [12, 24], atol=1e-12)
-    slightly = Building(kind="house", position_m=(0, 0), azimuth_deg=30, size_m=(8, 4, 6)).corners_m()
+    slightly = Building.model_validate(
+        {"kind": "house", "position_m": (0, 0), "azimuth_deg": 30, "size_m": (8, 4, 6)}
+    ).corners_m()
     along = slightly[1] - slightly[0]  # its width, which pointed east
     assert along[0] > 0
     assert along[1] == pytest.approx(-8 * math.sin(math.radians(30)))
