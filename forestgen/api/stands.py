@@ -15,7 +15,7 @@ from forestgen import pipeline
 from forestgen.api.display import display_of
 from forestgen.community.history_files import map_colours
 from forestgen.community.population import Population, Status
-from forestgen.community.summary import SimulationSummary
+from forestgen.community.simulation import SimulationSummary
 from forestgen.core.arguments import listed, shown, whole_of
 from forestgen.core.errors import RecipeError
 from forestgen.core.progress import Progress
