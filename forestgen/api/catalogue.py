@@ -1,4 +1,4 @@
-"""What there is: models, species, the recipe's schema; and what this machine offers."""
+"""What there is: models, species, the recipe's schema."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import sys
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pydantic import BaseModel
 
@@ -34,9 +34,6 @@ from forestgen.recipe.registries import (
     TERRAINS,
 )
 from forestgen.recipe.suggestions import did_you_mean
-
-if TYPE_CHECKING:
-    from forestgen.api.diagnosis import Diagnosis
 
 _REGISTRIES: dict[str, Registry] = {
     "community_model": COMMUNITY_MODELS,
@@ -235,10 +232,3 @@ def _path_of(part: object) -> str:
         got=f"{part!r:.80} of {module}",
         hint="put it into a module of its own, or pass its place: 'package.module:NAME'",
     )
-
-
-def doctor() -> Diagnosis:
-    """What this machine offers: `Diagnosis.ready` tells whether forestgen can render here."""
-    from forestgen.api.diagnosis import diagnose
-
-    return diagnose()

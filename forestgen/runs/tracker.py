@@ -1,19 +1,22 @@
-"""How far a batch is, and how fast."""
+"""How far a batch is, how fast, and who shows it."""
 
 from __future__ import annotations
 
 import time
 from collections import deque
 from collections.abc import Mapping
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from typing import Any, Protocol
+
+from forestgen.core.progress import Progress, Silent
 
 _WINDOW = 200  # the latest images, whose pace is told
 _SETTLED = 8  # images from which on that pace is worth more than the whole run's
 
 
 @dataclass
-class Meter:
+class ProgressTracker:
     """Counts of a run. Images that an earlier run has made are done, but say nothing about the pace."""
 
     total: int  # images of the batch
@@ -56,14 +59,15 @@ class Meter:
         pace = self.images_per_hour
         return None if pace is None else 3600 * self.left / pace
 
+    @property
+    def longest_stages_s(self) -> dict[str, float]:
+        """Seconds of each stage, the longest first."""
+        return dict(sorted(self.stages_s.items(), key=lambda stage: -stage[1]))
+
     def shares(self) -> dict[str, float]:
         """Part of the workers' time that each stage takes, the largest first."""
         total = sum(self.stages_s.values())
-        return {
-            name: self.stages_s[name] / total
-            for name in sorted(self.stages_s, key=lambda name: -self.stages_s[name])
-            if total > 0
-        }
+        return {name: seconds / total for name, seconds in self.longest_stages_s.items() if total > 0}
 
     def as_event(self) -> dict[str, Any]:
         """The fields of a log's `progress`."""
@@ -77,21 +81,31 @@ class Meter:
         }
 
 
-class Listener(Protocol):
-    """Who is told how a run goes."""
+class Display(Progress, Protocol):
+    """What shows a call's progress: the stages of the image in work, the counts of a run, and lines that stay."""
+
+    tracker: ProgressTracker | None  # of the run that is shown, None before it has begun
+
+    def running(self) -> AbstractContextManager[object]:
+        """What is shown while its block runs."""
 
     def say(self, text: str) -> None:
         """A sentence worth a line."""
 
-    def show(self, meter: Meter) -> None:
+    def show(self, tracker: ProgressTracker) -> None:
         """The counts, every second or so; the same object every time."""
 
 
-class SilentListener:
+class SilentDisplay(Silent):
     """Shows nothing."""
+
+    tracker: ProgressTracker | None = None
+
+    def running(self) -> AbstractContextManager[object]:
+        return nullcontext(self)
 
     def say(self, text: str) -> None:
         pass
 
-    def show(self, meter: Meter) -> None:
-        pass
+    def show(self, tracker: ProgressTracker) -> None:
+        self.tracker = tracker

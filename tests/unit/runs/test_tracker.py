@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from forestgen.api.display import line, span
-from forestgen.runs import meter as module
-from forestgen.runs.meter import Meter
+from forestgen.runs import tracker as module
+from forestgen.runs.tracker import ProgressTracker
 
 
 @pytest.fixture
@@ -17,7 +17,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
 
 
 def test_a_steady_pace_is_told_whatever_was_done_before(clock: list[float]) -> None:
-    meter = Meter(1000, already=400, started_s=clock[0])
+    meter = ProgressTracker(1000, already=400, started_s=clock[0])
     assert meter.images_per_hour is None
     assert meter.seconds_left is None
     clock[0] += 60  # workers start
@@ -31,13 +31,13 @@ def test_a_steady_pace_is_told_whatever_was_done_before(clock: list[float]) -> N
 
 
 def test_before_the_first_image_a_line_tells_for_how_long_it_has_been_waited_for(clock: list[float]) -> None:
-    meter = Meter(10, started_s=clock[0])
+    meter = ProgressTracker(10, started_s=clock[0])
     clock[0] += 180
     assert line(meter) == "0 of 10 images, 3 min so far"
 
 
 def test_the_first_images_are_judged_by_the_whole_run(clock: list[float]) -> None:
-    meter = Meter(10, started_s=clock[0])
+    meter = ProgressTracker(10, started_s=clock[0])
     clock[0] += 36
     meter.count({})
     assert meter.images_per_hour == pytest.approx(100)
@@ -45,7 +45,7 @@ def test_the_first_images_are_judged_by_the_whole_run(clock: list[float]) -> Non
 
 
 def test_the_line_names_what_matters(clock: list[float]) -> None:
-    meter = Meter(1000, already=10, failed=2, retried=1, started_s=clock[0])
+    meter = ProgressTracker(1000, already=10, failed=2, retried=1, started_s=clock[0])
     assert line(meter) == "10 of 1,000 images, 0 s so far, 2 failed, 1 attempt again"
     clock[0] += 36
     meter.count({"render": 1.0})

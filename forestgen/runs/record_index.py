@@ -11,7 +11,6 @@ import sqlite3
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 from forestgen.core.errors import DatasetError, OutputError
@@ -36,18 +35,16 @@ class FileSum:
     sha256: str
 
 
-class Ledger:
+class RecordIndex:
     """A context manager; a failure of the disk that the file lies on leaves its block as an `OutputError`.
 
-    Parameters
-    ----------
-    folder : where the file lies while it is needed; None keeps small ones in memory, as tests do.
+    `folder`: where the file lies while it is needed.
     """
 
-    def __init__(self, folder: Path | None = None) -> None:
-        self._path = None if folder is None else folder / "ledger.sqlite"
+    def __init__(self, folder: Path) -> None:
+        self._path = folder / "records.sqlite"
         try:
-            self._base = sqlite3.connect(":memory:" if self._path is None else self._path, isolation_level=None)
+            self._base = sqlite3.connect(self._path, isolation_level=None)
             for pragma in (
                 "journal_mode=OFF",
                 "synchronous=OFF",
@@ -59,22 +56,19 @@ class Ledger:
         except sqlite3.OperationalError as error:
             raise self._failed(error) from error
 
-    def __enter__(self) -> Ledger:
+    def __enter__(self) -> RecordIndex:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, _: object, error: BaseException | None, __: object) -> None:
         self._base.close()
-        if self._path is not None:
-            self._path.unlink(missing_ok=True)
+        self._path.unlink(missing_ok=True)
         if isinstance(error, sqlite3.OperationalError):
             raise self._failed(error) from error
 
     def _failed(self, error: sqlite3.OperationalError) -> OutputError:
         return OutputError(
             f"cannot write the table of all files: {error}",
-            where="memory" if self._path is None else str(self._path.parent),
+            where=str(self._path.parent),
             hint="free some space there, or name a folder on another disk in TMPDIR",
         )
 
@@ -83,23 +77,19 @@ class Ledger:
     def add(self, record: JobRecord) -> None:
         """Enter a record.
 
-        Raises
-        ------
-        DatasetError : an image, a frame's name or a file that another record has as something else; or a row that the
-            index cannot hold.
+        Raises `DatasetError`: an image, a frame's name or a file that another record has as something else; or a row
+        that the index cannot hold.
         """
+        where, names = f"image {record.image}", [str(row["frame"]) for row in record.rows]
         try:
             for row in record.rows:
                 check_row(row)
         except ValueError as error:
-            problem = "a row of this record is none of the index"
-            raise DatasetError(problem, where=f"image {record.image}", got=str(error)) from error
-        report, notes = json.dumps(record.report, sort_keys=True), json.dumps(record.notes)
-        names = [str(row["frame"]) for row in record.rows]
+            raise DatasetError("a row of this record is none of the index", where=where, got=str(error)) from error
         known = self._column("SELECT image FROM images WHERE image = ?", record.image)
         if known or any(self._column("SELECT image FROM frames WHERE name = ?", name) for name in names):
-            problem = "two records are of one image or frame"
-            raise DatasetError(problem, where=f"image {record.image}", got=", ".join(names))
+            raise DatasetError("two records are of one image or frame", where=where, got=", ".join(names))
+        report, notes = json.dumps(record.report, sort_keys=True), json.dumps(record.notes)
         self._base.execute(
             "INSERT INTO images VALUES (?, ?, ?, ?, ?, ?)",
             (record.image, record.key, record.split, record.image_seed, report, notes),
@@ -108,8 +98,8 @@ class Ledger:
             "INSERT INTO frames VALUES (?, ?, ?, ?)",
             [(name, record.split, record.image, json.dumps(row)) for name, row in zip(names, record.rows, strict=True)],
         )
-        for path, said in record.files.items():
-            self.add_file(FileSum(path, int(said["bytes"]), str(said["sha256"])), record.image)
+        for path, entry in record.files.items():
+            self.add_file(FileSum(path, int(entry["bytes"]), str(entry["sha256"])), record.image)
 
     def add_file(self, file: FileSum, image: int | None = None) -> None:
         """Enter a file; of an image, or over several. Images may share one, as maps are, if it is the same."""
@@ -123,17 +113,24 @@ class Ledger:
         if image is not None:
             self._base.execute("INSERT OR IGNORE INTO claims VALUES (?, ?)", (file.path, image))
 
-    def drop_image(self, image: int) -> None:
-        """Forget an image, and the files that no other claims."""
-        for table in ("claims", "frames"):
-            self._base.execute(f"CREATE INDEX IF NOT EXISTS {table}_by_image ON {table} (image)")
-        paths = self._column("SELECT path FROM claims WHERE image = ?", image)
-        self._base.execute("DELETE FROM claims WHERE image = ?", (image,))
-        for path in paths:
-            if not self._column("SELECT image FROM claims WHERE path = ? LIMIT 1", path):
-                self._base.execute("DELETE FROM files WHERE path = ?", (path,))
-        self._base.execute("DELETE FROM frames WHERE image = ?", (image,))
-        self._base.execute("DELETE FROM images WHERE image = ?", (image,))
+    def drop_absent(self) -> Iterator[tuple[int, str, str]]:
+        """Drop each image whose files are not all there in their sizes: the image, its key, and the first such file.
+
+        The files that no other image claims are dropped with it.
+        """
+        query = """SELECT image, key, min(path) FROM claims JOIN files USING (path) JOIN images USING (image)
+                   LEFT JOIN found USING (path)
+                   WHERE found.bytes IS NULL OR found.bytes != files.bytes GROUP BY image ORDER BY image"""
+        for image, key, path in self._base.execute(query).fetchall():
+            self._base.execute("CREATE INDEX IF NOT EXISTS claims_by_image ON claims (image)")
+            self._base.execute("CREATE INDEX IF NOT EXISTS frames_by_image ON frames (image)")
+            own = self._column("SELECT path FROM claims WHERE image = ?", image)
+            for table in ("claims", "frames", "images"):
+                self._base.execute(f"DELETE FROM {table} WHERE image = ?", (image,))
+            for each in own:
+                if not self._column("SELECT image FROM claims WHERE path = ? LIMIT 1", each):
+                    self._base.execute("DELETE FROM files WHERE path = ?", (each,))
+            yield image, key, path
 
     def note_found(self, files: Iterable[tuple[str, int, int]]) -> None:
         """Enter what lies in the data set: path, size in bytes, inode or 0."""
@@ -148,30 +145,24 @@ class Ledger:
         """Names of the splits that have images."""
         return self._column("SELECT DISTINCT split FROM images ORDER BY split")
 
-    def key_of(self, image: int) -> str:
-        """Key of an image's job."""
-        return str(self._column("SELECT key FROM images WHERE image = ?", image)[0])
-
     def has_key(self, key: str) -> bool:
         """Whether a job of this key is in the data set."""
         number, _, _ = key.partition("-")
         return number.isdecimal() and self._column("SELECT key FROM images WHERE image = ?", int(number)) == [key]
 
-    def images(self, split: str | None = None) -> Iterator[int]:
+    def images(self) -> Iterator[int]:
         """Numbers of the images, rising."""
-        yield from self._each("SELECT image FROM images WHERE ?1 IS NULL OR split = ?1 ORDER BY image", split)
+        yield from self._each("SELECT image FROM images ORDER BY image")
 
     def seeds(self, split: str | None = None) -> Iterator[int]:
         """Seeds of the images, by image."""
         yield from self._each("SELECT seed FROM images WHERE ?1 IS NULL OR split = ?1 ORDER BY image", split)
 
-    def shared_seeds(self) -> Iterator[int]:
-        """Seeds that images of several splits have: these show one stand."""
-        yield from self._each("SELECT seed FROM images GROUP BY seed HAVING COUNT(DISTINCT split) > 1 ORDER BY seed")
-
-    def images_of_seed(self, seed: int) -> list[tuple[int, str]]:
-        """Numbers and splits of the images that a seed makes."""
-        return self._base.execute("SELECT image, split FROM images WHERE seed = ? ORDER BY image", (seed,)).fetchall()
+    def shared_seed(self) -> list[tuple[int, int, str]]:
+        """Seed, number and split of the images of a seed that several splits have: these show one stand."""
+        shared = "SELECT seed FROM images GROUP BY seed HAVING COUNT(DISTINCT split) > 1 ORDER BY seed LIMIT 1"
+        query = f"SELECT seed, image, split FROM images WHERE seed = ({shared}) ORDER BY image"
+        return self._base.execute(query).fetchall()
 
     def reports(self, split: str) -> Iterator[dict[str, Any]]:
         """What the manifest tells of each image."""
@@ -190,18 +181,16 @@ class Ledger:
         """Rows of the index, by frame."""
         yield from map(json.loads, self._each("SELECT row FROM frames ORDER BY image, name"))
 
-    def frame_count(self, split: str) -> int:
-        return int(self._column("SELECT count(*) FROM frames WHERE split = ?", split)[0])
-
-    def image_count(self, split: str) -> int:
-        return int(self._column("SELECT count(*) FROM images WHERE split = ?", split)[0])
+    def counts(self, split: str) -> dict[str, int]:
+        """How many images and frames a split has."""
+        query = "SELECT count(*) FROM {} WHERE split = ?"
+        return {table: int(self._column(query.format(table), split)[0]) for table in ("images", "frames")}
 
     def files(self, folder: str = "") -> Iterator[FileSum]:
         """Files by path: all, or those below a folder."""
         low, high = _below(folder)
         query = "SELECT path, bytes, sha256 FROM files WHERE path >= ? AND path < ? ORDER BY path"
-        for path, size, digest in self._base.execute(query, (low, high)):
-            yield FileSum(path, size, digest)
+        yield from (FileSum(*row) for row in self._base.execute(query, (low, high)))
 
     def file(self, path: str) -> FileSum | None:
         """A file by its path."""
@@ -216,12 +205,6 @@ class Ledger:
         found = self._column(query, inode, *_below(folder))
         return self.file(found[0]) if found else None
 
-    def absent(self) -> list[tuple[int, str]]:
-        """Image and first file of each image whose files are not all there in their sizes."""
-        query = """SELECT image, min(path) FROM claims JOIN files USING (path) LEFT JOIN found USING (path)
-                   WHERE found.bytes IS NULL OR found.bytes != files.bytes GROUP BY image ORDER BY image"""
-        return [(int(image), str(path)) for image, path in self._base.execute(query)]
-
     def lost(self) -> Iterator[str]:
         """Paths of files that were not found."""
         yield from self._each("SELECT path FROM files WHERE path NOT IN (SELECT path FROM found) ORDER BY path")
@@ -229,13 +212,11 @@ class Ledger:
     def present(self) -> Iterator[FileSum]:
         """Files of the data set that were found, in the sizes that they have now; by path."""
         query = "SELECT path, found.bytes, sha256 FROM files JOIN found USING (path) ORDER BY path"
-        for path, size, digest in self._base.execute(query):
-            yield FileSum(path, size, digest)
+        yield from (FileSum(*row) for row in self._base.execute(query))
 
-    def strangers(self) -> Iterator[str]:
+    def unlisted(self) -> Iterator[str]:
         """Paths of what was found and is no file of the data set."""
-        query = "SELECT path FROM found WHERE path NOT IN (SELECT path FROM files) ORDER BY path"
-        yield from self._each(query)
+        yield from self._each("SELECT path FROM found WHERE path NOT IN (SELECT path FROM files) ORDER BY path")
 
     def has_below(self, folder: str) -> bool:
         """Whether the data set has a file below a folder."""

@@ -26,7 +26,7 @@ from forestgen.recipe.load import DrawnRecipe, LoadedRecipe
 from forestgen.runs.contract import Done, Failed, Job, Outcome, Work
 from forestgen.runs.engines.local import LocalEngine
 from forestgen.runs.keys import job_key, versions_hash
-from forestgen.runs.places import LocalPlace
+from forestgen.runs.storage import LocalStorage
 from forestgen.runs.work import make_job
 from forestgen.scene.plan import estimate_bytes
 from forestgen.scene.planning import make_plan
@@ -48,7 +48,7 @@ _MERGED = ("annotations.json",)  # what the files of a whole split repeat
 
 
 @dataclass(frozen=True)
-class Lighter:
+class ReducedSettings:
     """How a probe differs from its image."""
 
     samples: float = 1.0  # the image's light paths a pixel, over the probe's
@@ -57,7 +57,7 @@ class Lighter:
 
 
 @dataclass(frozen=True)
-class Probe:
+class CalibrationRun:
     """What an image of the batch takes, measured on a lighter one."""
 
     image: int
@@ -74,12 +74,12 @@ class Probe:
 
 
 @dataclass(frozen=True)
-class Probed:
+class CalibrationRuns:
     """All probes of an estimate, and why some are missing."""
 
-    probes: tuple[Probe, ...]
+    probes: tuple[CalibrationRun, ...]
     notes: tuple[str, ...] = ()
-    lighter: Lighter = Lighter()
+    reduced: ReducedSettings = ReducedSettings()
 
 
 def make_probe(work: Work, job: Job, attempt: int) -> Outcome:
@@ -91,32 +91,36 @@ def make_probe(work: Work, job: Job, attempt: int) -> Outcome:
 
 def probe_images(
     loaded: LoadedRecipe, settings: DatasetSettings, *, count: int, threads: int, budget_s: float, progress: Progress
-) -> Probed:
+) -> CalibrationRuns:
     """Make probes until the time is up: image 0, and others all over the batch.
 
     Two are made unless they take very long: the first one's time is that of a worker that has just started.
     """
-    light, lighter = lightened(loaded)
-    probes: list[Probe] = []
+    light, reduced = lightened(loaded)
+    probes: list[CalibrationRun] = []
     notes: list[str] = []
     start = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="forestgen-estimate-") as folder:
-        work = Work(light, settings, LocalPlace(Path(folder)), versions_hash(), threads)
+        work = Work(light, settings, LocalStorage(Path(folder)), versions_hash(), threads)
         with LocalEngine(work, 1, make_probe) as engine, progress.stage("estimate", MOST_PROBES) as advance:
             for index in _spread(count):
                 drawn = light.draw(index)
                 engine.submit(Job(index, drawn.image_index, drawn.split, job_key(drawn, work.versions)), 1)
                 outcome = _wait(engine, start + _PATIENCE * budget_s)
                 advance(1)
-                notes += _note(outcome, drawn, budget_s)
-                if isinstance(outcome, Done):
-                    probes.append(_probe_of(outcome, drawn, lighter, is_first=not probes))
+                if outcome is None:
+                    lasted = f"{_PATIENCE * budget_s:.0f} s"
+                    notes.append(f"image {drawn.image_index} was given up for the estimate after {lasted}")
+                elif isinstance(outcome, Failed):
+                    notes.append(f"image {drawn.image_index} fails: {outcome.message}")
+                else:
+                    probes.append(_probe_of(outcome, drawn, reduced, is_first=not probes))
                 if outcome is None or _is_enough(probes, time.monotonic() - start, budget_s, count):
                     break
-    return Probed(tuple(probes), tuple(notes), lighter)
+    return CalibrationRuns(tuple(probes), tuple(notes), reduced)
 
 
-def _is_enough(probes: Sequence[Probe], spent_s: float, budget_s: float, count: int) -> bool:
+def _is_enough(probes: Sequence[CalibrationRun], spent_s: float, budget_s: float, count: int) -> bool:
     """Whether another probe would take more than there is, or more than its share of the batch."""
     if len(probes) < 2:
         return False
@@ -141,27 +145,15 @@ def _wait(engine: LocalEngine, until_s: float) -> Outcome | None:
     return None
 
 
-def _note(outcome: Outcome | None, drawn: DrawnRecipe, budget_s: float) -> list[str]:
-    if outcome is None:
-        return [f"image {drawn.image_index} was given up for the estimate after {_PATIENCE * budget_s:.0f} s"]
-    if isinstance(outcome, Failed):
-        return [f"image {drawn.image_index} fails: {outcome.message}"]
-    return []
-
-
-def lightened(loaded: LoadedRecipe) -> tuple[LoadedRecipe, Lighter]:
+def lightened(loaded: LoadedRecipe) -> tuple[LoadedRecipe, ReducedSettings]:
     """The recipe with fewer samples and pixels, as far as it says how many there are."""
     drawn, data = loaded.draw(0), deepcopy(loaded.data)
     samples, pixels = _fewer_samples(loaded, drawn, data), _smaller_images(loaded, drawn, data)
     if samples == pixels == 1.0:
-        return loaded, Lighter()
+        return loaded, ReducedSettings()
     light = replace(loaded, data=data)
-    more = _image_bytes(drawn) - _image_bytes(light.draw(0))
-    return light, Lighter(samples, pixels, max(0, more))
-
-
-def _image_bytes(drawn: DrawnRecipe) -> int:
-    return estimate_bytes(make_plan(drawn))["images"]
+    full_bytes, light_bytes = (estimate_bytes(make_plan(one))["images"] for one in (drawn, light.draw(0)))
+    return light, ReducedSettings(samples, pixels, max(0, full_bytes - light_bytes))
 
 
 def _pixels(drawn: DrawnRecipe) -> int:
@@ -204,12 +196,12 @@ def _smaller_images(loaded: LoadedRecipe, drawn: DrawnRecipe, data: dict[str, An
     return full / pixels
 
 
-def _probe_of(done: Done, drawn: DrawnRecipe, lighter: Lighter, *, is_first: bool) -> Probe:
-    stages = full_stages(done.run.timings_s, lighter)
+def _probe_of(done: Done, drawn: DrawnRecipe, reduced: ReducedSettings, *, is_first: bool) -> CalibrationRun:
+    stages = full_stages(done.run.timings_s, reduced)
     sizes = {path: int(about["bytes"]) for path, about in done.record.files.items()}
     repeated = sum(size for path, size in sizes.items() if path.rsplit("/", 1)[-1] in _MERGED)
     report = done.record.report
-    return Probe(
+    return CalibrationRun(
         image=drawn.image_index,
         frames=len(done.record.rows),
         plants=sum(report["counts"].values()),
@@ -218,17 +210,17 @@ def _probe_of(done: Done, drawn: DrawnRecipe, lighter: Lighter, *, is_first: boo
         seconds=sum(stages.values()) + max(0.0, done.run.seconds - sum(done.run.timings_s.values())),
         made_s=done.run.seconds,
         stages_s=stages,
-        disk_bytes=round((sum(sizes.values()) + repeated) * lighter.pixels),
-        memory_bytes=done.run.peak_memory_bytes + lighter.more_bytes,
+        disk_bytes=round((sum(sizes.values()) + repeated) * reduced.pixels),
+        memory_bytes=done.run.peak_memory_bytes + reduced.more_bytes,
         is_first=is_first,
     )
 
 
-def full_stages(stages_s: Mapping[str, float], lighter: Lighter) -> dict[str, float]:
+def full_stages(stages_s: Mapping[str, float], reduced: ReducedSettings) -> dict[str, float]:
     """Seconds of each stage for the image itself, from those of its probe."""
     return {
         name: seconds
-        * (lighter.samples if name in _BY_SAMPLE else 1.0)
-        * (1.0 if name in _BY_SCENE else lighter.pixels)
+        * (reduced.samples if name in _BY_SAMPLE else 1.0)
+        * (1.0 if name in _BY_SCENE else reduced.pixels)
         for name, seconds in stages_s.items()
     }
