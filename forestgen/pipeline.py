@@ -14,8 +14,14 @@ from pathlib import Path
 from typing import Any
 
 from forestgen.community.population import Population
-from forestgen.community.simulation import final_population, snapshots
-from forestgen.community.summary import SimulationSummary, counts_of, lifeless_note, standing_dead
+from forestgen.community.simulation import (
+    SimulationSummary,
+    counts_of,
+    final_population,
+    lifeless_note,
+    snapshots,
+    standing_dead,
+)
 from forestgen.core.progress import Progress
 from forestgen.core.timing import Timings
 from forestgen.dataset.data_set import class_map

@@ -19,7 +19,6 @@ _WITHOUT = (
     "community/fitting/report.py", "community/point_statistics.py", "core/streams.py",
     "dataset/balance.py", "dataset/card.py", "dataset/check", "dataset/checksums.py", "dataset/exr_chunks.py",
     "dataset/frame.py", "dataset/index.py", "dataset/index_values.py", "dataset/pack", "dataset/report",
-    "community/summary.py",
 )  # fmt: skip
 _COMPUTE_WITH = (
     "numpy", "scipy", "numba", "pvlib", "mitsuba", "drjit", "mitsuba-oidn", "colour-science", "trimesh",
