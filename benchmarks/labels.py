@@ -32,7 +32,7 @@ from forestgen.labels.amodal import amodal_masks
 from forestgen.labels.channels.boundaries import occlusion_boundaries
 from forestgen.labels.channels.motion import motion_px
 from forestgen.labels.classes import ClassMap
-from forestgen.labels.pixels import PixelLabels, pixel_labels
+from forestgen.labels.masks import PixelLabels, pixel_labels
 from forestgen.labels.plants_table import plant_views
 from forestgen.render.amodal import trace_amodal
 from forestgen.render.frame import Amodal, Frame, Identity, Radiance, Surface

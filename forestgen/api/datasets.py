@@ -18,8 +18,7 @@ from forestgen.core.arguments import PathLike, path_of, paths_of, shown, text_of
 from forestgen.core.errors import DatasetError, RecipeError
 from forestgen.core.progress import Progress
 from forestgen.dataset.frame import Frame, StoredFrame
-from forestgen.dataset.index import INDEX_NAME, whole_index
-from forestgen.dataset.index_values import plain_rows
+from forestgen.dataset.index import INDEX_NAME, plain_rows, whole_index
 from forestgen.dataset.legend import read_legend
 from forestgen.dataset.safe_path import SafePath
 from forestgen.recipe.suggestions import did_you_mean
@@ -27,7 +26,7 @@ from forestgen.runs.description import DATASET_NAME
 from forestgen.runs.summary import RunSummary
 
 if TYPE_CHECKING:
-    from forestgen.dataset.pack.run import Packed
+    from forestgen.dataset.pack.pack import Packed
     from forestgen.runs.verify_report import VerificationReport
 
 
@@ -188,7 +187,7 @@ class Dataset(Sequence[Frame]):
         seed : of the frames' random order.
         by_name : in the order of their names instead.
         """
-        from forestgen.dataset.pack.run import pack, packing_of
+        from forestgen.dataset.pack.pack import pack, packing_of
 
         target = path_of(out, "out", output=True)
         names = None if channels is None else texts_of(channels, "channels")

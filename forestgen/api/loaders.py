@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from forestgen.core.errors import DatasetError, RecipeError, ResourceError
-from forestgen.dataset.index import INDEX_NAME
-from forestgen.dataset.index_values import plain_rows
+from forestgen.dataset.index import INDEX_NAME, plain_rows
 from forestgen.dataset.safe_path import SafePath, unreadable
 from forestgen.recipe.suggestions import did_you_mean
 

@@ -12,7 +12,7 @@ from forestgen.cli.console import Printer
 from forestgen.core.figures import count
 
 if TYPE_CHECKING:
-    from forestgen.dataset.pack.run import Packed
+    from forestgen.dataset.pack.pack import Packed
 
 
 def merge(

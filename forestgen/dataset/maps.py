@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from forestgen.core.errors import AssetError
-from forestgen.core.grey_picture import kind_of
+from forestgen.core.raster import kind_of
 from forestgen.dataset.files import output_error, write_bytes
 from forestgen.recipe.map_files import map_files
 from forestgen.recipe.paths import MAPS, inside

@@ -49,9 +49,9 @@ from numpy.typing import NDArray
 
 from forestgen.core.randomness import child_rng
 from forestgen.core.spectrum import LUMINANCE, SECOND_RADIATION_NM_K, Band, Spectrum
-from forestgen.dataset.bands import picture_bands
 from forestgen.dataset.files import write_json
 from forestgen.dataset.png import write_grey
+from forestgen.dataset.tonemap import picture_bands
 from forestgen.recipe.spectra import load_table
 from forestgen.render.frame import Radiance
 from forestgen.scene.colour import colour_of_radiance

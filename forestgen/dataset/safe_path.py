@@ -245,6 +245,15 @@ def check_cells(rows: int, columns: int) -> None:
         raise RefusedFileError(f"the table is too large: {rows:,} rows of {columns:,} columns")
 
 
+def read_parquet(path: SafePath) -> Any:
+    """A Parquet file as a `pyarrow.Table`; one that is too large raises what `check_cells` raises."""
+    import pyarrow.parquet as pq
+
+    with path.open() as stream, pq.ParquetFile(stream) as file:
+        check_cells(file.metadata.num_rows, file.metadata.num_columns)
+        return file.read()
+
+
 def check_folder(root: Path, expected: str, hint: str | None = None) -> None:
     """Refuse what is no folder of this machine, with a `RecipeError`: a wrong name, not a damaged data set."""
     if not root.is_dir():

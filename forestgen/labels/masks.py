@@ -1,4 +1,4 @@
-"""Who is in each pixel: identity samples become masks. Pure NumPy.
+"""All labels of pixels: identity samples become masks. Pure NumPy.
 
 A pixel's S samples each hit a plant (its id) or no plant (0: sky and ground together). The share of samples that
 hit an id is its coverage. Ids rank by coverage, the largest first; **ties go to the smaller id**, and 0 competes like
@@ -14,6 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.labels.classes import ClassMap
+
 _BLOCK_SAMPLES = 1 << 18  # samples worked on at a time: scratch memory stays near 10 MB and in cache
 _ID_MASK = np.uint64(0xFFFFFFFF)
 _SHIFT = np.uint64(32)
@@ -28,13 +30,7 @@ class CoverageRanks:
 
 
 def coverage_ranks(plant_id: NDArray[np.uint32], k: int = 8) -> CoverageRanks:
-    """The `k` ids that cover most of each pixel.
-
-    Parameters
-    ----------
-    plant_id : (H, W, S) uint32, what each sample hit.
-    k : number of ranks to keep. Those beyond the ids present are (0, coverage 0).
-    """
+    """The `k` ids that cover most of each pixel of (H, W, S) samples; beyond the ids present, 0 with coverage 0."""
     height, width, samples = _checked_shape(plant_id)
     ids = np.zeros((height, width, k), dtype=np.uint32)
     coverage = np.zeros((height, width, k), dtype=np.float32)
@@ -54,16 +50,9 @@ def instance_mask(plant_id: NDArray[np.uint32]) -> NDArray[np.uint32]:
 
 
 def part_mask(plant_id: NDArray[np.uint32], part: NDArray[np.uint8], instance: NDArray[np.uint32]) -> NDArray[np.uint8]:
-    """The commonest part among those samples of a pixel that hit its instance; ties go to the smaller number.
+    """(H, W) the commonest part among the (H, W, S) samples of a pixel that hit its instance (H, W).
 
-    Parameters
-    ----------
-    plant_id, part : (H, W, S) uint32 and uint8, what each sample hit.
-    instance : (H, W) uint32, from `instance_mask`.
-
-    Returns
-    -------
-    (H, W) uint8, values of `forestgen.core.parts.Part`.
+    Ties go to the smaller number of `forestgen.core.parts.Part`.
     """
     _checked_shape(plant_id)
     if part.shape != plant_id.shape or instance.shape != plant_id.shape[:2]:
@@ -90,19 +79,14 @@ def semantic_mask(
     species: NDArray[np.integer],
     class_of: NDArray[np.uint8],
 ) -> NDArray[np.uint8]:
-    """Class of each pixel, by the species of its instance and its part.
+    """(H, W) class of each pixel, by the species of its instance and its part.
 
     Parameters
     ----------
-    instance, part : (H, W), from `instance_mask` and `part_mask`.
+    instance, part : (H, W), from `instance_mask` and `part_mask`; an id that is not in `plant_id` raises `ValueError`.
     plant_id : (N,) uint32, sorted: the population.
     species : (N,) index of each plant's species in the recipe's order.
     class_of : (species + 1, parts) from `forestgen.labels.classes.ClassMap`; its last row is for what is no plant.
-
-    Raises
-    ------
-    ValueError
-        When the mask holds an id that the population does not.
     """
     kind = np.full(instance.shape, len(class_of) - 1, dtype=np.intp)
     is_plant = instance != 0
@@ -151,3 +135,34 @@ def _rank_keys(samples: NDArray[np.uint32]) -> NDArray[np.uint64]:
     keys[:, :-1] *= change  # a run's last sample alone carries its count
     keys.sort(axis=1)
     return keys
+
+
+@dataclass(frozen=True)
+class PixelLabels:
+    """Labels of one image of H x W pixels."""
+
+    instance: NDArray[np.uint32]  # (H, W) plant_id of the largest coverage; 0 where that is no plant
+    part: NDArray[np.uint8]  # (H, W) forestgen.core.parts.Part
+    semantic: NDArray[np.uint8]  # (H, W) class of a ClassMap
+    ranks: CoverageRanks
+
+
+def pixel_labels(
+    samples: NDArray[np.uint32],
+    part: NDArray[np.uint8],
+    plant_id: NDArray[np.uint32],
+    species: NDArray[np.integer],
+    classes: ClassMap,
+) -> PixelLabels:
+    """Label an image.
+
+    Parameters
+    ----------
+    samples, part : (H, W, S) plant and part that each sample of the identity pass hit.
+    plant_id : (N,) uint32, sorted: the population.
+    species : (N,) index of each plant's species in the recipe's order.
+    """
+    ranks = coverage_ranks(samples)
+    instance = ranks.plant_id[..., 0].copy()
+    parts = part_mask(samples, part, instance)
+    return PixelLabels(instance, parts, semantic_mask(instance, parts, plant_id, species, classes.class_of), ranks)

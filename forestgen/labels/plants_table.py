@@ -28,8 +28,7 @@ from numpy.typing import NDArray
 
 from forestgen.core.parts import Part
 from forestgen.labels.amodal import AmodalMasks
-from forestgen.labels.masks import rows_of
-from forestgen.labels.pixels import PixelLabels
+from forestgen.labels.masks import PixelLabels, rows_of
 from forestgen.render.frame import Frame
 from forestgen.scene import projection
 from forestgen.scene.plant_measures import PlantMeasures
@@ -168,14 +167,9 @@ def visible_plants(
 
     Parameters
     ----------
-    plant_id : (N,) uint32, sorted: the population.
-    samples : (H, W, S) uint32, what each sample of the identity pass hit.
-    instance : (H, W) uint32, from `forestgen.labels.masks.instance_mask`.
-
-    Raises
-    ------
-    ValueError
-        When an id in the image is not in the population.
+    plant_id : (N,) sorted: the population. An id in the image that is not among them raises `ValueError`.
+    samples : (H, W, S) what each sample of the identity pass hit.
+    instance : (H, W) from `forestgen.labels.masks.instance_mask`.
     """
     pixels, box = _boxes(plant_id, instance)
     height, width = instance.shape

@@ -15,8 +15,8 @@ from forestgen.dataset.check.frame_data import FrameData
 from forestgen.dataset.check.merged import Merged
 from forestgen.dataset.formats.format import DatasetFormat
 from forestgen.dataset.formats.shards import in_order, json_text, read_shard, whole_file, write_shard
-from forestgen.dataset.pack.pack import Contents, Pack
-from forestgen.dataset.pack.samples import Sample, Shard
+from forestgen.dataset.pack.pack import Contents, Pack, Shard
+from forestgen.dataset.pack.source import Sample
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.labels.channels.channel import ChannelView, LabelChannel, Layers, layer
 from forestgen.labels.labelled import LabelledFrame

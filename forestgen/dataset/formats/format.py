@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from forestgen.scene.projection import Projection, load_projection
 
 if TYPE_CHECKING:
     from forestgen.dataset.check.check import DatasetCheck, FrameCheck
+    from forestgen.dataset.check.merged import Merged
 
 
 class DatasetFormat:
@@ -31,7 +32,7 @@ class DatasetFormat:
     bytes_per_pixel: int = 0  # upper estimate of what a frame's files and its share of the merged ones take on the disk
     bytes_per_plant: int = 0  # of each plant in view, the same
     label_channels: Mapping[str, str] = {}  # of labels.channels, those that it needs -> why
-    check_module: str | None = None  # with FRAME_CHECKS and DATASET_CHECKS, imported when a data set is verified
+    check_module: str | None = None  # with FRAME_CHECKS, DATASET_CHECKS, frame_shares: imported by verify
     split_file_names: tuple[str, ...] = ()  # all names that `split_files` may have
 
     def check(self, drawn: DrawnRecipe) -> None:
@@ -111,16 +112,19 @@ class DatasetFormat:
 
     def frame_checks(self) -> tuple[FrameCheck, ...]:
         """What `forestgen verify` checks of each frame that has the format's files."""
-        checks: tuple[FrameCheck, ...] = self._checks("FRAME_CHECKS")
-        return checks
+        return cast("tuple[FrameCheck, ...]", getattr(self._checks(), "FRAME_CHECKS", ()))
 
     def dataset_checks(self) -> tuple[DatasetCheck, ...]:
         """What `forestgen verify` checks of a split's merged files."""
-        checks: tuple[DatasetCheck, ...] = self._checks("DATASET_CHECKS")
-        return checks
+        return cast("tuple[DatasetCheck, ...]", getattr(self._checks(), "DATASET_CHECKS", ()))
 
-    def _checks(self, name: str) -> Any:
-        return () if self.check_module is None else getattr(import_module(self.check_module), name, ())
+    def frame_shares(self, merged: Merged) -> Mapping[str, Any]:
+        """Frame -> what a split's merged files hold of it, as plain values: `FrameData.task.shared` of its checks."""
+        frame_shares = getattr(self._checks(), "frame_shares", None)
+        return {} if frame_shares is None else cast("Mapping[str, Any]", frame_shares(merged))
+
+    def _checks(self) -> Any:
+        return None if self.check_module is None else import_module(self.check_module)
 
     def card(self) -> str:
         """How to open the format, in Markdown on one line, for the data card; empty: nothing is said."""

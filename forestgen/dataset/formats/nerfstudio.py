@@ -54,7 +54,7 @@ class Nerfstudio(DatasetFormat):
     """Cameras for radiance fields and splats."""
 
     name = "nerfstudio"
-    check_module = "forestgen.dataset.check.cameras"
+    check_module = "forestgen.dataset.check.nerfstudio"
 
     def holds(self, projection: Projection) -> bool:
         return projection.exchange is not None

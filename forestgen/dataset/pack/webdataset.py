@@ -19,9 +19,8 @@ from pathlib import Path
 
 from forestgen.dataset.files import write_json
 from forestgen.dataset.formats.shards import json_text
-from forestgen.dataset.pack.channels import Channel
-from forestgen.dataset.pack.pack import Contents, Pack
-from forestgen.dataset.pack.samples import Sample, Shard
+from forestgen.dataset.pack.pack import Contents, Pack, Shard
+from forestgen.dataset.pack.source import Channel, Sample
 
 _BLOCK, _END = tarfile.BLOCKSIZE, 2 * tarfile.BLOCKSIZE
 

@@ -27,7 +27,7 @@ SHOWN_AT_ONCE = 24  # the others behind "more"
 BUDGET_BYTES = 3_200_000  # of all pictures; base64 makes a third more of it
 LONG_SIDE_PX, _LEAST_SIDE_PX = 640, 32
 _ELEVATION_STEP_DEG = 20.0
-_MOST_CLASSES = 6  # told in a frame's caption
+_MOST_CLASSES = 6  # in a frame's caption
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Picture:
 
 
 @dataclass(frozen=True)
-class Exhibit:
+class GalleryItem:
     """A frame in the gallery."""
 
     frame: str
@@ -83,42 +83,32 @@ def _spread(things: Sequence[T]) -> list[T]:
     return [things[at[k]] for k in order]
 
 
-def gallery(folder: Path, frames: Frames, splits: Sequence[str]) -> tuple[Exhibit, ...]:
+def gallery(folder: Path, frames: Frames, splits: Sequence[str]) -> list[GalleryItem]:
     """The chosen frames with their pictures; a frame none of whose pictures can be read is shown without."""
     rows = choose(frames, splits)
     quota = BUDGET_BYTES // max(1, 3 * len(rows))
-    names, folders, splits_of = (frames.texts(column) for column in ("frame", "folder", "split"))
-    captions, shares = _Captions(frames), frames.counts("class_pixels")
-    return tuple(
-        Exhibit(
-            names[row],
-            splits_of[row],
-            captions.of(row),
-            _content(shares[row]),
-            _pictures(folder, folders[row] or f"{frames.split[row]}/{names[row]}", names[row], quota),
-        )
-        for row in rows
-    )
+    names = ("frame", "folder", "season", "clouds", "camera")
+    columns = list(zip(*(frames.texts(name) for name in names), strict=True))
+    sun, plants = frames.numbers("sun_elevation_deg"), frames.numbers("plants_in_view")
+    pixels = frames.counts("class_pixels")
+    items = []
+    for row in rows:
+        (name, path, season, clouds, camera), split = columns[row], frames.split[row]
+        caption = _caption(season, clouds, camera, float(sun[row]), float(plants[row]))
+        pictures = _pictures(folder, path or f"{split}/{name}", name, quota)
+        items.append(GalleryItem(name, split, caption, _content(pixels[row]), pictures))
+    return items
 
 
-class _Captions:
-    """What is told of a frame in a line."""
-
-    def __init__(self, frames: Frames) -> None:
-        self._numbers = {name: frames.numbers(name) for name in ("sun_elevation_deg", "plants_in_view")}
-        self._texts = {name: frames.texts(name) for name in ("season", "clouds", "camera")}
-
-    def of(self, row: int) -> str:
-        sun, plants = (float(column[row]) for column in self._numbers.values())
-        season, clouds, camera = (column[row] for column in self._texts.values())
-        words = [
-            f"camera {camera}" if camera else "",
-            season,
-            f"sun at {sun:.0f}°" if np.isfinite(sun) else "",
-            {"": "", "none": "no clouds"}.get(clouds, f"clouds: {clouds}"),
-            ("1 plant" if plants == 1 else f"{plants:,.0f} plants") if np.isfinite(plants) else "",
-        ]
-        return ", ".join(filter(None, words))
+def _caption(season: str, clouds: str, camera: str, sun_elevation_deg: float, plants: float) -> str:
+    words = [
+        f"camera {camera}" if camera else "",
+        season,
+        f"sun at {sun_elevation_deg:.0f}°" if np.isfinite(sun_elevation_deg) else "",
+        {"": "", "none": "no clouds"}.get(clouds, f"clouds: {clouds}"),
+        ("1 plant" if plants == 1 else f"{plants:,.0f} plants") if np.isfinite(plants) else "",
+    ]
+    return ", ".join(filter(None, words))
 
 
 def _content(pixels: dict[str, int] | None) -> str:

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from forestgen.core.parts import Part
-from forestgen.dataset.canopy import write_canopy
-from forestgen.labels.gap_fraction import gap_fraction, looks_up
+from forestgen.dataset.canopy import gap_fraction, looks_up, write_canopy
 from forestgen.render.identity import sample_offsets
 from support.cameras import camera_of
 
