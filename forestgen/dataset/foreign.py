@@ -43,12 +43,7 @@ _PATTERNS = sorted(
 
 
 def tool_of(path: str) -> str | None:
-    """The tool that makes files of this name; None if forestgen knows none.
-
-    Parameters
-    ----------
-    path : below the data set's folder, with forward slashes.
-    """
+    """The tool that makes files of this path below the data set's folder; None if forestgen knows none."""
     return next((tool for name in path.split("/") if (tool := _tool_of_name(name)) is not None), None)
 
 

@@ -21,22 +21,15 @@ from forestgen.scene.spec import Camera, Sky
 
 
 def frame_row(
-    name: str,
-    labelled: LabelledFrame,
-    drawn: DrawnRecipe,
-    sky: Sky,
-    ground_m: float,
-    notes: Sequence[str] = (),
+    name: str, labelled: LabelledFrame, drawn: DrawnRecipe, sky: Sky, ground_m: float, notes: Sequence[str] = ()
 ) -> dict[str, Any]:
-    """What the index tells of a frame: plain values (numbers, texts, lists, dicts of them), the same in every run.
+    """A frame's row of the index: plain values (numbers, texts, lists, dicts of them), the same in every run.
 
     Parameters
     ----------
     name : of the frame's folder.
-    labelled : the frame with its labels, while it is in memory.
-    sky : of the scene.
     ground_m : height of the ground below the camera, world.
-    notes : of the frame, for people.
+    notes : for people.
     """
     return {
         "frame": name,

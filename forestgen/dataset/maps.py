@@ -10,7 +10,7 @@ from typing import Any
 
 from forestgen.core.errors import AssetError
 from forestgen.core.raster import kind_of
-from forestgen.dataset.files import output_error, write_bytes
+from forestgen.dataset.files import make_folder, write_bytes
 from forestgen.recipe.map_files import map_files
 from forestgen.recipe.paths import MAPS, inside
 
@@ -24,22 +24,10 @@ def _ending(path: Path) -> str:
 
 
 def write_maps(root: Path, data: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Write each map of a drawn recipe into ``maps/`` of a run's folder, once.
+    """Write each map of a drawn recipe, `data`, into ``maps/`` of a run's folder, once; paths are relative to `folder`.
 
-    Parameters
-    ----------
-    root : the run's folder.
-    data : the drawn recipe, plain.
-    folder : the recipe's own, to which paths in `data` are relative.
-
-    Returns
-    -------
-    dict : `data` with paths as from a frame's folder, named by content: the same for every copy of the recipe.
-
-    Raises
-    ------
-    AssetError : a file has changed since the recipe was loaded.
-    OutputError : one cannot be written.
+    Returns `data` with paths as from a frame's folder, named by content: the same for every copy of the recipe. A file
+    that has changed since the recipe was loaded raises `AssetError`, one that cannot be written `OutputError`.
     """
     stored = copy.deepcopy(data)
     for one in map_files(stored):
@@ -57,9 +45,6 @@ def write_map(root: Path, one: Mapping[str, Any], folder: Path) -> str:
         content = source.read_bytes()
         if hashlib.sha256(content).hexdigest() != sha256:
             raise AssetError("this map has changed since the recipe was loaded", where=str(source))
-        try:
-            target.parent.mkdir(exist_ok=True)
-        except OSError as error:
-            raise output_error(error, target.parent) from error
+        make_folder(target.parent)
         write_bytes(target, content)
     return name

@@ -43,13 +43,7 @@ def write_grey(
 
 
 def write_instance(path: Path, instance: NDArray[np.uint32]) -> None:
-    """Write plant ids as colours, id = R + 256 G + 65536 B, as COCO panoptic does.
-
-    Raises
-    ------
-    OutputError
-        When an id does not fit 24 bits.
-    """
+    """Write plant ids as colours, id = R + 256 G + 65536 B, as COCO panoptic does; others raise `OutputError`."""
     largest = int(instance.max(initial=0))
     if largest > MAX_PNG_ID:
         raise OutputError(
@@ -77,15 +71,9 @@ def instance_of(content: bytes, size_px: tuple[int, int]) -> NDArray[np.uint32]:
 
 
 def rgb_of(content: bytes, size_px: tuple[int, int]) -> NDArray[np.uint8]:
-    """(H, W, 3) uint8 of a PNG's bytes.
+    """(H, W, 3) uint8 of a PNG's bytes; one of another size than `size_px` is refused before a pixel is unpacked.
 
-    Parameters
-    ----------
-    size_px : width and height that the picture must have; another one is refused before a pixel is unpacked.
-
-    Raises
-    ------
-    ValueError, OSError, SyntaxError : this is no PNG, one of another size, or a damaged one.
+    What is no PNG, of another size or damaged raises ValueError, OSError or SyntaxError.
     """
     with _opened(content, size_px) as image:
         return np.asarray(image.convert("RGB"))

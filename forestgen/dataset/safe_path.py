@@ -78,10 +78,7 @@ class SafePath:
     def located(self) -> Path:
         """The path, for libraries that take no stream.
 
-        Raises
-        ------
-        RefusedFileError : the name leads out of the data set, or a part of it is a link.
-        FileNotFoundError, NotADirectoryError : there is nothing of this name.
+        A name that leads out of the data set, or has a link in it, raises `RefusedFileError`; a missing one `OSError`.
         """
         return self._found()[0]
 
@@ -93,12 +90,7 @@ class SafePath:
         return stat.S_ISDIR(self._mode())
 
     def names(self) -> list[str]:
-        """What lies in the folder, sorted; nothing where there is no such folder.
-
-        Raises
-        ------
-        RefusedFileError : see `located`.
-        """
+        """What lies in the folder, sorted; nothing where there is no such folder. Raises as `located` does."""
         try:
             path, status = self._found()
         except (FileNotFoundError, NotADirectoryError):
@@ -112,13 +104,7 @@ class SafePath:
         return status.st_size
 
     def open(self) -> BufferedReader:
-        """The file as a stream.
-
-        Raises
-        ------
-        RefusedFileError : see `located`; or this is a pipe or a device, or larger than 64 GB.
-        OSError : there is no such file, or it cannot be opened.
-        """
+        """The file as a stream; raises as `located` does, and for a pipe, a device, or more than 64 GB."""
         path, status = self._found()
         _check_regular(path, status)  # before it is opened: to open a device can move it
         stream = os.fdopen(os.open(path, _FLAGS), "rb")
@@ -262,12 +248,11 @@ def check_folder(root: Path, expected: str, hint: str | None = None) -> None:
 
 
 def unreadable(path: SafePath | Path, error: Exception, hint: str | None = None) -> DatasetError:
-    """What people are told of a file that raised an error when it was read."""
+    """The error of a file that raised `error` when it was read."""
     if isinstance(error, FileNotFoundError | NotADirectoryError):
         return DatasetError("a file of the data set is missing", where=str(path), hint=hint)
-    return DatasetError(
-        f"cannot read: {getattr(error, 'strerror', None) or one_line(error)}", where=str(path), hint=hint
-    )
+    problem = f"cannot read: {getattr(error, 'strerror', None) or one_line(error)}"
+    return DatasetError(problem, where=str(path), hint=hint)
 
 
 def one_line(error: Exception) -> str:

@@ -80,17 +80,10 @@ def picture_light(radiance: Radiance) -> tuple[NDArray[np.float32], str]:
 
 
 def tone_map(radiance: NDArray[np.float32], exposure: float | None = None, view: View = "filmic") -> NDArray[np.uint8]:
-    """Picture of linear Rec. 709 radiance, in any unit.
+    """(H, W, 3) picture, in the view's encoding, of linear Rec. 709 radiance (H, W, 3) in any unit.
 
-    Parameters
-    ----------
-    radiance : (H, W, 3) float32. NaN and negative values count as 0, infinite ones as white.
-    exposure : factor on radiance, for pictures that are compared; by default the one that the picture's key asks for.
-    view : the view transform.
-
-    Returns
-    -------
-    (H, W, 3) uint8, in the view's encoding.
+    NaN and negative values count as 0, infinite ones as white. `exposure` is a factor on radiance, for pictures that
+    are compared; by default the one that the picture's key asks for.
     """
     light = _cleaned(radiance)
     factor, white = _metered(light) if exposure is None else (np.float32(exposure), LEAST_WHITE)

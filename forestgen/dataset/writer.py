@@ -45,20 +45,10 @@ def write_frame(
     attributes: Mapping[str, str],
     settings: DatasetSettings,
 ) -> None:
-    """Write a frame's files, and its shards of the data set's formats.
+    """Write a frame's files and its shards of the data set's formats into its own folder, made if it is missing.
 
-    Parameters
-    ----------
-    folder : the frame's own folder, made if it is missing.
-    recipe_yaml : the drawn recipe.
-    attributes : name -> text for the EXR header, such as recipe_hash and seed; from image_seed, 0 if it is missing,
-        comes the noise of a raw image.
-    settings : of the data set.
-
-    Raises
-    ------
-    OutputError
-        When a file cannot be written or an id does not fit its format.
+    `attributes`, name -> text, go into the EXR header, such as recipe_hash and seed; image_seed, 0 if it is missing,
+    seeds the noise of a raw image. A file that cannot be written, or an id that does not fit, raises `OutputError`.
     """
     radiance, camera, pixels = labelled.frame.radiance, labelled.frame.camera, labelled.pixels
     made = preview_of(radiance, settings.view)

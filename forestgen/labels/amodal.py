@@ -35,12 +35,9 @@ class AmodalMasks:
 
 
 def amodal_masks(amodal: Amodal, plant_id: NDArray[np.uint32], instance: NDArray[np.uint32]) -> AmodalMasks:
-    """Masks of the plants of `amodal`. O(pixels of its windows + samples of the image x log plants).
+    """Masks of the plants of `amodal`, of the samples (H, W, S) of the same view and their instance mask (H, W).
 
-    Parameters
-    ----------
-    plant_id : (H, W, S) uint32, the samples of the same view.
-    instance : (H, W) uint32, their instance mask. Plants that `amodal` does not hold are left out.
+    Plants that `amodal` does not hold are left out. O(pixels of its windows + samples of the image x log plants).
     """
     height, width = instance.shape
     far = amodal.window_px[:, :2] + amodal.window_px[:, 2:]

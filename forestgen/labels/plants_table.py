@@ -78,15 +78,7 @@ def plant_views(
     measures: PlantMeasures,
     amodal: AmodalMasks | None,
 ) -> PlantViews:
-    """Measure each plant in one image; see the table above.
-
-    Parameters
-    ----------
-    plant_id : (N,) uint32, sorted: the population.
-    pixels : labels of the same frame.
-    measures : of the same plants, in the same order.
-    amodal : masks of plants that the frame shows, or None.
-    """
+    """Measure each plant (N,), ids sorted, in one image; see the table above. `measures` are in the same order."""
     count = len(plant_id)
     visible = visible_plants(plant_id, frame.identity.plant_id, pixels.instance)
     points_m = np.stack([measures.stem_base_m, measures.tip_m, measures.crown_centre_m], axis=1)

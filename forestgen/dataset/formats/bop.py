@@ -46,14 +46,7 @@ from forestgen.dataset.camera import camera_from_world
 from forestgen.dataset.files import make_folder
 from forestgen.dataset.formats.depth_png import BEYOND, encode_depth
 from forestgen.dataset.formats.format import DatasetFormat
-from forestgen.dataset.formats.shards import (
-    in_order,
-    json_text,
-    place,
-    read_shard,
-    whole_file,
-    write_shard,
-)
+from forestgen.dataset.formats.shards import in_order, json_text, place, read_shard, whole_file, write_shard
 from forestgen.dataset.png import write_grey
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.labels.amodal import AmodalMasks
@@ -83,13 +76,7 @@ class Bop(DatasetFormat):
         return projection.is_pinhole
 
     def write_frame(self, folder: Path, labelled: LabelledFrame, settings: DatasetSettings) -> None:
-        """Write the frame's poses and pictures into its folder.
-
-        Raises
-        ------
-        OutputError
-            When there are no amodal masks, before anything is written, or when a file cannot be written.
-        """
+        """Write the frame's poses and pictures into its folder; without amodal masks it raises `OutputError`."""
         amodal = labelled.amodal
         if amodal is None:
             raise OutputError(
@@ -128,13 +115,7 @@ class Bop(DatasetFormat):
         )
 
     def merge(self, root: Path, folders: Iterable[Path | str], settings: DatasetSettings) -> None:
-        """Write the scenes' files over all frames, and place the frames' pictures.
-
-        Raises
-        ------
-        OutputError
-            When a frame's file is missing or damaged, or cannot be placed.
-        """
+        """Write the scenes' files over all frames, and place the frames' pictures; see `DatasetFormat.merge`."""
         scenes = groupby(in_order(folders), key=lambda folder: folder.partition("-")[0])
         for number, (_, members) in enumerate(scenes):
             _merge_scene(root, root / FOLDER_NAME / SPLIT_NAME / f"{number:06d}", list(members))

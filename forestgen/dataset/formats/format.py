@@ -36,11 +36,9 @@ class DatasetFormat:
     split_file_names: tuple[str, ...] = ()  # all names that `split_files` may have
 
     def check(self, drawn: DrawnRecipe) -> None:
-        """Refuse a recipe that the format cannot hold, before anything is simulated.
+        """Refuse a recipe that the format cannot hold, with a `RecipeError`, before anything is simulated.
 
-        Raises
-        ------
-        RecipeError : with the key's place; a label channel is missing, or it does not hold a camera's projection.
+        A label channel is missing, or the format does not hold a camera's projection.
         """
         recipe = drawn.recipe
         for channel, why in self.label_channels.items():
@@ -70,40 +68,28 @@ class DatasetFormat:
         return True
 
     def check_ids(self, plant_id: NDArray[np.uint32], where: str) -> None:
-        """Refuse plant ids that the format cannot hold, before the light is traced.
+        """Refuse plant ids (H, W, S) of the samples that the format cannot hold, before the light is traced.
 
-        Parameters
-        ----------
-        plant_id : (H, W, S) of each sample of each pixel; 0: no plant.
-        where : name of the camera, for the error.
-
-        Raises
-        ------
-        OutputError : an id that would be written does not fit.
+        An id that would be written and does not fit raises `OutputError` with `where`, the camera's name.
         """
 
     def write_frame(self, folder: Path, labelled: LabelledFrame, settings: DatasetSettings) -> None:
         """Write the frame's share, the shard, into its folder, where no other format has a file of the same name.
 
-        Raises
-        ------
-        OutputError : what cannot be written, or cannot be held.
+        What cannot be written, or cannot be held, raises `OutputError`.
         """
 
     def merge(self, root: Path, folders: Iterable[Path | str], settings: DatasetSettings) -> None:
         """Write a split's files over all of its frames, and place frames' pictures elsewhere (`shards.place`).
 
         Of a frame's files, those that end in .json or .txt may be read; all others may be placed only, for frames of
-        an object store stay there.
+        an object store stay there. A share that is missing, damaged, or of other species or classes, and a file that
+        cannot be written, raise `OutputError`.
 
         Parameters
         ----------
         root : the split's folder.
         folders : the frames' folders or their names, in any order.
-
-        Raises
-        ------
-        OutputError : a share is missing or damaged, or a file cannot be written.
         """
 
     def split_files(self, splits: Sequence[str], settings: DatasetSettings) -> dict[str, bytes]:

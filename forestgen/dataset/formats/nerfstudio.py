@@ -60,13 +60,7 @@ class Nerfstudio(DatasetFormat):
         return projection.exchange is not None
 
     def merge(self, root: Path, folders: Iterable[Path | str], settings: DatasetSettings) -> None:
-        """Write the transforms of each image.
-
-        Raises
-        ------
-        OutputError
-            When a camera.json is missing or damaged, or a file cannot be written.
-        """
+        """Write the transforms of each image; see `DatasetFormat.merge`."""
         images: dict[str, list[str]] = {}
         for folder in in_order(folders):
             images.setdefault(folder.partition("-")[0], []).append(folder)

@@ -263,7 +263,7 @@ def test_what_is_written_passes_the_check(tmp_path, exposure, denoised):
 @pytest.mark.parametrize("about", [DRONE, {"channels": ("G", "R", "B"), "bands": CAMERA_BANDS["bands"]}])
 def test_bands_pass_the_check(tmp_path, about):
     frame = photographed(tmp_path, EXPOSED, about)
-    assert len(list(frame.folder.glob("raw-*.png"))) == len(about["bands"])
+    assert len(list((frame.task.root / frame.name).glob("raw-*.png"))) == len(about["bands"])
     assert list(light.raw.findings(frame)) == []
     assert list(light.header.findings(frame)) == []
 
