@@ -228,7 +228,7 @@ def _read_npy(path: Path) -> SingleChannelRaster:
         )
     _check_size(shape[1], shape[0], 2 * dtype.itemsize)
     if path.stat().st_size < begin + shape[0] * shape[1] * dtype.itemsize:
-        raise ValueError("fewer values than its header tells")
+        raise ValueError("fewer values than its header says")
     values = np.load(path, allow_pickle=False)
     values = values.astype(np.uint8) if dtype.kind == "b" else values.astype(dtype.newbyteorder("="))
     return SingleChannelRaster(values, 1.0)

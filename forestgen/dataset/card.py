@@ -23,7 +23,7 @@ _COUNTED = (_CLASS, _INSTANCES, _SPECIES, "species_pixels")
 
 
 class CardCounts:
-    """What the card tells of the index' rows, gathered row by row."""
+    """What the card says of the index' rows, gathered row by row."""
 
     def __init__(self) -> None:
         self.totals: dict[str, Counter[str]] = {name: Counter() for name in _COUNTED}

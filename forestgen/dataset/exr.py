@@ -121,29 +121,23 @@ def write_parts(
     try:
         file.write(str(path))
     except (OSError, RuntimeError) as error:
-        reason = str(error).replace(f' "{path}"', "")  # `where` says it once
-        raise OutputError(
-            f"cannot write OpenEXR: {reason}", where=str(path), hint="check the folder and the free space of its disk"
-        ) from error
+        reason, hint = str(error).replace(f' "{path}"', ""), "check the folder and the free space of its disk"
+        raise OutputError(f"cannot write OpenEXR: {reason}", where=str(path), hint=hint) from error
 
 
 def read_exr(path: Path) -> dict[str, Layers]:
     """Pixels of an OpenEXR file: part name -> channel name -> (H, W) array in the type it was stored in."""
-    return {
-        part.name(): {name: np.asarray(channel.pixels) for name, channel in part.channels.items()}
-        for part in _open(path, header_only=False).parts
-    }
+    import OpenEXR
+
+    parts = OpenEXR.File(str(path), separate_channels=True).parts
+    return {part.name(): {name: np.asarray(one.pixels) for name, one in part.channels.items()} for part in parts}
 
 
 def read_exr_attributes(path: Path) -> dict[str, Any]:
     """Header of the first part: attribute name -> value."""
-    return dict(_open(path, header_only=True).parts[0].header)
-
-
-def _open(path: Path, *, header_only: bool) -> Any:
     import OpenEXR
 
-    return OpenEXR.File(str(path), separate_channels=True, header_only=header_only)
+    return dict(OpenEXR.File(str(path), separate_channels=True, header_only=True).parts[0].header)
 
 
 def _header(camera: Camera, attributes: Mapping[str, str]) -> dict[str, Any]:
@@ -178,11 +172,7 @@ def frame_parts(labelled: LabelledFrame) -> dict[str, Layers]:
 
 def radiance_channels(radiance: Radiance) -> dict[str, dict[str, NDArray[Any]]]:
     """Part -> channel -> (H, W)."""
-    parts = {
-        "radiance": radiance.mean,
-        "radiance.denoised": radiance.denoised,
-        "radiance.variance": radiance.variance,
-    }
+    parts = {"radiance": radiance.mean, _BIASED: radiance.denoised, "radiance.variance": radiance.variance}
     return {
         part: {n: np.ascontiguousarray(values[..., k], dtype=np.float32) for k, n in enumerate(radiance.channels)}
         for part, values in parts.items()

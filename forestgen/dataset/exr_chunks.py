@@ -124,8 +124,8 @@ def _part(header: dict[bytes, bytes]) -> _Part:
     except (KeyError, IndexError, struct.error) as error:
         raise ValueError("its header is damaged, or of another compression than forestgen's") from error
     width, height = right - left + 1, bottom - top + 1
-    told = header.get(b"chunkCount")
-    if told is not None and told != struct.pack("<i", min(max(0, -(-height // lines)), 2**31 - 1)):
+    count = struct.pack("<i", min(max(0, -(-height // lines)), 2**31 - 1))
+    if header.get(b"chunkCount", count) != count:
         raise ValueError("its header is damaged")
     if header.get(b"type", b"scanlineimage").rstrip(b"\0") != b"scanlineimage":
         raise ValueError("a part does not consist of scan lines")
@@ -159,10 +159,10 @@ def _check_block(stream: IO[bytes], offset: int, part: _Part, block: int, number
         return
     unpacker = zlib.decompressobj()
     try:
-        unpacked = len(unpacker.decompress(content, whole + 1))
-    except zlib.error as error:
-        raise ValueError("a block of lines cannot be unpacked") from error
-    if unpacked != whole or not unpacker.eof:
+        is_whole = len(unpacker.decompress(content, whole + 1)) == whole and unpacker.eof
+    except zlib.error:
+        is_whole = False
+    if not is_whole:
         raise ValueError("a block of lines cannot be unpacked")
 
 

@@ -9,7 +9,7 @@ Largest files that are read in one piece:
 
 | file | at most |
 |---|---|
-| JSON over all images: manifest, coco, panoptic, transforms, bop's scenes | 8 GB |
+| JSON outside of the frames' folders: manifest.json, what a format has over all images | 8 GB |
 | other texts: .json, .yaml, .txt, .md | 64 MB |
 | all others: pictures, tables, maps | 16 GB |
 
@@ -37,7 +37,6 @@ from forestgen.core.memory import free_bytes
 
 _MB, _GB = 10**6, 10**9
 _MOST_BYTES = 64 * _GB  # of any file
-_MERGED = re.compile(r"(manifest|coco|panoptic|transforms.*|scene_(camera|gt|gt_info))\.json")
 _TEXTS = (".json", ".yaml", ".yml", ".txt", ".md")
 _SHARE_OF_MEMORY = 0.8
 _MOST_LEVELS = 100
@@ -180,10 +179,9 @@ def _check_regular(path: Path, status: os.stat_result) -> None:
 
 
 def _most_bytes(name: str) -> int:
-    last = name.rpartition("/")[2].lower()
-    if _MERGED.fullmatch(last):
+    if name.lower().endswith(".json") and not any(map(is_frame, name.split("/"))):
         return 8 * _GB
-    return 64 * _MB if last.endswith(_TEXTS) else 16 * _GB
+    return 64 * _MB if name.lower().endswith(_TEXTS) else 16 * _GB
 
 
 def _check_size(size_bytes: int, most: int) -> None:

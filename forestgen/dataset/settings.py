@@ -1,4 +1,4 @@
-"""What holds for a whole data set: what every format's writer and merger is told."""
+"""What holds for a whole data set: an argument of every format's writer and merger."""
 
 from __future__ import annotations
 

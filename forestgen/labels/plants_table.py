@@ -56,7 +56,7 @@ class VisiblePlants:
 
 @dataclass(frozen=True)
 class PlantViews:
-    """Everything that one camera tells of each plant: one row a plant of the population, in its order."""
+    """What one camera sees of each plant: one row a plant of the population, in its order."""
 
     visible: VisiblePlants
     amodal_pixels: NDArray[np.int64]  # (N,) 0 where the plant is unseen or amodal masks were not asked for

@@ -1,4 +1,4 @@
-"""cryptomatte.exr against frame.exr: names hash to ids, and plants have the shares that the coverage's ranks tell.
+"""cryptomatte.exr against frame.exr: names hash to ids, and plants have the shares of the coverage's ranks.
 
 Where the recipe leaves coverage out, shares are held against the instance mask: its plant has the largest.
 

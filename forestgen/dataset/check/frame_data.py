@@ -26,7 +26,7 @@ _PLANT_COLUMNS = ("plant_id", "species", "visible_pixels", "visible_area_px", *_
 
 @dataclass(frozen=True)
 class FrameTask:
-    """What a worker is told about a frame: plain values, so that it can cross to another process."""
+    """What a worker gets of a frame: plain values, so that it can cross to another process."""
 
     root: Path
     name: str  # of the frame's folder
@@ -233,10 +233,6 @@ class CameraFile:
     @property
     def rotation(self) -> NDArray[np.float64]:
         return self.camera_from_world[:3, :3]
-
-    def project(self, points_m: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """(..., 2) pixels and (...) depths of (..., 3) world points; what is not in front has no positive depth."""
-        return self.geometry.project(points_m @ self.rotation.T + self.camera_from_world[:3, 3])
 
     def pixel_rays(self, size_px: tuple[int, int]) -> NDArray[np.float64]:
         """(H, W, 3) world directions through the pixels' centres, of depth 1."""

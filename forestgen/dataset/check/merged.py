@@ -17,7 +17,7 @@ from forestgen.dataset.check.frame_data import CAMERA
 from forestgen.dataset.safe_path import check_folder, is_frame
 
 MANIFEST = "manifest.json"
-UNKNOWN = "?"  # a following frame that cannot be told
+UNKNOWN = "?"  # a following frame that is not known
 _SCHEMA = "forestgen-manifest/"
 
 

@@ -10,10 +10,11 @@ import os
 import signal
 from collections import Counter
 from collections.abc import Generator, Iterator, Mapping, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
+from itertools import chain, repeat
 from multiprocessing import get_context
 from pathlib import Path
 from time import perf_counter
@@ -83,18 +84,13 @@ def check_dataset(
     most: int | None = 1,
     progress: Progress | None = None,
 ) -> Report:
-    """Check a data set's folder.
+    """Check a data set's folder; one that is no data set of forestgen raises `RecipeError`.
 
     Parameters
     ----------
     jobs : worker processes; by default the cores. No result depends on it.
     hashes : compare each file with manifest.json's SHA-256.
     most : findings to name before stopping; None: go through everything, and name up to `MOST_NAMED` of each check.
-
-    Raises
-    ------
-    RecipeError
-        When the folder is no data set of forestgen.
     """
     start = perf_counter()
     merged = open_dataset(root)
@@ -246,14 +242,9 @@ def _frame_results(tasks: Sequence[FrameTask], jobs: int, hashes: bool, most: fl
     # A process of its own start, not a copy of this one, which has threads and handlers of signals.
     pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_begin, initargs=(registrations(),))
     try:
-        waiting: list[Future[list[FrameResult]]] = []
-        for chunk in chunks:
-            with without_main():  # the first tasks start the processes
-                waiting.append(pool.submit(_chunk, chunk, hashes, most))
-            while len(waiting) > 2 * jobs:  # no more than that are in memory
-                yield from waiting.pop(0).result()
-        for future in waiting:
-            yield from future.result()
+        with without_main():  # this starts the processes
+            results = pool.map(_chunk, chunks, repeat(hashes), repeat(most))
+        yield from chain.from_iterable(results)
     except BrokenProcessPool as error:
         hint = "free some memory, or `workers=1`"
         raise ResourceError("a worker process died, most likely for want of memory", hint=hint) from error
@@ -282,7 +273,7 @@ def _chunk(tasks: Sequence[FrameTask], hashes: bool, most: float) -> list[FrameR
 
 
 def _begin(registered: tuple[Registration, ...]) -> None:
-    """Know the parent's formats. Ctrl-C ends the parent, which ends its workers."""
+    """Register the parent's formats. Ctrl-C ends the parent, which ends its workers."""
     register_again(registered)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 

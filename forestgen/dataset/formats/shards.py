@@ -49,13 +49,8 @@ def read_shard(path: Path, types: Mapping[str, type]) -> dict[str, Any]:
         raise damaged(path, str(error)) from error
     for key, kind in types.items():
         if not isinstance(content, dict) or not _is_a(content.get(key), kind):
-            raise OutputError(
-                "a frame's labels are not of this format",
-                where=str(path),
-                expected=f"{key}: {kind}",
-                got=json_text(content)[:80],
-                hint=_REMEDY,
-            )
+            texts = {"expected": f"{key}: {kind}", "got": json_text(content)[:80], "hint": _REMEDY}
+            raise OutputError("a frame's labels are not of this format", where=str(path), **texts)
     return dict(content)
 
 

@@ -177,7 +177,7 @@ class _File:
 
 
 def _cell(column: Column, sample: Sample) -> Any:
-    """A frame's value of a column; what the data set's files do not tell in their format raises `DatasetError`."""
+    """A frame's value of a column; what the data set's files do not hold in their format raises `DatasetError`."""
     try:
         return column.cell(sample)
     except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:

@@ -6,7 +6,7 @@ A frame's files are named FRAME.EXTENSION: a file a channel, and FRAME.json with
      "depth_unit_m": metres of a step of FRAME.depth.png}
 
 Beside the shards SPLIT.json lists them, with frames and bytes, in the form that WebDataset's indexed reader takes.
-Nothing in the files tells when, where and by whom they were made.
+The files do not say when, where and by whom they were made.
 """
 
 from __future__ import annotations

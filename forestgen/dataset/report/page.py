@@ -11,10 +11,9 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
 from markupsafe import Markup
 
 from forestgen.dataset.files import output_error
@@ -25,6 +24,7 @@ from forestgen.dataset.report.source import Source, open_source
 from forestgen.dataset.settings import DatasetSettings
 
 REPORT_NAME = "report.html"
+_TEMPLATES = Path(__file__).with_name("templates")
 _UNNAMED = DatasetSettings.description  # of recipes that say nothing
 _SECTIONS = (
     label_sections.class_section, label_sections.instance_section, label_sections.species_section,
@@ -89,20 +89,10 @@ def page_of(source: Source) -> Page:
 
 def render_page(page: Page) -> str:
     """The page as HTML. Every text is escaped by the template's engine; style and script are ours alone."""
-    style, script = _file("page.css"), _file("page.js")
-    return (
-        _environment()
-        .get_template("page.html")
-        .render(
-            page=page,
-            style=Markup(style),
-            script=Markup(script),
-            style_hash=_hash(style),
-            script_hash=_hash(script),
-            plot=_PLOT,
-            polar=_POLAR,
-        )
-    )
+    style, script = ((_TEMPLATES / name).read_text(encoding="utf-8") for name in ("page.css", "page.js"))
+    inline = {"style": Markup(style), "script": Markup(script)}
+    hashes = {"style_hash": _hash(style), "script_hash": _hash(script)}
+    return _template().render(page=page, plot=_PLOT, polar=_POLAR, **inline, **hashes)
 
 
 def _lead(source: Source) -> str:
@@ -151,20 +141,12 @@ def _notes(source: Source) -> list[str]:
 
 
 @cache
-def _environment() -> Environment:
-    return Environment(
-        loader=PackageLoader("forestgen.dataset.report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
+def _template() -> Template:
+    loader = FileSystemLoader(_TEMPLATES)
+    environment = Environment(
+        loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-
-
-def _file(name: str) -> str:
-    """A file beside the templates, on which nothing is replaced."""
-    text: Any = _environment().loader.get_source(_environment(), name)[0]  # type: ignore[union-attr]
-    return str(text)
+    return environment.get_template("page.html")
 
 
 def _hash(text: str) -> str:

@@ -52,7 +52,7 @@ class RunLog:
 
     @property
     def images_per_hour(self) -> float | None:
-        """Over all runs; None if the log does not tell."""
+        """Over all runs; None if the log does not say."""
         return 3600.0 * len(self.finished_s) / self.running_s if self.running_s > 0 and self.finished_s else None
 
     @property

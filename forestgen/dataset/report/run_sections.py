@@ -62,7 +62,7 @@ def timing_section(source: Source) -> Section:
         _pace(run),
         histogram(memory_mib, "Peak memory of a worker", "MiB", y_title="images") if len(memory_mib) > 1 else None,
     )
-    return Section("timings", "Time and memory", "The log tells no times.", parts=parts)
+    return Section("timings", "Time and memory", "The log has no times.", parts=parts)
 
 
 def _timing_facts(run: RunLog) -> list[Fact]:

@@ -181,7 +181,7 @@ def test_rays_lead_to_where_points_are_projected():
     camera = camera_of(camera_values(), "camera.json")
     assert isinstance(camera, CameraFile)
     points = camera.position_m + camera.pixel_rays((16, 12)) * 7.5
-    pixel, depth = camera.project(points)
+    pixel, depth = camera.geometry.project((points - camera.position_m) @ camera.rotation.T)
     assert depth == pytest.approx(np.full((12, 16), 7.5))
     assert pixel[4, 9] == pytest.approx([9.5, 4.5])
 

@@ -286,17 +286,17 @@ def test_rows_at_a_time_change_nothing(monkeypatch):
 
 def test_another_view_than_the_headers(tmp_path):
     frame = photographed(tmp_path, EXPOSED)
-    with Image.open(frame.folder / "preview.png") as image:
+    with Image.open(frame.task.root / frame.name / "preview.png") as image:
         image.load()
-        Image.fromarray(np.asarray(image)).save(frame.folder / "preview.png")
+        Image.fromarray(np.asarray(image)).save(frame.task.root / frame.name / "preview.png")
     assert [finding.problem for finding in light.header.findings(frame)] == ["the view is not frame.exr's"]
 
 
 def damaged(frame, what):
-    path = frame.folder / "raw.png"
+    path = frame.task.root / frame.name / "raw.png"
     with Image.open(path) as image:
         numbers = np.array(image)
-    facts = json.loads((frame.folder / "raw.json").read_text())
+    facts = json.loads((frame.task.root / frame.name / "raw.json").read_text())
     if what == "a pixel":
         numbers[3, 5] += 6000
     elif what == "shifted":
@@ -310,7 +310,7 @@ def damaged(frame, what):
     else:
         facts["white_level"] = facts["black_level"]
     Image.fromarray(numbers).save(path)
-    (frame.folder / "raw.json").write_text(json.dumps(facts))
+    (frame.task.root / frame.name / "raw.json").write_text(json.dumps(facts))
 
 
 @pytest.mark.parametrize(
