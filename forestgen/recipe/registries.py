@@ -67,7 +67,7 @@ CLOUD_SOURCES = Registry(
             "simulated weather: a thundercloud up to 8 km, with its anvil",
         ),
         "community": (
-            "forestgen.stages.community_clouds:SOURCE",
+            "forestgen.community.own_clouds:SOURCE",
             "the air that the community simulates over itself",
         ),
         "noise": ("forestgen.atmosphere.clouds.noise:SOURCE", "small cumulus of noise, without weather"),

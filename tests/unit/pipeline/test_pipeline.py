@@ -14,9 +14,9 @@ import pytest
 from forestgen import pipeline
 from forestgen.core.progress import Silent
 from forestgen.core.timing import Timings
+from forestgen.dataset.data_set import data_set_of
 from forestgen.recipe.load import load_recipe
-from forestgen.stages.data_set import data_set_of
-from forestgen.stages.plan import make_plan
+from forestgen.scene.planning import make_plan
 
 QUICKSTART = Path(__file__).parents[3] / "recipes" / "quickstart.yaml"
 TINY = (
