@@ -21,14 +21,11 @@ from forestgen.community.statistics import count_by_species, stems_by_species
 from forestgen.community.summary import SimulationSummary, Stems
 from forestgen.core.progress import Progress
 from forestgen.core.timing import Timings
-from forestgen.dataset.data_set import class_map
 from forestgen.dataset.folder import OutputFolder
 from forestgen.dataset.formats.format import check_ids
-from forestgen.dataset.frame_row import frame_row
 from forestgen.dataset.manifest import build_manifest, write_manifest
-from forestgen.dataset.maps import write_maps
-from forestgen.dataset.settings import DatasetSettings
-from forestgen.dataset.writer import frame_folder_name, write_frame
+from forestgen.dataset.settings import DatasetSettings, class_map
+from forestgen.dataset.writer import frame_folder_name, frame_row, write_frame, write_maps
 from forestgen.labels.channels.channel import ChannelView, add_channels
 from forestgen.labels.labelled import LabelledFrame, label_frame
 from forestgen.recipe.hashing import recipe_hash

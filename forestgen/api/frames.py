@@ -14,11 +14,10 @@ from numpy.typing import NDArray
 from forestgen.dataset.camera import camera_model
 from forestgen.dataset.exr import frame_parts
 from forestgen.dataset.frame import Parts
-from forestgen.dataset.maps import write_maps
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.dataset.tables import plants_table
 from forestgen.dataset.tonemap import preview_of
-from forestgen.dataset.writer import write_frame
+from forestgen.dataset.writer import write_frame, write_maps
 from forestgen.pipeline import RenderedFrame
 from forestgen.recipe.load import DrawnRecipe, dump_yaml
 

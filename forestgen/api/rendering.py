@@ -13,8 +13,8 @@ from forestgen.core.arguments import address_of, whole_of
 from forestgen.core.progress import Progress
 from forestgen.core.threads import cores, limit_cores
 from forestgen.core.timing import Timings
-from forestgen.dataset.data_set import data_set_of
 from forestgen.dataset.frame import Frame
+from forestgen.dataset.settings import data_set_of
 from forestgen.pipeline import assemble_image, image_frames
 from forestgen.recipe.load import LoadedRecipe
 from forestgen.recipe.splits import NUMBERS_END

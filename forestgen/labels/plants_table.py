@@ -27,8 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.parts import Part
-from forestgen.labels.amodal import AmodalMasks
-from forestgen.labels.masks import PixelLabels, rows_of
+from forestgen.labels.masks import AmodalMasks, PixelLabels, rows_of
 from forestgen.render.frame import Frame
 from forestgen.scene import projection
 from forestgen.scene.plant_measures import PlantMeasures

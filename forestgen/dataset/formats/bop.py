@@ -49,9 +49,8 @@ from forestgen.dataset.formats.format import DatasetFormat
 from forestgen.dataset.formats.shards import in_order, json_text, place, read_shard, whole_file, write_shard
 from forestgen.dataset.png import write_grey
 from forestgen.dataset.settings import DatasetSettings
-from forestgen.labels.amodal import AmodalMasks
 from forestgen.labels.labelled import LabelledFrame
-from forestgen.labels.masks import rows_of
+from forestgen.labels.masks import AmodalMasks, rows_of
 from forestgen.scene.projection import Projection, projection_of
 
 FOLDER_NAME, SPLIT_NAME, SHARD_NAME = "bop", "train_pbr", "shard.json"
