@@ -47,7 +47,7 @@ class CardCounts:
 def card_text(description: Mapping[str, Any], counts: CardCounts, settings: DatasetSettings) -> str:
     """The card, of the content of dataset.json and the counts of all rows of the index."""
     return str(
-        _template().render(
+        markdown_template(_TEMPLATE).render(
             said=description,
             counts=counts,
             settings=settings,
@@ -72,7 +72,8 @@ def card_text(description: Mapping[str, Any], counts: CardCounts, settings: Data
 
 
 @cache
-def _template() -> Any:
+def markdown_template(path: Path) -> Any:
+    """The template of a Markdown page, without escapes but those of its filters."""
     from jinja2 import Environment, StrictUndefined
 
     environment = Environment(
@@ -84,7 +85,7 @@ def _template() -> Any:
         "number": "{:,}".format,
         "share": lambda value: f"{100 * value:.3g} %",
     }
-    return environment.from_string(_TEMPLATE.read_text(encoding="utf-8"))
+    return environment.from_string(path.read_text(encoding="utf-8"))
 
 
 def _licence(settings: DatasetSettings) -> dict[str, str]:

@@ -14,6 +14,7 @@ from forestgen.recipe.registries import DEFAULT_FORMATS
 
 DRAW = "draw."  # begins the index's columns of what the recipe's distributions gave, as draw.sky.turbidity
 _CLASSES = ("labels", "classes")
+_SAME = ("view", "description", "contributor", "depth_unit_m", "point_stride")  # as in the recipe
 # Key of the recipe behind a field of the settings, where it is not dataset.FIELD.
 _KEYS = {
     "species_names": ("species",),
@@ -57,13 +58,9 @@ def data_set_of(drawn: DrawnRecipe) -> DatasetSettings:
         category_names=category_names,
         species_category=tuple(species_category.tolist()),
         formats=tuple(section.formats),
-        view=section.view,
-        description=section.description,
-        contributor=section.contributor,
         licence_name="" if licence is None else licence.name,
         licence_url="" if licence is None else licence.url,
-        depth_unit_m=section.depth_unit_m,
-        point_stride=section.point_stride,
+        **{name: getattr(section, name) for name in _SAME},
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,7 @@ from forestgen.core.arguments import MOST_SEEDS, whole_of
 from forestgen.core.errors import DatasetError, ForestgenError, OutputError, RecipeError
 from forestgen.core.figures import parse_bytes
 from forestgen.core.progress import Progress
-from forestgen.dataset.card import markdown
+from forestgen.dataset.card import markdown_template
 from forestgen.dataset.files import write_bytes, write_json
 from forestgen.dataset.folder import OutputFolder
 from forestgen.dataset.legend import FILE_NAME as CLASSES_FILE
@@ -195,7 +195,7 @@ def _write_rest(
     write_bytes(folder / CLASSES_FILE, read_file(source.splits[0].folder / CLASSES_FILE))
     of_card, chapter = _card_of(source.root)
     code = _opening_code(form, "PATH", shards)
-    text = readme_body(f"Packed for {form.title}", code, shards, source.classes, names) + chapter
+    text = readme_body(form.title, code, shards, source.classes, names) + chapter
     write_bytes(folder / "README.md", (form.front_matter(contents, shards, of_card) + text).encode())
     content = {
         "schema": _SCHEMA,
@@ -213,27 +213,11 @@ def readme_body(
     code: Sequence[str],
     splits: Mapping[str, Sequence[Shard]],
     classes: Mapping[str, Any],
-    channels: Collection[str],
+    channels: Sequence[str],
 ) -> str:
     """What people read in README.md; `code` opens the pack, and only its `channels` are described."""
-    rows = [
-        f"| {name} | {sum(one.frames for one in shards):,} | {len(shards):,} | "
-        f"{sum(one.size_bytes for one in shards):,} |"
-        for name, shards in splits.items()
-    ]
-    semantic, categories = (
-        ", ".join(f"{number} {markdown(name)}" for number, name in classes[key].items())
-        for key in ("semantic", "categories")
-    )
-    descriptions = {
-        "semantic": f"- `semantic`, classes: {semantic}",
-        "instance": "- `instance`: plant_id = R + 256 G + 65536 B; 0 is no plant",
-        "annotations": f"- Categories of the plants: {categories}",
-        "depth": "- `depth`: steps of `depth_unit_m` along the camera's axis; 0 is sky, 65535 is beyond the range",
-    }
-    heads = ["| split | frames | files | bytes |", "|---|---|---|---|"]
-    described = [text for channel, text in descriptions.items() if channel in channels]
-    return "\n".join([f"# {title}", "", "```python", *code, "```", "", *heads, *rows, "", *described, ""])
+    template = markdown_template(Path(__file__).with_name("readme.md.jinja"))
+    return str(template.render(title=title, code=code, splits=splits, classes=classes, channels=channels))
 
 
 def _card_of(root: Path) -> tuple[dict[str, Any], str]:
