@@ -353,17 +353,11 @@ _FITS: dict[str, Callable[[Any], bool]] = {
 def _arrow_type(kind: str) -> Any:
     import pyarrow as pa
 
-    return {
-        "boolean": pa.bool_(),
-        _TEXT: pa.string(),
-        _JSON: pa.string(),
-        _WHOLE: pa.int64(),
-        _SMALL: pa.int32(),
-        _NUMBER: pa.float64(),
-        _TEXTS: pa.list_(pa.string()),
-        _COUNTS: pa.list_(pa.int64()),
-        _BY_NAME: pa.map_(pa.string(), pa.int64()),
-    }[kind]
+    if kind == _BY_NAME:
+        return pa.map_(pa.string(), pa.int64())
+    if kind in (_TEXTS, _COUNTS):
+        return pa.list_(pa.string() if kind == _TEXTS else pa.int64())
+    return pa.type_for_alias({_JSON: "string", "boolean": "bool"}.get(kind, kind))
 
 
 def _cell(value: Any, kind: str) -> Any:
