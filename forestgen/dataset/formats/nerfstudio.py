@@ -94,7 +94,7 @@ def _transforms(root: Path, model: str, folders: Sequence[str], settings: Datase
             frames.append(_frame(root, folder, exchange, settings))
         except (KeyError, IndexError, TypeError, ValueError, OverflowError) as error:  # numbers that make no camera
             raise damaged(root / folder / CAMERA_NAME, f"{type(error).__name__}: {error}"[:200]) from error
-    content = {"camera_model": exchange.camera_model, "frames": frames}
+    content: dict[str, Any] = {"camera_model": exchange.camera_model, "frames": frames}
     if DEPTH.name in settings.formats:
         content["depth_unit_scale_factor"] = settings.depth_unit_m
     return content
