@@ -14,7 +14,7 @@ import argparse
 import json
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,17 +25,17 @@ from matplotlib.patches import Circle, Rectangle
 from numpy.typing import NDArray
 
 from forestgen.architecture.geometry import spheres
-from forestgen.architecture.plant_type import PlantType
-from forestgen.architecture.prototypes import load_prototypes
-from forestgen.architecture.tables import tables_of
+from forestgen.architecture.prototypes import load_prototypes, tables_of
 from forestgen.community.branch_modules.boxes import NO_BOXES, Boxes
-from forestgen.community.branch_modules.crowding import SphereGrid, intersection_ratio, overlap_volumes
+from forestgen.community.branch_modules.crowding import SphereGrid, overlap_volumes
 from forestgen.community.plots import save_figure
 from forestgen.community.population import Population
 from forestgen.community.simulation import snapshots
 from forestgen.core.progress import Silent
 from forestgen.recipe.load import load_recipe
+from forestgen.recipe.plant_type import PlantType
 from forestgen.scene.planning import check_plan
+from support.module_spheres import intersection_ratio
 
 MOST_RATIO = 0.05  # 18a
 LEAST_WIDER, LEAST_ASYMMETRY = 1.3, 1.5  # 15: in the open over crowded; at a group's edge over in the open
@@ -114,7 +114,7 @@ class Moment:
         """Intersection volume ratio of section 2.8."""
         assert self.population.modules is not None
         grid = SphereGrid.of(self.world_m, self.radius_m, self.period_m)
-        return intersection_ratio(grid, self.population.modules.parent_row(), joints=joints)
+        return intersection_ratio(grid, None if joints else self.population.modules.parent_row())
 
     def crown(self, plant: int) -> Crown:
         assert self.population.modules is not None
@@ -129,14 +129,20 @@ class Moment:
 
 
 def moments(
-    species: tuple[str, ...], community: dict[str, Any], size_m: tuple[float, float], *, seed: int, every: int
+    species: tuple[str, ...],
+    community: dict[str, Any],
+    size_m: tuple[float, float],
+    *,
+    seed: int,
+    every: int,
+    buildings: Sequence[dict[str, Any]] = (),
 ) -> Iterator[Moment]:
     """Snapshots of a simulation, every so many steps and the last."""
     recipe = {
         "forestgen": 1,
         "seed": seed,
-        "site": {"size_m": list(size_m)},
-        "species": {name: None if name == "house" else {"from": name, "modules": NONE} for name in species},
+        "site": {"size_m": list(size_m), "buildings": list(buildings)},
+        "species": {name: {"from": name, "modules": NONE} for name in species},
         "community": {"model": "branch_modules", **community},
     }
     with tempfile.TemporaryDirectory() as folder:
@@ -275,10 +281,8 @@ def beside_a_house(report: Report, quick: bool) -> Figure:
             for built in (True, False):
                 at = np.array([20 + side * (size[0] / 2 + 1.5), 20.0])
                 course = planted(species, at[None], years)
-                if built:
-                    course["obstacles"] = [{"species": "house", "position_m": [20, 20], "size_m": list(size)}]
-                names = (species, "house") if built else (species,)
-                moment = last(names, course, (40.0, 40.0), seed=seed)
+                houses = [{"position_m": [20, 20], "size_m": list(size)}] if built else []
+                moment = last((species,), course, (40.0, 40.0), seed=seed, buildings=houses)
                 crown = moment.crown(moment.nearest(*at))
                 low = crown.below(size[2])
                 (away if built else free).append(low.reach_towards_m(side) / low.reach_towards_m(-side))
@@ -305,7 +309,7 @@ def _share_within(moment: Moment, house: Boxes) -> float:
     """Share of all spheres' volume that lies in boxes."""
     grid = SphereGrid.of(moment.world_m, moment.radius_m)
     roots = np.full(len(grid), -1)
-    both, free = (overlap_volumes(grid, roots, boxes, joints=True).sum() for boxes in (house, NO_BOXES))
+    both, free = (overlap_volumes(grid, roots, boxes).sum() for boxes in (house, NO_BOXES))
     return float((both - free) / grid.volume_m3.sum())
 
 

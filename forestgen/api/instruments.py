@@ -1,186 +1,220 @@
-"""Light meters, colour charts and weather: measurements in a recipe's scene that are no pictures."""
+"""Light meters, colour charts and other instruments; and weather: methods of `Recipe` that make no pictures."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from forestgen.api.display import display_of
 from forestgen.api.rendering import free_folder
-from forestgen.atmosphere.clouds.source import WeatherReport as Weather
-from forestgen.atmosphere.clouds.source import cloud_source_of
-from forestgen.core.arguments import listed, number_of, path_of, shown, whole_of
+from forestgen.core.arguments import PathLike, path_of, paths_of, shown, texts_of, whole_of
 from forestgen.core.errors import OutputError, RecipeError
 from forestgen.core.progress import Progress
 from forestgen.core.timing import Timings
-from forestgen.dataset.file_set import FileSet, check_writable
-from forestgen.instruments.light import Point
-from forestgen.instruments.light_text import LightReadings
-from forestgen.recipe.camera_keys import DIRECTIONS
-from forestgen.recipe.load import LoadedRecipe
 
 if TYPE_CHECKING:
-    from forestgen.instruments.colour_chart import Calibration
+    from forestgen.atmosphere.clouds.source import WeatherReport
+    from forestgen.instruments.calibration import Calibration
+    from forestgen.instruments.instrument import Instrument, Reading, ReadingT
+    from forestgen.instruments.light_meter import LightReadings
+    from forestgen.recipe.load import LoadedRecipe
 
-_LIGHT_FILES = (".csv", ".json")
 _WEATHER_FILES = (".nc", ".vol", ".vdb")
-_SPECTRUM_NM = (1.0, 1100.0)  # steps that can be asked for
-_LEAST_SAMPLES, _MOST_SAMPLES = 512, 100_000_000
 
 
-def measure_light(
+class Instruments:
+    """Methods of `Recipe`."""
+
+    _loaded: LoadedRecipe
+
+    def light(
+        self,
+        at: Sequence[Sequence[float | str]],
+        *,
+        normals: str | Sequence[str | Sequence[float]] = ("up",),
+        samples: int = 16384,
+        absolute_z: bool = False,
+        out: PathLike | None = None,
+        spectrum: float | None = None,
+        overwrite: bool = False,
+        progress: bool | Progress | None = None,
+    ) -> LightReadings:
+        """Measure light at points of the first image's scene.
+
+        Parameters
+        ----------
+        at : points x, y, z in metres, z above ground.
+        normals : where the meter looks: up, down, north, east, south, west, or a vector.
+        samples : light paths of each light at each wavelength.
+        absolute_z : count z from z = 0, not from the ground below.
+        out : a .csv or .json file.
+        spectrum : step in nm of the spectra in `out`.
+        overwrite : replace an existing file.
+        """
+        from forestgen.instruments.light_meter import INSTRUMENT
+
+        keys = {"at": at, "normals": normals, "samples": samples, "absolute_z": absolute_z, "spectrum": spectrum}
+        return _measured(self._loaded, INSTRUMENT, keys, out, overwrite, progress)
+
+    def measure(
+        self,
+        instrument: str,
+        keys: Mapping[str, Any] | Sequence[str] | None = None,
+        *,
+        out: PathLike | None = None,
+        overwrite: bool = False,
+        progress: bool | Progress | None = None,
+    ) -> Reading:
+        """Measure in the first image's scene with an instrument; `print` shows what it measured.
+
+        Parameters
+        ----------
+        instrument : one of `forestgen.models(kind="instrument")`, whose page has its keys.
+        keys : of the measurement: ``{"at": [[30, 40, 1.5]]}``, or texts ``["at=[[30, 40, 1.5]]"]`` whose values are
+            YAML.
+        out : a file, in one of the formats of the instrument; most write .json.
+        overwrite : replace an existing file.
+        """
+        from forestgen.recipe.registries import INSTRUMENTS
+
+        values = keys if isinstance(keys, Mapping) else _values(texts_of(keys or (), "keys"))
+        INSTRUMENTS.check(instrument, parameter="instrument")
+        chosen: Instrument[Any, Reading] = INSTRUMENTS.load(instrument)
+        return _measured(self._loaded, chosen, values, out, overwrite, progress)
+
+    def weather(
+        self,
+        count: int | None = None,
+        *,
+        out: Sequence[PathLike] | PathLike = (),
+        picture: PathLike | None = None,
+        overwrite: bool = False,
+        progress: bool | Progress | None = None,
+    ) -> list[WeatherReport]:
+        """Simulate the weather alone, of each of `count` images.
+
+        Parameters
+        ----------
+        out : files for the last image's: .nc, the state of the air; .vol or .vdb, its extinction.
+        picture : a PNG, a row an image.
+        """
+        from forestgen.atmosphere.clouds.source import cloud_source_of
+        from forestgen.community.plot_series import plot_weather
+        from forestgen.dataset.file_set import check_writable
+
+        files = paths_of(out, "out", output=True)
+        for one in files:
+            _check_ending(one, _WEATHER_FILES)
+        image = None if picture is None else path_of(picture, "picture", output=True)
+        if image is not None and image.suffix.lower() != ".png":
+            raise RecipeError("no such kind of picture", parameter="picture", expected=".png", got=str(image))
+        check_writable([*files, *([] if image is None else [image])], overwrite=overwrite)
+        number = self._loaded.images if count is None else whole_of(count, "count", 1, 10**8)
+        display = display_of(progress)
+        with display.running():
+            images = map(self._loaded.draw, range(number))
+            reports = [cloud_source_of(drawn).air(drawn, display) for drawn in images]
+        if image is not None:
+            image.parent.mkdir(parents=True, exist_ok=True)
+            plot_weather(reports, image)
+        for one in files:
+            _save_weather(one, reports[-1])
+        return reports
+
+    def calibrate(
+        self,
+        out: PathLike | None = None,
+        *,
+        at: Sequence[float | str] | None = None,
+        normal: str | Sequence[float] = "up",
+        width_px: int = 96,
+        samples: int = 64,
+        absolute_z: bool = False,
+        overwrite: bool = False,
+        progress: bool | Progress | None = None,
+    ) -> tuple[Calibration, Path]:
+        """Render a ColorChecker and a grey card in the scene and compare them with colour science.
+
+        Parameters
+        ----------
+        out : folder for a sheet, calibration.html, and its numbers; by default outputs/NAME-calibration.
+        at : the board's middle, metres, z above ground; by default over the site's middle, above all plants.
+        normal : where the board looks: up, north, east, south, west, or a vector.
+        width_px, samples : of the chart's picture; light paths a pixel, of each light.
+        absolute_z : count z from z = 0, not from the ground below.
+
+        Returns
+        -------
+        What was measured, whose `holds` tells whether the bounds hold; and the folder.
+        """
+        from forestgen.dataset.folder import OutputFolder
+        from forestgen.dataset.manifest import build_manifest, write_manifest
+        from forestgen.instruments.calibration import write_calibration
+        from forestgen.instruments.colour_chart import INSTRUMENT
+        from forestgen.instruments.instrument import read_keys
+        from forestgen.pipeline import measure
+
+        keys = {"at": at, "normal": normal, "width_px": width_px, "samples": samples, "absolute_z": absolute_z}
+        loaded, section = self._loaded, read_keys(INSTRUMENT, keys)
+        wanted = free_folder(Path("outputs") / f"{loaded.path.stem}-calibration") if out is None else out
+        folder = path_of(wanted, "out", output=True)
+        timings, display = Timings(), display_of(progress)
+        with display.running(), OutputFolder(folder, overwrite=overwrite) as staging:
+            found = measure(loaded, INSTRUMENT, section, display, timings)
+            write_calibration(staging, found, loaded)
+            manifest = build_manifest(
+                staging,
+                recipe_hash=loaded.hash,
+                root_seed=loaded.seed,
+                image_seeds=[],
+                timings_s=timings.seconds,
+                extra={"calibration_holds": found.holds},
+            )
+            write_manifest(staging, manifest)
+        return found, folder
+
+
+def _values(texts: Sequence[str]) -> dict[str, Any]:
+    """Key -> value of texts ``key=YAML``."""
+    from forestgen.recipe.yaml_source import parse_yaml
+
+    found = {}
+    for text in texts:
+        key, equals, written = text.partition("=")
+        if not equals:
+            raise RecipeError("this gives no key a value", parameter="keys", expected="key=value", got=shown(text))
+        found[key.strip()], _ = parse_yaml(written, f"keys: {key.strip()}", lines=False)
+    return found
+
+
+def _measured(
     loaded: LoadedRecipe,
-    at: Sequence[Sequence[float | str]],
-    normals: str | Sequence[str | Sequence[float]],
-    *,
-    samples: int,
-    absolute_z: bool,
-    out: Path | None,
-    spectrum: float | None,
+    instrument: Instrument[Any, ReadingT],
+    keys: Mapping[str, Any],
+    out: PathLike | None,
     overwrite: bool,
     progress: bool | Progress | None,
-) -> LightReadings:
-    """See `Recipe.light`."""
-    from forestgen.instruments import light
+) -> ReadingT:
+    """Measure, and write a file of it."""
+    from forestgen.dataset.file_set import FileSet, check_writable
+    from forestgen.instruments.instrument import read_keys
+    from forestgen.pipeline import measure
 
-    samples = whole_of(samples, "samples", _LEAST_SAMPLES, _MOST_SAMPLES)
-    if spectrum is not None:
-        spectrum = number_of(spectrum, "spectrum", *_SPECTRUM_NM)
-    if out is not None:
-        _check_ending(out, _LIGHT_FILES)
-        check_writable([out], overwrite=overwrite)
-    points = [point_of(one) for one in listed(at, "at", "points")]
-    directions = [normal_of(one, "normals") for one in listed(normals, "normals", "directions")]
-    display = display_of(progress)
+    target = None if out is None else path_of(out, "out", output=True)
+    section, display = read_keys(instrument, keys), display_of(progress)
+    if target is not None:
+        _check_ending(target, instrument.endings)
+        check_writable([target], overwrite=overwrite)
     with display.running():
-        meters = light.light_at(
-            loaded,
-            points,
-            directions,
-            samples=samples,
-            above_ground=not absolute_z,
-            progress=display,
-            timings=Timings(),
-        )
-    if out is not None:
-        content = (
-            light.as_json(meters, loaded, samples=samples, step_nm=spectrum or 10.0)
-            if out.suffix.lower() == ".json"
-            else light.as_csv(meters, step_nm=spectrum)
-        )
+        reading = measure(loaded, instrument, section, display, Timings())
+    if target is not None:
         with FileSet(overwrite=overwrite) as files:
-            files.write(out, content)
-    return LightReadings(meters, spectrum)
+            files.write(target, reading.content(target.suffix.lower(), loaded))
+    return reading
 
 
-def simulate_weather(
-    loaded: LoadedRecipe,
-    count: int | None,
-    *,
-    out: Sequence[Path],
-    picture: Path | None,
-    overwrite: bool,
-    progress: bool | Progress | None,
-) -> list[Weather]:
-    """See `Recipe.weather`."""
-    from forestgen.community.plot_weather import plot_weather
-
-    for one in out:
-        _check_ending(one, _WEATHER_FILES)
-    if picture is not None and picture.suffix.lower() != ".png":
-        raise RecipeError("no such kind of picture", parameter="picture", expected=".png", got=str(picture))
-    check_writable([*out, *([picture] if picture else [])], overwrite=overwrite)
-    number = loaded.images if count is None else whole_of(count, "count", 1, 10**8)
-    display = display_of(progress)
-    with display.running():
-        images = map(loaded.draw, range(number))
-        reports = [cloud_source_of(drawn).air(drawn, display) for drawn in images]
-    if picture is not None:
-        picture.parent.mkdir(parents=True, exist_ok=True)
-        plot_weather(reports, picture)
-    for one in out:
-        _save_weather(one, reports[-1])
-    return reports
-
-
-def calibrate(
-    loaded: LoadedRecipe,
-    out: Path | None,
-    *,
-    at: Sequence[float | str] | None,
-    normal: str | Sequence[float],
-    width_px: int,
-    samples: int,
-    absolute_z: bool,
-    overwrite: bool,
-    progress: bool | Progress | None,
-) -> tuple[Calibration, Path]:
-    """See `Recipe.calibrate`; what was measured, and the folder of its sheet."""
-    from forestgen.dataset.folder import OutputFolder
-    from forestgen.dataset.manifest import build_manifest, write_manifest
-    from forestgen.instruments import colour_chart as stage
-    from forestgen.instruments.colour_chart_files import write_calibration
-
-    width_px, samples = whole_of(width_px, "width_px", 64, 1024), whole_of(samples, "samples", 4, 65536)
-    point, towards = (None if at is None else point_of(at)), normal_of(normal, "normal")
-    folder = out or path_of(free_folder(Path("outputs") / f"{loaded.path.stem}-calibration"), "out", output=True)
-    timings, display = Timings(), display_of(progress)
-    with display.running(), OutputFolder(folder, overwrite=overwrite) as staging:
-        found = stage.calibrate(
-            loaded,
-            at=point,
-            normal=towards,
-            above_ground=not absolute_z,
-            width_px=width_px,
-            samples=samples,
-            progress=display,
-            timings=timings,
-        )
-        write_calibration(staging, found, loaded, samples)
-        manifest = build_manifest(
-            staging,
-            recipe_hash=loaded.hash,
-            root_seed=loaded.seed,
-            image_seeds=[],
-            timings_s=timings.seconds,
-            extra={"calibration_holds": found.holds},
-        )
-        write_manifest(staging, manifest)
-    return found, folder
-
-
-def point_of(values: Sequence[float | str]) -> Point:
-    """A point of three numbers, metres, whose place is not checked. Raises `RecipeError`."""
-    try:
-        x, y, z = (float(one) for one in values)
-    except (TypeError, ValueError, OverflowError):
-        several = values if isinstance(values, list | tuple) else [values]
-        got = " ".join(f"{one:.100}" if isinstance(one, str) else shown(one) for one in several)
-        raise RecipeError(
-            "this is no point", parameter="at", expected="three numbers, metres, such as 30 40 1.5", got=got
-        ) from None
-    return x, y, z
-
-
-def normal_of(direction: str | Sequence[float], parameter: str) -> Point:
-    """Unit vector of a direction, by its name or its components. Raises `RecipeError`."""
-    if isinstance(direction, str) and direction.lower() in DIRECTIONS:
-        return DIRECTIONS[direction.lower()]
-    try:
-        x, y, z = (float(one) for one in (direction.split(",") if isinstance(direction, str) else direction))
-        length = math.sqrt(x * x + y * y + z * z)
-    except (TypeError, ValueError, OverflowError):
-        length = math.nan
-    if not (math.isfinite(length) and length > 1e-9):
-        expected = ", ".join(DIRECTIONS) + ", or x,y,z such as 0,0.5,1"
-        got = direction if isinstance(direction, str) else shown(direction)
-        raise RecipeError("this is no direction", parameter=parameter, expected=expected, got=got)
-    return x / length, y / length, z / length
-
-
-def _save_weather(path: Path, report: Weather) -> None:
+def _save_weather(path: Path, report: WeatherReport) -> None:
     from forestgen.atmosphere.extinction import cloud_grid_of
     from forestgen.atmosphere.weather_files import write_clouds, write_weather
 
@@ -197,6 +231,3 @@ def _save_weather(path: Path, report: Weather) -> None:
 def _check_ending(path: Path, endings: Sequence[str]) -> None:
     if path.suffix.lower() not in endings:
         raise RecipeError("no such kind of file", parameter="out", expected=" or ".join(endings), got=str(path))
-
-
-__all__ = ["LightReadings", "Weather", "calibrate", "measure_light", "normal_of", "point_of", "simulate_weather"]

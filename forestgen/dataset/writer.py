@@ -21,7 +21,7 @@ from forestgen.core.raster import kind_of
 from forestgen.dataset import png
 from forestgen.dataset.camera import write_camera
 from forestgen.dataset.exr import write_exr
-from forestgen.dataset.files import make_folder, write_bytes
+from forestgen.dataset.files import make_folder, write_bytes, write_json
 from forestgen.dataset.formats.format import load_formats
 from forestgen.dataset.legend import write_legend
 from forestgen.dataset.settings import DRAW, DatasetSettings
@@ -85,9 +85,10 @@ def write_frame(
     write_plants(folder / "plants.parquet", labelled)
     write_camera(folder / "camera.json", camera)
     if projection_of(camera).is_equidistant:
-        from forestgen.dataset.canopy import write_canopy
+        from forestgen.labels.gap_fraction import gap_fraction_of, looks_up
 
-        write_canopy(folder, labelled.frame)
+        if looks_up(camera):
+            write_json(folder / "canopy.json", gap_fraction_of(camera, labelled.frame.identity).as_dict())
     write_bytes(folder / "recipe.yaml", recipe_yaml.encode())
     for one in load_formats(settings.formats):
         one.write_frame(folder, labelled, settings)

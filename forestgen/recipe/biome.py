@@ -144,6 +144,7 @@ def choose_species(temperature_c: float, precipitation_mm_per_yr: float, *, wher
         (
             Chosen(name, adaptation(plant_type, temperature_c, precipitation_mm_per_yr), plant_type)
             for name, plant_type in shipped_plant_types().items()
+            if plant_type.in_biomes
         ),
         key=lambda one: (-one.adaptation, one.name),
     )

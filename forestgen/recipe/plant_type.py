@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Self
+from typing import Annotated, Any, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
-from forestgen.recipe.fields import Fraction, NonNegative, Number, Positive, Section, Text, mistake
+from forestgen.recipe.fields import Flag, Fraction, NonNegative, Number, Positive, Section, Text, mistake
 
 
 class PlantType(Section):
@@ -107,6 +107,14 @@ class PlantType(Section):
     precipitation_width_mm_per_yr: Annotated[
         Positive, Field(le=10_000, description="Standard deviation about it, mm/year.")
     ] = 500.0
+
+    in_biomes: Annotated[
+        Flag, Field(description="Whether a recipe's biome chooses this species, where it is a shipped one.")
+    ] = True
+
+    @model_serializer(mode="wrap")
+    def _without_what_few_need(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        return {key: value for key, value in handler(self).items() if key != "in_biomes" or not value}
 
     @model_validator(mode="after")
     def _vigours_in_order(self) -> Self:

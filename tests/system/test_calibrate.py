@@ -12,15 +12,15 @@ from command_line import TINY, run
 
 from forestgen.atmosphere.grid import CloudGrid
 from forestgen.atmosphere.netcdf_file import write_netcdf
-from forestgen.cli.light import join_points
+from forestgen.cli.parsing import join_numbers
 from forestgen.core.errors import RecipeError
 from forestgen.core.parts import Part
 from forestgen.core.progress import Silent
 from forestgen.core.spectrum import Spectrum
 from forestgen.geometry.mesh import Mesh
 from forestgen.instruments import colour_chart as stage
-from forestgen.instruments.light import Quantity
-from forestgen.instruments.light_text import told
+from forestgen.instruments.calibration import Calibration
+from forestgen.instruments.light_meter import Quantity, with_error
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.render.irradiance import uniform
 from forestgen.scene.spec import Instances, Material, SceneSpec, Sky, Terrain
@@ -48,7 +48,7 @@ def site(roof_m: float | None = None, half_m: float = 1.0) -> SceneSpec:
     )
 
 
-def calibrated(spec: SceneSpec, name: str | None, samples: int = 4) -> stage.Calibration:
+def calibrated(spec: SceneSpec, name: str | None, samples: int = 4) -> Calibration:
     """Under a uniform sky of a standard illuminant, or under the scene's own."""
     sources = None
     if name is not None:
@@ -202,10 +202,10 @@ def test_light_in_fog_is_refused(tmp_path, command) -> None:
 
 
 def test_three_numbers_make_a_point() -> None:
-    assert join_points(["r", "--at", "-3", "2", "1", "--at", "4", "5", "6", "-o", "x"]) == [
+    assert join_numbers(["r", "--at", "-3", "2", "1", "--at", "4", "5", "6", "-o", "x"], "--at", 3) == [
         "r", "--at=-3,2,1", "--at=4,5,6", "-o", "x"
     ]  # fmt: skip
-    assert join_points(["--at", "1", "--set", "a=1"]) == ["--at=1", "--set", "a=1"]
+    assert join_numbers(["--at", "1", "--set", "a=1"], "--at", 3) == ["--at=1", "--set", "a=1"]
 
 
 @pytest.mark.parametrize(
@@ -220,4 +220,4 @@ def test_three_numbers_make_a_point() -> None:
     ],
 )
 def test_figures_have_the_digits_that_they_deserve(value: float, error: float, said: str) -> None:
-    assert told(Quantity(value, error)) == said
+    assert with_error(Quantity(value, error)) == said

@@ -12,13 +12,17 @@ from forestgen.community.registry import COMMUNITY_MODELS, COMPETITION_MODELS
 from forestgen.core.code_hash import PACKAGE
 from forestgen.core.registry import Registry
 from forestgen.geometry.export import MESH_EXPORTERS
+from forestgen.plants.registry import GENERATORS
 from forestgen.recipe.registries import (
+    BUILDINGS,
     CLOUD_SOURCES,
     DATASET_FORMATS,
     GROUND_COVERS,
+    INSTRUMENTS,
     LABEL_CHANNELS,
     PACKS,
     PROJECTIONS,
+    RIGS,
     SKIES,
     TERRAINS,
 )
@@ -33,14 +37,18 @@ REGISTRIES = (
     TERRAINS,
     GROUND_COVERS,
     PROJECTIONS,
+    RIGS,
+    INSTRUMENTS,
+    GENERATORS,
+    BUILDINGS,
 )
 # Where names of a kind are looked for, if they are common words.
 FOLDERS = {"label channel": ("labels/", "dataset/", "instruments/", "pipeline.py")}
-REGISTRY_FILES = {"recipe/registries.py", "community/registry.py"}
+REGISTRY_FILES = {"recipe/registries.py", "community/registry.py", "plants/registry.py"}
 OTHER_MEANINGS = {  # file -> names that are no part's in it, or a default
-    "api/instruments.py": {"points"},  # what a list holds, for its error
+    "instruments/instrument.py": {"points"},  # what a list holds, for its error
     "api/points.py": {"points"},  # a parameter
-    "community/fitting/recipe_text.py": {"points"},  # a key of community model strauss
+    "community/fitting/report.py": {"points"},  # a key of community model strauss
     "dataset/check/frame_data.py": {"coverage"},  # a part of frame.exr
     "dataset/check/geometry.py": {"motion"},  # a part of frame.exr, and a check
     "dataset/check/light.py": {"albedo", "cloud", "sun"},  # parts of frame.exr
@@ -50,8 +58,6 @@ OTHER_MEANINGS = {  # file -> names that are no part's in it, or a default
     "dataset/frame.py": {"albedo", "cloud", "motion", "sun"},  # parts of frame.exr
     "dataset/pack/source.py": {"albedo", "motion"},  # the same
     "dataset/report/scene_sections.py": {"sun"},  # a key of the recipe
-    "instruments/light_text.py": {"sun"},  # a column
-    "scene/sky.py": {"sun"},  # a key of the recipe
     "lsystem/parsing.py": {"points"},  # a rule of the grammar
     "lsystem/statement_reader.py": {"points"},  # the same
     "recipe/schema.py": {"litter"},  # the default
@@ -63,7 +69,7 @@ OTHER_MEANINGS = {  # file -> names that are no part's in it, or a default
     "scene/terrain.py": {"litter"},  # the default
     "render/irradiance.py": {"perspective"},  # a plugin of the renderer
     "render/sensors.py": {"perspective"},  # the same
-    "instruments/light.py": {"points"},  # a stage of the progress bar, and a key of a table
+    "instruments/light_meter.py": {"points", "sun"},  # a stage of the progress bar, and keys of a table
     "community/resume.py": {"flat"},  # a history's word for ground without a height function
 }
 COMMON_WORDS = {"community", "file", "map", "none"}  # which only the comparison with a section's key gives away
@@ -79,12 +85,12 @@ def trees() -> dict[str, ast.Module]:
 
 MODEL_REGISTRY = "community/registry.py"
 MODEL_FOLDERS = ("models", "branch_modules", "ecoclimate")  # of the models' own code, in community/
-MODEL_FILES = ("community/multiset_parameters.py", "community/multiset_state.py")
+MODEL_FILES = ("community/multiset_program.py",)
 OTHER_THAN_MODELS = {  # file -> names that are no community model's in it, or are one's example
     "cli/__init__.py": {"multiset_lsystem"},  # an example of a command
-    "cli/suggestions.py": {"multiset_lsystem"},  # an example of a setting
-    "community/fitting/recipe_text.py": {"deformation_kernel"},  # the model that is fitted
-    "community/placement/asked_and_placed.py": {"placed"},  # a key of the statistics
+    "cli/parsing.py": {"multiset_lsystem"},  # an example of a setting
+    "community/fitting/report.py": {"deformation_kernel"},  # the model that is fitted
+    "community/placement/model.py": {"placed"},  # a key of the statistics
     "plants/generators/branch_modules.py": {"branch_modules"},  # the plant generator
     "plants/registry.py": {"branch_modules"},  # the same
     "plants/variation/model.py": {"uniform"},  # a distribution
@@ -183,3 +189,11 @@ def test_only_a_mesh_exporters_own_module_names_it(name: str) -> None:
     found = {file for file, literals in texts().items() if name in literals}
     own = {"geometry/export.py", own_module(MESH_EXPORTERS, name)}
     assert found - own == clouds, "ask forestgen.geometry.export for the exporter"
+
+
+@pytest.mark.parametrize(("registry", "folder"), [(GENERATORS, "plants/generators/"), (BUILDINGS, "scene/buildings/")])
+def test_only_its_own_module_knows_the_class_of_a_plant_or_building(registry: Registry, folder: str) -> None:
+    classes = {type(registry.load(name)).__name__ for name in registry}
+    for file in trees().keys() - {own_module(registry, name) for name in registry}:
+        words = set(re.findall(r"\w+", (PACKAGE / file).read_text(encoding="utf-8")))
+        assert words.isdisjoint(classes), f"{file} knows a part in {folder} by its class"

@@ -25,30 +25,7 @@ which for long lags is kappa l < pi/2: a compensation ratio (kappa l)^-1 above 0
 higher: 1.0 for one step, 0.81 for two, 0.75 for three, 0.72 for four, 0.70 for five. So the ratio 0.7 that the paper
 found by experiment is stable from six steps on.
 
-Parameters
-----------
-================== ========== ======== ============= ================================================================
-name               symbol     unit     default       meaning
-================== ========== ======== ============= ================================================================
-growth_steps       -          -        32 to 4       growth steps of an axis, over its order: 32 stem, 4 third order
-step_m             delta l    m        -             length of a growth step, instead
-orders             -          -        all           orders that vary; the others are carried along stiffly
-reference          T_M        -        global        frame of the base's directions: global (gravity) or local (bearer)
-lag                lag        share    0.1           lifetime of a signal over the axis' growth steps; 0.04 to 0.3
-kappa              kappa      -        -             share of the error that one signal corrects
-compensation_ratio 1/(k lag)  -        1.1           two of lag, kappa and this one; lag in growth steps
-derivative_gain    kappa_d    -        0             response to the error's change from one step to the next
-integral_gain      kappa_i    -        0             response to the sum of errors so far
-decay              -          -        1             a signal's loss of lifetime a step, over the position on the axis
-transmission       -          -        1             speed of signals over that of growth, over the position
-sensor_error_deg   v          degree   0             standard deviation, over the order
-disturbance_deg    w          degree   0             the same of the response, each step; half the range if uniform
-distribution       -          -        gaussian      of the disturbance: gaussian or uniform
-influences         w          -        -             disturbances by a function, see `Influence`
-displacements      -          -        -             single turns, see `Displacement`
-target_bend        H_tar      -        -             target by a function of position, see `Bend`
-target_pull        H_tar      -        -             target from the base's direction to upward, see `Pull`
-================== ========== ======== ============= ================================================================
+Parameters: see `Variation`.
 
 Positions run along an axis from 0, its base, to 1, its tip.
 
@@ -94,32 +71,28 @@ from __future__ import annotations
 from typing import Annotated, Literal, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from forestgen.recipe.curves import Curve, PositiveCurve
+from forestgen.recipe.fields import Section
 
 #: Where a positive angle turns to. up: to the sky; side: to the left (an upright axis: to +x and to -y, east and
 #: south); random: any side, drawn for each axis; a number: an azimuth in degrees clockwise from +y, as of a compass.
 Plane = Literal["up", "side", "random"] | Annotated[float, Field(ge=-360, le=360)]
 _Vector = tuple[float, float, float]
-_STRICT = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 _DEFAULT_LAG, _DEFAULT_RATIO = 0.1, 1.1
 
 
-class Influence(BaseModel):
+class Influence(Section):
     """A disturbance that is a function of the position on the axis (Fig. 8, upper curve)."""
-
-    model_config = _STRICT
 
     turn_deg: Curve = Field(description="turn over the position, degrees per length of the axis")
     plane: Plane = Field("up", description="up, side, random, or an azimuth in degrees clockwise from +y")
     orders: tuple[int, ...] | None = Field(None, description="orders that feel it; all if not given")
 
 
-class Displacement(BaseModel):
+class Displacement(Section):
     """A single turn (Figs. 2, 9 and 10)."""
-
-    model_config = _STRICT
 
     at: float = Field(ge=0, lt=1, description="when, as the share of the axis that has grown")
     turn_deg: float = Field(ge=-180, le=180, description="by how much, degrees")
@@ -128,20 +101,16 @@ class Displacement(BaseModel):
     orders: tuple[int, ...] | None = Field((0,), description="orders of the axes that are turned; null: all")
 
 
-class Bend(BaseModel):
+class Bend(Section):
     """A target that leaves the base's course by a function of the position (Fig. 8, lower curve)."""
-
-    model_config = _STRICT
 
     turn_deg: Curve = Field(description="angle between target and base over the position, degrees")
     plane: Plane = Field("up", description="up, side, random, or an azimuth in degrees clockwise from +y")
     orders: tuple[int, ...] | None = Field(None, description="orders with this target; all if not given")
 
 
-class Pull(BaseModel):
+class Pull(Section):
     """A target between the base's own direction and one in space (Fig. 13)."""
-
-    model_config = _STRICT
 
     weight: Curve = Field(description="weight of the direction in space over the position, 0 to 1")
     toward: Literal["up"] | _Vector = Field("up", description="up, or a vector in the plant's frame, to a light say")
@@ -161,10 +130,8 @@ class Pull(BaseModel):
         return float(x), float(y), float(z)
 
 
-class Variation(BaseModel):
+class Variation(Section):
     """How a plant grows away from its base model; this module's page has the equations."""
-
-    model_config = _STRICT
 
     growth_steps: PositiveCurve = Field(
         ((0.0, 32.0), (3.0, 4.0)), description="number of growth steps of an axis, over its order"
@@ -172,28 +139,30 @@ class Variation(BaseModel):
     step_m: float | None = Field(None, gt=0, description="length of a growth step, metres; instead of growth_steps")
     orders: tuple[int, ...] | None = Field(None, description="orders that vary, others are carried along; all if null")
     reference: Literal["global", "local"] = Field(
-        "global", description="whether base directions are relative to gravity or to the bearing axis"
+        "global", description="T_M: whether base directions are relative to gravity or to the bearing axis"
     )
     lag: float | None = Field(None, ge=0, le=1, description="a signal's lifetime, as a share of the growth steps")
     kappa: float | None = Field(None, gt=0, le=100, description="share of the error that one signal corrects")
     compensation_ratio: float | None = Field(
         None, gt=0, le=1e4, description="1 / (kappa x lag in growth steps); 0.5 to 1.2"
     )
-    derivative_gain: float = Field(0.0, ge=-100, le=100, description="response to a change of the error, per step")
-    integral_gain: float = Field(0.0, ge=-100, le=100, description="response to the sum of errors")
+    derivative_gain: float = Field(
+        0.0, ge=-100, le=100, description="kappa_d: response to the error's change, per step"
+    )
+    integral_gain: float = Field(0.0, ge=-100, le=100, description="kappa_i: response to the sum of errors")
     decay: PositiveCurve = Field(((0.0, 1.0),), description="loss of lifetime a growth step, over the position")
     transmission: PositiveCurve = Field(((0.0, 1.0),), description="speed of signals over that of growth")
-    sensor_error_deg: PositiveCurve = Field(((0.0, 0.0),), description="error of sensing, degrees, over the order")
+    sensor_error_deg: PositiveCurve = Field(((0.0, 0.0),), description="v: error of sensing, degrees, over the order")
     disturbance_deg: PositiveCurve = Field(
-        ((0.0, 0.0),), description="disturbance of each growth step's response, degrees, over the order"
+        ((0.0, 0.0),), description="w: disturbance of each growth step's response, degrees, over the order"
     )
     distribution: Literal["gaussian", "uniform"] = Field(
         "gaussian", description="disturbance_deg is the standard deviation, or the largest angle"
     )
     influences: tuple[Influence, ...] = Field((), description="disturbances that are functions of the position")
     displacements: tuple[Displacement, ...] = Field((), description="single turns")
-    target_bend: Bend | None = Field(None, description="a target that leaves the base's course")
-    target_pull: Pull | None = Field(None, description="a target drawn upward, or to a light")
+    target_bend: Bend | None = Field(None, description="H_tar: a target that leaves the base's course")
+    target_pull: Pull | None = Field(None, description="H_tar: a target drawn upward, or to a light")
 
     @model_validator(mode="before")
     @classmethod
