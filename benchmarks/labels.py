@@ -28,11 +28,10 @@ from forestgen.atmosphere.optical_depth import cloud_opacity
 from forestgen.community.population import Population
 from forestgen.core.progress import Silent
 from forestgen.core.timing import Timings
-from forestgen.labels.amodal import amodal_masks
 from forestgen.labels.channels.boundaries import occlusion_boundaries
 from forestgen.labels.channels.motion import motion_px
 from forestgen.labels.classes import ClassMap
-from forestgen.labels.pixels import PixelLabels, pixel_labels
+from forestgen.labels.masks import PixelLabels, amodal_masks, pixel_labels
 from forestgen.labels.plants_table import plant_views
 from forestgen.render.amodal import trace_amodal
 from forestgen.render.frame import Amodal, Frame, Identity, Radiance, Surface

@@ -24,14 +24,11 @@ from forestgen.community.simulation import (
 )
 from forestgen.core.progress import Progress
 from forestgen.core.timing import Timings
-from forestgen.dataset.data_set import class_map
 from forestgen.dataset.folder import OutputFolder
 from forestgen.dataset.formats.format import check_ids
-from forestgen.dataset.frame_row import frame_row
 from forestgen.dataset.manifest import build_manifest, write_manifest
-from forestgen.dataset.maps import write_maps
-from forestgen.dataset.settings import DatasetSettings
-from forestgen.dataset.writer import frame_folder_name, write_frame
+from forestgen.dataset.settings import DatasetSettings, class_map
+from forestgen.dataset.writer import frame_folder_name, frame_row, write_frame, write_maps
 from forestgen.instruments.instrument import Instrument, KeysT, ReadingT
 from forestgen.labels.channels.channel import ChannelView, add_channels
 from forestgen.labels.labelled import LabelledFrame, label_frame

@@ -41,9 +41,9 @@ LABEL_CHANNELS = Registry(
     "label channel",
     {
         "coverage": ("forestgen.labels.channels.coverage:CHANNEL", "the ids that cover most of a pixel, their shares"),
-        "surface": ("forestgen.labels.channels.surface:CHANNEL", "positions, normals, triangles at pixels' centres"),
-        "albedo": ("forestgen.labels.channels.albedo:CHANNEL", "reflectance and transmittance of surfaces"),
-        "sun": ("forestgen.labels.channels.sun:CHANNEL", "shadows: where the sun is visible"),
+        "surface": ("forestgen.labels.channels.surface:SURFACE", "positions, normals, triangles at pixels' centres"),
+        "albedo": ("forestgen.labels.channels.surface:ALBEDO", "reflectance and transmittance of surfaces"),
+        "sun": ("forestgen.labels.channels.surface:SUN", "shadows: where the sun is visible"),
         "cloud": ("forestgen.labels.channels.cloud:CHANNEL", "opacity of clouds"),
         "motion": ("forestgen.labels.channels.motion:CHANNEL", "pixels to the next frame of a sequence"),
         "boundaries": ("forestgen.labels.channels.boundaries:CHANNEL", "occlusion boundaries"),

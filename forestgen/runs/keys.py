@@ -17,8 +17,8 @@ _SOURCES = (
 # Of these, what only reads frames, writes the files over all of them, or checks and shows what people give and see.
 _WITHOUT = (
     "community/fitting/report.py", "community/point_statistics.py", "core/streams.py",
-    "dataset/balance.py", "dataset/card.py", "dataset/check", "dataset/checksums.py", "dataset/exr_chunks.py",
-    "dataset/frame.py", "dataset/index.py", "dataset/index_values.py", "dataset/pack", "dataset/report",
+    "dataset/card.py", "dataset/check", "dataset/checksums.py", "dataset/exr_chunks.py",
+    "dataset/frame.py", "dataset/index.py", "dataset/pack", "dataset/report",
 )  # fmt: skip
 _COMPUTE_WITH = (
     "numpy", "scipy", "numba", "pvlib", "mitsuba", "drjit", "mitsuba-oidn", "colour-science", "trimesh",

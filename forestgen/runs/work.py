@@ -25,9 +25,9 @@ from forestgen.core.progress import Progress, Silent
 from forestgen.core.threads import cores, limit_cores
 from forestgen.core.timing import Timings
 from forestgen.dataset.checksums import file_sum
-from forestgen.dataset.data_set import check_one_data_set
 from forestgen.dataset.files import STORAGE_ERRNOS, output_error
 from forestgen.dataset.manifest import peak_memory_bytes
+from forestgen.dataset.settings import check_one_data_set
 from forestgen.dataset.thumbnails import thumbnail_name, write_thumbnail
 from forestgen.pipeline import assemble_image, write_image
 from forestgen.recipe.hashing import recipe_hash

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from forestgen.community.simulation import final_population
 from forestgen.core.progress import Silent
 from forestgen.core.timing import Timings
-from forestgen.dataset.data_set import class_map
 from forestgen.dataset.exr import read_exr, write_exr
 from forestgen.dataset.png import write_rgb
+from forestgen.dataset.settings import class_map
 from forestgen.labels.channels.channel import ChannelView, add_channels
 from forestgen.labels.labelled import LabelledFrame, label_frame
 from forestgen.recipe.load import load_recipe

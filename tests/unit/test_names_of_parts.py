@@ -49,17 +49,15 @@ OTHER_MEANINGS = {  # file -> names that are no part's in it, or a default
     "instruments/instrument.py": {"points"},  # what a list holds, for its error
     "api/points.py": {"points"},  # a parameter
     "community/fitting/report.py": {"points"},  # a key of community model strauss
-    "dataset/check/branches.py": {"module"},  # a part of frame.exr
-    "dataset/check/coverage.py": {"coverage"},  # the same
-    "dataset/check/frame_data.py": {"coverage"},  # the same
-    "dataset/check/light.py": {"albedo", "cloud", "sun"},  # the same
-    "dataset/check/motion.py": {"motion"},  # the same
-    "dataset/check/registry.py": {"amodal", "coverage", "motion"},  # names of checks
+    "dataset/check/frame_data.py": {"coverage"},  # a part of frame.exr
+    "dataset/check/geometry.py": {"motion"},  # a part of frame.exr, and a check
+    "dataset/check/light.py": {"albedo", "cloud", "sun"},  # parts of frame.exr
+    "dataset/check/masks.py": {"coverage", "module"},  # the same, and a check
+    "dataset/check/plants.py": {"amodal"},  # a check
     "dataset/formats/bop.py": {"amodal"},  # a channel that it needs
     "dataset/frame.py": {"albedo", "cloud", "motion", "sun"},  # parts of frame.exr
-    "dataset/pack/channels.py": {"albedo", "motion"},  # the same
+    "dataset/pack/source.py": {"albedo", "motion"},  # the same
     "dataset/report/scene_sections.py": {"sun"},  # a key of the recipe
-    "dataset/check/merged.py": {"bop"},  # a folder, whose files the checks read by their names
     "lsystem/parsing.py": {"points"},  # a rule of the grammar
     "lsystem/statement_reader.py": {"points"},  # the same
     "recipe/schema.py": {"litter"},  # the default

@@ -10,7 +10,7 @@ import pytest
 from recipe_example import SPECIES
 
 from forestgen.core.errors import AssetError
-from forestgen.dataset.maps import write_maps
+from forestgen.dataset.writer import write_maps
 from forestgen.recipe import map_files
 from forestgen.recipe.load import dump_yaml, load_recipe
 
