@@ -35,25 +35,23 @@ DIRECTIONS: dict[str, Point] = {  # right, down and forward follow: see core/fra
 class SensorFile(Section):
     """A table of the responses of a sensor's bands by wavelength; see recipe/spectra.py."""
 
-    name: Annotated[Text, Field(min_length=1, max_length=1000, description="Such as sentinel2a, or a path.")]
-    text: Annotated[
-        Text | None,
-        Field(max_length=MOST_BYTES, description="The table itself, as drawn recipes keep a file of your own."),
-    ] = None
+    name: Text = Field(min_length=1, max_length=1000, description="Such as sentinel2a, or a path.")
+    text: Text | None = Field(
+        default=None, max_length=MOST_BYTES, description="The table itself, as drawn recipes keep a file of your own."
+    )
 
 
 class CameraPath(Section):
     """A camera's way from where it stands, through points, in equal times; straight lines between them."""
 
-    frames: Annotated[Whole, Field(ge=2, le=MOST_FRAMES, description="Images along the way, both ends included.")]
-    frames_per_s: Annotated[FramesPerSecond, Field(description="Images a second: of motion and wind.")] = 24.0
-    position_m: Annotated[
-        tuple[Point, ...],
-        Field(max_length=1000, description="Points it passes after position_m: x, y, z, metres."),
-    ] = ()
-    look_at_m: Annotated[
-        tuple[Point, ...], Field(max_length=1000, description="Points in the image's middle after look_at_m, metres.")
-    ] = ()
+    frames: Whole = Field(ge=2, le=MOST_FRAMES, description="Images along the way, both ends included.")
+    frames_per_s: FramesPerSecond = Field(default=24.0, description="Images a second: of motion and wind.")
+    position_m: tuple[Point, ...] = Field(
+        default=(), max_length=1000, description="Points it passes after position_m: x, y, z, metres."
+    )
+    look_at_m: tuple[Point, ...] = Field(
+        default=(), max_length=1000, description="Points in the image's middle after look_at_m, metres."
+    )
 
 
 def _known_projection(name: str) -> str:
@@ -81,63 +79,50 @@ class CameraKeys(Section):
     is_level: ClassVar[bool] = False  # whatever it looks at
     covers_ground: ClassVar[bool] = False  # `footprint_m` tells what it shows of the ground below: for drone_grid
 
-    name: Annotated[Name, Field(description="Name in file names; default camera0, camera1, ...")]
-    kind: Annotated[
-        Text,
-        AfterValidator(_known_projection),
-        Field(
-            json_schema_extra=_add_names,
-            description="Projection, of those that `forestgen models --kind projection` lists; its page has its keys, "
-            "and its defaults of position_m, look and size_px.",
-        ),
-    ] = DEFAULT_PROJECTION
-    position_m: Annotated[
-        Point | None,
-        Field(
-            description="Where it stands: x, y, z, metres. Default by kind; of perspective eye level, southern edge's "
-            "middle."
-        ),
-    ] = None
-    look_at_m: Annotated[
-        Point | None, Field(description="The point in the image's middle: x, y, z, metres. Default: amid the site.")
-    ] = None
-    look: Annotated[
-        Look | None,
-        Field(
-            description="Instead of look_at_m. Up and down have north at the top: down shows east on the right, up "
-            "shows it on the left. Default by kind; of perspective look_at_m."
-        ),
-    ] = None
-    size_px: Annotated[
-        tuple[Pixels, Pixels],
-        Field(description="Width and height of the image, pixels. Default by kind; of perspective [640, 360]."),
-    ] = (640, 360)
-    height_above_ground: Annotated[
-        Flag, Field(description="Whether the z of position_m and look_at_m count from the ground below or from z = 0.")
-    ] = True
-    obstructed: Annotated[
-        Literal["error", "note"],
-        Field(
-            description="How a camera below the ground, in a house or in a trunk is treated. error: reported before it "
-            "is rendered. note: rendered with a note, for data sets with random cameras."
-        ),
-    ] = "error"
-    path: Annotated[
-        CameraPath | None, Field(description="Where it moves to; each frame is an image. None: it stands still.")
-    ] = None
-    rig: Annotated[
-        Rig | None, Field(description="Several images of one entry: stereo, orbit, walk or drone_grid. None: one.")
-    ] = None
-    bands: Annotated[
-        SensorFile | None,
-        Field(
-            description="Sensor whose bands are the image's channels: a name, or a path from the recipe's folder. "
-            "None: colour."
-        ),
-    ] = None
-    exposure: Annotated[Exposure | None, Field(description="For a raw image beside the linear one. None: no such.")] = (
-        None
+    name: Name = Field(description="Name in file names; default camera0, camera1, ...")
+    kind: Annotated[Text, AfterValidator(_known_projection)] = Field(
+        default=DEFAULT_PROJECTION,
+        json_schema_extra=_add_names,
+        description="Projection, of those that `forestgen models --kind projection` lists; its page has its keys, and "
+        "its defaults of position_m, look and size_px.",
     )
+    position_m: Point | None = Field(
+        default=None,
+        description="Where it stands: x, y, z, metres. Default by kind; of perspective eye level, southern edge's "
+        "middle.",
+    )
+    look_at_m: Point | None = Field(
+        default=None, description="The point in the image's middle: x, y, z, metres. Default: amid the site."
+    )
+    look: Look | None = Field(
+        default=None,
+        description="Instead of look_at_m. Up and down have north at the top: down shows east on the right, up shows "
+        "it on the left. Default by kind; of perspective look_at_m.",
+    )
+    size_px: tuple[Pixels, Pixels] = Field(
+        default=(640, 360),
+        description="Width and height of the image, pixels. Default by kind; of perspective [640, 360].",
+    )
+    height_above_ground: Flag = Field(
+        default=True, description="Whether the z of position_m and look_at_m count from the ground below or from z = 0."
+    )
+    obstructed: Literal["error", "note"] = Field(
+        default="error",
+        description="How a camera below the ground, in a house or in a trunk is treated. error: reported before it is "
+        "rendered. note: rendered with a note, for data sets with random cameras.",
+    )
+    path: CameraPath | None = Field(
+        default=None, description="Where it moves to; each frame is an image. None: it stands still."
+    )
+    rig: Rig | None = Field(
+        default=None, description="Several images of one entry: stereo, orbit, walk or drone_grid. None: one."
+    )
+    bands: SensorFile | None = Field(
+        default=None,
+        description="Sensor whose bands are the image's channels: a name, or a path from the recipe's folder. None: "
+        "colour.",
+    )
+    exposure: Exposure | None = Field(default=None, description="For a raw image beside the linear one. None: no such.")
 
     @model_validator(mode="before")
     @classmethod

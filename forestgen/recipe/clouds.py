@@ -25,11 +25,10 @@ class GivenSection(Section):
 class NamedFile(GivenSection):
     """A file beside the recipe, known by its content."""
 
-    file: Annotated[FileName, Field(description="Its path, relative to the recipe's folder.")]
-    sha256: Annotated[
-        Sha256 | None,
-        Field(description="SHA-256 of its content, written when the recipe is loaded; another file is refused."),
-    ] = None
+    file: FileName = Field(description="Its path, relative to the recipe's folder.")
+    sha256: Sha256 | None = Field(
+        default=None, description="SHA-256 of its content, written when the recipe is loaded; another file is refused."
+    )
 
 
 class Clouds(PartSection, GivenSection):
@@ -39,7 +38,7 @@ class Clouds(PartSection, GivenSection):
     selector = "type"
     has_clouds: ClassVar[bool] = True  # whether there are ever any
 
-    type: Annotated[Text, Field(description="Where the clouds come from.")] = "none"
+    type: Text = Field(default="none", description="Where the clouds come from.")
 
     @property
     def known_cover(self) -> float | None:

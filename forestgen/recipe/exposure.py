@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Self
+from typing import Self
 
 from pydantic import Field, model_validator
 
@@ -12,35 +12,33 @@ from forestgen.recipe.fields import Flag, Fraction, NonNegative, Number, Positiv
 class Exposure(Section):
     """Lens and sensor that make a raw image. Without shutter_s and ev the picture is metered."""
 
-    f_number: Annotated[Positive, Field(ge=0.5, le=128, description="Focal length by the pupil's diameter.")] = 8.0
-    shutter_s: Annotated[
-        Positive | None, Field(ge=1e-7, le=86400, description="Exposure time, seconds. Default: by ev, or metered.")
-    ] = None
-    ev: Annotated[
-        Number | None,
-        Field(
-            ge=-10,
-            le=25,
-            description="Exposure value at ISO 100, log2(f_number² / shutter_s): full sun 15, overcast 12; sets the "
-            "shutter, longer for a lower iso.",
-        ),
-    ] = None
-    compensation_ev: Annotated[
-        Number, Field(ge=-10, le=10, description="Stops by which a metered exposure is brighter.")
-    ] = 0.0
-    iso: Annotated[Positive, Field(ge=1, le=1e7, description="Sensitivity by saturation, ISO 12232.")] = 100.0
-    base_iso: Annotated[
-        Positive, Field(ge=1, le=1e7, description="The iso at which saturation fills the well; the least one.")
-    ] = 100.0
-    vignetting: Annotated[
-        Fraction, Field(description="0: none; 1: the fourth power of the cosine off the axis; between: mixed.")
-    ] = 0.0
-    full_well_electrons: Annotated[Positive, Field(ge=10, le=1e8, description="That a pixel holds.")] = 30_000.0
-    read_noise_electrons: Annotated[
-        NonNegative, Field(le=1e5, description="Standard deviation of what reading a pixel adds.")
-    ] = 3.0
-    bits: Annotated[Whole, Field(ge=8, le=16, description="Of a digital number.")] = 14
-    mosaic: Annotated[Flag, Field(description="Whether each pixel sees one colour only, in squares of RGGB.")] = True
+    f_number: Positive = Field(default=8.0, ge=0.5, le=128, description="Focal length by the pupil's diameter.")
+    shutter_s: Positive | None = Field(
+        default=None, ge=1e-7, le=86400, description="Exposure time, seconds. Default: by ev, or metered."
+    )
+    ev: Number | None = Field(
+        default=None,
+        ge=-10,
+        le=25,
+        description="Exposure value at ISO 100, log2(f_number² / shutter_s): full sun 15, overcast 12; sets the "
+        "shutter, longer for a lower iso.",
+    )
+    compensation_ev: Number = Field(
+        default=0.0, ge=-10, le=10, description="Stops by which a metered exposure is brighter."
+    )
+    iso: Positive = Field(default=100.0, ge=1, le=1e7, description="Sensitivity by saturation, ISO 12232.")
+    base_iso: Positive = Field(
+        default=100.0, ge=1, le=1e7, description="The iso at which saturation fills the well; the least one."
+    )
+    vignetting: Fraction = Field(
+        default=0.0, description="0: none; 1: the fourth power of the cosine off the axis; between: mixed."
+    )
+    full_well_electrons: Positive = Field(default=30_000.0, ge=10, le=1e8, description="That a pixel holds.")
+    read_noise_electrons: NonNegative = Field(
+        default=3.0, le=1e5, description="Standard deviation of what reading a pixel adds."
+    )
+    bits: Whole = Field(default=14, ge=8, le=16, description="Of a digital number.")
+    mosaic: Flag = Field(default=True, description="Whether each pixel sees one colour only, in squares of RGGB.")
 
     @model_validator(mode="after")
     def _one_way_to_expose(self) -> Self:

@@ -13,79 +13,61 @@ from forestgen.recipe.spectra import Season
 class Plants(Section):
     """What each plant looks like."""
 
-    geometry: Annotated[
-        Literal["plants", "silhouettes"],
-        Field(
-            description="plants: stems, branches and leaves. silhouettes: solids of revolution of the crowns' forms, "
-            "for looking at a stand before its plants (Lane 2002, Figure 6.2)."
-        ),
-    ] = "plants"
-    exemplars_per_species: Annotated[
-        Whole,
-        Field(
-            ge=1,
-            le=1000,
-            description="Sizes modelled for each species: the centres of clusters of its plants' radii. Every plant is "
-            "one of these, scaled to its exact height.",
-        ),
-    ] = 10
-    variants_per_size: Annotated[
-        Whole,
-        Field(
-            ge=1,
-            le=100,
-            description="Plants modelled for each size, of different seeds; a plant's own number decides which it is. "
-            "Time and memory grow with it.",
-        ),
-    ] = 1
-    library: Annotated[
-        Whole | None,
-        Field(
-            ge=1,
-            le=1000,
-            description="Plants of each size that all images of a split share, for data sets of many images: sizes are "
-            "on a fixed scale, and an image shows `variants_per_size` of them. null: every image grows its own "
-            "plants. No two splits share a plant.",
-        ),
-    ] = None
-    traits: Annotated[
-        tuple[Text, ...],
-        Field(
-            max_length=20,
-            description="What counts beside the radius when plants are grouped into sizes: age_yr, height_m, or a "
-            "column of the community model's own. One standard deviation of a trait counts half as much as one of the "
-            "radius' logarithm.",
-        ),
-    ] = ()
-    unique: Annotated[
-        Literal["auto", "all", "none"] | Annotated[Whole, Field(ge=0, le=100_000)],
-        Field(
-            description="Which plants that grew as branch modules are modelled with their own branches: auto, those "
-            "that are large in an image, as many as ten million triangles hold; all; none; or so many of the largest. "
-            "The others are one of `exemplars_per_species` of these, scaled and turned."
-        ),
-    ] = "auto"
-    levels: Annotated[
-        Flag,
-        Field(
-            description="Whether plants far from every camera show fewer, larger leaves and twigs, of the same area, "
-            "chosen so that they stay below a pixel."
-        ),
-    ] = False
-    season: Annotated[
-        Season,
-        Field(
-            description="Of the leaves' spectra: spring, summer, autumn, dry. It changes their light, not their "
-            "number; shipped evergreens stay green."
-        ),
-    ] = "summer"
-    cache: Annotated[
-        Flag,
-        Field(
-            description="Whether to keep the modelled plants on disk and take them from there when the same ones are "
-            "asked for again; nothing else changes. FORESTGEN_CACHE names the folder."
-        ),
-    ] = True
+    geometry: Literal["plants", "silhouettes"] = Field(
+        default="plants",
+        description="plants: stems, branches and leaves. silhouettes: solids of revolution of the crowns' forms, for "
+        "looking at a stand before its plants (Lane 2002, Figure 6.2).",
+    )
+    exemplars_per_species: Whole = Field(
+        default=10,
+        ge=1,
+        le=1000,
+        description="Sizes modelled for each species: the centres of clusters of its plants' radii. Every plant is one "
+        "of these, scaled to its exact height.",
+    )
+    variants_per_size: Whole = Field(
+        default=1,
+        ge=1,
+        le=100,
+        description="Plants modelled for each size, of different seeds; a plant's own number decides which it is. Time "
+        "and memory grow with it.",
+    )
+    library: Whole | None = Field(
+        default=None,
+        ge=1,
+        le=1000,
+        description="Plants of each size that all images of a split share, for data sets of many images: sizes are on "
+        "a fixed scale, and an image shows `variants_per_size` of them. null: every image grows its own plants. No "
+        "two splits share a plant.",
+    )
+    traits: tuple[Text, ...] = Field(
+        default=(),
+        max_length=20,
+        description="What counts beside the radius when plants are grouped into sizes: age_yr, height_m, or a column "
+        "of the community model's own. One standard deviation of a trait counts half as much as one of the radius' "
+        "logarithm.",
+    )
+    unique: Literal["auto", "all", "none"] | Annotated[Whole, Field(ge=0, le=100_000)] = Field(
+        default="auto",
+        description="Which plants that grew as branch modules are modelled with their own branches: auto, those that "
+        "are large in an image, as many as ten million triangles hold; all; none; or so many of the largest. The "
+        "others are one of `exemplars_per_species` of these, scaled and turned.",
+    )
+    levels: Flag = Field(
+        default=False,
+        description="Whether plants far from every camera show fewer, larger leaves and twigs, of the same area, "
+        "chosen so that they stay below a pixel.",
+    )
+    season: Season = Field(
+        default="summer",
+        description="Of the leaves' spectra: spring, summer, autumn, dry. It changes their light, not their number; "
+        "shipped evergreens stay green.",
+    )
+    cache: Flag = Field(
+        default=True,
+        description="Whether to keep the modelled plants on disk and take them from there when the same ones are asked "
+        "for again; nothing else changes. FORESTGEN_CACHE names the folder.",
+    )
 
     @field_validator("traits")
     @classmethod

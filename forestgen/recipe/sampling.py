@@ -30,11 +30,10 @@ _Strata = Annotated[Literal["all"] | Whole | tuple[_Level, ...], BeforeValidator
 class Correlation(Section):
     """Two correlated drawn values."""
 
-    keys: Annotated[tuple[_Key, _Key], Field(description="Two keys or variables that are drawn.")]
-    rank: Annotated[
-        Number,
-        Field(gt=-1, lt=1, description="Spearman's rank correlation: 0 none, near 1 both are high at the same time."),
-    ]
+    keys: tuple[_Key, _Key] = Field(description="Two keys or variables that are drawn.")
+    rank: Number = Field(
+        gt=-1, lt=1, description="Spearman's rank correlation: 0 none, near 1 both are high at the same time."
+    )
 
     @field_validator("keys")
     @classmethod
@@ -47,43 +46,34 @@ class Correlation(Section):
 class Sampling(Section):
     """How the draws of a recipe's images are spread over their ranges, correlated and shared."""
 
-    method: Annotated[
-        Method,
-        Field(
-            description="independent: each value by itself. latin_hypercube, sobol, halton: the values of all `keys` "
-            "are spread evenly over the images of each split."
-        ),
-    ] = "independent"
-    block: Annotated[
-        Whole,
-        Field(ge=2, le=65_536, description="Of latin_hypercube: images of a split that make a whole hypercube."),
-    ] = 128
-    keys: Annotated[
-        tuple[_Key, ...] | None,
-        Field(
-            min_length=1,
-            description="Keys or variables that the method spreads, such as sky.sun.elevation_deg. Default: all that "
-            "are drawn.",
-        ),
-    ] = None
-    strata: Annotated[
-        dict[_Key, _Strata],
-        Field(
-            description="Key or variable -> number of equally likely bins; or all, each value of a choice; or a list "
-            "of these values. Among as many images of a split as there are cells, each cell is met once."
-        ),
-    ] = {}  # noqa: RUF012 - pydantic copies a default
-    correlations: Annotated[
-        tuple[Correlation, ...], Field(description="Pairs of correlated drawn values.", max_length=1000)
-    ] = ()
-    variables: Annotated[
-        dict[_Variable, Any],
-        Field(
-            max_length=100,
-            description="Name -> a distribution, a value or a formula of other variables. {variable: NAME} or "
-            "{formula: '10 + 30 * NAME'} stands for any number of the recipe.",
-        ),
-    ] = {}  # noqa: RUF012
+    method: Method = Field(
+        default="independent",
+        description="independent: each value by itself. latin_hypercube, sobol, halton: the values of all `keys` are "
+        "spread evenly over the images of each split.",
+    )
+    block: Whole = Field(
+        default=128, ge=2, le=65_536, description="Of latin_hypercube: images of a split that make a whole hypercube."
+    )
+    keys: tuple[_Key, ...] | None = Field(
+        default=None,
+        min_length=1,
+        description="Keys or variables that the method spreads, such as sky.sun.elevation_deg. Default: all that are "
+        "drawn.",
+    )
+    strata: dict[_Key, _Strata] = Field(
+        default={},
+        description="Key or variable -> number of equally likely bins; or all, each value of a choice; or a list of "
+        "these values. Among as many images of a split as there are cells, each cell is met once.",
+    )
+    correlations: tuple[Correlation, ...] = Field(
+        default=(), description="Pairs of correlated drawn values.", max_length=1000
+    )
+    variables: dict[_Variable, Any] = Field(
+        default={},
+        max_length=100,
+        description="Name -> a distribution, a value or a formula of other variables. {variable: NAME} or {formula: "
+        "'10 + 30 * NAME'} stands for any number of the recipe.",
+    )
 
     @field_validator("variables")
     @classmethod

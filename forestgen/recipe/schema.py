@@ -57,56 +57,46 @@ Extent = Annotated[Positive, Field(le=5000)]
 class Site(Section):
     """The piece of land: x from 0 to size_m[0] (east), y from 0 to size_m[1] (north)."""
 
-    size_m: Annotated[tuple[Extent, Extent], Field(description="Extent east (x) and north (y), metres.")] = (
-        100.0,
-        100.0,
+    size_m: tuple[Extent, Extent] = Field(
+        default=(
+            100.0,
+            100.0,
+        ),
+        description="Extent east (x) and north (y), metres.",
     )
     terrain: SerializeAsAny[Terrain] = Field(
         default_factory=lambda: Terrain.model_validate({}), description="Shape of the ground, or just its kind."
     )
-    ground: Annotated[
-        Text,
-        *part_name(GROUND_COVERS),
-        Field(description="What covers it."),
-    ] = "litter"
-    altitude_m: Annotated[
-        Number,
-        Field(
-            ge=-430,
-            le=9000,
-            description="Height of z = 0 above sea level, metres; for species with a response to elevation_m, and for "
-            "the light that comes through the air above.",
-        ),
-    ] = 0.0
-    latitude_deg: Annotated[
-        Number,
-        Field(
-            ge=-90,
-            le=90,
-            description="Latitude, degrees, north positive: where the sun stands over the year, for species with a "
-            "response to sun, and for an image's own sun where sky.sun has a date.",
-        ),
-    ] = 50.0
-    longitude_deg: Annotated[
-        Number | None,
-        Field(ge=-180, le=180, description="Longitude, degrees, east positive; for a sun by date and time."),
-    ] = None
-    wind_from_deg: Annotated[
-        Number,
-        Field(
-            ge=-360,
-            le=360,
-            description="Where the prevailing wind comes from, degrees clockwise from north: 270 is west; for species "
-            "with a response to wind, and for the wind that plants lean and sway in.",
-        ),
-    ] = 270.0
-    wet_soil: Annotated[
-        WetSoil | None,
-        Field(
-            description="How litter, dry soil, rock and sand darken where the community model has water in its "
-            "soil; false: they do not. Default: they do."
-        ),
-    ] = None
+    ground: Annotated[Text, *part_name(GROUND_COVERS)] = Field(default="litter", description="What covers it.")
+    altitude_m: Number = Field(
+        default=0.0,
+        ge=-430,
+        le=9000,
+        description="Height of z = 0 above sea level, metres; for species with a response to elevation_m, and for the "
+        "light that comes through the air above.",
+    )
+    latitude_deg: Number = Field(
+        default=50.0,
+        ge=-90,
+        le=90,
+        description="Latitude, degrees, north positive: where the sun stands over the year, for species with a "
+        "response to sun, and for an image's own sun where sky.sun has a date.",
+    )
+    longitude_deg: Number | None = Field(
+        default=None, ge=-180, le=180, description="Longitude, degrees, east positive; for a sun by date and time."
+    )
+    wind_from_deg: Number = Field(
+        default=270.0,
+        ge=-360,
+        le=360,
+        description="Where the prevailing wind comes from, degrees clockwise from north: 270 is west; for species with "
+        "a response to wind, and for the wind that plants lean and sway in.",
+    )
+    wet_soil: WetSoil | None = Field(
+        default=None,
+        description="How litter, dry soil, rock and sand darken where the community model has water in its soil; "
+        "false: they do not. Default: they do.",
+    )
 
     @field_validator("terrain", mode="before")
     @classmethod
@@ -127,7 +117,7 @@ class Site(Section):
 class Community(OpenSection):
     """The plants of the stand: a community model, and keys that the model checks itself."""
 
-    model: Annotated[Text, Field(min_length=1, max_length=100, description="Id of the community model.")]
+    model: Text = Field(min_length=1, max_length=100, description="Id of the community model.")
 
 
 Channel = Annotated[Text, *part_name(LABEL_CHANNELS)]
@@ -136,26 +126,21 @@ Channel = Annotated[Text, *part_name(LABEL_CHANNELS)]
 class Labels(Section):
     """Which labels are made, and how."""
 
-    samples: Annotated[
-        Whole, Field(ge=1, le=1024, description="Identity samples a pixel, a square number: 1, 4, 9, 16, ...")
-    ] = 16
-    channels: Annotated[
-        tuple[Channel, ...],
-        AfterValidator(each_once),
-        Field(
-            description="Labels besides the masks: coverage ranks, surface (position, normals), albedo, sun (shadows), "
-            "cloud opacity, motion, occlusion boundaries, amodal masks; and module, not among those made by default: "
-            "branch modules and their segments."
-        ),
-    ] = DEFAULT_CHANNELS
-    classes: Annotated[
-        dict[Label, tuple[Name, ...]] | None,
-        Field(
-            max_length=MOST_CLASSES,
-            description="Semantic classes: name -> the species and parts in it, a part before a species; `others` "
-            "are the species that no class names. A name may have blanks. Default: each species is a class.",
-        ),
-    ] = None
+    samples: Whole = Field(
+        default=16, ge=1, le=1024, description="Identity samples a pixel, a square number: 1, 4, 9, 16, ..."
+    )
+    channels: Annotated[tuple[Channel, ...], AfterValidator(each_once)] = Field(
+        default=DEFAULT_CHANNELS,
+        description="Labels besides the masks: coverage ranks, surface (position, normals), albedo, sun (shadows), "
+        "cloud opacity, motion, occlusion boundaries, amodal masks; and module, not among those made by default: "
+        "branch modules and their segments.",
+    )
+    classes: dict[Label, tuple[Name, ...]] | None = Field(
+        default=None,
+        max_length=MOST_CLASSES,
+        description="Semantic classes: name -> the species and parts in it, a part before a species; `others` are the "
+        "species that no class names. A name may have blanks. Default: each species is a class.",
+    )
 
     @field_validator("samples")
     @classmethod
@@ -168,10 +153,8 @@ class Labels(Section):
 class Wind(Section):
     """Wind at each plant's top, in which it leans and sways; it blows from site.wind_from_deg, by default the west."""
 
-    speed_m_per_s: Annotated[NonNegative, Field(le=40, description="Mean speed, metres per second; 0: still air.")] = (
-        0.0
-    )
-    gustiness: Annotated[Fraction, Field(description="Amplitude of the sway by the mean lean, 0 to 1.")] = 0.5
+    speed_m_per_s: NonNegative = Field(default=0.0, le=40, description="Mean speed, metres per second; 0: still air.")
+    gustiness: Fraction = Field(default=0.5, description="Amplitude of the sway by the mean lean, 0 to 1.")
 
 
 def _is_same_stand(value: Any) -> Any:
@@ -184,36 +167,32 @@ def _is_same_stand(value: Any) -> Any:
 class Recipe(Section):
     """A drawn, complete recipe."""
 
-    forestgen: Annotated[Literal[1], Field(description="Version of the recipe's schema.")]
-    seed: Annotated[Whole, Field(ge=0, lt=2**63, description="Root of all randomness; 0 is a seed.")] = 0
-    images: Annotated[Whole, Field(ge=1, le=10**9, description="How many images, each drawn anew.")] = 1
-    first_image: Annotated[
-        Whole,
-        Field(ge=0, le=10**12, description="Index of the first image; a stored drawn recipe keeps its own here."),
-    ] = 0
-    same_stand: Annotated[
-        Flag | Literal["by_split"],
-        BeforeValidator(_is_same_stand),
-        Field(
-            description="Whether all images show image 0's stand, or by_split, all images of a split the split's own; "
-            "distributions are still drawn by image."
-        ),
-    ] = False
+    forestgen: Literal[1] = Field(description="Version of the recipe's schema.")
+    seed: Whole = Field(default=0, ge=0, lt=2**63, description="Root of all randomness; 0 is a seed.")
+    images: Whole = Field(default=1, ge=1, le=10**9, description="How many images, each drawn anew.")
+    first_image: Whole = Field(
+        default=0, ge=0, le=10**12, description="Index of the first image; a stored drawn recipe keeps its own here."
+    )
+    same_stand: Annotated[Flag | Literal["by_split"], BeforeValidator(_is_same_stand)] = Field(
+        default=False,
+        description="Whether all images show image 0's stand, or by_split, all images of a split the split's own; "
+        "distributions are still drawn by image.",
+    )
     site: Site = Field(default_factory=Site, description="The piece of land.")
-    species: Annotated[dict[Name, Species], Field(min_length=1, max_length=1000, description="Species by name.")]
-    community: Annotated[Community, Field(description="The plants of the stand: a community model and its own keys.")]
-    plants: Annotated[Plants, Field(description="How plants are modelled.")] = Plants()
+    species: dict[Name, Species] = Field(min_length=1, max_length=1000, description="Species by name.")
+    community: Community = Field(description="The plants of the stand: a community model and its own keys.")
+    plants: Plants = Field(default=Plants(), description="How plants are modelled.")
     sky: SerializeAsAny[SkySection] = Field(
         default_factory=lambda: SkySection.model_validate({}), description="Everything above: sun, sky, clouds."
     )
-    cameras: Annotated[list[AnyCamera], Field(min_length=1, max_length=1000, description="Cameras, at least one.")]
-    render: Annotated[Render, Field(description="The light's computation.")] = Render()
-    labels: Annotated[Labels, Field(description="The labels' computation.")] = Labels()
-    wind: Annotated[Wind, Field(description="How plants lean and sway.")] = Wind()
-    dataset: Annotated[Dataset, Field(description="Files for training and measuring.")] = Dataset()
-    sampling: Annotated[
-        Sampling | None, Field(description="How draws are spread over the images, correlated and shared.")
-    ] = None
+    cameras: list[AnyCamera] = Field(min_length=1, max_length=1000, description="Cameras, at least one.")
+    render: Render = Field(default=Render(), description="The light's computation.")
+    labels: Labels = Field(default=Labels(), description="The labels' computation.")
+    wind: Wind = Field(default=Wind(), description="How plants lean and sway.")
+    dataset: Dataset = Field(default=Dataset(), description="Files for training and measuring.")
+    sampling: Sampling | None = Field(
+        default=None, description="How draws are spread over the images, correlated and shared."
+    )
 
     @model_validator(mode="before")
     @classmethod

@@ -29,34 +29,30 @@ _CLOCK = re.compile(r"^(\d{1,2}):(\d{2})(?::(\d{2}))?$", re.ASCII)
 class Sun(Section):
     """Where the sun stands: by its angles, or by date, time and the site's place on earth."""
 
-    elevation_deg: Annotated[
-        Number | None,
-        Field(gt=0, le=90, description="Height above the horizon as it is seen, degrees. Default 40, without a date."),
-    ] = None
-    azimuth_deg: Annotated[
-        Number | None,
-        Field(
-            ge=-360,
-            le=360,
-            description="Direction clockwise from north, degrees: 90 is east. Default 140, without a date.",
-        ),
-    ] = None
-    date: Annotated[
-        Text | None,
-        Field(
-            max_length=40,
-            description="Day, YYYY-MM-DD, with time and utc_offset_h; or both with their offset as "
-            "2026-06-21T14:30+02:00. Needs site.latitude_deg and site.longitude_deg.",
-        ),
-    ] = None
-    time: Annotated[
-        Annotated[Number, Field(ge=0, lt=24)] | Text | None,
-        Field(description="Of the clock, 'HH:MM' or 'HH:MM:SS', or hours since midnight, such as 14.5."),
-    ] = None
-    utc_offset_h: Annotated[
-        Number | None,
-        Field(ge=-12, le=14, description="What the clock is ahead of UTC, hours: 2 in central Europe's summer."),
-    ] = None
+    elevation_deg: Number | None = Field(
+        default=None,
+        gt=0,
+        le=90,
+        description="Height above the horizon as it is seen, degrees. Default 40, without a date.",
+    )
+    azimuth_deg: Number | None = Field(
+        default=None,
+        ge=-360,
+        le=360,
+        description="Direction clockwise from north, degrees: 90 is east. Default 140, without a date.",
+    )
+    date: Text | None = Field(
+        default=None,
+        max_length=40,
+        description="Day, YYYY-MM-DD, with time and utc_offset_h; or both with their offset as 2026-06-21T14:30+02:00. "
+        "Needs site.latitude_deg and site.longitude_deg.",
+    )
+    time: Annotated[Number, Field(ge=0, lt=24)] | Text | None = Field(
+        default=None, description="Of the clock, 'HH:MM' or 'HH:MM:SS', or hours since midnight, such as 14.5."
+    )
+    utc_offset_h: Number | None = Field(
+        default=None, ge=-12, le=14, description="What the clock is ahead of UTC, hours: 2 in central Europe's summer."
+    )
 
     @property
     def moment(self) -> datetime.datetime | None:
@@ -156,31 +152,25 @@ class SkySection(PartSection):
     registry = SKIES
     selector = "kind"
 
-    kind: Annotated[Text, Field(description="Model of the sky.")] = "clear"
-    sun: Annotated[Sun, Field(description="Where the sun stands, by angles or by date.")] = Sun()
-    turbidity: Annotated[Number, Field(ge=1, le=10, description="Haze: 1 is pure air, 3 clear, 10 hazy; no unit.")] = (
-        3.0
+    kind: Text = Field(default="clear", description="Model of the sky.")
+    sun: Sun = Field(default=Sun(), description="Where the sun stands, by angles or by date.")
+    turbidity: Number = Field(default=3.0, ge=1, le=10, description="Haze: 1 is pure air, 3 clear, 10 hazy; no unit.")
+    precipitable_water_mm: Number = Field(
+        default=14.16,
+        ge=0,
+        le=100,
+        description="Water vapour of the whole air column, mm: 5 in winter, 14 standard, 50 in the tropics.",
     )
-    precipitable_water_mm: Annotated[
-        Number,
-        Field(
-            ge=0,
-            le=100,
-            description="Water vapour of the whole air column, mm: 5 in winter, 14 standard, 50 in the tropics.",
-        ),
-    ] = 14.16
-    ozone_du: Annotated[
-        Number, Field(ge=0, le=1000, description="Ozone of the whole air column, Dobson units; 344 is standard.")
-    ] = 344.0
-    visibility_m: Annotated[
-        Number | None,
-        Field(
-            ge=1000,
-            le=300000,
-            description="Haze between camera and scene: how far one sees, metres; 3000 is murky, 20000 usual, 100000 "
-            "very clear. None: no haze. Below 1000 it is fog: see clouds.",
-        ),
-    ] = None
+    ozone_du: Number = Field(
+        default=344.0, ge=0, le=1000, description="Ozone of the whole air column, Dobson units; 344 is standard."
+    )
+    visibility_m: Number | None = Field(
+        default=None,
+        ge=1000,
+        le=300000,
+        description="Haze between camera and scene: how far one sees, metres; 3000 is murky, 20000 usual, 100000 very "
+        "clear. None: no haze. Below 1000 it is fog: see clouds.",
+    )
     clouds: SerializeAsAny[Clouds] = Field(
         default_factory=lambda: Clouds.model_validate({}), description="The cloud field, or just its type."
     )

@@ -34,23 +34,19 @@ TALLEST_M = 200.0
 class Ecology(Section):
     """How a species grows, competes and spreads."""
 
-    growth_m_per_yr: Annotated[NonNegative, Field(le=10, description="Growth of the radius, metres per year.")]
-    max_radius_m: Annotated[Positive, Field(le=100, description="Radius at which a plant is mature, metres.")]
-    shade_tolerance: Annotated[
-        Fraction, Field(description="Probability that a dominated plant survives a step, 0 to 1.")
-    ]
-    old_age_survival: Annotated[Fraction, Field(description="Probability that a mature plant survives a step, 0 to 1.")]
-    seedlings_per_ha_per_yr: Annotated[
-        NonNegative, Field(le=1e6, description="New plants per hectare (10,000 m²) and year.")
-    ]
-    seedling_radius_m: Annotated[Positive, Field(le=10, description="Radius of a new plant, metres.")] = 0.05
+    growth_m_per_yr: NonNegative = Field(le=10, description="Growth of the radius, metres per year.")
+    max_radius_m: Positive = Field(le=100, description="Radius at which a plant is mature, metres.")
+    shade_tolerance: Fraction = Field(description="Probability that a dominated plant survives a step, 0 to 1.")
+    old_age_survival: Fraction = Field(description="Probability that a mature plant survives a step, 0 to 1.")
+    seedlings_per_ha_per_yr: NonNegative = Field(le=1e6, description="New plants per hectare (10,000 m²) and year.")
+    seedling_radius_m: Positive = Field(default=0.05, le=10, description="Radius of a new plant, metres.")
 
 
 class PowerLaw(Section):
     """``scale * radius^exponent``, metres; the radius in metres."""
 
-    scale: Annotated[Positive, Field(description="Value at a radius of 1 m, metres.")]
-    exponent: Annotated[Number, Field(ge=0, le=5, description="Power of the radius, no unit.")]
+    scale: Positive = Field(description="Value at a radius of 1 m, metres.")
+    exponent: Number = Field(ge=0, le=5, description="Power of the radius, no unit.")
 
     def __call__(self, radius_m: float | NDArray[np.float64]) -> NDArray[np.float64]:
         return np.asarray(self.scale * np.asarray(radius_m, dtype=np.float64) ** self.exponent, dtype=np.float64)
@@ -63,8 +59,8 @@ class PowerLaw(Section):
 class Allometry(Section):
     """Size of a plant from its radius in the community (Lane 2002, chapter 6)."""
 
-    height_m: Annotated[PowerLaw, Field(description="Height of the plant, metres, from its radius.")]
-    width_m: Annotated[PowerLaw, Field(description="Width of the crown, metres, from its radius.")]
+    height_m: PowerLaw = Field(description="Height of the plant, metres, from its radius.")
+    width_m: PowerLaw = Field(description="Width of the crown, metres, from its radius.")
 
     def height(self, radius_m: float | NDArray[np.float64]) -> NDArray[np.float64]:
         """Height in metres of plants of `radius_m`, metres, any shape."""
@@ -78,7 +74,7 @@ class Allometry(Section):
 class Plant(OpenSection):
     """What makes a species' geometry: a generator, and keys that the generator checks itself."""
 
-    generator: Annotated[Text, Field(min_length=1, max_length=100, description="Id of the plant generator.")]
+    generator: Text = Field(min_length=1, max_length=100, description="Id of the plant generator.")
 
 
 BarkPattern = Literal["furrowed", "plated", "scaly", "smooth", "papery", "ringed", "fibrous", "end_grain"]
@@ -88,37 +84,33 @@ TileSide = Annotated[Positive, Field(ge=0.01, le=10)]
 class Bark(Section):
     """Pattern and relief of a surface, whose mean colour stays the material's reflectance; see plants/bark/."""
 
-    pattern: Annotated[BarkPattern, Field(description="What the bark looks like.")]
-    tile_m: Annotated[
-        tuple[TileSide, TileSide],
-        Field(description="Width round the stem and height of the texture's one repeat, metres."),
-    ] = (0.5, 0.75)
-    scale_m: Annotated[
-        Positive | None,
-        Field(
-            ge=0.0005,
-            le=1,
-            description="Width of a ridge, plate, scale, ring or mark, metres; null: the pattern's own.",
-        ),
-    ] = None
-    depth_m: Annotated[
-        NonNegative | None, Field(le=0.1, description="Deepest crack, metres; null: the pattern's own.")
-    ] = None
-    dark: Annotated[
-        Colour | None, Field(description="Colour of cracks, linear Rec. 709, before the mean is set; null: chosen.")
-    ] = None
-    light: Annotated[
-        Colour | None, Field(description="Colour of what stands out, before the mean is set; null: chosen.")
-    ] = None
-    marks: Annotated[
-        Fraction | None,
-        Field(le=0.5, description="Share of lenticels, checks or cracks, 0 to 0.5; null: the pattern's own."),
-    ] = None
-    mark_colour: Annotated[
-        Colour | None, Field(description="Colour of the marks of smooth and papery bark; null: as dark.")
-    ] = None
-    lichen: Annotated[Fraction, Field(le=0.9, description="Share of the surface that lichen covers.")] = 0.0
-    lichen_colour: Annotated[Colour, Field(description="Colour of lichen, before the mean is set.")] = (0.3, 0.33, 0.24)
+    pattern: BarkPattern = Field(description="What the bark looks like.")
+    tile_m: tuple[TileSide, TileSide] = Field(
+        default=(0.5, 0.75), description="Width round the stem and height of the texture's one repeat, metres."
+    )
+    scale_m: Positive | None = Field(
+        default=None,
+        ge=0.0005,
+        le=1,
+        description="Width of a ridge, plate, scale, ring or mark, metres; null: the pattern's own.",
+    )
+    depth_m: NonNegative | None = Field(
+        default=None, le=0.1, description="Deepest crack, metres; null: the pattern's own."
+    )
+    dark: Colour | None = Field(
+        default=None, description="Colour of cracks, linear Rec. 709, before the mean is set; null: chosen."
+    )
+    light: Colour | None = Field(
+        default=None, description="Colour of what stands out, before the mean is set; null: chosen."
+    )
+    marks: Fraction | None = Field(
+        default=None, le=0.5, description="Share of lenticels, checks or cracks, 0 to 0.5; null: the pattern's own."
+    )
+    mark_colour: Colour | None = Field(
+        default=None, description="Colour of the marks of smooth and papery bark; null: as dark."
+    )
+    lichen: NonNegative = Field(default=0.0, le=0.9, description="Share of the surface that lichen covers.")
+    lichen_colour: Colour = Field(default=(0.3, 0.33, 0.24), description="Colour of lichen, before the mean is set.")
 
     @model_validator(mode="after")
     def _repeats(self) -> Self:
@@ -135,44 +127,39 @@ class Bark(Section):
 class SpectrumFile(Section):
     """A table of reflectance and perhaps transmittance by wavelength; see recipe/spectra.py."""
 
-    name: Annotated[Text, Field(min_length=1, max_length=1000, description="Such as leaves/birch, or a path.")]
-    text: Annotated[
-        Text | None,
-        Field(max_length=MOST_BYTES, description="The table itself, as drawn recipes keep a file of your own."),
-    ] = None
+    name: Text = Field(min_length=1, max_length=1000, description="Such as leaves/birch, or a path.")
+    text: Text | None = Field(
+        default=None, max_length=MOST_BYTES, description="The table itself, as drawn recipes keep a file of your own."
+    )
 
 
 class Material(Section):
     """What an organ's surface does with light: by a spectrum, or by a colour, linear Rec. 709."""
 
-    spectrum: Annotated[
-        SpectrumFile | None,
-        Field(
-            description="Table of reflectance and transmittance by wavelength, of which the colours follow: "
-            "leaves/birch, bark/oak, ... or a path from the recipe's folder. In place of reflectance and transmittance."
-        ),
-    ] = None
-    season: Annotated[
-        Season | None, Field(description="Of the spectrum, where it has seasons; null: plants.season.")
-    ] = None
-    reflectance: Annotated[
-        Colour | None, Field(description="Reflected fraction of red, green, blue; linear Rec. 709.")
-    ] = None
-    transmittance: Annotated[
-        Colour, Field(description="Fraction let through of red, green, blue; linear Rec. 709.")
-    ] = (0.0, 0.0, 0.0)
-    roughness: Annotated[Fraction, Field(description="Roughness of the gloss, 0 to 1: 0.2 is waxy, 0.6 matt.")] = 0.5
-    gloss: Annotated[
-        Fraction,
-        Field(
-            le=0.08,
-            description="Share of light that the skin of a leaf or petal mirrors, part of its reflectance: 0 is matt, "
-            "0.04 smooth wax. Bark has none.",
-        ),
-    ] = 0.0
-    bark: Annotated[
-        Bark | None, Field(description="Pattern of an opaque surface; null: one colour. The reflectance is its mean.")
-    ] = None
+    spectrum: SpectrumFile | None = Field(
+        default=None,
+        description="Table of reflectance and transmittance by wavelength, of which the colours follow: leaves/birch, "
+        "bark/oak, ... or a path from the recipe's folder. In place of reflectance and transmittance.",
+    )
+    season: Season | None = Field(
+        default=None, description="Of the spectrum, where it has seasons; null: plants.season."
+    )
+    reflectance: Colour | None = Field(
+        default=None, description="Reflected fraction of red, green, blue; linear Rec. 709."
+    )
+    transmittance: Colour = Field(
+        default=(0.0, 0.0, 0.0), description="Fraction let through of red, green, blue; linear Rec. 709."
+    )
+    roughness: Fraction = Field(default=0.5, description="Roughness of the gloss, 0 to 1: 0.2 is waxy, 0.6 matt.")
+    gloss: NonNegative = Field(
+        default=0.0,
+        le=0.08,
+        description="Share of light that the skin of a leaf or petal mirrors, part of its reflectance: 0 is matt, 0.04 "
+        "smooth wax. Bark has none.",
+    )
+    bark: Bark | None = Field(
+        default=None, description="Pattern of an opaque surface; null: one colour. The reflectance is its mean."
+    )
 
     @field_validator("spectrum", mode="before")
     @classmethod
@@ -216,47 +203,42 @@ class Material(Section):
 class Tissue(Section):
     """What turns volume and area into mass, dry."""
 
-    wood_density_kg_per_m3: Annotated[
-        Positive, Field(le=1500, description="Dry wood over its fresh volume, kg/m³.")
-    ] = 500.0
-    leaf_mass_per_area_kg_per_m2: Annotated[
-        Positive, Field(le=2, description="Dry leaf over one side's area, kg/m².")
-    ] = 0.08
+    wood_density_kg_per_m3: Positive = Field(
+        default=500.0, le=1500, description="Dry wood over its fresh volume, kg/m³."
+    )
+    leaf_mass_per_area_kg_per_m2: Positive = Field(
+        default=0.08, le=2, description="Dry leaf over one side's area, kg/m²."
+    )
 
 
 class Species(Section):
     """One species of the recipe, complete: its file and the recipe's overrides merged."""
 
-    description: Annotated[Text, Field(max_length=2000, description="What the species is, for people.")] = ""
-    height_m: Annotated[
-        Positive | None,
-        Field(
-            le=TALLEST_M,
-            description="Mature height, metres: sets allometry.height_m.scale so that a plant of ecology.max_radius_m "
-            "is this tall. Null leaves the allometry as it is.",
-        ),
-    ] = None
-    map_colour: Annotated[
-        Text | None, Field(pattern="^#[0-9A-Fa-f]{6}$", description="Colour on maps, #RRGGBB; null: chosen.")
-    ] = None
-    ecology: Annotated[Ecology, Field(description="How the species grows, competes and spreads.")]
-    allometry: Annotated[Allometry, Field(description="Size of a plant from its radius.")]
-    tissue: Annotated[Tissue, Field(description="Density of wood and leaves, for mass.")] = Tissue()
-    sources: Annotated[
-        tuple[Text, ...], Field(max_length=20, description="Where the proportions come from, one reference each.")
-    ] = ()
-    plant: Annotated[Plant, Field(description="What makes its geometry.")]
-    modules: Annotated[
-        PlantType | None,
-        Field(description="How it grows as branch modules; null: it does not."),
-    ] = None
-    modules_plant: Annotated[
-        Plant | None,
-        Field(description="Plant generator of its branch modules, if `plant` serves other communities; null: `plant`."),
-    ] = None
-    materials: Annotated[
-        dict[Name, Material], Field(default_factory=dict, description="Materials of the plant's organs, by name.")
-    ]
+    description: Text = Field(default="", max_length=2000, description="What the species is, for people.")
+    height_m: Positive | None = Field(
+        default=None,
+        le=TALLEST_M,
+        description="Mature height, metres: sets allometry.height_m.scale so that a plant of ecology.max_radius_m is "
+        "this tall. Null leaves the allometry as it is.",
+    )
+    map_colour: Text | None = Field(
+        default=None, pattern="^#[0-9A-Fa-f]{6}$", description="Colour on maps, #RRGGBB; null: chosen."
+    )
+    ecology: Ecology = Field(description="How the species grows, competes and spreads.")
+    allometry: Allometry = Field(description="Size of a plant from its radius.")
+    tissue: Tissue = Field(default=Tissue(), description="Density of wood and leaves, for mass.")
+    sources: tuple[Text, ...] = Field(
+        default=(), max_length=20, description="Where the proportions come from, one reference each."
+    )
+    plant: Plant = Field(description="What makes its geometry.")
+    modules: PlantType | None = Field(default=None, description="How it grows as branch modules; null: it does not.")
+    modules_plant: Plant | None = Field(
+        default=None,
+        description="Plant generator of its branch modules, if `plant` serves other communities; null: `plant`.",
+    )
+    materials: dict[Name, Material] = Field(
+        default_factory=dict, description="Materials of the plant's organs, by name."
+    )
 
     @model_validator(mode="after")
     def _height_is_a_plants(self) -> Self:

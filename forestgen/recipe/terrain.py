@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Any
 
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
 
@@ -16,7 +16,7 @@ class Terrain(PartSection):
     registry = TERRAINS
     selector = "kind"
 
-    kind: Annotated[Text, Field(description="Shape of the ground.")] = "flat"
+    kind: Text = Field(default="flat", description="Shape of the ground.")
 
     @model_serializer(mode="wrap")
     def _as_given(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
