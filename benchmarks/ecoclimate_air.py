@@ -33,7 +33,7 @@ from forestgen.community.plots import new_figure
 from forestgen.community.population import Population
 from forestgen.community.soil_water.ground import Ground
 from forestgen.community.soil_water.model import SoilWater
-from forestgen.core.timing import Timings
+from forestgen.core.progress import Timings
 from forestgen.recipe.load import load_recipe
 from forestgen.stages.plan import check_plan
 

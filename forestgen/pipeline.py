@@ -15,8 +15,7 @@ from typing import Any
 from forestgen.community.model import Site
 from forestgen.community.population import Population, Status
 from forestgen.community.statistics import count_by_species, stems_by_species
-from forestgen.core.progress import Progress
-from forestgen.core.timing import Timings
+from forestgen.core.progress import Progress, Timings
 from forestgen.dataset.folder import OutputFolder
 from forestgen.dataset.frame_row import frame_row
 from forestgen.dataset.manifest import build_manifest, write_manifest

@@ -13,8 +13,7 @@ from forestgen.atmosphere.clouds.source import WeatherReport as Weather
 from forestgen.atmosphere.clouds.source import cloud_source_of
 from forestgen.core.arguments import listed, number_of, path_of, shown, whole_of
 from forestgen.core.errors import OutputError, RecipeError
-from forestgen.core.progress import Progress
-from forestgen.core.timing import Timings
+from forestgen.core.progress import Progress, Timings
 from forestgen.recipe.camera_keys import DIRECTIONS
 from forestgen.recipe.load import LoadedRecipe
 from forestgen.stages.light import Point

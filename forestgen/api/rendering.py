@@ -10,9 +10,8 @@ from forestgen.api.datasets import Run
 from forestgen.api.display import Display, display_of
 from forestgen.api.frames import MadeFrame
 from forestgen.core.arguments import address_of, whole_of
-from forestgen.core.progress import Progress
+from forestgen.core.progress import Progress, Timings
 from forestgen.core.threads import cores, limit_cores
-from forestgen.core.timing import Timings
 from forestgen.dataset.frame import Frame
 from forestgen.pipeline import assemble_image, image_frames
 from forestgen.recipe.load import LoadedRecipe

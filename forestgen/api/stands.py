@@ -16,8 +16,7 @@ from forestgen.api.display import display_of
 from forestgen.community.population import Population, Status
 from forestgen.core.arguments import listed, shown, whole_of
 from forestgen.core.errors import RecipeError
-from forestgen.core.progress import Progress
-from forestgen.core.timing import Timings
+from forestgen.core.progress import Progress, Timings
 from forestgen.recipe.load import LoadedRecipe
 from forestgen.recipe.suggestions import did_you_mean
 from forestgen.stages.history import map_colours

@@ -26,7 +26,7 @@ from forestgen.cli.suggestions import options_suggested
 from forestgen.cli.variadic import RadiiCommand
 from forestgen.cli.verify import verify
 from forestgen.cli.weather import weather
-from forestgen.core.version import __version__
+from forestgen.core import __version__
 
 
 class _Commands(typer.core.TyperGroup):

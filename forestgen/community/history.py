@@ -34,7 +34,7 @@ from forestgen.community.map_history import MapWriter, read_maps
 from forestgen.community.module_history import NAME, ModuleWriter, read_modules
 from forestgen.community.population import Population
 from forestgen.core.errors import AssetError, OutputError, ResourceError
-from forestgen.core.memory import free_bytes
+from forestgen.core.processes import free_bytes
 
 _OWN = "model."
 _KEY = b"forestgen.community"

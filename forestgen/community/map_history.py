@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from forestgen.community.population import Population
 from forestgen.core.errors import AssetError, ResourceError
-from forestgen.core.memory import free_bytes
+from forestgen.core.processes import free_bytes
 
 NAME = "maps.nc"
 _UNITS = {"_mm": "mm", "_c": "degree_Celsius", "_g_per_m2": "g m-2"}

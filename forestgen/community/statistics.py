@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from forestgen.community.model import Site
 from forestgen.community.point_patterns import SAMPLES, Window, hopkins, measure_distances
 from forestgen.community.population import Population, Status
-from forestgen.core.forestry import BREAST_HEIGHT_M
+from forestgen.core.frames import BREAST_HEIGHT_M
 
 
 def count_by_species(population: Population) -> dict[str, int]:

@@ -1,4 +1,4 @@
-"""Standard streams of a program that somebody has closed, or that lead to a full disk."""
+"""Standard streams that are closed, or lead to a full disk."""
 
 from __future__ import annotations
 

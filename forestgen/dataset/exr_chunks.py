@@ -16,7 +16,7 @@ import zlib
 from dataclasses import dataclass
 from typing import IO, Any
 
-from forestgen.core.memory import free_bytes
+from forestgen.core.processes import free_bytes
 
 _MAGIC, _VERSION = b"\x76\x2f\x31\x01", 2
 _LONG_NAMES, _MULTIPART = 0x400, 0x1000

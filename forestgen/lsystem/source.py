@@ -12,8 +12,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from forestgen.core.arguments import read_text
 from forestgen.core.errors import LsystemError
-from forestgen.core.text_file import read_text
 from forestgen.lsystem.syntax import Place
 
 LARGEST_PROGRAM_BYTES = 8_000_000

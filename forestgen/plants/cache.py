@@ -12,8 +12,7 @@ import json
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from forestgen.core.code_hash import code_hash
-from forestgen.core.disk_cache import DiskCache, cache_root
+from forestgen.core.cache import DiskCache, cache_root, code_hash
 from forestgen.core.packed import UnreadableError, pack, unpack
 from forestgen.core.parts import Part
 from forestgen.geometry.mesh import Mesh

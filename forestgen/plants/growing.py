@@ -10,8 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
-from forestgen.core.bounded_cache import BoundedCache
-from forestgen.core.disk_cache import DiskCache
+from forestgen.core.cache import BoundedCache, DiskCache
 from forestgen.core.randomness import child_rng, child_seed
 from forestgen.core.threads import cores
 from forestgen.plants.build import build_exemplar, built, size_m

@@ -8,9 +8,8 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from forestgen.core.error_list import ErrorList
-from forestgen.core.errors import AssetError, RecipeError
-from forestgen.core.text_file import read_text
+from forestgen.core.arguments import read_text
+from forestgen.core.errors import AssetError, ErrorList, RecipeError
 from forestgen.recipe.assets import find_asset, list_assets
 from forestgen.recipe.distributions import is_distribution
 from forestgen.recipe.own_tables import embed_sensors, embed_spectra

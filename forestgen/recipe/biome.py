@@ -24,8 +24,8 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from forestgen.core.arguments import read_text
 from forestgen.core.errors import AssetError, RecipeError
-from forestgen.core.text_file import read_text
 from forestgen.recipe.assets import list_assets, scenes_dir
 from forestgen.recipe.plant_type import PlantType
 from forestgen.recipe.sources import SourceMap

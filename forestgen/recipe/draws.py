@@ -10,8 +10,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from forestgen.core.error_list import ErrorList
-from forestgen.core.errors import RecipeError
+from forestgen.core.errors import ErrorList, RecipeError
 from forestgen.core.randomness import child_rng
 from forestgen.recipe.distributions import (
     BadDistributionError,

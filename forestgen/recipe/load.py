@@ -19,8 +19,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.representer import SafeRepresenter
 
 from forestgen.core.arguments import plain_copy
-from forestgen.core.error_list import ErrorList
-from forestgen.core.errors import RecipeError
+from forestgen.core.errors import ErrorList, RecipeError
 from forestgen.core.randomness import child_root
 from forestgen.recipe.assemble import apply_override, embed_program, embed_tables, merge_species, spell_out
 from forestgen.recipe.biome import forget_drawn_biome, settle_biome
@@ -353,7 +352,7 @@ def _checked(loaded: LoadedRecipe, errors: ErrorList, stand_ins: frozenset[str])
         sections = {sections_of(place) for place in found.places}
         doubtful = {(_ERRORS_OF_OTHERS[one],) for one in stand_ins & _ERRORS_OF_OTHERS.keys()}
         if len(found.found) > 1 or not sections <= doubtful:  # such an error comes alone
-            errors.add_all(found)
+            errors.add(*found.found)
         data = copied(loaded.data)
         stand_ins |= replace_sections(data, sections)
         draws = ErrorList("").attempt(make_draws, data, loaded.sources)

@@ -26,9 +26,9 @@ from typing import Literal, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.core.arguments import read_text
 from forestgen.core.errors import AssetError
 from forestgen.core.spectrum import Band, Spectrum
-from forestgen.core.text_file import read_text
 from forestgen.recipe.assets import find_asset, list_assets
 
 Season = Literal["spring", "summer", "autumn", "dry"]

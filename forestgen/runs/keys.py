@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 
-from forestgen.core.code_hash import code_hash
+from forestgen.core.cache import code_hash
 from forestgen.recipe.assets import scenes_dir
 from forestgen.recipe.hashing import recipe_hash
 from forestgen.recipe.load import DrawnRecipe

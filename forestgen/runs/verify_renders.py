@@ -10,8 +10,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from forestgen.core.errors import DatasetError, ForestgenError
-from forestgen.core.progress import Progress
-from forestgen.core.timing import Timings
+from forestgen.core.progress import Progress, Timings
 from forestgen.dataset.check.finding import Finding
 from forestgen.dataset.index import INDEX_NAME, read_index
 from forestgen.dataset.safe_path import SafePath

@@ -21,10 +21,9 @@ from forestgen.core.errors import (
     RenderError,
     ResourceError,
 )
-from forestgen.core.memory import whole_bytes
-from forestgen.core.progress import Progress, Silent
+from forestgen.core.processes import whole_bytes
+from forestgen.core.progress import Progress, Silent, Timings
 from forestgen.core.threads import limit_cores
-from forestgen.core.timing import Timings
 from forestgen.dataset.files import STORAGE_ERRNOS, output_error
 from forestgen.dataset.manifest import peak_memory_bytes
 from forestgen.dataset.thumbnails import thumbnail_name, write_thumbnail

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.core.bounded_cache import BoundedCache
+from forestgen.core.cache import BoundedCache
 from forestgen.geometry.mesh import Mesh
 from forestgen.plants.bark.texture import with_mean
 from forestgen.recipe.registries import GROUND_COVERS

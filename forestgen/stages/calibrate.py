@@ -11,10 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.errors import RecipeError
-from forestgen.core.progress import Progress
+from forestgen.core.progress import Progress, Timings
 from forestgen.core.randomness import child_seed
 from forestgen.core.spectrum import Spectrum
-from forestgen.core.timing import Timings
 from forestgen.recipe.load import LoadedRecipe
 from forestgen.render.chart_pass import WAVELENGTHS_NM, ChartImages, render_chart
 from forestgen.render.cloud_heights import near_base_of

@@ -4,7 +4,7 @@ A simulation is a function of the model, its parameters, the site with its groun
 the code. Images of one stand, cameras added later, a batch that is done again: they take the community from here. What
 comes from disk is what would be simulated, to the last bit.
 
-They lie in the folder `communities` of the cache (core/disk_cache.py). What takes less time to simulate than
+They lie in the folder `communities` of the cache (core/cache.py). What takes less time to simulate than
 `WORTHWHILE_S` is not kept.
 """
 
@@ -20,8 +20,7 @@ from pydantic import BaseModel
 
 from forestgen.architecture.modules import Modules
 from forestgen.community.population import Population
-from forestgen.core.code_hash import code_hash
-from forestgen.core.disk_cache import DiskCache, cache_root
+from forestgen.core.cache import DiskCache, cache_root, code_hash
 from forestgen.core.packed import UnreadableError, pack, unpack
 from forestgen.recipe.assets import scenes_dir
 from forestgen.stages.plan import Plan

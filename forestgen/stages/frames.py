@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from forestgen.atmosphere.haze import KOSCHMIEDER
-from forestgen.core.progress import Progress
+from forestgen.core.progress import Progress, Timings
 from forestgen.core.randomness import child_seed
-from forestgen.core.timing import Timings
 from forestgen.dataset.formats.format import load_formats
 from forestgen.labels.channels.channel import ChannelView
 from forestgen.recipe.registries import LABEL_CHANNELS

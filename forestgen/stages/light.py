@@ -17,10 +17,9 @@ from numpy.typing import NDArray
 from forestgen.atmosphere.clouds.source import cloud_source_of
 from forestgen.atmosphere.daylight import illuminance
 from forestgen.core.errors import RecipeError
-from forestgen.core.progress import Progress
+from forestgen.core.progress import Progress, Timings
 from forestgen.core.randomness import child_seed
 from forestgen.core.spectrum import LUMINANCE, Spectrum
-from forestgen.core.timing import Timings
 from forestgen.recipe.load import LoadedRecipe
 from forestgen.render.irradiance import REPLICATES, PointLight, measure
 from forestgen.render.transport import check_far_clouds

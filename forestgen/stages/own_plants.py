@@ -13,8 +13,7 @@ import numpy as np
 
 from forestgen.community.capabilities import OwnSkeletons, capability
 from forestgen.community.population import Population, Status
-from forestgen.core.error_list import ErrorList
-from forestgen.core.errors import RecipeError
+from forestgen.core.errors import ErrorList, RecipeError
 from forestgen.plants.bark.texture import with_bark_tiles
 from forestgen.plants.parameters import PlantParameters
 from forestgen.plants.registry import GENERATORS, clothes_modules

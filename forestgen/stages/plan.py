@@ -27,10 +27,9 @@ from forestgen.community.model import CommunityParameters, Site
 from forestgen.community.obstacles import NO_OBSTACLES, Obstacles, check_obstacles
 from forestgen.community.placement.density_map import check_maps
 from forestgen.community.registry import COMMUNITY_MODELS
-from forestgen.core.error_list import ErrorList
-from forestgen.core.errors import RecipeError, ResourceError
+from forestgen.core.errors import ErrorList, RecipeError, ResourceError
 from forestgen.core.figures import show_bytes
-from forestgen.core.memory import free_bytes
+from forestgen.core.processes import free_bytes
 from forestgen.plants.budget import most_triangles
 from forestgen.plants.parameters import PlantParameters
 from forestgen.plants.registry import GENERATORS, is_built

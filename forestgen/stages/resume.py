@@ -19,8 +19,8 @@ from forestgen.community.model import CommunityParameters
 from forestgen.community.module_history import NAME
 from forestgen.community.population import Population
 from forestgen.community.snapshot_checks import ImpossibleValueError, check_snapshot
+from forestgen.core import __version__
 from forestgen.core.errors import AssetError, RecipeError
-from forestgen.core.version import __version__
 from forestgen.recipe.hashing import recipe_hash
 from forestgen.recipe.map_files import is_map_file
 from forestgen.recipe.messages import show

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from forestgen.community.population import Population
 from forestgen.core.figures import count, seconds, table_lines
-from forestgen.core.forestry import BREAST_HEIGHT_M
+from forestgen.core.frames import BREAST_HEIGHT_M
 from forestgen.stages.plan import Plan
 
 _MOST_NOTES = 5  # that a summary shows

@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.core.progress import Silent
-from forestgen.core.timing import Timings
+from forestgen.core.progress import Silent, Timings
 from forestgen.dataset.exr import read_exr, write_exr
 from forestgen.dataset.png import write_rgb
 from forestgen.labels.labelled import LabelledFrame, label_frame

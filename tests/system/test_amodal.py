@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from shots import identity, shot
 
-from forestgen.core.timing import Timings
+from forestgen.core.progress import Timings
 from forestgen.geometry.mesh import Mesh
 from forestgen.labels.amodal import amodal_masks
 from forestgen.labels.masks import instance_mask

@@ -9,7 +9,7 @@ from functools import cache
 import pytest
 
 from forestgen.community.registry import COMMUNITY_MODELS, COMPETITION_MODELS
-from forestgen.core.code_hash import PACKAGE
+from forestgen.core.cache import PACKAGE
 from forestgen.core.registry import Registry
 from forestgen.geometry.export import MESH_EXPORTERS
 from forestgen.recipe.registries import (

@@ -24,7 +24,7 @@ from forestgen.architecture.sizes import plant_sizes
 from forestgen.community.branch_modules.identity import uniform
 from forestgen.community.branch_modules.kinds import Kinds
 from forestgen.community.branch_modules.state import Plants, Snags, State, appended, rows_of_plants
-from forestgen.core.forestry import BREAST_HEIGHT_M
+from forestgen.core.frames import BREAST_HEIGHT_M
 
 _NO_MODULE = 2**32 - 1  # number of the draw: no plant has so many modules
 

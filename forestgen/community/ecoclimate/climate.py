@@ -12,8 +12,8 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.core.arguments import read_text
 from forestgen.core.errors import AssetError, RecipeError
-from forestgen.core.text_file import read_text
 from forestgen.recipe.assets import scenes_dir
 
 MONTHS_PER_YR = 12

@@ -18,7 +18,7 @@ from forestgen.community.ecoclimate.months import air_over
 from forestgen.community.ecoclimate.parameters import EcoclimateParameters
 from forestgen.community.ecoclimate.state import Ecoclimate
 from forestgen.community.ecoclimate.weather_section import WeatherSection
-from forestgen.core.code_hash import code_hash
+from forestgen.core.cache import code_hash
 from forestgen.core.errors import RecipeError
 from forestgen.core.packed import pack
 from forestgen.core.progress import Progress

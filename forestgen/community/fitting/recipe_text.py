@@ -10,7 +10,7 @@ import numpy as np
 
 from forestgen.community.fitting.fit import Fit
 from forestgen.community.fitting.stand import MeasuredStand
-from forestgen.core.version import __version__
+from forestgen.core import __version__
 from forestgen.recipe.fields import NAME_PATTERN
 
 _MIXED_SIGMA = 0.4  # radii that only serve to mix the species' order of placement

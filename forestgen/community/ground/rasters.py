@@ -28,7 +28,7 @@ from forestgen.community.ground.horizons import Views, exposure, views
 from forestgen.community.ground.relief import Nodes, Relief, far_relief, near_relief
 from forestgen.community.ground.sunshine import irradiation
 from forestgen.community.model import GroundHeight, Site
-from forestgen.core.bounded_cache import BoundedCache
+from forestgen.core.cache import BoundedCache
 
 Floats = NDArray[np.float64]
 

@@ -18,7 +18,7 @@ from forestgen.community.model import Site
 from forestgen.community.placement.densities import COUNTING_CELLS, grid_shape, relative_density
 from forestgen.community.placement.density_map import DensityMap
 from forestgen.community.placement.field import DensityField
-from forestgen.core.bounded_cache import BoundedCache
+from forestgen.core.cache import BoundedCache
 from forestgen.recipe.fields import Section
 
 _CELLS_PER_REACH = 6

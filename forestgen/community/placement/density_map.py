@@ -36,7 +36,7 @@ from pydantic import (
 from pydantic_core import core_schema
 
 from forestgen.community.placement.resampling import resample
-from forestgen.core.bounded_cache import BoundedCache
+from forestgen.core.cache import BoundedCache
 from forestgen.core.errors import AssetError, RecipeError
 from forestgen.core.grey_picture import GreyPicture, read_grey
 from forestgen.recipe.fields import Flag, NonNegative, Positive, Section, Text, mistake

@@ -19,7 +19,7 @@ from forestgen.community.model import Site
 from forestgen.community.placement.density_map import MapSection
 from forestgen.community.population import Population
 from forestgen.community.registry import COMMUNITY_MODELS
-from forestgen.core.disk_cache import ENVIRONMENT
+from forestgen.core.cache import ENVIRONMENT
 from forestgen.core.errors import RecipeError
 from forestgen.core.packed import pack
 from forestgen.core.progress import Silent

@@ -17,8 +17,7 @@ from forestgen.community.ecoclimate import months, own_air
 from forestgen.community.ecoclimate.grids import between
 from forestgen.community.population import Population
 from forestgen.core.errors import RecipeError
-from forestgen.core.progress import Silent
-from forestgen.core.timing import Timings
+from forestgen.core.progress import Silent, Timings
 from forestgen.recipe.load import load_recipe
 from forestgen.stages.community import final_population
 from forestgen.stages.plan import Plan, estimate_bytes, make_plan

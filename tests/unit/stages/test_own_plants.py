@@ -10,8 +10,7 @@ import pytest
 from forestgen.community.population import Population
 from forestgen.core.errors import RecipeError, ResourceError
 from forestgen.core.parts import Part
-from forestgen.core.progress import Silent
-from forestgen.core.timing import Timings
+from forestgen.core.progress import Silent, Timings
 from forestgen.plants.growing import grow_exemplar
 from forestgen.recipe.load import load_recipe_data
 from forestgen.scene.assemble import place_instances

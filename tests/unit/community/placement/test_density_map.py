@@ -19,7 +19,7 @@ from forestgen.community.placement import density_map
 from forestgen.community.placement.densities import species_density
 from forestgen.community.placement.density_map import DensityMap, check_maps, maps_in
 from forestgen.community.placement.stands import PlacementParameters
-from forestgen.core.bounded_cache import BoundedCache
+from forestgen.core.cache import BoundedCache
 from forestgen.core.errors import RecipeError
 
 read = TypeAdapter(DensityMap).validate_python
