@@ -15,7 +15,7 @@ BREAST_HEIGHT_M = 1.3  # at which stems are measured; a plant that does not reac
 
 
 def look_at(position_m: Sequence[float], target_m: Sequence[float]) -> NDArray[np.float64]:
-    """(3, 3) rotation whose columns are the camera's right, down and forward axes in the world, with the horizon level."""
+    """(3, 3) rotation whose columns are the camera's right, down and forward axes in the world, the horizon level."""
     forward = np.subtract(target_m, position_m).astype(np.float64)
     length = float(np.linalg.norm(forward))
     if length < 1e-9:

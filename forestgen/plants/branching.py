@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.errors import RecipeError
-from forestgen.geometry.vectors import any_perpendicular, rotate, unit
+from forestgen.geometry.mesh import any_perpendicular, rotate, unit
 from forestgen.plants.budget import check_budget
 from forestgen.recipe.curves import Function, evaluate
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.errors import LsystemError
-from forestgen.geometry.vectors import unit
+from forestgen.geometry.mesh import unit
 from forestgen.lsystem.derivation import MOST_MODULES, derive, interpret
 from forestgen.lsystem.parsing import parse_text
 from forestgen.lsystem.program import Program

@@ -21,8 +21,7 @@ from forestgen.core.frames import look_at
 from forestgen.core.progress import Progress, Timings
 from forestgen.core.randomness import child_rng
 from forestgen.dataset.tonemap import tone_map
-from forestgen.geometry.mesh import Mesh
-from forestgen.geometry.vectors import unit
+from forestgen.geometry.mesh import Mesh, unit
 from forestgen.plants.exemplar import Exemplar
 from forestgen.recipe.schema import Recipe
 from forestgen.render.identity import SceneTracer

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.geometry.vectors import unit
+from forestgen.geometry.mesh import unit
 from forestgen.plants.branching import Grown, Shoots, around, grow, lateral_sites
 from forestgen.plants.budget import check_budget
 from forestgen.plants.foliage import place

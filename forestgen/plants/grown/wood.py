@@ -14,7 +14,7 @@ from forestgen.architecture.prototype import MOST_NODES
 from forestgen.architecture.skeletal_graph import skeletal_graph
 from forestgen.architecture.tables import Tables
 from forestgen.community.population import Population, Status
-from forestgen.geometry.vectors import any_perpendicular, unit
+from forestgen.geometry.mesh import any_perpendicular, unit
 from forestgen.plants.skeleton import Skeleton
 
 Floats = NDArray[np.float64]

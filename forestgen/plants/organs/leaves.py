@@ -6,8 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from forestgen.geometry.leaves import Blade, compound_leaf, leaf
-from forestgen.geometry.outlines import Entire, Lobed, Outline, Palmate
+from forestgen.geometry.leaves import Blade, Entire, Lobed, Outline, Palmate, compound_leaf, leaf
 from forestgen.plants.organs.base import Bend, Detail, MaybeSize, OrganForm, Pieces, Size
 
 _STALK_WIDTH = 0.018  # of the blade's length, where the file does not say
@@ -52,7 +51,7 @@ class _Waved(_Blade):
 
 
 class SimpleBlade(_Waved):
-    """Elliptic, ovate, lanceolate, linear, deltoid, round, heart-shaped: see geometry/outlines.py."""
+    """Elliptic, ovate, lanceolate, linear, deltoid, round, heart-shaped: see geometry/leaves.py."""
 
     form: Literal["simple"]
     widest: Widest = Field(0.4, description="where the blade is widest, share of its length from its foot")

@@ -22,8 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from forestgen.geometry.mesh import Mesh
-from forestgen.geometry.vectors import rotate, unit
+from forestgen.geometry.mesh import Mesh, rotate, unit
 from forestgen.plants.branching import around
 from forestgen.plants.budget import check_budget
 from forestgen.plants.foliage import organ_frames

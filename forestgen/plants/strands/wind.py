@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from forestgen.geometry.vectors import unit
+from forestgen.geometry.mesh import unit
 from forestgen.plants.strands.kernel import Branching, Pose, stand
 
 Floats = NDArray[np.float64]

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.geometry.vectors import rotate, unit
+from forestgen.geometry.mesh import rotate, unit
 from forestgen.plants.budget import check_budget
 from forestgen.plants.skeleton import Skeleton
 from forestgen.plants.variation.model import Plane, Variation
