@@ -23,8 +23,8 @@ from forestgen.dataset.maps import write_maps
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.dataset.writer import frame_folder_name, write_frame
 from forestgen.labels.labelled import LabelledFrame, label_frame
-from forestgen.recipe.hashing import recipe_hash
 from forestgen.recipe.load import DrawnRecipe, LoadedRecipe, dump_yaml
+from forestgen.recipe.map_files import recipe_hash
 from forestgen.render.frame import Frame
 from forestgen.render.identity import SceneTracer
 from forestgen.scene.plant_measures import PlantMeter

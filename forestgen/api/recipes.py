@@ -46,7 +46,7 @@ def load(
     RecipeError, AssetError : with `place`, `expected`, `got` and `hint`; `errors` has all that were found.
     """
     if folders := paths_of(allow_folders, "allow_folders"):
-        from forestgen.recipe.paths import allow_folders as allow
+        from forestgen.recipe.assets import allow_folders as allow
 
         allow(folders)
     return Recipe(source, _texts(set))
@@ -111,7 +111,7 @@ class Recipe:
     @property
     def yaml(self) -> str:
         """The same as YAML text."""
-        from forestgen.recipe.load import yaml_text
+        from forestgen.recipe.yaml_source import yaml_text
 
         return yaml_text(self._loaded.complete)
 

@@ -14,8 +14,8 @@ from forestgen.core.progress import Progress, Timings
 from forestgen.core.threads import cores, limit_cores
 from forestgen.dataset.frame import Frame
 from forestgen.pipeline import assemble_image, image_frames
+from forestgen.recipe.dataset import NUMBERS_END
 from forestgen.recipe.load import LoadedRecipe
-from forestgen.recipe.splits import NUMBERS_END
 from forestgen.render.variant import mitsuba, tracing_on
 from forestgen.runs import start
 from forestgen.runs.start import DryRun, RunOptions

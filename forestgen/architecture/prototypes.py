@@ -28,10 +28,9 @@ from pydantic import Field, ValidationError, model_validator
 
 from forestgen.architecture.prototype import MOST_NODES, Prototype
 from forestgen.core.errors import AssetError
-from forestgen.recipe.assets import find_asset, list_assets
+from forestgen.recipe.assets import find_asset, inside, list_assets
 from forestgen.recipe.fields import Fraction, Number, Positive, Section, Text, Whole, mistake
 from forestgen.recipe.messages import Explainer
-from forestgen.recipe.paths import inside
 from forestgen.recipe.sources import SourceMap
 from forestgen.recipe.yaml_source import parse_yaml, read_yaml
 

@@ -87,7 +87,7 @@ def options(
     ] = None,
 ) -> None:
     if allowed:
-        from forestgen.recipe.paths import allow_folders
+        from forestgen.recipe.assets import allow_folders
 
         allow_folders(allowed)
 

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from forestgen.core.parts import Part
 from forestgen.dataset.settings import DRAW
 from forestgen.labels.labelled import LabelledFrame
-from forestgen.recipe.hashing import recipe_hash
 from forestgen.recipe.load import DrawnRecipe
+from forestgen.recipe.map_files import recipe_hash
 from forestgen.recipe.sources import dotted
 from forestgen.render.frame import Radiance
 from forestgen.scene.projection import projection_of

@@ -11,8 +11,8 @@ from typing import Any
 from forestgen.core.errors import AssetError
 from forestgen.core.grey_picture import kind_of
 from forestgen.dataset.files import output_error, write_bytes
+from forestgen.recipe.assets import MAPS, inside
 from forestgen.recipe.map_files import map_files
-from forestgen.recipe.paths import MAPS, inside
 
 _WEATHER = ("csv", "nc", "vol")
 

@@ -14,17 +14,7 @@ from forestgen.lsystem.functions import points_problem
 from forestgen.lsystem.multiset import RESERVED
 from forestgen.lsystem.packing import Rule, pack
 from forestgen.lsystem.program import Program
-from forestgen.lsystem.syntax import (
-    Expression,
-    Listing,
-    Macro,
-    Module,
-    Name,
-    Number,
-    Place,
-    Production,
-    Statement,
-)
+from forestgen.lsystem.syntax import Expression, Listing, Macro, Module, Name, Number, Place, Production, Statement
 
 DEEPEST = 100_000  # decomposition, where the program states no maximum depth
 

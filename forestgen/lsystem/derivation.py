@@ -112,12 +112,7 @@ def derive_step(program: Program, state: Derivation, seed: int, *, most_modules:
 
 
 def derive(
-    program: Program,
-    steps: int,
-    seed: int,
-    *,
-    environment: Environment | None = None,
-    most_modules: int = MOST_MODULES,
+    program: Program, steps: int, seed: int, *, environment: Environment | None = None, most_modules: int = MOST_MODULES
 ) -> Iterator[Derivation]:
     """The words after step 0, 1, ..., `steps`, each made when it is asked for; see `derive_step`."""
     asks = has_queries(program)

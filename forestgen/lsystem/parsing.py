@@ -16,15 +16,7 @@ from forestgen.core.errors import LsystemError
 from forestgen.lsystem.functions import points_problem
 from forestgen.lsystem.source import Statement, read_program, statements
 from forestgen.lsystem.statement_reader import Reader, is_tree
-from forestgen.lsystem.syntax import (
-    Block,
-    Expression,
-    Listing,
-    Macro,
-    Module,
-    Place,
-    Production,
-)
+from forestgen.lsystem.syntax import Block, Expression, Listing, Macro, Module, Place, Production
 from forestgen.lsystem.sys_format import parse_sys_file
 
 DIALECTS = ("cpfg", "abop")

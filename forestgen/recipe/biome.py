@@ -27,8 +27,8 @@ from pydantic import ValidationError
 from forestgen.core.arguments import read_text
 from forestgen.core.errors import AssetError, RecipeError
 from forestgen.recipe.assets import list_assets, scenes_dir
-from forestgen.recipe.plant_type import PlantType
 from forestgen.recipe.sources import SourceMap
+from forestgen.recipe.species import PlantType
 from forestgen.recipe.yaml_source import parse_yaml
 
 ADAPTATION_MIN = 0.2  # a species less at home than this is not chosen

@@ -9,13 +9,25 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import AfterValidator, Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
-from forestgen.core.errors import RecipeError
-from forestgen.recipe.exposure import Exposure
-from forestgen.recipe.fields import Flag, Name, Point, Section, Text, Whole, mistake, spelled_out
+from forestgen.recipe.fields import (
+    Flag,
+    Fraction,
+    Name,
+    NonNegative,
+    Number,
+    Point,
+    Positive,
+    Section,
+    Text,
+    Whole,
+    known_part,
+    mistake,
+    shorthand,
+)  # fmt: skip
 from forestgen.recipe.registries import DEFAULT_PROJECTION, PROJECTIONS
 from forestgen.recipe.rigs import MOST_FRAMES, DroneGrid, FramesPerSecond, GroundPoint, Orbit, Rig, Stereo, Walk
 from forestgen.recipe.spectra import MOST_BYTES
@@ -54,17 +66,52 @@ class CameraPath(Section):
     )
 
 
-def _known_projection(name: str) -> str:
-    try:
-        PROJECTIONS.check(name)
-    except RecipeError as error:
-        raise mistake(error.expected or "", problem=error.problem, got=error.got, hint=error.hint) from error
-    return name
+class Exposure(Section):
+    """Lens and sensor that make a raw image. Without shutter_s and ev the picture is metered."""
 
+    f_number: Positive = Field(default=8.0, ge=0.5, le=128, description="Focal length by the pupil's diameter.")
+    shutter_s: Positive | None = Field(
+        default=None, ge=1e-7, le=86400, description="Exposure time, seconds. Default: by ev, or metered."
+    )
+    ev: Number | None = Field(
+        default=None,
+        ge=-10,
+        le=25,
+        description="Exposure value at ISO 100, log2(f_number² / shutter_s): full sun 15, overcast 12; sets the "
+        "shutter, longer for a lower iso.",
+    )
+    compensation_ev: Number = Field(
+        default=0.0, ge=-10, le=10, description="Stops by which a metered exposure is brighter."
+    )
+    iso: Positive = Field(default=100.0, ge=1, le=1e7, description="Sensitivity by saturation, ISO 12232.")
+    base_iso: Positive = Field(
+        default=100.0, ge=1, le=1e7, description="The iso at which saturation fills the well; the least one."
+    )
+    vignetting: Fraction = Field(
+        default=0.0, description="0: none; 1: the fourth power of the cosine off the axis; between: mixed."
+    )
+    full_well_electrons: Positive = Field(default=30_000.0, ge=10, le=1e8, description="That a pixel holds.")
+    read_noise_electrons: NonNegative = Field(
+        default=3.0, le=1e5, description="Standard deviation of what reading a pixel adds."
+    )
+    bits: Whole = Field(default=14, ge=8, le=16, description="Of a digital number.")
+    mosaic: Flag = Field(default=True, description="Whether each pixel sees one colour only, in squares of RGGB.")
 
-def _add_names(schema: dict[str, Any]) -> None:
-    """To the JSON Schema of a projection's name, those that are registered when it is made."""
-    schema["enum"] = PROJECTIONS.ids()
+    @model_validator(mode="after")
+    def _one_way_to_expose(self) -> Self:
+        metered = self.shutter_s is None and self.ev is None
+        if self.shutter_s is not None and self.ev is not None:
+            problem, got = "the exposure is given twice", f"shutter_s {self.shutter_s:g} and ev {self.ev:g}"
+            hint = "leave one out; without both the picture is metered"
+            raise mistake("shutter_s or ev, not both", problem=problem, got=got, hint=hint, at="ev")
+        if self.compensation_ev and not metered:
+            problem, got = "only a metered exposure is compensated", f"{self.compensation_ev:g}"
+            raise mistake("0, or neither shutter_s nor ev", problem=problem, got=got, at="compensation_ev")
+        if self.iso < self.base_iso:
+            problem, expected = "the well is full before such an iso saturates", f"base_iso or more: {self.base_iso:g}"
+            hint = "lower base_iso with it for a sensor of less sensitivity"
+            raise mistake(expected, problem=problem, got=f"{self.iso:g}", hint=hint, at="iso")
+        return self
 
 
 class CameraKeys(Section):
@@ -80,9 +127,9 @@ class CameraKeys(Section):
     covers_ground: ClassVar[bool] = False  # `footprint_m` tells what it shows of the ground below: for drone_grid
 
     name: Name = Field(description="Name in file names; default camera0, camera1, ...")
-    kind: Annotated[Text, AfterValidator(_known_projection)] = Field(
+    kind: Annotated[Text, known_part(PROJECTIONS)] = Field(
         default=DEFAULT_PROJECTION,
-        json_schema_extra=_add_names,
+        json_schema_extra=lambda schema: schema.update(enum=PROJECTIONS.ids()),
         description="Projection, of those that `forestgen models --kind projection` lists; its page has its keys, and "
         "its defaults of position_m, look and size_px.",
     )
@@ -117,7 +164,7 @@ class CameraKeys(Section):
     rig: Rig | None = Field(
         default=None, description="Several images of one entry: stereo, orbit, walk or drone_grid. None: one."
     )
-    bands: SensorFile | None = Field(
+    bands: Annotated[SensorFile | None, shorthand("name")] = Field(
         default=None,
         description="Sensor whose bands are the image's channels: a name, or a path from the recipe's folder. None: "
         "colour.",
@@ -137,11 +184,6 @@ class CameraKeys(Section):
         if all(filled.get(key) is None for key in ("look", "look_at_m")) and rigged in (None, "stereo"):
             filled["look"] = cls.default_look
         return filled
-
-    @field_validator("bands", mode="before")
-    @classmethod
-    def _name_alone(cls, value: Any) -> Any:
-        return spelled_out(value, "name")
 
     @property
     def field_of_view_deg(self) -> float:

@@ -14,8 +14,10 @@ from pydantic import (
     Field,
     GetJsonSchemaHandler,
     ModelWrapValidatorHandler,
+    SerializerFunctionWrapHandler,
     Strict,
     ValidationError,
+    model_serializer,
     model_validator,
 )
 from pydantic.fields import FieldInfo
@@ -47,17 +49,30 @@ class OpenSection(BaseModel):
         return dict(self.model_extra or {})
 
 
-def part_name(registry: Registry) -> tuple[AfterValidator, FieldInfo]:
-    """Validator and JSON Schema of a registered part's name, for ``Annotated[Text, *part_name(...)]``."""
+class GivenSection(Section):
+    """A section whose keys may all be left out; it is written down as it was given."""
+
+    @model_serializer(mode="wrap")
+    def _as_given(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        return {key: value for key, value in handler(self).items() if value is not None}
+
+
+def known_part(registry: Registry) -> AfterValidator:
+    """Validator of a registered part's name."""
 
     def known(name: str) -> str:
         try:
             registry.check(name)
         except RecipeError as error:
-            raise mistake(error.expected or "", problem=error.problem, got=error.got, hint=error.hint) from error
+            raise _as_mistake(error) from error
         return name
 
-    return AfterValidator(known), Field(json_schema_extra=partial(_add_names, registry=registry))
+    return AfterValidator(known)
+
+
+def part_name(registry: Registry) -> tuple[AfterValidator, FieldInfo]:
+    """Validator and JSON Schema of a registered part's name, for ``Annotated[Text, *part_name(...)]``."""
+    return known_part(registry), Field(json_schema_extra=partial(_add_names, registry=registry))
 
 
 def _add_names(schema: dict[str, Any], registry: Registry) -> None:
@@ -65,6 +80,14 @@ def _add_names(schema: dict[str, Any], registry: Registry) -> None:
     schema["enum"] = registry.ids()
     about = "; ".join(f"{name}: {registry.describe(name)}" for name in registry)
     schema["description"] = f"{schema.get('description', 'The part.')} {about}."
+
+
+def each_once(names: tuple[str, ...]) -> tuple[str, ...]:
+    """A validator that refuses a name that stands twice in a list."""
+    for index, name in enumerate(names):
+        if name in names[:index]:
+            raise mistake("each one once", problem="a name that stands twice", got=name, at=(index,))
+    return names
 
 
 class PartSection(Section):
@@ -93,9 +116,7 @@ class PartSection(Section):
         try:
             part = cls.registry.load(cls.named_by(data))
         except RecipeError as error:
-            raise mistake(
-                error.expected or "", problem=error.problem, got=error.got, hint=error.hint, at=(cls.selector,)
-            ) from error
+            raise _as_mistake(error, at=cls.selector) from error
         parameters: type[Self] = part.Parameters
         return parameters
 
@@ -155,19 +176,29 @@ def mistake(
     problem: str = "bad value",
     got: str | None = None,
     hint: str | None = None,
-    at: tuple[str | int, ...] = (),
+    at: str | tuple[str | int, ...] = (),
 ) -> PydanticCustomError:
     """Error for a validator to raise; `forestgen.recipe.messages` turns it into a `RecipeError`.
 
-    `at` is the path from the validated value to the one at fault.
+    `at` is the key, or the path of keys, from the validated value to the one at fault.
     """
-    context = {"problem": problem, "expected": expected, "got": got, "hint": hint, "at": at}
+    path = (at,) if isinstance(at, str) else at
+    context = {"problem": problem, "expected": expected, "got": got, "hint": hint, "at": path}
     return PydanticCustomError("mistake", "{problem}: expected {expected}", context)
+
+
+def _as_mistake(error: RecipeError, at: str = "") -> PydanticCustomError:
+    return mistake(error.expected or "", problem=error.problem, got=error.got, hint=error.hint, at=at or ())
 
 
 def spelled_out(value: Any, key: str) -> Any:
     """A shorthand such as ``terrain: flat`` as the mapping that it stands for."""
     return {key: value} if isinstance(value, str) else value
+
+
+def shorthand(key: str) -> BeforeValidator:
+    """Validator of a field whose section may be written as the text of its `key` alone."""
+    return BeforeValidator(partial(spelled_out, key=key))
 
 
 def _no_text_for_whole_number(value: Any) -> Any:

@@ -260,12 +260,7 @@ def _distribution() -> Json:
 
     def named(centre: str, spread: str) -> Json:
         properties = {centre: number, spread: {"type": "number", "exclusiveMinimum": 0}, "low": number, "high": number}
-        return {
-            "type": "object",
-            "properties": properties,
-            "required": [centre, spread],
-            "additionalProperties": False,
-        }
+        return {"type": "object", "properties": properties, "required": [centre, spread], "additionalProperties": False}
 
     properties: Json = {
         "uniform": {**pair(number), "description": "[low, high]: any number between, equally likely."},

@@ -23,13 +23,21 @@ from numpy.typing import NDArray
 
 from forestgen.core.errors import RecipeError
 from forestgen.core.randomness import child_rng
-from forestgen.recipe.correlation import InfeasibleError, Pair, cholesky_factor, correlated
+from forestgen.recipe.dataset import place_in_splits
 from forestgen.recipe.distributions import Choice, Distribution, Integers
 from forestgen.recipe.distributions import Sequence as InOrder
-from forestgen.recipe.points import MOST_KEYS, Method, cell_of, point
+from forestgen.recipe.points import (
+    MOST_KEYS,
+    InfeasibleError,
+    Method,
+    Pair,
+    cell_of,
+    cholesky_factor,
+    correlated,
+    point,
+)
 from forestgen.recipe.sampling import MOST_CELLS, Sampling
 from forestgen.recipe.sources import Keys, SourceMap, dotted
-from forestgen.recipe.splits import place_in_splits
 from forestgen.recipe.variables import SECTION as VARIABLES
 
 _EDGE = 2.0**-32  # how near to a bin's edge a value comes: nearer, rounding might put it beyond

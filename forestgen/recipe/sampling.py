@@ -6,8 +6,8 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
+from forestgen.recipe.curves import RESERVED
 from forestgen.recipe.fields import Number, Section, Text, Whole, mistake
-from forestgen.recipe.formula import RESERVED
 from forestgen.recipe.points import Method
 
 MOST_CELLS = 10_000

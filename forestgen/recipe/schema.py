@@ -23,48 +23,72 @@ from pydantic import (
 
 from forestgen.recipe.camera_keys import default_view
 from forestgen.recipe.cameras import AnyCamera, Camera, check_cameras, check_motion
-from forestgen.recipe.classes import MOST_CLASSES, NO_SPECIES, check_classes
+from forestgen.recipe.classes import MOST_CLASSES, NO_SPECIES, wrong_classes
 from forestgen.recipe.dataset import Dataset
 from forestgen.recipe.fields import (
     Flag,
     Fraction,
+    GivenSection,
     Label,
     Name,
     NonNegative,
     Number,
     OpenSection,
+    PartSection,
     Positive,
     Section,
     Text,
     Whole,
+    each_once,
     mistake,
     part_name,
-    spelled_out,
-)
-from forestgen.recipe.plants import Plants
-from forestgen.recipe.registries import DEFAULT_CHANNELS, GROUND_COVERS, LABEL_CHANNELS, each_once
-from forestgen.recipe.render import Render
+    shorthand,
+)  # fmt: skip
+from forestgen.recipe.registries import DEFAULT_CHANNELS, GROUND_COVERS, LABEL_CHANNELS, TERRAINS
 from forestgen.recipe.sampling import Sampling
 from forestgen.recipe.sky import SkySection
 from forestgen.recipe.species import Species
-from forestgen.recipe.terrain import Terrain
-from forestgen.recipe.wet_soil import WetSoil
+from forestgen.recipe.spectra import Season
 
 SCHEMA_VERSION = 1
 Extent = Annotated[Positive, Field(le=5000)]
+_Error = Annotated[Number, Field(gt=0, le=10)]
+_Samples = Annotated[Whole, Field(ge=1, le=65536)]
+
+
+class Terrain(PartSection, GivenSection):
+    """The ground's shape."""
+
+    registry = TERRAINS
+    selector = "kind"
+
+    kind: Text = Field(default="flat", description="Shape of the ground.")
+
+
+class WetSoil(Section):
+    """How the water that a community has in its soil shows in the ground's colour."""
+
+    shown: Flag = Field(default=True, description="Whether wet ground is darker.")
+    depth_m: Positive | None = Field(
+        default=None,
+        le=100,
+        description="Depth of the soil that holds the water, metres: what makes a saturation of mm. Default: 1 in "
+        "forest soil, 0.05 in a dryland's, whose rains wet little more than its crust.",
+    )
+    porosity: Fraction = Field(default=0.4, gt=0, description="Share of the soil that water can fill.")
+    pond_mm: Positive = Field(
+        default=25.0,
+        le=10_000,
+        description="Water on the ground that begins to drown it, mm; twice as much makes it wholly wet. Less is what "
+        "runs past in showers, in a month's mean.",
+    )
 
 
 class Site(Section):
     """The piece of land: x from 0 to size_m[0] (east), y from 0 to size_m[1] (north)."""
 
-    size_m: tuple[Extent, Extent] = Field(
-        default=(
-            100.0,
-            100.0,
-        ),
-        description="Extent east (x) and north (y), metres.",
-    )
-    terrain: SerializeAsAny[Terrain] = Field(
+    size_m: tuple[Extent, Extent] = Field(default=(100.0, 100.0), description="Extent east (x) and north (y), metres.")
+    terrain: Annotated[SerializeAsAny[Terrain], shorthand("kind")] = Field(
         default_factory=lambda: Terrain.model_validate({}), description="Shape of the ground, or just its kind."
     )
     ground: Annotated[Text, *part_name(GROUND_COVERS)] = Field(default="litter", description="What covers it.")
@@ -98,11 +122,6 @@ class Site(Section):
         "false: they do not. Default: they do.",
     )
 
-    @field_validator("terrain", mode="before")
-    @classmethod
-    def _kind_alone(cls, value: Any) -> Any:
-        return spelled_out(value, "kind")
-
     @field_validator("wet_soil", mode="before")
     @classmethod
     def _shown_alone(cls, value: Any) -> Any:
@@ -121,6 +140,132 @@ class Community(OpenSection):
 
 
 Channel = Annotated[Text, *part_name(LABEL_CHANNELS)]
+
+
+class Plants(Section):
+    """What each plant looks like."""
+
+    geometry: Literal["plants", "silhouettes"] = Field(
+        default="plants",
+        description="plants: stems, branches and leaves. silhouettes: solids of revolution of the crowns' forms, for "
+        "looking at a stand before its plants (Lane 2002, Figure 6.2).",
+    )
+    exemplars_per_species: Whole = Field(
+        default=10,
+        ge=1,
+        le=1000,
+        description="Sizes modelled for each species: the centres of clusters of its plants' radii. Every plant is one "
+        "of these, scaled to its exact height.",
+    )
+    variants_per_size: Whole = Field(
+        default=1,
+        ge=1,
+        le=100,
+        description="Plants modelled for each size, of different seeds; a plant's own number decides which it is. Time "
+        "and memory grow with it.",
+    )
+    library: Whole | None = Field(
+        default=None,
+        ge=1,
+        le=1000,
+        description="Plants of each size that all images of a split share, for data sets of many images: sizes are on "
+        "a fixed scale, and an image shows `variants_per_size` of them. null: every image grows its own plants. No "
+        "two splits share a plant.",
+    )
+    traits: Annotated[tuple[Text, ...], AfterValidator(each_once)] = Field(
+        default=(),
+        max_length=20,
+        description="What counts beside the radius when plants are grouped into sizes: age_yr, height_m, or a column "
+        "of the community model's own. One standard deviation of a trait counts half as much as one of the radius' "
+        "logarithm.",
+    )
+    unique: Literal["auto", "all", "none"] | Annotated[Whole, Field(ge=0, le=100_000)] = Field(
+        default="auto",
+        description="Which plants that grew as branch modules are modelled with their own branches: auto, those that "
+        "are large in an image, as many as ten million triangles hold; all; none; or so many of the largest. The "
+        "others are one of `exemplars_per_species` of these, scaled and turned.",
+    )
+    levels: Flag = Field(
+        default=False,
+        description="Whether plants far from every camera show fewer, larger leaves and twigs, of the same area, "
+        "chosen so that they stay below a pixel.",
+    )
+    season: Season = Field(
+        default="summer",
+        description="Of the leaves' spectra: spring, summer, autumn, dry. It changes their light, not their number; "
+        "shipped evergreens stay green.",
+    )
+    cache: Flag = Field(
+        default=True,
+        description="Whether to keep the modelled plants on disk and take them from there when the same ones are asked "
+        "for again; nothing else changes. FORESTGEN_CACHE names the folder.",
+    )
+
+    @model_validator(mode="after")
+    def _library_suits(self) -> Self:
+        if self.library is not None and self.library < self.variants_per_size:
+            expected = f"at least variants_per_size = {self.variants_per_size}"
+            problem = "the library has fewer plants of a size than an image shows"
+            raise mistake(expected, problem=problem, got=str(self.library), at="library")
+        if self.library is not None and self.traits:
+            problem = "a library's plants are grouped by their size alone"
+            hint = "leave out plants.traits, or plants.library"
+            raise mistake("no traits", problem=problem, got=", ".join(self.traits), hint=hint, at="traits")
+        return self
+
+
+class Render(Section):
+    """How the radiance is computed.
+
+    Without a target or a time budget an image has just its `samples`. With them, passes go on after the first `samples`
+    until each target is met, the time is spent, or there are `most_samples`.
+    """
+
+    mode: Literal["rgb", "spectral"] = Field(
+        default="rgb",
+        description="rgb: light is computed in linear Rec. 709. spectral: at wavelengths from 360 to 830 nm, of which "
+        "the colour is made. Cameras with bands are spectral in any case.",
+    )
+    samples: _Samples = Field(
+        default=16,
+        description="Light paths a pixel, over all passes. A spectral image has passes of three wavelengths: 4 for "
+        "colour, 1 to 8 for most sensors of 1 to 13 bands. Each takes as many paths, at least one: samples are "
+        "rounded up to a multiple of the passes, and need twice that for the variance to be known.",
+    )
+    target_error: _Error | None = Field(
+        default=None,
+        description="Goes on until the image's relative error is at most this: standard error over value, both over "
+        "all channels and 3 x 3 pixels, the mean of all pixels. A pixel darker than a tenth of the image's mean is "
+        "measured against that tenth.",
+    )
+    target_error_p95: _Error | None = Field(
+        default=None, description="Goes on until the 95th percentile of the pixels' relative error is at most this."
+    )
+    time_budget_s: Annotated[Number, Field(gt=0, le=1e7)] | None = Field(
+        default=None,
+        description="Goes on for about so many seconds an image, building its scene not counted. The samples, and so "
+        "the bytes of the image, then depend on the machine and on what else it does.",
+    )
+    most_samples: _Samples = Field(
+        default=4096, description="Light paths a pixel at most, with a target or a time budget."
+    )
+    denoise: Flag = Field(default=True, description="Whether to remove the noise that remains.")
+    clouds: Literal["auto", "farfield", "exact"] = Field(
+        default="auto",
+        description="How light goes through clouds. farfield: they are rendered once, and their light and shadow fall "
+        "on the scene from afar. exact: their volume is traced with the scene. auto: farfield where clouds are far "
+        "above the plants and cameras, otherwise exact.",
+    )
+    max_depth: Whole = Field(default=64, ge=1, le=4096, description="Most scatterings of a path.")
+
+    @model_validator(mode="after")
+    def _enough(self) -> Self:
+        open_ended = (self.target_error, self.target_error_p95, self.time_budget_s) != (None, None, None)
+        if open_ended and self.most_samples < self.samples:
+            expected, hint = f"at least samples, {self.samples}", "lower samples, or raise most_samples"
+            problem, got = "fewer samples than it begins with", str(self.most_samples)
+            raise mistake(expected, problem=problem, got=got, hint=hint, at="most_samples")
+        return self
 
 
 class Labels(Section):
@@ -211,43 +356,15 @@ class Recipe(Section):
         ]
         return {**data, "cameras": filled}
 
-    @model_validator(mode="after")
-    def _dated_sun_has_a_place(self) -> Self:
-        given = {
-            "latitude_deg": "latitude_deg" in self.site.model_fields_set,  # its default is no place to trust
-            "longitude_deg": self.site.longitude_deg is not None,
-        }
-        missing = [key for key, known in given.items() if not known]
-        if self.sky.sun.date is not None and missing:
-            raise mistake(
-                "site.latitude_deg and site.longitude_deg, degrees",
-                problem="the sun by date needs a place on earth",
-                got="no " + " and no ".join(missing),
-                hint="site: {latitude_deg: 51.0, longitude_deg: 13.7} is Dresden",
-                at=("site", missing[0]),
-            )
-        return self
-
     @field_validator("species")
     @classmethod
     def _species_are_plants(cls, species: dict[str, Species]) -> dict[str, Species]:
         for name in species:
             if name.lower() in NO_SPECIES:
-                raise mistake(
-                    f"another name than {', '.join(NO_SPECIES)}",
-                    problem="labels use this name for what is no plant",
-                    got=name,
-                    at=(name,),
-                )
+                expected = f"another name than {', '.join(NO_SPECIES)}"
+                problem = "labels use this name for what is no plant"
+                raise mistake(expected, problem=problem, got=name, at=name)
         return species
-
-    @model_validator(mode="after")
-    def _classes_hold_all(self) -> Self:
-        wrong = None if self.labels.classes is None else check_classes(self.labels.classes, list(self.species))
-        if wrong is not None:
-            at = ("labels", "classes", *wrong.at)
-            raise mistake(wrong.expected, problem=wrong.problem, got=wrong.got, hint=wrong.hint, at=at)
-        return self
 
     @field_validator("cameras")
     @classmethod
@@ -256,7 +373,20 @@ class Recipe(Section):
         return cameras
 
     @model_validator(mode="after")
-    def _paths_show_something(self) -> Self:
+    def _sections_fit(self) -> Self:
+        given = {
+            "latitude_deg": "latitude_deg" in self.site.model_fields_set,  # its default is not the site's place
+            "longitude_deg": self.site.longitude_deg is not None,
+        }
+        missing = [key for key, known in given.items() if not known]
+        if self.sky.sun.date is not None and missing:
+            problem, got = "the sun by date needs a place on earth", "no " + " and no ".join(missing)
+            hint = "site: {latitude_deg: 51.0, longitude_deg: 13.7} is Dresden"
+            expected = "site.latitude_deg and site.longitude_deg, degrees"
+            raise mistake(expected, problem=problem, got=got, hint=hint, at=("site", missing[0]))
+        wrong = None if self.labels.classes is None else wrong_classes(self.labels.classes, list(self.species))
+        if wrong is not None:
+            raise wrong
         check_motion(self.cameras, plants_move=self.wind.speed_m_per_s > 0 and self.wind.gustiness > 0)
         return self
 

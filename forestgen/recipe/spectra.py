@@ -75,12 +75,7 @@ def load_bands(name: str, *, folder: Path | None = None, where: str | None = Non
     AssetError : no such table, or one that no sensor can have.
     """
     path = sensor_file(name, folder, where)
-    return _bands(table_text(path), str(path), where)
-
-
-def bands_of(text: str, file: str, where: str | None = None) -> tuple[Band, ...]:
-    """The bands of a sensor's table from its text; `file` names it in messages."""
-    return _bands(text, file, where)
+    return bands_of(table_text(path), str(path), where)
 
 
 def sensor_file(name: str, folder: Path | None, where: str | None) -> Path:
@@ -107,11 +102,6 @@ def load_table(name: str) -> Columns:
     return _Table(table_text(path), str(path), None).spectra()
 
 
-def surface_columns(text: str, file: str, where: str | None = None) -> Columns:
-    """The columns of a surface's table from its text; `file` names it in messages."""
-    return _surface(text, file, where)
-
-
 def of_season(columns: Columns, season: Season) -> tuple[Spectrum, Spectrum | None] | None:
     """(reflectance, transmittance or None) of a season, by its own columns or those of all seasons; None: neither."""
     for suffix in (f"_{season}", ""):
@@ -131,7 +121,8 @@ def table_text(path: Path) -> str:
 
 
 @lru_cache(maxsize=256)
-def _surface(text: str, file: str, where: str | None) -> Columns:
+def surface_columns(text: str, file: str, where: str | None = None) -> Columns:
+    """The columns of a surface's table from its text; `file` names it in messages."""
     table = _Table(text, file, where)
     names = {f"{what}{suffix}" for what in ("reflectance", "transmittance") for suffix in _SUFFIXES}
     for name in table.names:
@@ -179,7 +170,8 @@ def _check_bands(table: _Table) -> None:
 
 
 @lru_cache(maxsize=64)
-def _bands(text: str, file: str, where: str | None) -> tuple[Band, ...]:
+def bands_of(text: str, file: str, where: str | None = None) -> tuple[Band, ...]:
+    """The bands of a sensor's table from its text; `file` names it in messages."""
     table = _Table(text, file, where)
     _check_bands(table)
     bands = []
@@ -233,13 +225,7 @@ class _Table:
         self._check_wavelengths()
 
     def fail(
-        self,
-        problem: str,
-        *,
-        line: int,
-        expected: str | None = None,
-        got: str | None = None,
-        hint: str | None = None,
+        self, problem: str, *, line: int, expected: str | None = None, got: str | None = None, hint: str | None = None
     ) -> NoReturn:
         """Raise `AssetError` for a line of the file."""
         place = f"{self.file}:{line}" + (f" (named by {self.where})" if self.where else "")

@@ -25,8 +25,8 @@ from dataclasses import dataclass
 from typing import Any, TypeGuard
 
 from forestgen.core.errors import RecipeError
+from forestgen.recipe.curves import VARIABLE, check_formula_of, evaluate_number, formula_names, is_whole
 from forestgen.recipe.distributions import Scalar
-from forestgen.recipe.formula import VARIABLE, check_formula_of, evaluate_number, formula_names, is_whole
 from forestgen.recipe.sources import Keys, SourceMap
 
 SECTION: Keys = ("sampling", "variables")

@@ -1,8 +1,10 @@
-"""YAML text to plain data and the line of each key. All that can be wrong with a file becomes an error for people."""
+"""YAML text to plain data with the line of each key, and back; what is wrong with a text is an error for people."""
 
 from __future__ import annotations
 
+import io
 import unicodedata
+from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -12,8 +14,10 @@ from ruamel.yaml.composer import Composer, MaxDepthExceededError
 from ruamel.yaml.constructor import ConstructorError
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
+from ruamel.yaml.representer import SafeRepresenter
 
-from forestgen.core.errors import AssetError, ForestgenError, RecipeError
+from forestgen.core.arguments import read_text
+from forestgen.core.errors import ForestgenError, RecipeError
 from forestgen.recipe.sources import Keys, Place, SourceMap, copied, dotted
 
 MAX_BYTES = 1_000_000  # more than any hand writes; ruamel reads some 20 kB a second
@@ -31,12 +35,9 @@ _SCALARS, _CONTAINERS = _NUMBERS_AND_FLAGS | _TEXTS, {_TAG + "map", _TAG + "seq"
 def read_yaml(path: Path, *, error: type[ForestgenError] = RecipeError) -> tuple[dict[str, Any], SourceMap]:
     """The mapping in a YAML file and where its keys are.
 
-    Raises
-    ------
-    AssetError : the file is missing or unreadable.
-    ForestgenError : of type `error`; the text is not a YAML mapping.
+    Raises `AssetError` where the file is missing or unreadable, and `error` where its text is not a YAML mapping.
     """
-    return mapping_of(_read_text(path), str(path), error=error)
+    return mapping_of(read_text(path, "a YAML file", most_bytes=MAX_BYTES), str(path), error=error)
 
 
 def mapping_of(
@@ -87,30 +88,6 @@ def _parse(text: str, origin: str, error: type[ForestgenError], lines: bool) -> 
     except RecursionError as cause:
         raise reader.too_deep(origin) from cause
     return data, reader.sources
-
-
-def _read_text(path: Path) -> str:
-    where = str(path)
-    try:
-        if path.is_dir():
-            raise AssetError("this is a folder", where=where, expected="a YAML file", got="a folder")
-        with path.open("rb") as file:
-            raw = file.read(MAX_BYTES + 1)
-    except FileNotFoundError as cause:
-        raise AssetError("no such file", where=where, expected="a YAML file") from cause
-    except (OSError, ValueError) as cause:
-        raise AssetError("the file cannot be read", where=where, got=str(cause)) from cause
-    if len(raw) > MAX_BYTES:
-        raise AssetError("the file is too large", where=where, expected=f"at most {MAX_BYTES // 10**6} MB", got="more")
-    try:
-        return raw.decode("utf-8-sig")
-    except UnicodeDecodeError as cause:
-        line = raw[: cause.start].count(b"\n") + 1
-        got = f"byte 0x{raw[cause.start]:02x} at offset {cause.start}"
-        hint = "save the file as UTF-8"
-        raise AssetError(
-            "not a text file", where=f"{path}:{line}", expected="UTF-8 text", got=got, hint=hint
-        ) from cause
 
 
 def _is_unseen(character: str) -> bool:
@@ -258,3 +235,27 @@ class _Reader:
 
     def _where(self, node: Node, keys: Keys) -> str:
         return f"{self._at(node)}: {dotted(keys)}" if keys else str(self._at(node))
+
+
+class _Representer(SafeRepresenter):
+    """Writes texts of several lines, such as programs, line by line."""
+
+    def represent_text(self, text: str) -> Any:
+        return self.represent_scalar("tag:yaml.org,2002:str", text, style="|" if "\n" in text else None)
+
+
+_Representer.add_representer(str, _Representer.represent_text)
+
+
+def yaml_text(data: Mapping[str, Any]) -> str:
+    """Plain data as YAML text, the same bytes for the same data."""
+    yaml = YAML(typ="safe", pure=True)
+    yaml.Representer = _Representer
+    yaml.default_flow_style = None  # lists of numbers on one line
+    yaml.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
+    yaml.allow_unicode = True
+    yaml.width = 120
+    yaml.representer.ignore_aliases = lambda *_: True
+    text = io.StringIO()
+    yaml.dump(data, text)
+    return text.getvalue()

@@ -25,8 +25,8 @@ from forestgen.dataset.checksums import file_sum
 from forestgen.dataset.safe_path import RefusedFileError, SafePath
 from forestgen.dataset.thumbnails import FOLDER_NAME as THUMBNAILS
 from forestgen.dataset.thumbnails import write_thumbnail
+from forestgen.recipe.assets import MAPS
 from forestgen.recipe.load import LoadedRecipe
-from forestgen.recipe.paths import MAPS
 from forestgen.runs.contract import JobRecord, Place
 from forestgen.runs.finish import recipe_part
 from forestgen.runs.parallel import in_order

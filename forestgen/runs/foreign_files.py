@@ -19,7 +19,7 @@ from forestgen.dataset.check import Finding
 from forestgen.dataset.foreign import tool_of
 from forestgen.dataset.safe_path import SafePath, is_frame
 from forestgen.dataset.thumbnails import FOLDER_NAME as THUMBNAILS
-from forestgen.recipe.paths import MAPS
+from forestgen.recipe.assets import MAPS
 from forestgen.runs.contract import HIDDEN, RUN, Place
 from forestgen.runs.folder import splits_before, written_paths
 from forestgen.runs.ledger import FileSum, Ledger

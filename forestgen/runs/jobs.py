@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Iterator, Mapping
 
 from forestgen.core.errors import ForestgenError
-from forestgen.recipe.splits import split_of
+from forestgen.recipe.dataset import split_of
 from forestgen.runs.contract import Failed, Job, Place, Work
 from forestgen.runs.folder import Known, forget_key
 from forestgen.runs.keys import job_key

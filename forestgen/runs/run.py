@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 
 from forestgen.core.errors import DatasetError, ForestgenError, OutputError, RecipeError
 from forestgen.dataset.settings import DatasetSettings
+from forestgen.recipe.dataset import used_splits
 from forestgen.recipe.load import LoadedRecipe
-from forestgen.recipe.splits import used_splits
 from forestgen.runs.contract import TRANSIENT, Done, Engine, Failed, JobRecord, Lock, Notice, Outcome, Place, Work
 from forestgen.runs.damage import damaged_images
 from forestgen.runs.discards import check_discards, resume_diff

@@ -18,7 +18,7 @@ from forestgen.dataset.check.files import read_json, read_picture, read_table, r
 from forestgen.dataset.check.finding import MISUNDERSTOOD, Finding, UnreadableError, misunderstood
 from forestgen.dataset.index import COLUMNS, INDEX_NAME, open_index, read_index
 from forestgen.dataset.settings import DRAW
-from forestgen.recipe.hashing import recipe_hash
+from forestgen.recipe.map_files import recipe_hash
 from forestgen.runs.parallel import in_order
 from forestgen.runs.verify_manifests import plain_yaml
 

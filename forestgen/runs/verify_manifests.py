@@ -12,9 +12,9 @@ from forestgen.dataset.check.files import read_json, read_text
 from forestgen.dataset.check.finding import MISUNDERSTOOD, Finding, UnreadableError, misunderstood
 from forestgen.dataset.index import INDEX_NAME
 from forestgen.dataset.manifest import MANIFEST_NAME
-from forestgen.recipe.hashing import recipe_hash
+from forestgen.recipe.dataset import split_of
 from forestgen.recipe.load import load_recipe
-from forestgen.recipe.splits import split_of
+from forestgen.recipe.map_files import recipe_hash
 from forestgen.runs.description import DATASET_NAME, file_groups
 from forestgen.runs.ledger import Ledger
 

@@ -28,9 +28,9 @@ from forestgen.dataset.files import STORAGE_ERRNOS, output_error
 from forestgen.dataset.manifest import peak_memory_bytes
 from forestgen.dataset.thumbnails import thumbnail_name, write_thumbnail
 from forestgen.pipeline import WrittenImage, assemble_image, write_image
-from forestgen.recipe.hashing import recipe_hash
+from forestgen.recipe.assets import MAPS
 from forestgen.recipe.load import DrawnRecipe
-from forestgen.recipe.paths import MAPS
+from forestgen.recipe.map_files import recipe_hash
 from forestgen.render.variant import mitsuba
 from forestgen.runs.contract import Done, Failed, FailureKind, Job, JobRecord, JobRun, Outcome, Place, Work
 from forestgen.runs.keys import job_key

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from forestgen.recipe.exposure import Exposure as ExposureSection
+from forestgen.recipe.camera_keys import Exposure as ExposureSection
 
 METER_CONSTANT = 12.5  # K of ISO 2720 for reflected light, as most makers set it
 

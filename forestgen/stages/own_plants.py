@@ -18,7 +18,7 @@ from forestgen.plants.bark.texture import with_bark_tiles
 from forestgen.plants.parameters import PlantParameters
 from forestgen.plants.registry import GENERATORS, clothes_modules
 from forestgen.recipe.load import DrawnRecipe
-from forestgen.recipe.plants import Plants
+from forestgen.recipe.schema import Plants
 from forestgen.recipe.sources import Keys
 from forestgen.recipe.species import Material, Plant, Species
 from forestgen.scene.own_exemplars import MOST_TRIANGLES

@@ -21,8 +21,7 @@ from forestgen.community.population import Population
 from forestgen.community.snapshot_checks import ImpossibleValueError, check_snapshot
 from forestgen.core import __version__
 from forestgen.core.errors import AssetError, RecipeError
-from forestgen.recipe.hashing import recipe_hash
-from forestgen.recipe.map_files import is_map_file
+from forestgen.recipe.map_files import is_map_file, recipe_hash
 from forestgen.recipe.messages import show
 from forestgen.stages.community_cache import simulation_code
 from forestgen.stages.plan import Plan

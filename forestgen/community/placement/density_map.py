@@ -39,9 +39,9 @@ from forestgen.community.placement.resampling import resample
 from forestgen.core.cache import BoundedCache
 from forestgen.core.errors import AssetError, RecipeError
 from forestgen.core.grey_picture import GreyPicture, read_grey
+from forestgen.recipe.assets import inside
 from forestgen.recipe.fields import Flag, NonNegative, Positive, Section, Text, mistake
 from forestgen.recipe.map_files import file_sha256
-from forestgen.recipe.paths import inside
 from forestgen.recipe.sources import Keys
 
 LARGEST = 1e12  # a map's values, scaled; more would make sums over the site meaningless

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Generic, TypeVar
 
+from forestgen.recipe.schema import Terrain
 from forestgen.recipe.sources import Keys
-from forestgen.recipe.terrain import Terrain
 from forestgen.scene.terrain import HeightField
 
 KeysT = TypeVar("KeysT", bound=Terrain)

@@ -79,7 +79,7 @@ def test_places_that_are_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         load_recipe(tmp_path)
     (tmp_path / "shipped.yaml").write_text(HEAD)
     monkeypatch.setattr("forestgen.recipe.assets.recipes_dir", lambda: tmp_path)
-    monkeypatch.setattr("forestgen.recipe.reading.recipes_dir", lambda: tmp_path)
+    monkeypatch.setattr("forestgen.recipe.load.recipes_dir", lambda: tmp_path)
     with pytest.raises(AssetError, match=re.escape(f"{tmp_path / 'shipped.yaml'}")):
         load_recipe("shipped")
 

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from forestgen.recipe.exposure import Exposure as Section
+from forestgen.recipe.camera_keys import Exposure as Section
 from forestgen.scene.exposure import Exposure, exposure_of
 
 

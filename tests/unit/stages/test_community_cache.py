@@ -24,7 +24,7 @@ from forestgen.core.errors import RecipeError
 from forestgen.core.packed import pack
 from forestgen.core.progress import Silent
 from forestgen.recipe.load import load_recipe
-from forestgen.recipe.plant_type import PlantType
+from forestgen.recipe.species import PlantType
 from forestgen.stages import community, community_cache
 from forestgen.stages.community import final_population
 from forestgen.stages.community_cache import _told, as_kept, community_key
