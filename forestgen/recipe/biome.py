@@ -136,27 +136,21 @@ def _modules_section(text: str) -> str:
 def choose_species(temperature_c: float, precipitation_mm_per_yr: float, *, where: str | None = None) -> list[Chosen]:
     """The shipped species that a climate suits, the best first; at most `MOST_SPECIES`.
 
-    Raises
-    ------
-    RecipeError : none is suited; the message says which came closest. `where` is the biome's place in the recipe.
+    Raises `RecipeError`, at the biome's place in the recipe, where none is suited; it says which came closest.
     """
-    ranked = sorted(
-        (
-            Chosen(name, adaptation(plant_type, temperature_c, precipitation_mm_per_yr), plant_type)
-            for name, plant_type in shipped_plant_types().items()
-        ),
-        key=lambda one: (-one.adaptation, one.name),
-    )
+    climate = (temperature_c, precipitation_mm_per_yr)
+    found = [Chosen(name, adaptation(one, *climate), one) for name, one in shipped_plant_types().items()]
+    ranked = sorted(found, key=lambda one: (-one.adaptation, one.name))
     chosen = [one for one in ranked if one.adaptation >= ADAPTATION_MIN][:MOST_SPECIES]
     if chosen:
         return chosen
     best = ranked[0]
+    closest = f"{best.name} comes closest with {best.adaptation:.2g}: it likes {_likes(best.plant_type)}"
     raise RecipeError(
         "no species fits this climate",
         where=where,
         expected=f"an adaptation of at least {ADAPTATION_MIN:g} for one of {len(ranked)} species",
-        got=f"{temperature_c:g} deg C and {precipitation_mm_per_yr:g} mm/year; {best.name} comes closest with "
-        f"{best.adaptation:.2g}: it likes {_likes(best.plant_type)}",
+        got=f"{temperature_c:g} deg C and {precipitation_mm_per_yr:g} mm/year; {closest}",
         hint="name species yourself, with a modules section of their own climate",
     )
 
@@ -183,12 +177,7 @@ def stations() -> Mapping[str, Station]:
 
 
 def find_station(place: str, *, where: str | None = None) -> Station:
-    """The station of that name, in any case of its letters.
-
-    Raises
-    ------
-    RecipeError : there is none; the message lists them all, or the nearest name.
-    """
+    """The station of that name, in any case of its letters; raises `RecipeError` with all names where there is none."""
     known = stations()
     if place.strip().lower() in known:
         return known[place.strip().lower()]
@@ -201,13 +190,8 @@ def find_station(place: str, *, where: str | None = None) -> Station:
 def settle_biome(data: dict[str, Any], sources: SourceMap) -> bool:
     """Give a recipe's ``community.biome`` its numbers and, where none are named, its species; in place.
 
-    Returns
-    -------
-    Whether species were chosen: they are then ``{from: NAME}`` entries yet to be merged.
-
-    Raises
-    ------
-    RecipeError : an unknown place, a number out of range, or no species that fits.
+    Returns whether species were chosen: they are then ``{from: NAME}`` entries yet to be merged. Raises `RecipeError`
+    for an unknown place, a number out of range, or where no species fits.
     """
     community = data.get("community")
     biome = community.get("biome") if isinstance(community, dict) else None

@@ -77,17 +77,10 @@ class DrawnRecipe:
         return got if written is None else f"{got}, from {show(written)}"
 
     def parse(self, model: type[ModelT], data: Mapping[str, Any], keys: Keys) -> ModelT:
-        """A model's or generator's own keys, validated.
+        """A model's or generator's own keys, validated by its pydantic class.
 
-        Parameters
-        ----------
-        model : the pydantic class of the parameters.
-        data : the values, such as ``drawn.recipe.community.parameters``.
-        keys : key path of `data` in the recipe, such as ``("community",)`` or ``("species", "poplar", "plant")``.
-
-        Raises
-        ------
-        RecipeError : worded like the errors of the recipe's own keys.
+        `keys` is the path of `data` in the recipe, such as ``("community",)``. Raises `RecipeError`, worded like the
+        errors of the recipe's own keys.
         """
         try:
             return model.model_validate(dict(data), context={"folder": self.folder})  # where its files are
@@ -156,15 +149,11 @@ class LoadedRecipe:
         return whole_number(self.data, "first_image", 0)
 
     def draw(self, image_index: int) -> DrawnRecipe:
-        """The recipe of one image, 0 being the recipe's first.
+        """The recipe of one image, 0 being the first; raises `RecipeError` if the schema rejects a drawn value.
 
         Each value has its own stream of random numbers, named by its key and the image: adding, removing or changing
         one distribution leaves the others' draws as they were. What the section ``sampling`` places follows from the
         image's split and its rank there: see `forestgen.recipe.sampler`.
-
-        Raises
-        ------
-        RecipeError : a drawn value is one that the schema rejects.
         """
         image = self._first_image + image_index
         if not self._first_image <= image < NUMBERS_END:
@@ -259,15 +248,8 @@ class LoadedRecipe:
 def load_recipe(path: Path | str, overrides: Sequence[str] = ()) -> LoadedRecipe:
     """Read a recipe and check all that can be checked before drawing each image.
 
-    Parameters
-    ----------
-    path : the recipe's file.
-    overrides : ``key.path=value`` each, applied in order; the value is YAML.
-
-    Raises
-    ------
-    RecipeError, AssetError : with the place, what was expected, what was found, what to do.
-    RecipeErrors : several of them, in the file's order.
+    The overrides, ``key.path=value`` each, are applied in order; the value is YAML. Raises `RecipeError`, `AssetError`,
+    or `RecipeErrors` for several of them.
     """
     return read_recipe(path, overrides).whole()
 

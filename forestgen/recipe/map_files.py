@@ -170,10 +170,8 @@ def _identified(
     if path not in known:
         known[path] = file_sha256(path, value["file"], where)
     if written is not None and written != known[path]:
-        problem, expected = (
-            "this is not the file that the recipe was made with",
-            f"a file whose SHA-256 is {written[:16]}...",
-        )
+        problem = "this is not the file that the recipe was made with"
+        expected = f"a file whose SHA-256 is {written[:16]}..."
         hint = "bring the file back; or remove sha256, and the file is taken as it is now"
         raise AssetError(problem, where=where, expected=expected, got=f"{path}: {known[path][:16]}...", hint=hint)
     return {**value, "sha256": known[path]}

@@ -30,7 +30,6 @@ from forestgen.recipe.points import (
     MOST_KEYS,
     InfeasibleError,
     Method,
-    Pair,
     cell_of,
     cholesky_factor,
     correlated,
@@ -89,7 +88,8 @@ class Sampler:
     def _correlated(self, found: Mapping[Keys, float], image: int) -> dict[Keys, float]:
         given = [found[keys] if keys in found else self._independent(keys, image) for keys in self.correlated]
         values = correlated(np.array(given), self.factor).tolist()
-        return {keys: u for keys, u in zip(self.correlated, values, strict=True) if keys not in self._in_strata}
+        in_strata = {keys for keys, _ in self.strata}
+        return {keys: u for keys, u in zip(self.correlated, values, strict=True) if keys not in in_strata}
 
     def _independent(self, keys: Keys, image: int) -> float:
         return min(max(child_rng(self.seed, "sampling", image, dotted(keys)).random(), _EDGE), 1.0 - _EDGE)
@@ -98,10 +98,6 @@ class Sampler:
     def cells(self) -> int:
         """Combinations of the strata's bins."""
         return math.prod(bins for _, bins in self.strata)
-
-    @cached_property
-    def _in_strata(self) -> frozenset[Keys]:
-        return frozenset(keys for keys, _ in self.strata)
 
 
 def make_sampler(
@@ -112,16 +108,10 @@ def make_sampler(
     seed: int,
     splits: Mapping[str, float],
 ) -> Sampler:
-    """Check the section against what is drawn.
+    """Check the section against what is drawn; references are what follows from variables.
 
-    Parameters
-    ----------
-    distributions, references : by key path; references are what follows from variables.
-    seed, splits : of the recipe.
-
-    Raises
-    ------
-    RecipeError : a key that is not drawn, strata that cannot be cut or are too many, correlations that cannot be.
+    Raises `RecipeError` for a key that is not drawn, strata that cannot be cut or are too many, and correlations that
+    cannot all hold.
     """
     keys_of = _Keys(distributions, references, sources)
     strata = tuple(
@@ -207,17 +197,13 @@ def _check_levels(distribution: Choice, wanted: Sequence[Any], where: str) -> No
 
 
 def _check_cells(section: Sampling, strata: Sequence[tuple[Keys, int]], sources: SourceMap) -> None:
-    cells = math.prod(bins for _, bins in strata)
+    cells, where = math.prod(bins for _, bins in strata), sources.where(("sampling", "strata"))
     if cells > MOST_CELLS:
-        raise RecipeError(
-            "too many strata",
-            where=sources.where(("sampling", "strata")),
-            expected=f"at most {MOST_CELLS:,} combinations of bins",
-            got=f"{' x '.join(str(bins) for _, bins in strata)} = {cells:,}",
-            hint="fewer bins, or leave some of these keys to the method",
-        )
+        expected, got = f"at most {MOST_CELLS:,} combinations of bins", " x ".join(str(bins) for _, bins in strata)
+        hint = "fewer bins, or leave some of these keys to the method"
+        raise RecipeError("too many strata", where=where, expected=expected, got=f"{got} = {cells:,}", hint=hint)
     if len({keys for keys, _ in strata}) < len(section.strata):
-        raise RecipeError("a key twice", where=sources.where(("sampling", "strata")), expected="each key once")
+        raise RecipeError("a key twice", where=where, expected="each key once")
 
 
 def _spread(section: Sampling, keys_of: _Keys, in_strata: set[Keys]) -> tuple[Keys, ...]:
@@ -232,11 +218,9 @@ def _spread(section: Sampling, keys_of: _Keys, in_strata: set[Keys]) -> tuple[Ke
             raise RecipeError("a key twice", where=where, expected="each key once", got=names[n])
     spread = tuple(keys for keys in found if keys not in in_strata)
     if len(spread) > MOST_KEYS:
-        where = keys_of.sources.where(("sampling", "method"))
-        hint = "sampling.keys names those that matter"
-        raise RecipeError(
-            "too many keys for a method", where=where, expected=f"at most {MOST_KEYS}", got=f"{len(spread)}", hint=hint
-        )
+        where, expected = keys_of.sources.where(("sampling", "method")), f"at most {MOST_KEYS}"
+        problem, hint = "too many keys for a method", "sampling.keys names those that matter"
+        raise RecipeError(problem, where=where, expected=expected, got=f"{len(spread)}", hint=hint)
     return spread
 
 
@@ -246,30 +230,27 @@ def _correlations(
     """The correlated keys, those of strata first so that these stay as they are, and the factor of their matrix."""
     pairs: list[tuple[Keys, Keys]] = []
     for n, entry in enumerate(section.correlations):
-        one, other = (
-            keys_of.find(name, ("sampling", "correlations", n, "keys", k)) for k, name in enumerate(entry.keys)
-        )
-        where = sources.where(("sampling", "correlations", n))
+        path = ("sampling", "correlations", n)
+        one, other = (keys_of.find(name, (*path, "keys", k)) for k, name in enumerate(entry.keys))
+        where, got = sources.where(path), " and ".join(entry.keys)
         if (one, other) in pairs or (other, one) in pairs or one == other:
-            raise RecipeError("a pair twice", where=where, expected="each pair once", got=" and ".join(entry.keys))
+            raise RecipeError("a pair twice", where=where, expected="each pair once", got=got)
         if one in in_strata and other in in_strata:
             expected = "at most one key of a pair among sampling.strata, for all their combinations are equally often"
-            raise RecipeError(
-                "strata that are correlated", where=where, expected=expected, got=" and ".join(entry.keys)
-            )
+            raise RecipeError("strata that are correlated", where=where, expected=expected, got=got)
         pairs.append((one, other))
     found = dict.fromkeys(keys for pair in pairs for keys in pair)
     ordered = [keys for keys in found if keys in in_strata] + [keys for keys in found if keys not in in_strata]
-    numbered: list[Pair] = [
-        (ordered.index(one), ordered.index(other), entry.rank)
-        for (one, other), entry in zip(pairs, section.correlations, strict=True)
+    ranks = [entry.rank for entry in section.correlations]
+    numbered = [
+        (ordered.index(one), ordered.index(other), rank) for (one, other), rank in zip(pairs, ranks, strict=True)
     ]
     try:
         return tuple(ordered), cholesky_factor(len(ordered), numbered)
     except InfeasibleError as cause:
         entry = section.correlations[cause.pair]
         raise RecipeError(
-            "these correlations cannot be at the same time",
+            "these correlations cannot all hold",
             where=sources.where(("sampling", "correlations", cause.pair)),
             expected=f"rank: {cause.nearest:g} at the nearest, for {' and '.join(entry.keys)}, beside the other pairs",
             got=f"{entry.rank:g}",

@@ -81,7 +81,7 @@ class Sampling(Section):
         for name in value:
             if name in RESERVED:
                 taken = ", ".join(sorted(RESERVED))
-                raise mistake(f"another name than {taken}", problem="formulas use this name", got=name, at=(name,))
+                raise mistake(f"another name than {taken}", problem="formulas use this name", got=name, at=name)
         return value
 
     @model_validator(mode="after")
@@ -89,10 +89,7 @@ class Sampling(Section):
         needed = {"keys": ("latin_hypercube", "sobol", "halton"), "block": ("latin_hypercube",)}
         for name, methods in needed.items():
             if name in self.model_fields_set and self.method not in methods and getattr(self, name) is not None:
-                raise mistake(
-                    f"method: {' or '.join(methods)}, where there is {name}",
-                    problem=f"the method {self.method} has no {name}",
-                    got=self.method,
-                    at=("method",) if "method" in self.model_fields_set else (name,),
-                )
+                expected = f"method: {' or '.join(methods)}, where there is {name}"
+                at = "method" if "method" in self.model_fields_set else name
+                raise mistake(expected, problem=f"the method {self.method} has no {name}", got=self.method, at=at)
         return self

@@ -50,7 +50,8 @@ def mapping_of(
     if data is None:
         raise error("the text says nothing", where=origin, expected="a mapping of keys to values", got="no content")
     if not isinstance(data, dict):
-        raise error("not a mapping", where=f"{origin}:1", expected="lines such as 'seed: 7'", got=_kind(data))
+        got = "a list" if isinstance(data, list) else f"{str(data)[:60]!r}"
+        raise error("not a mapping", where=f"{origin}:1", expected="lines such as 'seed: 7'", got=got)
     return data, sources
 
 
@@ -97,12 +98,6 @@ def _is_unseen(character: str) -> bool:
     return unicodedata.category(character) in ("Cc", "Cf", "Cs")
 
 
-def _kind(value: object) -> str:
-    if isinstance(value, list):
-        return "a list"
-    return f"{str(value)[:60]!r}"
-
-
 class _TooManyNodesError(Exception):
     """More keys and values than `MAX_NODES`."""
 
@@ -126,17 +121,13 @@ class _Reader:
         self.yaml = YAML(typ="safe", pure=True)
         self.yaml.Composer = _Composer
         self.yaml.max_depth = 2 * MAX_DEPTH  # counts in another way than ours; far deeper text takes minutes to read
-        self.sources = SourceMap({(): self._place(origin, 1, lines)})
+        self.sources = SourceMap({(): Place(origin, 1 if lines else None)})
         self._origin, self._error, self._lines = origin, error, lines
         self._seen: set[int] = set()
         self._aliased = 0
 
-    @staticmethod
-    def _place(origin: str, line: int, lines: bool) -> Place:
-        return Place(origin, line if lines else None)
-
     def _at(self, node: Node) -> Place:
-        return self._place(self._origin, node.start_mark.line + 1, self._lines)
+        return Place(self._origin, node.start_mark.line + 1 if self._lines else None)
 
     def too_deep(self, where: str) -> ForestgenError:
         return self._error("nested too deeply", where=where, expected=f"at most {MAX_DEPTH} levels")
@@ -146,12 +137,10 @@ class _Reader:
             raise self.too_deep(str(self._at(node)))
         self._count_aliases(node)
         if node.tag not in (_SCALARS if isinstance(node, ScalarNode) else _CONTAINERS):
-            raise self._error(
-                "this YAML tag is not allowed",
-                where=self._where(node, keys),
-                expected="numbers, texts, true, false, null, lists and mappings",
-                got=str(node.tag).replace(_TAG, "!!")[:60],
-            )
+            expected = "numbers, texts, true, false, null, lists and mappings"
+            got = str(node.tag).replace(_TAG, "!!")[:60]
+            problem, where = "this YAML tag is not allowed", self._where(node, keys)
+            raise self._error(problem, where=where, expected=expected, got=got)
         if isinstance(node, MappingNode):
             return self._mapping(node, keys, depth)
         if isinstance(node, SequenceNode):
@@ -166,11 +155,8 @@ class _Reader:
         self._aliased += id(node) in self._seen
         self._seen.add(id(node))
         if self._aliased > MAX_ALIAS_NODES:
-            raise self._error(
-                "the file's aliases (*name) multiply beyond reason",
-                where=str(self._at(node)),
-                expected=f"at most {MAX_ALIAS_NODES} aliased values",
-            )
+            problem, expected = "too many values by aliases (*name)", f"at most {MAX_ALIAS_NODES} aliased values"
+            raise self._error(problem, where=str(self._at(node)), expected=expected)
 
     def _mapping(self, node: MappingNode, keys: Keys, depth: int) -> dict[str, Any]:
         result: dict[str, Any] = {}
@@ -182,12 +168,8 @@ class _Reader:
                 continue
             key = self._key(key_node)
             if key in first:
-                raise self._error(
-                    f"the key {key!r} stands twice",
-                    where=str(self._at(key_node)),
-                    expected="each key once",
-                    got=f"{key!r} here and at {first[key]}",
-                )
+                where, got = str(self._at(key_node)), f"{key!r} here and at {first[key]}"
+                raise self._error(f"the key {key!r} stands twice", where=where, expected="each key once", got=got)
             first[key] = self._at(key_node)
             if key in merged:
                 self.sources.drop((*keys, key))
@@ -208,10 +190,8 @@ class _Reader:
     def _key(self, node: Node) -> str:
         if isinstance(node, ScalarNode) and node.tag in _TEXTS:
             return self._text(node, ())
-        got = node.value if isinstance(node, ScalarNode) else "a list or mapping"
-        raise self._error(
-            "a key must be text", where=str(self._at(node)), expected="a name", got=str(got)[:60], hint="quote it"
-        )
+        got, where = str(node.value) if isinstance(node, ScalarNode) else "a list or mapping", str(self._at(node))
+        raise self._error("a key must be text", where=where, expected="a name", got=got[:60], hint="quote it")
 
     def _text(self, node: ScalarNode, keys: Keys) -> str:
         text = str(node.value)

@@ -46,7 +46,7 @@ BOMB = "a: &a [1,1,1,1,1,1,1,1,1,1]\n" + "".join(
         (b"a: &a [*a]\n", "nested too deeply"),
         (b"a: " + b"[" * 5000, "nested too deeply"),
         (b"a: " + b"[" * 60 + b"]" * 60, "nested too deeply"),
-        (BOMB.encode(), "multiply beyond reason"),
+        (BOMB.encode(), "too many values by aliases"),
         (b"a: .nan\n", "bad value"),
         (b"a: -.inf\n", "bad value"),
         (b"a: " + b"9" * 5000, "not a number"),
