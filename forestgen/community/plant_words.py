@@ -66,7 +66,7 @@ def form_of(program: Program) -> Form:
 def _names(program: Program, arity: int, answers: int) -> tuple[str, ...]:
     """The names that the first productions give the parameters."""
     names: dict[Kind, list[str]] = {}
-    for production in program.listing.productions:
+    for production in program.ast.productions:
         for module in production.predecessor:
             found = [getattr(argument, "name", "") for argument in module.arguments]
             names.setdefault(Kind(module.symbol, len(found)), found)

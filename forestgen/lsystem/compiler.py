@@ -1,28 +1,46 @@
-"""From a `Listing` to a `Program`."""
+"""From a `ProgramAST` to a `Program`: checked, made into code, and laid out in the VM's two tables.
+
+User-defined functions are curves by control points, as cpfg's function editor makes them: those of a clamped cubic
+B-spline (of lower degree where there are fewer than four). The curve begins at the first, ends at the last, and its
+value at x is where it crosses x. Outside, the end values hold.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import NoReturn
 
+import numpy as np
+from numpy.typing import NDArray
+
 from forestgen.core.errors import LsystemError
+from forestgen.lsystem import vm_layout as layout
 from forestgen.lsystem.checks import check_arities, check_brackets, check_heads, check_probabilities
-from forestgen.lsystem.emitter import Emitter, Scope, assigned
-from forestgen.lsystem.folding import fold
-from forestgen.lsystem.functions import points_problem
-from forestgen.lsystem.multiset import RESERVED
-from forestgen.lsystem.packing import Rule, pack
-from forestgen.lsystem.program import Program
-from forestgen.lsystem.syntax import Expression, Listing, Macro, Module, Name, Number, Place, Production, Statement
+from forestgen.lsystem.codegen import CodeGenerator, Region, Scope, assigned, fold
+from forestgen.lsystem.multiset import CLOSE, OPEN, RESERVED
+from forestgen.lsystem.program import Program, RuleSet
+from forestgen.lsystem.syntax import (
+    Expression,
+    Macro,
+    Module,
+    Name,
+    Number,
+    Place,
+    Production,
+    ProgramAST,
+    Statement,
+    points_problem,
+)
 
 DEEPEST = 100_000  # decomposition, where the program states no maximum depth
+_SAMPLES_A_SPAN = 64
 
 #: What a caller may set: a #define's or an array's value, or a function's control points.
 Value = float | Sequence[float] | Sequence[tuple[float, float]]
 
 
-def with_values(listing: Listing, values: Mapping[str, Value]) -> Listing:
+def with_values(listing: ProgramAST, values: Mapping[str, Value]) -> ProgramAST:
     """The listing with other values of its #defines, arrays and functions.
 
     Raises
@@ -61,13 +79,13 @@ def _is_points(value: Value) -> bool:
     return not isinstance(value, int | float) and not any(isinstance(one, int | float) for one in value)
 
 
-def settable(listing: Listing) -> list[str]:
+def settable(listing: ProgramAST) -> list[str]:
     """Names of the values that `with_values` can change."""
     plain = [name for name, macro in listing.macros.items() if macro.parameters is None]
     return [*plain, *listing.arrays, *listing.functions]
 
 
-def compile_listing(listing: Listing) -> Program:
+def compile_program(listing: ProgramAST) -> Program:
     """Check a listing and make it a program.
 
     Raises
@@ -80,12 +98,44 @@ def compile_listing(listing: Listing) -> Program:
         raise LsystemError("an expression is too long or too deep", where=listing.name) from error
 
 
+@dataclass(frozen=True)
+class Rule:
+    """A production: kinds, and where its code begins in the generated code (-1: it has none)."""
+
+    group: int
+    left: tuple[int, ...]
+    predecessor: tuple[int, ...]
+    right: tuple[int, ...]  # with the brackets of its branches
+    condition: int
+    probability: int
+    successor: int
+    most_modules: int
+    most_values: int
+    plain: tuple[int, ...] | None  # the successor's kinds where it always applies and has no parameters
+
+
+@dataclass(frozen=True)
+class Packed:
+    """The two tables, and addresses in them."""
+
+    whole: NDArray[np.int64]
+    real: NDArray[np.float64]
+    sets: tuple[RuleSet, ...]
+    globals_at: int
+    code_at: int
+
+    def code_address(self, index: int) -> int:
+        return index if index < 0 else self.code_at + 2 * index
+
+
 class _Compiler:
-    def __init__(self, listing: Listing) -> None:
-        self.listing = listing
+    def __init__(self, listing: ProgramAST) -> None:
+        self.ast = listing
         blocks = (listing.start, listing.start_each, listing.end_each, listing.end)
         names = dict.fromkeys(name for block in blocks for statement in block for name in assigned(statement))
-        self.e = Emitter(listing.name, listing.macros, list(listing.arrays), list(listing.functions), ["", *names])
+        self.e = CodeGenerator(
+            listing.name, listing.macros, list(listing.arrays), list(listing.functions), ["", *names]
+        )
         self.e.groups |= {production.group for production in listing.productions}
         for kind in RESERVED:
             self.e.kind(*kind)
@@ -94,7 +144,7 @@ class _Compiler:
         self.e.fail(problem, place, **about)
 
     def program(self) -> Program:
-        one = self.listing
+        one = self.ast
         every = (*one.productions, *one.decomposition.productions, *one.interpretation.productions)
         for production in every:
             check_heads(production, one)
@@ -113,7 +163,7 @@ class _Compiler:
         ]
         blocks = [self.block(block) for block in (one.start, one.start_each, one.end_each)]
         self.block(one.end)  # nothing is left for it to change, but it must be right
-        packed = pack(self.e, sets, self.ignored(), list(one.arrays.values()), list(one.functions.values()))
+        packed = _pack(self.e, sets, self.ignored(), list(one.arrays.values()), list(one.functions.values()))
         addresses = [packed.code_address(begin) for begin in (*axiom, *blocks)]
         every_rule = [rule for group in sets for rule in group]
         return Program(
@@ -210,19 +260,148 @@ class _Compiler:
 
     def ignored(self) -> list[bool]:
         """For each kind, whether contexts see through it."""
-        considered = self.listing.considered
-        hidden = {module.symbol for module in self.listing.ignored}
+        considered = self.ast.considered
+        hidden = {module.symbol for module in self.ast.ignored}
         seen = None if considered is None else {module.symbol for module in considered}
         return [kind.symbol in hidden or (seen is not None and kind.symbol not in seen) for kind in self.e.kinds]
 
     def whole(self, expression: Expression | None, default: int, what: str) -> int:
         if expression is None:
             return default
-        value = fold(expression, self.listing.macros, self.listing.name)
+        value = fold(expression, self.ast.macros, self.ast.name)
         if value is None or value != int(value) or not 0 <= value < 2**31:
             self.fail(f"{what} must be a whole number", expression.place, got=None if value is None else f"{value:g}")
         return int(value)
 
     def length(self) -> int | None:
-        given = self.listing.derivation_length
+        given = self.ast.derivation_length
         return None if given is None else self.whole(given, 0, "derivation length")
+
+
+def _pack(
+    code: CodeGenerator,
+    sets: Sequence[Sequence[Rule]],
+    ignored: Sequence[bool],
+    arrays: Sequence[Sequence[float]],
+    functions: Sequence[Sequence[tuple[float, float]]],
+) -> Packed:
+    """Lay out code, productions and values as vm_layout.py says."""
+    real, bases, array_at, function_at = _reals(code, arrays, functions)
+    whole = [0] * layout.HEADER
+    arity = [kind.arity for kind in code.kinds]
+    whole[layout.ARITY] = _append(whole, arity)
+    whole[layout.IGNORED] = _append(whole, [int(one) for one in ignored])
+    numbers = list(code.functions.values())
+    by_number = dict(zip(numbers, function_at, strict=True))
+    most = max(numbers, default=0)
+    pairs = [by_number.get(number, (0, 0)) for number in range(1, most + 1)]  # no samples: there is no such function
+    whole[layout.FUNCTION_AT] = _append(whole, [one for pair in pairs for one in pair])
+    whole[layout.FUNCTIONS] = most
+    whole[layout.STACK], whole[layout.LOCALS] = bases["stack"], bases["locals"]
+    whole[layout.SPARE], whole[layout.LOCAL_SIZE] = bases["spare"], code.local_size
+    bases["arrays"] = _append(whole, [one for pair in array_at for one in pair])
+    code_at = len(whole)
+    for one in code.code:
+        whole += [one.operation, _address(one.operand, one.region, bases, code_at)]
+    packed = tuple(_pack_rules(whole, rules, code_at, arity) for rules in sets)
+    return Packed(np.array(whole, dtype=np.int64), real, packed, bases["globals"], code_at)
+
+
+def _append(whole: list[int], values: Sequence[int]) -> int:
+    """The address where the values begin."""
+    whole += values
+    return len(whole) - len(values)
+
+
+def _reals(
+    code: CodeGenerator, arrays: Sequence[Sequence[float]], functions: Sequence[Sequence[tuple[float, float]]]
+) -> tuple[NDArray[np.float64], dict[str, int], list[tuple[int, int]], list[tuple[int, int]]]:
+    """The table of real numbers; its regions, arrays (first, last) and functions (first, samples)."""
+    parts = [np.array(list(code.constants), dtype=np.float64)]
+    at = len(code.constants)
+    bases = {"constants": 0, "globals": at, "locals": at + len(code.globals)}
+    bases["spare"] = bases["locals"] + code.local_size
+    parts.append(np.zeros(len(code.globals) + 2 * code.local_size))
+    at += len(parts[-1])
+    array_at, function_at = [], []
+    for values in arrays:
+        parts.append(np.array(values, dtype=np.float64))
+        array_at.append((at, at + len(values)))
+        at += len(values)
+    for points in functions:
+        x, y = _sampled(points)
+        parts += [x, y]
+        function_at.append((at, len(x)))
+        at += 2 * len(x)
+    bases["stack"] = at
+    parts.append(np.zeros(code.stack_size + 1))
+    return np.concatenate(parts), bases, array_at, function_at
+
+
+def _address(operand: int, region: Region, bases: dict[str, int], code_at: int) -> int:
+    if region is Region.CODE:
+        return code_at + 2 * operand
+    if region is Region.ARRAY:
+        return bases["arrays"] + 2 * operand
+    base = {Region.CONSTANT: "constants", Region.GLOBAL: "globals", Region.LOCAL: "locals"}.get(region)
+    return operand if base is None else bases[base] + operand
+
+
+def _pack_rules(whole: list[int], rules: Sequence[Rule], code_at: int, arity: Sequence[int]) -> RuleSet:
+    """Records of the productions, sorted by the first kind of their predecessors and else in their own order."""
+    modules, values = np.ones(len(arity), np.int64), np.array(arity, dtype=np.int64)
+    for rule in rules:
+        kind = rule.predecessor[0]
+        # The other modules of the predecessor have their own share.
+        rest = rule.predecessor[1:]
+        modules[kind] = max(modules[kind], rule.most_modules - len(rest))
+        values[kind] = max(values[kind], rule.most_values - sum(arity[one] for one in rest))
+    if not rules:
+        return RuleSet(-1, modules, values)
+    ordered = sorted(rules, key=lambda rule: rule.predecessor[0])  # stable
+    lists = [
+        [_append(whole, kinds) for kinds in (rule.left, rule.predecessor, _with_branches(rule.right), rule.plain or ())]
+        for rule in ordered
+    ]
+    records = len(whole)
+    for rule, (left, head, right, plain) in zip(ordered, lists, strict=True):
+        code = [
+            -1 if begin < 0 else code_at + 2 * begin for begin in (rule.condition, rule.probability, rule.successor)
+        ]
+        whole += [
+            rule.group, *code, left, len(rule.left), head, len(rule.predecessor), right, len(rule.right),
+            rule.most_modules, rule.most_values, -1 if rule.plain is None else plain, len(rule.plain or ()),
+        ]  # fmt: skip
+    counts = np.bincount([rule.predecessor[0] for rule in ordered], minlength=len(arity))
+    first = records + layout.RECORD * np.concatenate([[0], np.cumsum(counts)])
+    return RuleSet(_append(whole, first.tolist()), modules, values)
+
+
+def _with_branches(right: Sequence[int]) -> list[int]:
+    """The kinds of a right context and, behind them, the index of the ``[`` around each; -1: there is none.
+
+    A ``]`` has the index of its own ``[``.
+    """
+    enclosing: list[int] = []
+    opened = [-1]
+    for k, kind in enumerate(right):
+        enclosing.append(opened[-1])
+        if kind == OPEN:
+            opened.append(k)
+        elif kind == CLOSE:
+            opened.pop()
+    return [*right, *enclosing]
+
+
+def _sampled(points: Sequence[tuple[float, float]]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The curve as a fine polyline: x ascending, and y."""
+    control = np.array(points, dtype=np.float64)
+    degree = min(3, len(control) - 1)
+    if degree == 1:
+        return control[:, 0].copy(), control[:, 1].copy()
+    from scipy.interpolate import BSpline  # late: most programs have no functions
+
+    spans = len(control) - degree
+    knots = np.concatenate([np.zeros(degree), np.linspace(0, 1, spans + 1), np.ones(degree)])
+    curve = BSpline(knots, control, degree)(np.linspace(0, 1, spans * _SAMPLES_A_SPAN + 1))
+    return np.maximum.accumulate(curve[:, 0]), np.ascontiguousarray(curve[:, 1])

@@ -1,4 +1,4 @@
-"""From a program's text to a `Listing`."""
+"""From a program's text to a `ProgramAST`."""
 
 from __future__ import annotations
 
@@ -13,10 +13,8 @@ from typing import Any
 from lark import Token, Tree
 
 from forestgen.core.errors import LsystemError
-from forestgen.lsystem.functions import points_problem
-from forestgen.lsystem.source import Statement, read_program, statements
-from forestgen.lsystem.statement_reader import Reader, is_tree
-from forestgen.lsystem.syntax import Block, Expression, Listing, Macro, Module, Place, Production
+from forestgen.lsystem.statements import Reader, Statement, is_tree, read_program, statements
+from forestgen.lsystem.syntax import Block, Expression, Macro, Module, Place, Production, ProgramAST, points_problem
 from forestgen.lsystem.sys_format import parse_sys_file
 
 DIALECTS = ("cpfg", "abop")
@@ -24,7 +22,7 @@ _MOST_FUNCTIONS = 1000
 _MOST_GROUPS = 1_000_000
 
 
-def read_listing(path: Path) -> Listing:
+def parse_file(path: Path) -> ProgramAST:
     """The program in a file: .sys as in Randleff-Rasmussen 2004, else in cpfg's conventions.
 
     Raises
@@ -37,7 +35,7 @@ def read_listing(path: Path) -> Listing:
     return parse_text(read_program(path), str(path))
 
 
-def parse_text(text: str, name: str) -> Listing:
+def parse_text(text: str, name: str) -> ProgramAST:
     """The program in a text; `name` stands in messages.
 
     Raises
@@ -58,7 +56,7 @@ class _Builder:
 
     def __init__(self, name: str) -> None:
         self.name = name
-        self.listing = Listing(name)
+        self.ast = ProgramAST(name)
         self.group = 0
         self.block = "productions"
         self.productions: dict[str, list[Production]] = {"productions": [], "decomposition": [], "interpretation": []}
@@ -112,7 +110,7 @@ class _Builder:
             )
 
     def update(self, **changes: Any) -> None:
-        self.listing = replace(self.listing, **changes)
+        self.ast = replace(self.ast, **changes)
 
     def header(self, reader: Reader, statement: Statement) -> None:
         """`lsystem: name` says nothing that matters."""
@@ -201,7 +199,7 @@ class _Builder:
         self.update(**{key: found})
 
     def arrays(self, reader: Reader, text: str) -> None:
-        known = dict(self.listing.arrays)
+        known = dict(self.ast.arrays)
         for tree in reader.parse(text, "arrays").children:
             _, name, _, size, _, _, _, numbers, *_ = tree.children
             values = tuple(_signed(one) for one in numbers.children if isinstance(one, Tree)) if numbers else ()
@@ -233,7 +231,7 @@ class _Builder:
         problem = points_problem(points)
         if problem:
             reader.fail(f"function {name} is wrong", statement.place, expected=problem)
-        self.update(functions={**self.listing.functions, name: points})
+        self.update(functions={**self.ast.functions, name: points})
 
     def turtle(self, reader: Reader, statement: Statement) -> None:
         name = statement.keyword.replace("color", "colour")
@@ -243,9 +241,9 @@ class _Builder:
                 raise ValueError
         except ValueError:
             reader.fail(f"{name} needs numbers", statement.place, got=statement.text.strip())
-        if name in self.listing.turtle:
+        if name in self.ast.turtle:
             reader.fail(f"a second {name!r}", statement.start)
-        self.update(turtle={**self.listing.turtle, name: numbers})
+        self.update(turtle={**self.ast.turtle, name: numbers})
 
     def define(self, reader: Reader, statement: Statement) -> None:
         head = re.match(r"\s*([A-Za-z_]\w*)(\(([^()]*)\))?", statement.text)
@@ -263,9 +261,9 @@ class _Builder:
         parameters = None if given is None else tuple(one.strip() for one in given.split(",") if one.strip())
         if parameters and not (all(map(str.isidentifier, parameters)) and len(set(parameters)) == len(parameters)):
             reader.fail(f"#define {name} has bad parameters", statement.place, expected="different names", got=given)
-        self.update(macros={**self.listing.macros, name: Macro(parameters, body, self.seen[name])})
+        self.update(macros={**self.ast.macros, name: Macro(parameters, body, self.seen[name])})
 
-    def finish(self) -> Listing:
+    def finish(self) -> ProgramAST:
         if "axiom" not in self.seen:
             raise LsystemError(
                 "the program has no axiom", where=f"{self.name}:1:1", expected="axiom: and a string of modules"
@@ -274,7 +272,7 @@ class _Builder:
             name: Block(tuple(self.productions[name]), self.depths.get(name), self.places.get(name, Place(1, 1)))
             for name in ("decomposition", "interpretation")
         }
-        return replace(self.listing, productions=tuple(self.productions["productions"]), **blocks)  # type: ignore[arg-type]
+        return replace(self.ast, productions=tuple(self.productions["productions"]), **blocks)  # type: ignore[arg-type]
 
 
 def _is_word(tree: Any) -> bool:

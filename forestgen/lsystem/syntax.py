@@ -5,7 +5,10 @@ Expressions are equal if they are written alike, wherever they stand.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import NamedTuple
 
 
@@ -135,7 +138,7 @@ class Block:
 
 
 @dataclass(frozen=True)
-class Listing:
+class ProgramAST:
     """A whole L-system program, parsed."""
 
     name: str  # of the file, for messages
@@ -156,3 +159,14 @@ class Listing:
     productions: tuple[Production, ...] = ()
     decomposition: Block = Block()
     interpretation: Block = Block()
+
+
+def points_problem(points: Sequence[tuple[float, float]]) -> str | None:
+    """What is expected of a function's control points, where these are not so."""
+    if not all(math.isfinite(value) for point in points for value in point):
+        return "finite numbers"
+    if len(points) < 2 or points[0][0] == points[-1][0]:
+        return "two points of different x, at least"
+    if any(b[0] < a[0] for a, b in pairwise(points)):
+        return "control points that ascend in x"
+    return None

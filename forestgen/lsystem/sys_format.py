@@ -39,8 +39,8 @@ from pathlib import Path
 from typing import NoReturn
 
 from forestgen.core.errors import LsystemError
-from forestgen.lsystem.source import read_program
-from forestgen.lsystem.syntax import Listing, Module, Name, Number, Place, Production
+from forestgen.lsystem.statements import read_program
+from forestgen.lsystem.syntax import Module, Name, Number, Place, Production, ProgramAST
 
 _MOST_PARAMETERS = {"F": 3, "<": 1, ">": 1, "&": 1, "@": 1, "%": 1, "#": 1, "|": 0, "[": 0, "]": 0}
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")
@@ -48,12 +48,12 @@ _SHAPE = "symbol, replacement and probability, such as: F F[>F]F 1"
 _ROUNDING = 1e-9
 
 
-def parse_sys_file(path: Path) -> Listing:
+def parse_sys_file(path: Path) -> ProgramAST:
     """The program in a file; see `parse_sys_text`."""
     return parse_sys_text(read_program(path), str(path))
 
 
-def parse_sys_text(text: str, name: str) -> Listing:
+def parse_sys_text(text: str, name: str) -> ProgramAST:
     """The program in a `.sys` file's text, dialect `rhover`; `name` stands in messages.
 
     Raises
@@ -81,7 +81,7 @@ def parse_sys_text(text: str, name: str) -> Listing:
     for module in [*axiom, *(module for rule in parsed for module in rule.successor)]:
         arities.setdefault(module.symbol, set()).add(len(module.arguments))
     productions = tuple(one for rule in parsed for one in _for_each_arity(rule, arities))
-    return Listing(name, dialect="rhover", axiom=(axiom,), productions=productions)
+    return ProgramAST(name, dialect="rhover", axiom=(axiom,), productions=productions)
 
 
 def _for_each_arity(rule: Production, arities: dict[str, set[int]]) -> Iterable[Production]:

@@ -13,7 +13,7 @@ from forestgen.geometry.mesh import unit
 from forestgen.lsystem.derivation import MOST_MODULES, derive, interpret
 from forestgen.lsystem.parsing import parse_text
 from forestgen.lsystem.program import Program
-from forestgen.lsystem.syntax import Listing
+from forestgen.lsystem.syntax import ProgramAST
 from forestgen.lsystem.sys_format import parse_sys_text
 from forestgen.lsystem.turtle import Drawing, Polygons, draw_word, options_from
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
@@ -64,7 +64,7 @@ def skeleton_of(drawing: Drawing, shapes: Mapping[str, str] | None = None, polyg
     )
 
 
-def parse_program(text: str, name: str) -> Listing:
+def parse_program(text: str, name: str) -> ProgramAST:
     """The program in a text, in the language that its name's suffix tells, .sys or .lsys.
 
     Raises
@@ -95,7 +95,7 @@ def draw_program(
     LsystemError : the program is wrong, or its word has died out.
     TooManyModulesError : its words grow longer than `most_modules`.
     """
-    listing = program.listing
+    listing = program.ast
     *_, last = derive(program, steps, seed, most_modules=most_modules)
     words = interpret(program, last, seed, most_modules=most_modules)
     if not len(words):

@@ -94,9 +94,9 @@ from forestgen.community.multiset_state import State, answered, check_restorable
 from forestgen.community.plant_words import OWN, RADIUS, SPECIES, join_words, plant_words, plants_of, take_words
 from forestgen.community.population import Population
 from forestgen.core.errors import RecipeError
+from forestgen.lsystem.codegen import fold
 from forestgen.lsystem.compiler import settable
 from forestgen.lsystem.derivation import TooManyModulesError, axiom, derive_step
-from forestgen.lsystem.folding import fold
 from forestgen.lsystem.program import Program
 
 _BYTES_PER_PLANT = 330  # peak: a state, its successor, the environment, a snapshot; tests measure it
@@ -187,7 +187,7 @@ class MultisetLSystem:
         `most_plants` for others.
         """
         program, _ = program_of(parameters, site, species)
-        macros, arrays = program.listing.macros, program.listing.arrays
+        macros, arrays = program.ast.macros, program.ast.arrays
         if not {"initial_plants_per_ha", "seedlings_per_ha_per_yr"} & {*macros, *arrays}:
             return float(parameters.most_plants)
         total = planted(parameters.disturbances) + _cohort(program, site)
@@ -202,7 +202,7 @@ class MultisetLSystem:
         if self.expected_plants(parameters, site, species) > 0:
             return None
         program, _ = program_of(parameters, site, species)
-        if "initial_plants_per_ha" in settable(program.listing):
+        if "initial_plants_per_ha" in settable(program.ast):
             return "no plant can grow: community.parameters.initial_plants_per_ha is 0"
         if parameters.steps == 0:
             return "no plant can grow: community.steps is 0, and succession begins on bare ground"
@@ -223,9 +223,9 @@ def _most_modules(parameters: MultisetParameters) -> int:
 
 def _cohort(program: Program, site: Site) -> float:
     """Number of plants of the axiom, as far as the program's initial_plants_per_ha tells, a number or one a species."""
-    name, macros = "initial_plants_per_ha", program.listing.macros
-    if name in program.listing.arrays:
-        return sum(program.listing.arrays[name]) * site.area_ha
+    name, macros = "initial_plants_per_ha", program.ast.macros
+    if name in program.ast.arrays:
+        return sum(program.ast.arrays[name]) * site.area_ha
     return (fold(macros[name].body, macros, program.name) or 0.0) * site.area_ha if name in macros else 0.0
 
 

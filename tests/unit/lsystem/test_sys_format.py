@@ -95,7 +95,7 @@ def test_the_engine_derives_the_example():
     from forestgen.lsystem.multiset import words_as_text
     from forestgen.lsystem.turtle import draw_word
 
-    program = compiler.compile_listing(parse_sys_text(EXAMPLE, "tree.sys"))
+    program = compiler.compile_program(parse_sys_text(EXAMPLE, "tree.sys"))
     for n in range(4):
         derived = list(derivation.derive(program, n, 0))[-1].multiset
         assert list(words_as_text(derived)) == [tree(n)]
