@@ -27,13 +27,13 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
 def contracted(function: Callable[..., Any]) -> Callable[..., Any]:
     """As `compiled`; a product that is added is rounded once, with the sum, where the processor can do so.
 
-    For kernels that nobody compares bit by bit with those of a processor that cannot (x86 from before 2013).
+    For kernels whose results need not equal bit by bit those of a processor that cannot (x86 from before 2013).
     """
     return _compiled(function, fastmath={"contract"})
 
 
 def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
-    """As `contracted`, for small functions: the machine code of whatever calls one contains it."""
+    """As `contracted`, for small functions, whose machine code becomes part of their callers."""
     return _compiled(function, fastmath={"contract"}, forceinline=True)
 
 

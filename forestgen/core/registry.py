@@ -192,7 +192,7 @@ class Registry:
         """Entries of the entry points of installed packages whose names are not taken."""
         found: dict[str, tuple[str, str]] = {}
         for name, path, package in _entry_points(f"forestgen.{self.kind.replace(' ', '_')}", tuple(sys.path)):
-            if name in found:  # no place: whoever uses it is told
+            if name in found:  # no path: using it is an error
                 found[name] = ("", f"{found[name][1]}, and of {package}")
             elif _NAME.fullmatch(name) and name not in self._entries:
                 found[name] = (path, f"of the package {package}")

@@ -10,7 +10,7 @@ from typing import Any
 
 
 class _Output(io.FileIO):
-    """Standard output that remembers why it failed, to be told from other files."""
+    """Standard output that keeps the error with which it failed."""
 
     failure: OSError | None = None
 

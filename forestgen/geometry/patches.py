@@ -61,7 +61,7 @@ def on_axis(y_m: Floats) -> Floats:
     return np.column_stack([nothing, y_m, nothing])
 
 
-def outwards(turn_rad: Floats) -> Floats:
+def outwards(turn_rad: NDArray[np.floating]) -> Floats:
     """(N, 3) directions at right angles to the y axis, by (N,) turns about it."""
     return np.column_stack([np.cos(turn_rad), np.zeros(len(turn_rad)), np.sin(turn_rad)])
 

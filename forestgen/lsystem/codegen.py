@@ -64,13 +64,7 @@ class Instruction(NamedTuple):
 
 
 class CodeGenerator:
-    """Grows one code for a whole program.
-
-    Parameters
-    ----------
-    name : of the file, for messages.
-    macros, arrays, functions, globals : names that expressions may use; globals and arrays by their index.
-    """
+    """Grows one code for a whole program, of the file `name`; the others are names that expressions may use."""
 
     def __init__(
         self,
@@ -149,24 +143,17 @@ class Scope:
                 self.branches(one)
             elif isinstance(one, UseGroup):
                 if not self.is_global:
-                    self.fail(
-                        "useGroup stands in a production", one.place, expected="it in Start, StartEach or EndEach"
-                    )
-                self.check_group(one)
+                    expected = "it in Start, StartEach or EndEach"
+                    self.fail("useGroup stands in a production", one.place, expected=expected)
+                value = fold(one.group, {}, self.e.name)
+                if value is not None and value not in self.e.groups:
+                    known = ", ".join(map(str, sorted(self.e.groups)))
+                    self.fail("there is no such group", one.place, expected=known, got=f"{value:g}")
                 self.expression(one.group)
                 self.e.put(op.STORE, one.place, -1, GROUP, Region.GLOBAL)
             else:
-                self.assign(one)
-
-    def check_group(self, one: UseGroup) -> None:
-        value = fold(one.group, {}, self.e.name)
-        if value is not None and value not in self.e.groups:
-            known = ", ".join(map(str, sorted(self.e.groups)))
-            self.fail("there is no such group", one.place, expected=known, got=f"{value:g}")
-
-    def assign(self, one: Assign) -> None:
-        self.expression(one.value)
-        self.assign_to(one.name, one.place)
+                self.expression(one.value)
+                self.assign_to(one.name, one.place)
 
     def assign_to(self, name: str, place: Place) -> None:
         """The value on the stack becomes a variable's."""
@@ -174,11 +161,8 @@ class Scope:
             self.e.put(op.STORE, place, -1, self.e.globals[name], Region.GLOBAL)
             return
         if name in self.e.globals:
-            self.fail(
-                f"a production assigns the global variable {name}",
-                place,
-                expected="local variables: all modules are rewritten at once",
-            )
+            problem = f"a production assigns the global variable {name}"
+            self.fail(problem, place, expected="local variables: all modules are rewritten at once")
         if name in self.e.macros or name in self.e.arrays:
             self.fail(f"{name} is defined and cannot be assigned", place)
         self.e.put(op.STORE, place, -1, self.local(name), Region.LOCAL)
@@ -235,7 +219,9 @@ class Scope:
         elif one.operator in ("&&", "||"):
             self.shortcut(one)
         else:
-            self.binary(one)
+            self.compute(one.left)
+            self.compute(one.right)
+            self.e.put(op.OPERATORS[one.operator], one.place, -1)
 
     def named(self, one: Name) -> None:
         if self.bound and one.name in self.bound[-1]:
@@ -253,12 +239,11 @@ class Scope:
             self.e.constant(self.e.functions[one.name], one.place)
         else:
             known = [*self.locals, *(name for name in self.e.globals if name), *self.e.macros]
-            self.fail(
-                f"{one.name} has no value here",
-                one.place,
-                expected=", ".join(known[:12]) or "a number",
-                hint="a parameter of the predecessor, a local variable, or a #define",
+            expected, hint = (
+                ", ".join(known[:12]) or "a number",
+                "a parameter of the predecessor, a local variable, or a #define",
             )
+            self.fail(f"{one.name} has no value here", one.place, expected=expected, hint=hint)
 
     def expand(self, one: Call, *, is_value: bool = False) -> None:
         macro = self.e.macros[one.name]
@@ -286,16 +271,13 @@ class Scope:
         operation, arity = op.BUILTINS[one.name]
         if len(one.arguments) != arity:
             self.fail(f"{one.name} takes {arity} argument{'s' * (arity > 1)}", one.place, got=f"{len(one.arguments)}")
-        if one.name == "func" and isinstance(one.arguments[0], Number | Name):
-            self.check_function(one.arguments[0])
+        chosen = one.arguments[0]
+        if one.name == "func" and isinstance(chosen, Number) and chosen.value not in self.e.functions.values():
+            known = ", ".join(self.e.functions) or "none is defined"
+            self.fail(f"there is no function {chosen.value:g}", chosen.place, expected=known)
         for argument in one.arguments:
             self.compute(argument)
         self.e.put(operation, one.place, 1 - arity)
-
-    def check_function(self, chosen: Number | Name) -> None:
-        if isinstance(chosen, Number) and chosen.value not in self.e.functions.values():
-            known = ", ".join(self.e.functions) or "none is defined"
-            self.fail(f"there is no function {chosen.value:g}", chosen.place, expected=known)
 
     def count(self, one: Call) -> None:
         if not self.is_global or len(one.arguments) != 1 or not isinstance(one.arguments[0], Name | Number):
@@ -319,11 +301,6 @@ class Scope:
         self.e.land(skip)
         self.e.constant(0.0 if one.operator == "&&" else 1.0, one.place)
         self.e.land(end)
-
-    def binary(self, one: Binary) -> None:
-        self.compute(one.left)
-        self.compute(one.right)
-        self.e.put(op.OPERATORS[one.operator], one.place, -1)
 
 
 def assigned(one: Statement) -> Iterator[str]:
@@ -350,7 +327,7 @@ def fold(expression: Expression, macros: Mapping[str, Macro], name: str) -> floa
     try:
         value = _Folder(macros, name).fold(expression)
     except (OverflowError, ValueError):
-        return None  # the machine says where
+        return None  # the VM reports where
     return value if value is None or math.isfinite(value) else None
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,14 +39,12 @@ _SAMPLES_A_SPAN = 64
 Value = float | Sequence[float] | Sequence[tuple[float, float]]
 
 
-def with_values(listing: ProgramAST, values: Mapping[str, Value]) -> ProgramAST:
-    """The listing with other values of its #defines, arrays and functions.
+def with_values(ast: ProgramAST, values: Mapping[str, Value]) -> ProgramAST:
+    """The program with other values of its #defines, arrays and functions.
 
-    Raises
-    ------
-    LsystemError : a name that the program does not define, or a value of the wrong sort.
+    Raises `LsystemError` for a name that it does not define, or a value of the wrong sort.
     """
-    macros, arrays, functions = dict(listing.macros), dict(listing.arrays), dict(listing.functions)
+    macros, arrays, functions = dict(ast.macros), dict(ast.arrays), dict(ast.functions)
     for name, value in values.items():
         if name in macros and macros[name].parameters is None and isinstance(value, int | float):
             macros[name] = Macro(None, Number(float(value), macros[name].place), macros[name].place)
@@ -57,18 +54,18 @@ def with_values(listing: ProgramAST, values: Mapping[str, Value]) -> ProgramAST:
             points = tuple((float(x), float(y)) for x, y in value)  # type: ignore[union-attr,misc]
             problem = points_problem(points)
             if problem:
-                raise LsystemError(f"function {name} is wrong", where=listing.name, expected=problem, got=repr(points))
+                raise LsystemError(f"function {name} is wrong", where=ast.name, expected=problem, got=repr(points))
             functions[name] = points
         else:
             sort = "a list of numbers" if name in arrays else "[x, y] points" if name in functions else "a number"
             known = name in macros or name in arrays or name in functions
             raise LsystemError(
                 f"{name} cannot be set so" if known else f"the program defines no {name}",
-                where=listing.name,
-                expected=sort if known else ", ".join(settable(listing)) or "it defines nothing that can be set",
+                where=ast.name,
+                expected=sort if known else ", ".join(settable(ast)) or "it defines nothing that can be set",
                 got=repr(value) if known else name,
             )
-    return replace(listing, macros=macros, arrays=arrays, functions=functions)
+    return replace(ast, macros=macros, arrays=arrays, functions=functions)
 
 
 def _is_flat(value: Value) -> bool:
@@ -79,23 +76,18 @@ def _is_points(value: Value) -> bool:
     return not isinstance(value, int | float) and not any(isinstance(one, int | float) for one in value)
 
 
-def settable(listing: ProgramAST) -> list[str]:
+def settable(ast: ProgramAST) -> list[str]:
     """Names of the values that `with_values` can change."""
-    plain = [name for name, macro in listing.macros.items() if macro.parameters is None]
-    return [*plain, *listing.arrays, *listing.functions]
+    plain = [name for name, macro in ast.macros.items() if macro.parameters is None]
+    return [*plain, *ast.arrays, *ast.functions]
 
 
-def compile_program(listing: ProgramAST) -> Program:
-    """Check a listing and make it a program.
-
-    Raises
-    ------
-    LsystemError : it is wrong; with line and column.
-    """
+def compile_program(ast: ProgramAST) -> Program:
+    """Check a program and compile it; raises `LsystemError`, with line and column, where it is wrong."""
     try:
-        return _Compiler(listing).program()
+        return _Compiler(ast).program()
     except RecursionError as error:
-        raise LsystemError("an expression is too long or too deep", where=listing.name) from error
+        raise LsystemError("an expression is too long or too deep", where=ast.name) from error
 
 
 @dataclass(frozen=True)
@@ -129,45 +121,40 @@ class Packed:
 
 
 class _Compiler:
-    def __init__(self, listing: ProgramAST) -> None:
-        self.ast = listing
-        blocks = (listing.start, listing.start_each, listing.end_each, listing.end)
+    def __init__(self, ast: ProgramAST) -> None:
+        self.ast = ast
+        blocks = (ast.start, ast.start_each, ast.end_each, ast.end)
         names = dict.fromkeys(name for block in blocks for statement in block for name in assigned(statement))
-        self.e = CodeGenerator(
-            listing.name, listing.macros, list(listing.arrays), list(listing.functions), ["", *names]
-        )
-        self.e.groups |= {production.group for production in listing.productions}
+        self.e = CodeGenerator(ast.name, ast.macros, list(ast.arrays), list(ast.functions), ["", *names])
+        self.e.groups |= {production.group for production in ast.productions}
         for kind in RESERVED:
             self.e.kind(*kind)
 
-    def fail(self, problem: str, place: Place, **about: str | None) -> NoReturn:
-        self.e.fail(problem, place, **about)
-
     def program(self) -> Program:
         one = self.ast
-        every = (*one.productions, *one.decomposition.productions, *one.interpretation.productions)
-        for production in every:
+        for production in one.all_productions:
             check_heads(production, one)
-            check_brackets(production.successor, one.name, percent_turns=one.dialect == "rhover")
-        for block in (one.decomposition, one.interpretation):
-            self.refuse_contexts(block.productions)
+            check_brackets(production.successor, one)
+        for production in (*one.decomposition.productions, *one.interpretation.productions):
+            if production.left or production.right or len(production.predecessor) > 1:
+                problem = "a production of a block must be context-free"
+                self.e.fail(problem, production.place, expected="one module before the arrow")
         for word in one.axiom:
-            check_brackets(word, one.name, percent_turns=one.dialect == "rhover")
+            check_brackets(word, one)
         check_arities(one)
-        for rules in (one.productions, one.decomposition.productions, one.interpretation.productions):
+        groups = (one.productions, one.decomposition.productions, one.interpretation.productions)
+        for rules in groups:
             check_probabilities(rules, one)
         axiom = [self.word(word) for word in one.axiom]
-        sets = [
-            [self.production(production) for production in rules]
-            for rules in (one.productions, one.decomposition.productions, one.interpretation.productions)
-        ]
+        sets = [[self.production(production) for production in rules] for rules in groups]
         blocks = [self.block(block) for block in (one.start, one.start_each, one.end_each)]
         self.block(one.end)  # nothing is left for it to change, but it must be right
         packed = _pack(self.e, sets, self.ignored(), list(one.arrays.values()), list(one.functions.values()))
         addresses = [packed.code_address(begin) for begin in (*axiom, *blocks)]
         every_rule = [rule for group in sets for rule in group]
+        length = one.derivation_length
         return Program(
-            listing=one,
+            ast=one,
             kinds=tuple(self.e.kinds),
             whole=packed.whole,
             real=packed.real,
@@ -193,15 +180,8 @@ class _Compiler:
             counted=tuple((slot, symbol) for symbol, slot in self.e.counted.items()),
             code_at=packed.code_address(0),
             places=tuple(instruction.place for instruction in self.e.code),
-            derivation_length=self.length(),
+            derivation_length=None if length is None else self.whole(length, 0, "derivation length"),
         )
-
-    def refuse_contexts(self, productions: Sequence[Production]) -> None:
-        for one in productions:
-            if one.left or one.right or len(one.predecessor) > 1:
-                self.fail(
-                    "a production of a block must be context-free", one.place, expected="one module before the arrow"
-                )
 
     def word(self, modules: tuple[Module, ...]) -> int:
         scope = Scope(self.e)
@@ -270,12 +250,8 @@ class _Compiler:
             return default
         value = fold(expression, self.ast.macros, self.ast.name)
         if value is None or value != int(value) or not 0 <= value < 2**31:
-            self.fail(f"{what} must be a whole number", expression.place, got=None if value is None else f"{value:g}")
+            self.e.fail(f"{what} must be a whole number", expression.place, got=None if value is None else f"{value:g}")
         return int(value)
-
-    def length(self) -> int | None:
-        given = self.ast.derivation_length
-        return None if given is None else self.whole(given, 0, "derivation length")
 
 
 def _pack(

@@ -21,7 +21,7 @@ _LARGEST_ID = 2**32 - 1
 _LARGEST_INDEX = 2**31 - 1  # of a module in its multiset
 _SLACK = 1024
 
-_FAULTS = {
+_FAULTS = {  # problem, and what is expected
     layout.DIVISION_BY_ZERO: ("division by zero", None),
     layout.OUTSIDE_DOMAIN: (
         "this has no value as a real number",
@@ -57,9 +57,7 @@ CompetitionModel = Callable[[Multiset], Multiset]
 def axiom(program: Program, seed: int, *, most_modules: int = MOST_MODULES) -> Derivation:
     """The words before the first step; decomposed, and Start run.
 
-    Raises
-    ------
-    LsystemError : something in the program has no value; with line and column.
+    Raises `LsystemError`, with line and column, where something in the program has no value.
     """
     key = _key(seed, "axiom", 0)
     glob = _run_block(program, program.start, np.zeros(len(program.globals)), None, key, 0)
@@ -87,10 +85,8 @@ def axiom(program: Program, seed: int, *, most_modules: int = MOST_MODULES) -> D
 def derive_step(program: Program, state: Derivation, seed: int, *, most_modules: int = MOST_MODULES) -> Derivation:
     """One derivation step; `state` is left as it was. Queries are not answered here.
 
-    Raises
-    ------
-    LsystemError : something in the program has no value, or decomposition does not end; with line and column.
-    TooManyModulesError : the words grow beyond `most_modules`.
+    Raises `LsystemError`, with line and column, where something in the program has no value or decomposition does not
+    end, and `TooManyModulesError` where the words grow beyond `most_modules`.
     """
     step = state.step + 1
     key = _key(seed, "start each", step)

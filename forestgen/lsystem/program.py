@@ -1,7 +1,7 @@
 """A compiled L-system: one table of whole numbers and one of real numbers, laid out as `vm` reads them; its queries.
 
-Queries ?P, ?H, ?U, ?L: the turtle tells a module where it stands after each step. A query of three parameters gets
-x, y, z in the plant's frame (positions in metres), one of two gets x and y. The turtle reads the interpreted words.
+Queries ?P, ?H, ?U, ?L: after each step the turtle gives the module its place or direction. A query of three parameters
+gets x, y, z in the plant's frame (positions in metres), one of two x and y. The turtle reads the interpreted words.
 
 Reference: P. Prusinkiewicz, M. James, R. Mech, Synthetic topiary, SIGGRAPH 1994.
 """

@@ -160,6 +160,11 @@ class ProgramAST:
     decomposition: Block = Block()
     interpretation: Block = Block()
 
+    @property
+    def all_productions(self) -> tuple[Production, ...]:
+        """Those of the derivation, of the decomposition and of the interpretation."""
+        return (*self.productions, *self.decomposition.productions, *self.interpretation.productions)
+
 
 def points_problem(points: Sequence[tuple[float, float]]) -> str | None:
     """What is expected of a function's control points, where these are not so."""

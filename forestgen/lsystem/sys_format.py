@@ -35,11 +35,10 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable
-from pathlib import Path
+from dataclasses import replace
 from typing import NoReturn
 
 from forestgen.core.errors import LsystemError
-from forestgen.lsystem.statements import read_program
 from forestgen.lsystem.syntax import Module, Name, Number, Place, Production, ProgramAST
 
 _MOST_PARAMETERS = {"F": 3, "<": 1, ">": 1, "&": 1, "@": 1, "%": 1, "#": 1, "|": 0, "[": 0, "]": 0}
@@ -48,18 +47,8 @@ _SHAPE = "symbol, replacement and probability, such as: F F[>F]F 1"
 _ROUNDING = 1e-9
 
 
-def parse_sys_file(path: Path) -> ProgramAST:
-    """The program in a file; see `parse_sys_text`."""
-    return parse_sys_text(read_program(path), str(path))
-
-
 def parse_sys_text(text: str, name: str) -> ProgramAST:
-    """The program in a `.sys` file's text, dialect `rhover`; `name` stands in messages.
-
-    Raises
-    ------
-    LsystemError : the text is not such a program; with line and column.
-    """
+    """The program in a `.sys` file's text, dialect `rhover`; raises `LsystemError`, with line and column."""
     lines = [_Line(name, number, raw) for number, raw in enumerate(text.splitlines(), 1) if raw.strip()]
     after = Place(text.count("\n") + 1, 1)
     if not lines or lines[0].text.strip() != "LSYSTEM":
@@ -89,17 +78,7 @@ def _for_each_arity(rule: Production, arities: dict[str, set[int]]) -> Iterable[
     (head,) = rule.predecessor
     for count in sorted(arities.get(head.symbol, {0})):
         formal = tuple(Name(f"p{k}", head.place) for k in range(1, count + 1))
-        yield Production(
-            left=(),
-            predecessor=(Module(head.symbol, formal, head.place),),
-            right=(),
-            before=(),
-            condition=None,
-            after=(),
-            successor=rule.successor,
-            probability=rule.probability,
-            place=rule.place,
-        )
+        yield replace(rule, predecessor=(Module(head.symbol, formal, head.place),))
 
 
 def _check_sums(name: str, rules: Iterable[Production]) -> None:

@@ -87,7 +87,7 @@ def _select(t, v, m, key, rules, group, i, p, begin, end, text):  # type: ignore
         if taken > 1.0 + 1e-9:
             return -2 - layout.PROBABILITIES_OVER_ONE
         if chosen < 0 and unit < taken:
-            # The others are looked at all the same: do the probabilities exceed 1?
+            # The other productions are still looked at: the probabilities must not exceed 1.
             chosen = rule
             for k in range(t[layout.LOCAL_SIZE]):
                 v[t[layout.SPARE] + k] = v[t[layout.LOCALS] + k]

@@ -176,6 +176,12 @@ def _sources_by_species(sources: SourceMap) -> dict[str | int, dict[Keys, Place]
     return written
 
 
+def _mappings(section: Any) -> list[tuple[str, dict[str, Any]]]:
+    """The entries of a section that are mappings."""
+    entries = section.items() if isinstance(section, dict) else ()
+    return [(name, entry) for name, entry in entries if isinstance(entry, dict)]
+
+
 def embed_program(data: dict[str, Any], sources: SourceMap, folder: Path) -> None:
     """Replace ``program: NAME`` of the community and of plants in place by the L-system program's name and text.
 
@@ -183,10 +189,8 @@ def embed_program(data: dict[str, Any], sources: SourceMap, folder: Path) -> Non
     embedded when the file was read: its path is relative to that file.
     """
     _embed(data.get("community"), sources, ("community", "program"), folder)
-    species = data.get("species")
-    for name, entry in species.items() if isinstance(species, dict) else ():
-        if isinstance(entry, dict):
-            _embed(entry.get("plant"), sources, ("species", name, "plant", "program"), folder)
+    for name, entry in _mappings(data.get("species")):
+        _embed(entry.get("plant"), sources, ("species", name, "plant", "program"), folder)
 
 
 def embed_tables(data: dict[str, Any], sources: SourceMap, folder: Path) -> None:
@@ -194,11 +198,10 @@ def embed_tables(data: dict[str, Any], sources: SourceMap, folder: Path) -> None
 
     As with programs, a species file's own tables were taken when the file was read.
     """
-    species, plants = data.get("species"), data.get("plants")
+    plants = data.get("plants")
     season = plants.get("season", "summer") if isinstance(plants, dict) else "summer"
-    for name, entry in species.items() if isinstance(species, dict) else ():
-        if isinstance(entry, dict):
-            _embed_spectra(entry.get("materials"), sources, ("species", name, "materials"), folder, season)
+    for name, entry in _mappings(data.get("species")):
+        _embed_spectra(entry.get("materials"), sources, ("species", name, "materials"), folder, season)
     cameras = data.get("cameras")
     for index, camera in enumerate(cameras) if isinstance(cameras, list) else ():
         where = sources.where(("cameras", index, "bands"))
@@ -213,7 +216,7 @@ def _embed_spectra(
 
     Raises `AssetError` for a table that no surface can have, or that lacks the season.
     """
-    for name, material in materials.items() if isinstance(materials, dict) else ():
+    for name, material in _mappings(materials):
         where = sources.where((*keys, name, "spectrum"))
         find = partial(find_asset, KIND, folder=folder, root=root, where=where)
         found = _embed_table(material, "spectrum", find, partial(surface_columns, where=where))
@@ -269,9 +272,8 @@ def _without_other_generator(
 ) -> dict[str, Any]:
     """`base` less its ``plant`` section if the override chooses another generator: the keys would not fit."""
     old, new = base.get("plant"), override.get("plant")
-    if not (isinstance(old, dict) and isinstance(new, dict) and "generator" in new):
-        return base
-    if new["generator"] == old.get("generator"):
+    both = isinstance(old, dict) and isinstance(new, dict)
+    if not both or new.get("generator", old.get("generator")) == old.get("generator"):
         return base
     sources.drop((*keys, "plant"))
     return {key: value for key, value in base.items() if key != "plant"}
@@ -279,9 +281,9 @@ def _without_other_generator(
 
 def _without_other_light(base: Any, override: Any) -> None:
     """Take from materials in place what a recipe replaces: a spectrum by colours, or colours by a spectrum."""
-    for name, material in base.items() if isinstance(base, dict) and isinstance(override, dict) else ():
-        new = override.get(name)
-        if not (isinstance(material, dict) and isinstance(new, dict)):
+    for name, material in _mappings(base):
+        new = override.get(name) if isinstance(override, dict) else None
+        if not isinstance(new, dict):
             continue
         if "reflectance" in new and new.get("spectrum") is None:
             material.pop("spectrum", None)

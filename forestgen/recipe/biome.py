@@ -1,4 +1,4 @@
-"""Biomes: which species grow under a climate of two numbers, and what people call such land.
+"""Biomes: which species grow under a climate of two numbers, and the name of such land.
 
 ``community: {model: branch_modules, biome: {temperature_c: 5.6, precipitation_mm_per_yr: 940}}`` or ``biome: {place:
 Helsinki}``: a recipe that names no species gets those shipped species with a ``modules`` section that the climate
@@ -8,7 +8,7 @@ suits best, by their adaptation
 
 (Makowski 2023, Eq. 13), and initial plants in proportion to it. Where the recipe names species, these are what grows.
 A place's two numbers come from the climate normals in ``scenes/climate/stations.csv``; a number that stands beside the
-place goes before its own, so a stored recipe, which has both, is that recipe again.
+place takes precedence, so a stored recipe, which has both, gives the same recipe again.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from forestgen.recipe.sources import SourceMap
 from forestgen.recipe.species import PlantType
 from forestgen.recipe.yaml_source import parse_yaml
 
-ADAPTATION_MIN = 0.2  # a species less at home than this is not chosen
+ADAPTATION_MIN = 0.2  # a species of less is not chosen
 MOST_SPECIES = 8
 PLANTS_PER_M2 = 0.2  # at the start, where the recipe does not say
 MOST_PLANTS = 2000
@@ -65,7 +65,7 @@ class Chosen:
 
 
 def biome_name(temperature_c: float, precipitation_mm_per_yr: float) -> str:
-    """What people call land of this climate: one of the ten biomes of Whittaker's diagram.
+    """Name of land of this climate: one of the ten biomes of Whittaker's diagram.
 
     Bounds that are straight lines stand for the diagram's curves (Whittaker, R. H. (1975). Communities and Ecosystems;
     Ricklefs, R. E. (2008). The Economy of Nature, Fig. 5.5), set so that the climates of Makowski 2023, Table 4, have
@@ -255,7 +255,7 @@ def _initial_plants(data: Mapping[str, Any]) -> int:
     size = site.get("size_m") if isinstance(site, dict) else None
     sides = size if isinstance(size, list) and len(size) == 2 else [100.0, 100.0]
     if not all(isinstance(side, int | float) and 0 < side <= 5000 for side in sides):
-        return 1  # validation will say what is wrong with it
+        return 1  # validation reports what is wrong with it
     return max(1, min(MOST_PLANTS, round(PLANTS_PER_M2 * sides[0] * sides[1])))
 
 

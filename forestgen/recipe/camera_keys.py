@@ -8,6 +8,7 @@ A camera with a rig (recipe/rigs.py) is several images, too.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from itertools import pairwise
 from typing import Annotated, Any, ClassVar, Literal, Self
 
@@ -25,6 +26,7 @@ from forestgen.recipe.fields import (
     Text,
     Whole,
     known_part,
+    list_names,
     mistake,
     shorthand,
 )  # fmt: skip
@@ -124,12 +126,12 @@ class CameraKeys(Section):
     default_look: ClassVar[Look | None] = None  # None: over the site, by look_at_m
     default_place: ClassVar[Point] = (0.5, 0.02, 1.7)  # shares of the site's width and depth, and metres above ground
     is_level: ClassVar[bool] = False  # whatever it looks at
-    covers_ground: ClassVar[bool] = False  # `footprint_m` tells what it shows of the ground below: for drone_grid
+    covers_ground: ClassVar[bool] = False  # whether `footprint_m` is known, as drone_grid needs
 
     name: Name = Field(description="Name in file names; default camera0, camera1, ...")
     kind: Annotated[Text, known_part(PROJECTIONS)] = Field(
         default=DEFAULT_PROJECTION,
-        json_schema_extra=lambda schema: schema.update(enum=PROJECTIONS.ids()),
+        json_schema_extra=partial(list_names, registry=PROJECTIONS),
         description="Projection, of those that `forestgen models --kind projection` lists; its page has its keys, and "
         "its defaults of position_m, look and size_px.",
     )
@@ -289,7 +291,7 @@ def _along(points: Sequence[Point], frames: int) -> list[Point]:
 
 
 def default_view(camera: Mapping[str, Any], size_m: tuple[float, float], of_kind: type[CameraKeys]) -> dict[str, Any]:
-    """Keys that a recipe's camera has by the site's extent, where it says nothing itself; metres.
+    """Keys that a recipe's camera has by the site's extent, where it gives none; metres.
 
     Parameters
     ----------

@@ -29,7 +29,7 @@ class Camera(CameraKeys):
     @model_validator(mode="before")
     @classmethod
     def _has_no_keys_of_others(cls, data: Any) -> Any:
-        """Keys of other projections are refused by name; one that is null says nothing."""
+        """Keys of other projections are refused by name; keys that are null are ignored."""
         strange = [key for key in data if key not in cls.model_fields] if isinstance(data, Mapping) else []
         owners = _owners_of_keys() if strange else {}
         kind = data.get("kind", DEFAULT_PROJECTION) if strange else ""
@@ -89,7 +89,7 @@ def camera_section(data: Mapping[str, Any]) -> Camera:
 
 
 def _of_its_class(data: Any) -> Any:
-    return camera_section(data) if isinstance(data, Mapping) else data  # what is none is left for validation to name
+    return camera_section(data) if isinstance(data, Mapping) else data  # validation reports what is no mapping
 
 
 AnyCamera = Annotated[SerializeAsAny[Camera], BeforeValidator(_of_its_class)]

@@ -1,4 +1,4 @@
-"""What a recipe's `labels.classes` may say; `forestgen.labels.classes` says what it means."""
+"""Checks of a recipe's `labels.classes`; `forestgen.labels.classes` has their meaning."""
 
 from __future__ import annotations
 

@@ -141,7 +141,7 @@ class Choice:
 
 @dataclass(frozen=True)
 class Sequence:
-    """Not random: each image has its own value, such as a time of a story."""
+    """Not random: each image has its own value, such as a time of a timeline."""
 
     values: tuple[Scalar, ...]
 
@@ -149,7 +149,7 @@ class Sequence:
         return self.values[image % len(self.values)]
 
     def draw(self, rng: np.random.Generator) -> Scalar:
-        """For whoever knows no image: the first."""
+        """The first; for callers without an image."""
         return self.values[0]
 
     def quantile(self, u: float) -> Scalar:

@@ -75,9 +75,14 @@ def part_name(registry: Registry) -> tuple[AfterValidator, FieldInfo]:
     return known_part(registry), Field(json_schema_extra=partial(_add_names, registry=registry))
 
 
-def _add_names(schema: dict[str, Any], registry: Registry) -> None:
-    """To the JSON Schema of a part's name, the parts that are registered when it is made."""
+def list_names(schema: dict[str, Any], registry: Registry) -> None:
+    """Add to the JSON Schema of a part's name the names that are registered when it is made."""
     schema["enum"] = registry.ids()
+
+
+def _add_names(schema: dict[str, Any], registry: Registry) -> None:
+    """The same, with the parts' descriptions."""
+    list_names(schema, registry)
     about = "; ".join(f"{name}: {registry.describe(name)}" for name in registry)
     schema["description"] = f"{schema.get('description', 'The part.')} {about}."
 
@@ -202,7 +207,7 @@ def shorthand(key: str) -> BeforeValidator:
 
 
 def _no_text_for_whole_number(value: Any) -> Any:
-    # Lax integers also take "16" and true; 16.0 is welcome because YAML writes 1e3 as a float.
+    # Lax integers also take "16" and true; 16.0 is accepted because YAML writes 1e3 as a float.
     if isinstance(value, bool | str | bytes):
         raise PydanticCustomError("int_type", "a whole number")
     return value

@@ -180,7 +180,7 @@ def _admit_species_files(schema: Json) -> None:
     definitions["SpeciesFromFile"] = {**override, "required": ["from"]}
     whole = {"$ref": "#/$defs/Species"}
     arms = [{"type": "null"}, source, {"$ref": "#/$defs/SpeciesFromFile"}, whole]
-    # A shipped species' name says where the rest comes from.
+    # By a shipped species' name the rest is known.
     by_name = {"anyOf": [{"type": "null"}, source, {"$ref": "#/$defs/SpeciesOverride"}, whole]}
     place = schema["properties"]["species"]
     shipped = "|".join(name for name in list_assets("species") if re.fullmatch(NAME_PATTERN, name))

@@ -39,7 +39,7 @@ _MOST_TEMPLATES = 16
 _STAND_IN = "poplar"  # a shipped species, small and complete
 _MOST_PROBES_OF_ERRORS = 50  # of a recipe with errors
 _MOST_ROUNDS = 4
-# Where the schema tells what does not go with another section: of no use where that one is a stand-in.
+# Section -> section in which the schema reports what does not fit it; such errors do not count for a stand-in.
 _ERRORS_OF_OTHERS = {"site": "site", "species": "labels", "wind": "cameras"}
 
 
@@ -350,7 +350,7 @@ def _sections_of(where: str) -> Keys:
 def _replace_sections(data: dict[str, Any], wrong: Iterable[Keys]) -> frozenset[str]:
     """Replace in place what key paths name: by defaults, or where there are none by something that the schema takes.
 
-    Returns the sections that hold such a stand-in now, so that the other sections can be checked all the same.
+    Returns the sections that hold such a stand-in now, so that the other sections can be checked.
     """
     replaced = set()
     for keys in wrong:

@@ -23,21 +23,15 @@ UNDRAWN: tuple[Keys, ...] = (
 )  # fmt: skip
 
 _SIMPLE = {
-    "float_type": "a number",
-    "float_parsing": "a number",
-    "int_type": "a whole number",
-    "int_parsing": "a whole number",
+    **dict.fromkeys(("float_type", "float_parsing"), "a number"),
+    **dict.fromkeys(("int_type", "int_parsing", "int_from_float"), "a whole number"),
     "int_parsing_size": "a whole number of reasonable size",
-    "int_from_float": "a whole number",
     "finite_number": "a finite number",
-    "bool_type": "true or false",
-    "bool_parsing": "true or false",
+    **dict.fromkeys(("bool_type", "bool_parsing"), "true or false"),
     "string_type": "text",
-    "list_type": "a list",
-    "tuple_type": "a list",
+    **dict.fromkeys(("list_type", "tuple_type"), "a list"),
     "dict_type": "a mapping of names to values",
-    "model_type": "a mapping of keys to values",
-    "model_attributes_type": "a mapping of keys to values",
+    **dict.fromkeys(("model_type", "model_attributes_type"), "a mapping of keys to values"),
     "none_required": "null",
 }
 _WITH_CONTEXT: dict[str, Callable[[Mapping[str, Any]], str]] = {

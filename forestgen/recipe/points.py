@@ -30,7 +30,7 @@ Floats = NDArray[np.float64]
 Pair = tuple[int, int, float]  # two keys' numbers, and Spearman's rank correlation
 
 MOST_KEYS = 1000  # dimensions; a sequence's high ones are no better than independent numbers
-# A sequence begins again after so many points, scrambled anew: a point far out need not wait for all before it.
+# A sequence begins again after so many points, scrambled anew: so a late point does not need all earlier ones.
 _PERIOD = 2**16
 _PIECE = 2**10
 _LEAST_EIGENVALUE = 1e-6  # of a matrix that counts as positive definite

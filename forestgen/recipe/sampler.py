@@ -1,4 +1,4 @@
-"""Where each image's draws lie in their distributions, where the recipe's section ``sampling`` says so.
+"""Where each image's draws lie in their distributions, by the recipe's section ``sampling``.
 
 A drawn value is its distribution's quantile at a number u in (0, 1). Of an image, all u follow from the root seed, the
 name of its split and its rank there: a batch that grows changes none, nor does the order in which images are made. The

@@ -1,4 +1,4 @@
-"""The recipe's schema: what a drawn recipe may say, in which unit, and what it need not say.
+"""The recipe's schema: the keys of a drawn recipe, their units and defaults.
 
 Distributions are drawn, shorthands spelled out and species files merged before a recipe meets this schema
 (`forestgen.recipe.load`); here every number is a number.

@@ -90,7 +90,7 @@ def sensor_names() -> list[str]:
 
 
 def load_table(name: str) -> Columns:
-    """The columns of a shipped table, whatever they are: ``standards/d65`` and the like."""
+    """The columns of any shipped table, such as ``standards/d65``."""
     path = find_asset(KIND, name)
     return _Table(table_text(path), str(path), None).spectra()
 

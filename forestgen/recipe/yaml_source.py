@@ -48,7 +48,7 @@ def mapping_of(
         raise error("the text is too large", where=origin, expected=f"at most {MAX_BYTES // 10**6} MB", got="more")
     data, sources = parse_yaml(text, origin, error=error)
     if data is None:
-        raise error("the text says nothing", where=origin, expected="a mapping of keys to values", got="no content")
+        raise error("the text is empty", where=origin, expected="a mapping of keys to values", got="no content")
     if not isinstance(data, dict):
         got = "a list" if isinstance(data, list) else f"{str(data)[:60]!r}"
         raise error("not a mapping", where=f"{origin}:1", expected="lines such as 'seed: 7'", got=got)
@@ -77,7 +77,7 @@ def _parse(text: str, origin: str, error: type[ForestgenError], lines: bool) -> 
         raise reader.too_deep(origin) from cause
     except _TooManyNodesError as cause:
         expected = f"at most {MAX_NODES:,} keys and values; large maps and tables as files of their own"
-        raise error("the text says too much", where=origin, expected=expected, got="more") from cause
+        raise error("the text has too many values", where=origin, expected=expected, got="more") from cause
     except MarkedYAMLError as cause:
         line = None if cause.problem_mark is None else cause.problem_mark.line + 1
         where = f"{origin}:{line}" if line and lines else origin

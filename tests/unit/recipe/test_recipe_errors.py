@@ -24,9 +24,9 @@ BOMB = "a: &a [1,1,1,1,1,1,1,1,1,1]\n" + "".join(
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"", "says nothing"),
-        (b"# only a comment\n", "says nothing"),
-        (b"null\n", "says nothing"),
+        (b"", "text is empty"),
+        (b"# only a comment\n", "text is empty"),
+        (b"null\n", "text is empty"),
         (b"[1, 2]\n", "not a mapping"),
         (b"just text\n", "not a mapping"),
         (b"a: [1\n", "not valid YAML"),
