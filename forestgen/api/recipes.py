@@ -111,7 +111,7 @@ class Recipe:
     @property
     def yaml(self) -> str:
         """The same as YAML text."""
-        from forestgen.recipe.yaml_source import yaml_text
+        from forestgen.recipe.sources import yaml_text
 
         return yaml_text(self._loaded.complete)
 

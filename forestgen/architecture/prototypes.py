@@ -31,8 +31,7 @@ from forestgen.core.errors import AssetError
 from forestgen.recipe.assets import find_asset, inside, list_assets
 from forestgen.recipe.fields import Fraction, Number, Positive, Section, Text, Whole, mistake
 from forestgen.recipe.messages import Explainer
-from forestgen.recipe.sources import SourceMap
-from forestgen.recipe.yaml_source import parse_yaml, read_yaml
+from forestgen.recipe.sources import SourceMap, parse_yaml, read_yaml
 
 MOST_PROTOTYPES = 64
 MOST_BYTES = 100_000  # of a prototype's text

@@ -27,9 +27,8 @@ from pydantic import ValidationError
 from forestgen.core.arguments import read_text
 from forestgen.core.errors import AssetError, RecipeError
 from forestgen.recipe.assets import list_assets, scenes_dir
-from forestgen.recipe.sources import SourceMap
+from forestgen.recipe.sources import SourceMap, parse_yaml
 from forestgen.recipe.species import PlantType
-from forestgen.recipe.yaml_source import parse_yaml
 
 ADAPTATION_MIN = 0.2  # a species of less is not chosen
 MOST_SPECIES = 8

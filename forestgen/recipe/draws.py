@@ -25,8 +25,7 @@ from forestgen.recipe.distributions import (
 )
 from forestgen.recipe.distributions import Sequence as InOrder
 from forestgen.recipe.messages import UNDRAWN, Explainer, show
-from forestgen.recipe.sampler import Sampler, make_sampler
-from forestgen.recipe.sampling import Sampling
+from forestgen.recipe.sampler import Sampler, Sampling, make_sampler
 from forestgen.recipe.sources import Keys, SourceMap, dotted
 from forestgen.recipe.variables import SECTION as VARIABLES
 from forestgen.recipe.variables import Variables, is_reference, make_variables, needs_variables

@@ -28,9 +28,8 @@ from forestgen.recipe.draws import Draws, find_written, make_draws, mentions, pu
 from forestgen.recipe.map_files import embed_maps, recipe_hash
 from forestgen.recipe.messages import Explainer, distribution_of, show
 from forestgen.recipe.schema import SCHEMA_VERSION, Recipe
-from forestgen.recipe.sources import Keys, Place, SourceMap, copied
+from forestgen.recipe.sources import Keys, Place, SourceMap, copied, mapping_of, read_yaml, yaml_text
 from forestgen.recipe.species import Species
-from forestgen.recipe.yaml_source import mapping_of, read_yaml, yaml_text
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
 # Words of keys that files are found by, or checked with: see `LoadedRecipe._template`.

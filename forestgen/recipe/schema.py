@@ -45,7 +45,7 @@ from forestgen.recipe.fields import (
     shorthand,
 )  # fmt: skip
 from forestgen.recipe.registries import DEFAULT_CHANNELS, GROUND_COVERS, LABEL_CHANNELS, TERRAINS
-from forestgen.recipe.sampling import Sampling
+from forestgen.recipe.sampler import Sampling
 from forestgen.recipe.sky import SkySection
 from forestgen.recipe.species import Species
 from forestgen.recipe.spectra import Season

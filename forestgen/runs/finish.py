@@ -32,8 +32,7 @@ from forestgen.dataset.thumbnails import FOLDER_NAME as THUMBNAILS
 from forestgen.recipe.assets import MAPS
 from forestgen.recipe.load import LoadedRecipe
 from forestgen.recipe.map_files import is_map_file, recipe_hash
-from forestgen.recipe.sources import dotted
-from forestgen.recipe.yaml_source import yaml_text
+from forestgen.recipe.sources import dotted, yaml_text
 from forestgen.runs.contract import Job, JobRecord, Place
 from forestgen.runs.description import (
     DATASET_NAME,

@@ -16,7 +16,7 @@ from typing import Any
 from forestgen.core.errors import DatasetError
 from forestgen.dataset.check.files import read_text
 from forestgen.dataset.check.finding import Finding, UnreadableError
-from forestgen.recipe.yaml_source import parse_yaml
+from forestgen.recipe.sources import parse_yaml
 
 _SECTION = re.compile(r"(?m)^(?=[A-Za-z_]\w*:)")
 _WANTED = ("labels", "dataset", "wind", "render")

@@ -10,7 +10,7 @@ from forestgen.core.errors import ForestgenError
 from forestgen.dataset.card import markdown
 from forestgen.dataset.pack.samples import Shard
 from forestgen.dataset.safe_path import SafePath
-from forestgen.recipe.yaml_source import parse_yaml
+from forestgen.recipe.sources import parse_yaml
 
 
 def body(

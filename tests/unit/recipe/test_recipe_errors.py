@@ -33,7 +33,7 @@ BOMB = "a: &a [1,1,1,1,1,1,1,1,1,1]\n" + "".join(
         (b"a: 1\n\tb: 2\n", "not valid YAML"),
         (b"a: *nowhere\n", "not valid YAML"),
         (b"a: 1\n---\nb: 1\n", "not valid YAML"),
-        (b"a: \x01\n", "not valid YAML"),
+        (b"a: \x01\n", "not a text file"),
         (b"\x89PNG\r\n\x1a\n\x00", "not a text file"),
         ("größe: 1\n".encode("latin-1"), "not a text file"),
         (b"\xff\xfea\x00:\x00", "not a text file"),
