@@ -103,16 +103,16 @@ class Module:
     place: Place
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Production:
     """``left < predecessor > right : {before} condition {after} --> successor : probability``"""
 
-    left: tuple[Module, ...]
+    left: tuple[Module, ...] = ()
     predecessor: tuple[Module, ...]
-    right: tuple[Module, ...]
-    before: tuple[Statement, ...]
-    condition: Expression | None
-    after: tuple[Statement, ...]
+    right: tuple[Module, ...] = ()
+    before: tuple[Statement, ...] = ()
+    condition: Expression | None = None
+    after: tuple[Statement, ...] = ()
     successor: tuple[Module, ...]
     probability: Expression | None
     place: Place

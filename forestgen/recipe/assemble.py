@@ -271,8 +271,9 @@ def _without_other_generator(
 ) -> dict[str, Any]:
     """`base` less its ``plant`` section if the override chooses another generator: the keys would not fit."""
     old, new = base.get("plant"), override.get("plant")
-    both = isinstance(old, dict) and isinstance(new, dict)
-    if not both or new.get("generator", old.get("generator")) == old.get("generator"):
+    if not (isinstance(old, dict) and isinstance(new, dict)):
+        return base
+    if new.get("generator", old.get("generator")) == old.get("generator"):
         return base
     sources.drop((*keys, "plant"))
     return {key: value for key, value in base.items() if key != "plant"}

@@ -77,7 +77,7 @@ def recipe_json_schema(
 
 def _outer_inner(node: Json) -> tuple[Json, Json]:
     """A node's description and default, which stay outside where editors look for them, and the rest."""
-    outer = {key: node[key] for key in ("description", "default") if key in node}
+    outer: Json = {key: node[key] for key in ("description", "default") if key in node}
     return outer, {key: value for key, value in node.items() if key not in outer}
 
 
