@@ -32,10 +32,10 @@ from forestgen.community.branch_modules.boxes import NO_BOXES, Boxes
 from forestgen.community.branch_modules.crowding import SphereGrid, intersection_ratio, overlap_volumes
 from forestgen.community.plots import save_figure
 from forestgen.community.population import Population
+from forestgen.community.simulation import snapshots
 from forestgen.core.progress import Silent
 from forestgen.recipe.load import load_recipe
-from forestgen.stages.community import snapshots
-from forestgen.stages.plan import check_plan
+from forestgen.scene.planning import check_plan
 
 MOST_RATIO = 0.05  # 18a
 LEAST_WIDER, LEAST_ASYMMETRY = 1.3, 1.5  # 15: in the open over crowded; at a group's edge over in the open
@@ -144,12 +144,12 @@ def moments(
         path.write_text(json.dumps(recipe))
         plan = check_plan(load_recipe(path, []), simulate_only=True)
     # A house has no modules, and so none in any row: any type stands in for it.
-    types = [one.modules for one in plan.ecologies if one.modules is not None]
-    held: list[PlantType] = [one.modules or types[0] for one in plan.ecologies]
+    types = [one.modules for one in plan.community.ecologies if one.modules is not None]
+    held: list[PlantType] = [one.modules or types[0] for one in plan.community.ecologies]
     tables = tables_of(load_prototypes(), held)
     period = size_m if community.get("periodic") else None
-    for population in snapshots(plan, Silent()):
-        if population.modules is not None and (population.step % every == 0 or population.step == plan.steps):
+    for population in snapshots(plan.community, Silent()):
+        if population.modules is not None and (population.step % every == 0 or population.step == plan.community.steps):
             centre, radius = spheres(tables, population.modules, population.species)
             yield Moment(population, centre.astype(np.float64), radius.astype(np.float64), period)
 

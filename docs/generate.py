@@ -27,7 +27,7 @@ from forestgen.recipe.assets import list_assets
 from forestgen.recipe.curves import CURVE_SCHEMA
 from forestgen.recipe.schema import Recipe
 from forestgen.recipe.species import PlantType
-from forestgen.stages.single_plant import drawn_of
+from forestgen.runs.single_plant import drawn_of
 
 DOCS = Path(__file__).parent
 NUMBERS = DOCS / "species.json"

@@ -9,32 +9,38 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from forestgen.community.model import Site
+from forestgen.community.plan import CommunityPlan
 from forestgen.community.population import Population, Status
+from forestgen.community.simulation import final_population, snapshots
 from forestgen.community.statistics import count_by_species, stems_by_species
+from forestgen.community.summary import SimulationSummary, Stems
 from forestgen.core.progress import Progress, Timings
+from forestgen.dataset.data_set import class_map
 from forestgen.dataset.folder import OutputFolder
+from forestgen.dataset.formats.format import check_ids
 from forestgen.dataset.frame_row import frame_row
 from forestgen.dataset.manifest import build_manifest, write_manifest
 from forestgen.dataset.maps import write_maps
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.dataset.writer import frame_folder_name, write_frame
+from forestgen.labels.channels.channel import ChannelView, add_channels
 from forestgen.labels.labelled import LabelledFrame, label_frame
 from forestgen.recipe.load import DrawnRecipe, LoadedRecipe, dump_yaml
 from forestgen.recipe.map_files import recipe_hash
 from forestgen.render.frame import Frame
 from forestgen.render.identity import SceneTracer
+from forestgen.render.rendering import haze_notes, noise_notes, render_frame
+from forestgen.render.transport import cloud_transport_of
+from forestgen.scene.build import BuiltScene, build_scene
+from forestgen.scene.plan import Plan, check_memory
+from forestgen.scene.planning import check_plan
 from forestgen.scene.plant_measures import PlantMeter
-from forestgen.stages.community import final_population, snapshots
-from forestgen.stages.data_set import class_map
-from forestgen.stages.frames import haze_notes, noise_notes, render_frame
-from forestgen.stages.plan import Plan, check_memory, check_plan, views_below_ground, why_barren
-from forestgen.stages.scene import BuiltScene, build_scene
-from forestgen.stages.simulation_summary import SimulationSummary, Stems
-from forestgen.stages.views import ground_below
+from forestgen.scene.views import ground_below, views_below_ground
 
 
 @dataclass(frozen=True)
@@ -73,14 +79,14 @@ class WrittenImage:
 
 
 def assemble_image(
-    plan: Plan, root_seed: int, progress: Progress, timings: Timings, room_bytes: int | None = None
+    plan: Plan, root_seed: int, progress: Progress, timings: Timings, memory_budget_bytes: int | None = None
 ) -> ImageScene:
     """Simulate a drawn recipe's community, grow its plants and assemble its scene.
 
     Parameters
     ----------
     root_seed : of the recipe that the image was drawn from, for the frames' headers.
-    room_bytes : memory that the image may take; None: what is free now.
+    memory_budget_bytes : memory that the image may take; None: what is free now.
 
     Raises
     ------
@@ -88,9 +94,11 @@ def assemble_image(
     RecipeError : a camera stands in a trunk.
     """
     with timings("community"):
-        population = final_population(plan, progress)
-    check_memory(plan, plants=len(population), room_bytes=room_bytes)
+        population = final_population(plan.community, progress)
+    check_memory(plan, plants=len(population), memory_budget_bytes=memory_budget_bytes)
     built = build_scene(plan, population, progress, timings)
+    clouds = plan.drawn.recipe.render.clouds
+    cloud_transport_of(clouds, built.spec, built.spec.cameras, where=plan.drawn.where("render", "clouds"))
     notes = [f"image {plan.drawn.image_index}: {note}" for note in population.notes]
     notes += [note for note in built.notes if note not in notes]
     return ImageScene(plan, root_seed, built, tuple(notes))
@@ -141,8 +149,10 @@ def _views(image: ImageScene, progress: Progress, timings: Timings) -> Iterator[
             tracer = SceneTracer(spec, timings)
             with timings("measures"):
                 measures = meter.measure(spec.instances)
-        following = built.next_view(camera)
-        frame = render_frame(tracer, camera, recipe, drawn.image_seed, progress, timings, following, key)
+        check = partial(check_ids, recipe.dataset.formats, camera.name)
+        frame = render_frame(tracer, camera, recipe, drawn.image_seed, progress, timings, check=check, key=key)
+        view = ChannelView(tracer, built.next_view(camera), progress, timings)
+        frame = add_channels(frame, recipe.labels.channels, view)
         with timings("labels"):
             labelled = label_frame(frame, built.population, classes, measures, recipe.labels.channels)
         del frame
@@ -179,11 +189,11 @@ def _frame_notes(image: ImageScene, labelled: LabelledFrame, name: str) -> Itera
     """What is unusual about a frame: nothing in view, noise above what was asked for, thick haze."""
     population, plan = image.built.population, image.plan
     if not len(population):
-        yield f"{name} shows bare ground: {_empty_site(plan)}"
+        yield f"{name} shows bare ground: {_empty_site(plan.community)}"
     elif only_snags(population):
         yield f"{name} shows no living plant: all are standing dead trees"
     if len(population) and not labelled.views.visible.has_box.any():
-        below = labelled.frame.camera.name in views_below_ground(plan)
+        below = labelled.frame.camera.name in views_below_ground(plan.drawn)
         yield f"{name}: the camera {'stands below the ground' if below else 'sees no plant'}"
     yield from noise_notes(labelled.frame.radiance, name)
     yield from haze_notes(image.built.spec, labelled.frame.surface, name)
@@ -215,43 +225,43 @@ def simulate(
     ------
     RecipeError, ResourceError, OutputError
     """
-    from forestgen.stages.history import check_graphs, check_map_steps, write_community, write_graphs
-    from forestgen.stages.resume import note_of_other_code, snapshot_to_resume
+    from forestgen.community.history_files import check_graphs, check_map_steps, write_community, write_graphs
+    from forestgen.community.resume import note_of_other_code, snapshot_to_resume
 
     plan = check_plan(loaded, simulate_only=True)
-    start = snapshot_to_resume(plan, resume, from_step) if resume is not None else None
-    check_graphs(plan, graphs)
-    check_map_steps(plan, map_steps, first=start.step if start is not None else 0)
+    start = snapshot_to_resume(plan.community, resume, from_step) if resume is not None else None
+    check_graphs(plan.community, graphs)
+    check_map_steps(plan.community, map_steps, first=start.step if start is not None else 0)
     other_code = note_of_other_code(resume) if resume is not None else None
     notes = [other_code] if other_code else []
     if target is None:
         with timings("community"):
-            (last,) = deque(snapshots(plan, progress, start), maxlen=1)
-        write_graphs(plan, last, graphs)
+            (last,) = deque(snapshots(plan.community, progress, start), maxlen=1)
+        write_graphs(plan.community, last, graphs)
         return _simulation_summary(plan, last, notes, timings)
     with OutputFolder(target, overwrite=overwrite) as folder:
         with timings("community"):
-            last = write_community(folder, plan, snapshots(plan, progress, start), map_steps)
-        write_graphs(plan, last, graphs)
+            last = write_community(folder, plan.community, snapshots(plan.community, progress, start), map_steps)
+        write_graphs(plan.community, last, graphs)
         summary = _simulation_summary(plan, last, notes, timings)
         write_manifest(folder, _manifest(folder, loaded, plan.drawn.image_seed, summary))
     return summary
 
 
 def _simulation_summary(plan: Plan, last: Population, notes: Sequence[str], timings: Timings) -> SimulationSummary:
-    plants = plan.obstacles.left_out_of(last)
+    plants = plan.community.obstacles.left_out_of(last)
     found = [*notes, *last.notes]
     if not len(plants):
-        found.append(_empty_site(plan))
+        found.append(_empty_site(plan.community))
     elif only_snags(plants):
-        found.append(f"all plants at step {plan.steps} are standing dead trees: none lives")
+        found.append(f"all plants at step {plan.community.steps} are standing dead trees: none lives")
     return SimulationSummary(
         plan=plan,
         last=last,
         plants=len(plants),
         standing_dead=_dead(plants),
         counts=_counts(plants),
-        stems=tuple(_stems(plants, plan.site)),
+        stems=tuple(_stems(plants, plan.community.site)),
         notes=tuple(found),
         timings_s=dict(timings.seconds),
         total_s=timings.total(),
@@ -276,8 +286,8 @@ def only_snags(population: Population) -> bool:
     return 0 < len(population) == _dead(population)
 
 
-def _empty_site(plan: Plan) -> str:
-    return why_barren(plan) or f"no plant lives on the site at step {plan.steps}"
+def _empty_site(plan: CommunityPlan) -> str:
+    return plan.empty_reason or f"no plant lives on the site at step {plan.steps}"
 
 
 def _manifest(folder: Path, loaded: LoadedRecipe, image_seed: int, summary: SimulationSummary) -> dict[str, Any]:

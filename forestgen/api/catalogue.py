@@ -141,7 +141,7 @@ class SpeciesEntry:
 
 def species() -> list[SpeciesEntry]:
     """The species that come with forestgen."""
-    from forestgen.stages.single_plant import drawn_of, mature_size_m
+    from forestgen.runs.single_plant import drawn_of, mature_size_m
 
     found = []
     for name in list_assets("species"):

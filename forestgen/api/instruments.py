@@ -14,14 +14,14 @@ from forestgen.atmosphere.clouds.source import cloud_source_of
 from forestgen.core.arguments import listed, number_of, path_of, shown, whole_of
 from forestgen.core.errors import OutputError, RecipeError
 from forestgen.core.progress import Progress, Timings
+from forestgen.dataset.file_set import FileSet, check_writable
+from forestgen.instruments.light import Point
+from forestgen.instruments.light_text import LightReadings
 from forestgen.recipe.camera_keys import DIRECTIONS
 from forestgen.recipe.load import LoadedRecipe
-from forestgen.stages.light import Point
-from forestgen.stages.light_text import LightReadings
-from forestgen.stages.plant_files import FileSet, check_writable
 
 if TYPE_CHECKING:
-    from forestgen.stages.calibrate import Calibration
+    from forestgen.instruments.colour_chart import Calibration
 
 _LIGHT_FILES = (".csv", ".json")
 _WEATHER_FILES = (".nc", ".vol", ".vdb")
@@ -42,7 +42,7 @@ def measure_light(
     progress: bool | Progress | None,
 ) -> LightReadings:
     """See `Recipe.light`."""
-    from forestgen.stages import light
+    from forestgen.instruments import light
 
     samples = whole_of(samples, "samples", _LEAST_SAMPLES, _MOST_SAMPLES)
     if spectrum is not None:
@@ -84,7 +84,7 @@ def simulate_weather(
     progress: bool | Progress | None,
 ) -> list[Weather]:
     """See `Recipe.weather`."""
-    from forestgen.stages.weather import plot_weather
+    from forestgen.community.plot_weather import plot_weather
 
     for one in out:
         _check_ending(one, _WEATHER_FILES)
@@ -119,8 +119,8 @@ def calibrate(
     """See `Recipe.calibrate`; what was measured, and the folder of its sheet."""
     from forestgen.dataset.folder import OutputFolder
     from forestgen.dataset.manifest import build_manifest, write_manifest
-    from forestgen.stages import calibrate as stage
-    from forestgen.stages.calibration_files import write_calibration
+    from forestgen.instruments import colour_chart as stage
+    from forestgen.instruments.colour_chart_files import write_calibration
 
     width_px, samples = whole_of(width_px, "width_px", 64, 1024), whole_of(samples, "samples", 4, 65536)
     point, towards = (None if at is None else point_of(at)), normal_of(normal, "normal")

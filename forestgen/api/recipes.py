@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from forestgen.core.arguments import PathLike, address_of, listed, path_of, paths_of, plain_copy, shown, texts_of
 from forestgen.core.errors import RecipeError
 from forestgen.core.progress import Progress
-from forestgen.stages.load_checked import load_checked
+from forestgen.scene.load_checked import load_checked
 
 if TYPE_CHECKING:
     from forestgen.api.datasets import Run
@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from forestgen.api.stands import Stand
     from forestgen.api.validation import Validation
     from forestgen.dataset.frame import Frame
+    from forestgen.instruments.colour_chart import Calibration
     from forestgen.runs.start import DryRun
-    from forestgen.stages.calibrate import Calibration
 
 Overrides = Mapping[str, Any] | Sequence[str] | None
 

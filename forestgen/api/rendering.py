@@ -12,6 +12,7 @@ from forestgen.api.frames import MadeFrame
 from forestgen.core.arguments import address_of, whole_of
 from forestgen.core.progress import Progress, Timings
 from forestgen.core.threads import cores, limit_cores
+from forestgen.dataset.data_set import data_set_of
 from forestgen.dataset.frame import Frame
 from forestgen.pipeline import assemble_image, image_frames
 from forestgen.recipe.dataset import NUMBERS_END
@@ -19,8 +20,8 @@ from forestgen.recipe.load import LoadedRecipe
 from forestgen.render.variant import mitsuba, tracing_on
 from forestgen.runs import start
 from forestgen.runs.start import DryRun, RunOptions
-from forestgen.stages.data_set import data_set_of
-from forestgen.stages.plan import check_memory, check_plan, make_plan
+from forestgen.scene.plan import check_memory
+from forestgen.scene.planning import check_plan, make_plan
 
 
 def frames_of(

@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 
 from forestgen import pipeline
 from forestgen.api.display import display_of
+from forestgen.community.history_files import map_colours
 from forestgen.community.population import Population, Status
+from forestgen.community.summary import SimulationSummary
 from forestgen.core.arguments import listed, shown, whole_of
 from forestgen.core.errors import RecipeError
 from forestgen.core.progress import Progress, Timings
 from forestgen.recipe.load import LoadedRecipe
 from forestgen.recipe.suggestions import did_you_mean
-from forestgen.stages.history import map_colours
-from forestgen.stages.simulation_summary import SimulationSummary
 
 _MOST_STEPS = 10**9
 
@@ -102,11 +102,11 @@ class Stand:
 
         plan = self.summary.plan
         return map_figure(
-            plan.obstacles.left_out_of(self.population),
-            plan.site,
-            map_colours(plan),
-            periodic=plan.model_parameters.periodic,
-            obstacles=plan.obstacles,
+            plan.community.obstacles.left_out_of(self.population),
+            plan.community.site,
+            map_colours(plan.community),
+            periodic=plan.community.parameters.periodic,
+            obstacles=plan.community.obstacles,
             axes=_axes_of(ax),
         )
 

@@ -14,7 +14,7 @@ from forestgen.cli.console import Printer
 from forestgen.core.figures import seconds
 
 if TYPE_CHECKING:
-    from forestgen.stages.calibrate import Calibration
+    from forestgen.instruments.colour_chart import Calibration
 
 Folder = Annotated[
     Path | None,
@@ -65,7 +65,7 @@ def calibrate(
     """
     from forestgen import load
     from forestgen.core.errors import RecipeError
-    from forestgen.stages.calibration_files import SHEET
+    from forestgen.instruments.colour_chart_files import SHEET
 
     if at is not None and len(at) > 1:
         raise RecipeError("one chart at a time", where="--at", expected="one point", got=f"{len(at)}")
@@ -87,7 +87,7 @@ def calibrate(
 
 
 def _print(found: Calibration, say: Printer) -> None:
-    from forestgen.stages.calibrate import MODES
+    from forestgen.instruments.colour_chart import MODES
 
     x, y, _ = found.point_m
     say(f"chart at {x:g} {y:g}, {found.above_ground_m:.2f} m above the ground")

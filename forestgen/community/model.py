@@ -165,7 +165,7 @@ class CommunityModel(Protocol[P, S]):
         """Upper bound of the mean number of plants at any step; 0: no plant can ever grow."""
         ...
 
-    def why_barren(self, parameters: P, site: Site, species: Sequence[SpeciesEcology]) -> str | None:
+    def empty_reason(self, parameters: P, site: Site, species: Sequence[SpeciesEcology]) -> str | None:
         """Why no plant can ever grow, or None if one may."""
         ...
 

@@ -15,7 +15,7 @@ Decisions
 ---------
 - Wood is simplified as a skeleton, before it is meshed, which makes a far version cheaper to grow than a full one.
   Edge collapse (geometry/simplify.py) keeps its form as well, and took ten times as long as growing the plant; it
-  serves mesh files for real-time programs (stages/light_wood.py).
+  serves mesh files for real-time programs (plants/light_wood.py).
 """
 
 from __future__ import annotations

@@ -60,7 +60,7 @@ CLOUD_SOURCES = Registry(
         "stratocumulus": (f"{_WEATHER}:STRATOCUMULUS", "simulated weather: a broken layer below an inversion"),
         "cumulus": (f"{_WEATHER}:CUMULUS", "simulated weather: clouds of a heated ground"),
         "cumulonimbus": (f"{_WEATHER}:CUMULONIMBUS", "simulated weather: a thundercloud up to 8 km, with its anvil"),
-        "community": ("forestgen.stages.community_clouds:SOURCE", "the air that the community simulates over itself"),
+        "community": ("forestgen.community.own_clouds:SOURCE", "the air that the community simulates over itself"),
         "noise": ("forestgen.atmosphere.clouds.noise:SOURCE", "small cumulus of noise, without weather"),
         "file": ("forestgen.atmosphere.clouds.saved:SOURCE", "a saved state of the air, or a field of extinction"),
         "none": ("forestgen.atmosphere.clouds.none:SOURCE", "a sky without clouds"),

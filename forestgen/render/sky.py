@@ -38,10 +38,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.atmosphere.clouds.source import LEAST_GAP_M
 from forestgen.atmosphere.grid import Phase
 from forestgen.core.cache import BoundedCache
 from forestgen.core.randomness import child_rng, child_seed
-from forestgen.render.cloud_heights import LEAST_GAP_M
 from forestgen.render.cloud_paths import ORDERS, CloudField, CloudLight, Gathered, field_of, gather
 from forestgen.render.cloud_shadow import content_key
 from forestgen.render.light import envmap

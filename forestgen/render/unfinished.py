@@ -27,7 +27,7 @@ _MOST_BYTES = 4_000_000_000
 # Layers that shape an image.
 _SOURCES = (
     "architecture", "atmosphere", "community", "core", "geometry", "lsystem", "plants", "recipe", "render",
-    "scene", "stages",
+    "scene",
 )  # fmt: skip
 _COMPUTE_WITH = ("numpy", "scipy", "numba", "pvlib", "mitsuba", "drjit")
 

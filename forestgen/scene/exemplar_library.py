@@ -3,6 +3,9 @@
 Clusters fit one image's plants best, and no other image asks for the same sizes. A library's sizes are the rungs of a
 ladder instead, each `SIZE_STEP` times the one below, the same for all images; plants are scaled to their own height.
 So a data set of any length grows as many plants as its ladder has rungs and each rung variants.
+
+A library's plant depends on the recipe's own seed, the split, its species and size, and not on the image. No split
+shows a plant of another one's, so that validation and testing see plants that training never saw.
 """
 
 from __future__ import annotations
@@ -13,6 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.randomness import child_rng
+from forestgen.recipe.load import DrawnRecipe
+from forestgen.recipe.species import Species
 from forestgen.scene.exemplar_plan import ExemplarPlan
 
 Floats = NDArray[np.float64]
@@ -85,3 +90,31 @@ def _shown(library: Library, name: str, rung: int, seed: int) -> Ints:
     """(shown,) the variants of a size that an image has."""
     rng = child_rng(seed, "library", name, rung)
     return np.asarray(rng.permutation(library.variants)[: library.shown], dtype=np.int64)
+
+
+def library_of(drawn: DrawnRecipe) -> Library | None:
+    """None if each image has plants of its own."""
+    section = drawn.recipe.plants
+    return None if section.library is None else Library(section.library, section.variants_per_size)
+
+
+def modelled_species(drawn: DrawnRecipe, name: str) -> Species:
+    """The species as its exemplars grow: with a library, its heights' scale is on a ladder too.
+
+    A recipe may draw `height_m` for each image; without the ladder no two images would ask for the same plant.
+    """
+    species = drawn.species[name]
+    if drawn.recipe.plants.library is None:
+        return species
+    law = species.allometry.height_m
+    scale = SLENDERNESS_STEP ** rung_of(law.scale, SLENDERNESS_STEP)
+    allometry = species.allometry.model_copy(update={"height_m": law.model_copy(update={"scale": scale})})
+    return species.model_copy(update={"allometry": allometry})
+
+
+def origin_of(drawn: DrawnRecipe, name: str, rank: int, variant: int) -> tuple[int, tuple[str | int, ...]]:
+    """Root seed and identity of an exemplar's randomness."""
+    if drawn.recipe.plants.library is None:
+        return drawn.image_seed, ("exemplar", name, rank, variant) if variant else ("exemplar", name, rank)
+    slenderness = rung_of(drawn.species[name].allometry.height_m.scale, SLENDERNESS_STEP)
+    return drawn.recipe.seed, ("library", drawn.split, name, slenderness, rank, variant)

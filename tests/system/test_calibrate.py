@@ -18,12 +18,12 @@ from forestgen.core.parts import Part
 from forestgen.core.progress import Silent
 from forestgen.core.spectrum import Spectrum
 from forestgen.geometry.mesh import Mesh
+from forestgen.instruments import colour_chart as stage
+from forestgen.instruments.light import Quantity
+from forestgen.instruments.light_text import told
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.render.irradiance import uniform
 from forestgen.scene.spec import Instances, Material, SceneSpec, Sky, Terrain
-from forestgen.stages import calibrate as stage
-from forestgen.stages.light import Quantity
-from forestgen.stages.light_text import told
 
 
 def level(half_m: float, z_m: float) -> Mesh:

@@ -21,8 +21,8 @@ from forestgen.render.skies.overcast import overcast_illuminance
 from forestgen.render.sky_radiance import sun_irradiance
 from forestgen.render.variant import SCALAR, drjit, mitsuba, using
 from forestgen.scene.channels import RGB, Channels
+from forestgen.scene.sky import sky_of
 from forestgen.scene.spec import Camera, Sky
-from forestgen.stages.sky import sky_of
 
 QUICKSTART = Path(__file__).parents[2] / "recipes" / "quickstart.yaml"
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])

@@ -35,7 +35,7 @@ REGISTRIES = (
     PROJECTIONS,
 )
 # Where names of a kind are looked for, if they are common words.
-FOLDERS = {"label channel": ("labels/", "dataset/", "stages/", "pipeline.py")}
+FOLDERS = {"label channel": ("labels/", "dataset/", "instruments/", "pipeline.py")}
 REGISTRY_FILES = {"recipe/registries.py", "community/registry.py"}
 OTHER_MEANINGS = {  # file -> names that are no part's in it, or a default
     "api/instruments.py": {"points"},  # what a list holds, for its error
@@ -51,8 +51,8 @@ OTHER_MEANINGS = {  # file -> names that are no part's in it, or a default
     "dataset/frame.py": {"albedo", "cloud", "motion", "sun"},  # parts of frame.exr
     "dataset/pack/channels.py": {"albedo", "motion"},  # the same
     "dataset/report/scene_sections.py": {"sun"},  # a key of the recipe
-    "stages/light_text.py": {"sun"},  # a column
-    "stages/sky.py": {"sun"},  # a key of the recipe
+    "instruments/light_text.py": {"sun"},  # a column
+    "scene/sky.py": {"sun"},  # a key of the recipe
     "dataset/check/merged.py": {"bop"},  # a folder, whose files the checks read by their names
     "lsystem/parsing.py": {"points"},  # a rule of the grammar
     "lsystem/statement_reader.py": {"points"},  # the same
@@ -65,8 +65,8 @@ OTHER_MEANINGS = {  # file -> names that are no part's in it, or a default
     "scene/terrain.py": {"litter"},  # the default
     "render/irradiance.py": {"perspective"},  # a plugin of the renderer
     "render/sensors.py": {"perspective"},  # the same
-    "stages/light.py": {"points"},  # a stage of the progress bar, and a key of a table
-    "stages/resume.py": {"flat"},  # a history's word for ground without a height function
+    "instruments/light.py": {"points"},  # a stage of the progress bar, and a key of a table
+    "community/resume.py": {"flat"},  # a history's word for ground without a height function
 }
 COMMON_WORDS = {"community", "file", "map", "none"}  # which only the comparison with a section's key gives away
 SELECTORS = {"ground", "kind", "type"}

@@ -203,7 +203,7 @@ class BranchModules(ModuleCapabilities):
             total += most_seedlings(parameters, site)
         return total * with_dead(parameters) + len(parameters.obstacles)
 
-    def why_barren(
+    def empty_reason(
         self, parameters: BranchModulesParameters, site: Site, species: Sequence[SpeciesEcology]
     ) -> str | None:
         """Why no plant can ever grow, or None if one may."""

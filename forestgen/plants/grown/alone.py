@@ -25,7 +25,7 @@ _NO_TALLER_YR = 60  # after which a plant that has not become taller is as tall 
 
 def wood_alone(species_name: str, species: Species, size_m: tuple[float, float], seed: int) -> ModuleWood:
     """The wood of a plant of a height and width, metres; another seed is another plant."""
-    assert species.modules is not None  # see stages.own_plants
+    assert species.modules is not None  # see plants.plan
     lone = replace(ecology_of(species_name, species), modules=species.modules.model_copy(update={"seeds_per_yr": 0.0}))
     parameters = MODEL.Parameters.model_validate({"initial_plants": 1, "steps": 100_000, "periodic": True})
     height_m, side_m = size_m[0], max(size_m[1], _LEAST_SIDE_M)

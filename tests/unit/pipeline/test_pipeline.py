@@ -13,9 +13,9 @@ import pytest
 
 from forestgen import pipeline
 from forestgen.core.progress import Silent, Timings
+from forestgen.dataset.data_set import data_set_of
 from forestgen.recipe.load import load_recipe
-from forestgen.stages.data_set import data_set_of
-from forestgen.stages.plan import make_plan
+from forestgen.scene.planning import make_plan
 
 QUICKSTART = Path(__file__).parents[3] / "recipes" / "quickstart.yaml"
 TINY = (

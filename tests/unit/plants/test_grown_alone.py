@@ -9,7 +9,7 @@ from forestgen.api.plants import plant
 from forestgen.plants.cache import ExemplarRequest
 from forestgen.plants.grown.alone import wood_alone
 from forestgen.recipe.assets import list_assets
-from forestgen.stages.single_plant import plan_of
+from forestgen.runs.single_plant import plan_of
 
 
 @pytest.mark.parametrize(("name", "height_m"), [("redgrass", 0.9), ("rosemary", 1.0), ("larch", 4.0)])
@@ -35,7 +35,7 @@ def test_what_is_kept_depends_on_the_modules() -> None:
     assert species.modules is not None
     slower = species.model_copy(update={"modules": species.modules.model_copy(update={"growth_rate_per_yr": 0.01})})
     keys = {
-        ExemplarRequest("rosemary", one, plan.generator_parameters["rosemary"], 0.3, 0, ("exemplar",)).key()
+        ExemplarRequest("rosemary", one, plan.generators["rosemary"], 0.3, 0, ("exemplar",)).key()
         for one in (species, slower)
     }
     assert len(keys) == 2

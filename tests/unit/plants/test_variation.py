@@ -15,7 +15,7 @@ from forestgen.plants.skeleton import OrganPlacements, Skeleton
 from forestgen.plants.variation.courses import courses, vary
 from forestgen.plants.variation.model import Variation
 from forestgen.recipe.load import load_recipe_data
-from forestgen.stages.plan import make_plan
+from forestgen.scene.planning import make_plan
 
 NOISE = Variation(disturbance_deg=4, sensor_error_deg=3)
 COLUMNS = ("parent", "position_m", "radius_m", "order", "axis")
@@ -65,7 +65,7 @@ def grown(name, seed=1):
     """A small plant of a species of the library, with its organs, from the species' own generator."""
     recipe = {"forestgen": 1, "species": {name: {"from": name}}, "community": {"model": "placed"}}
     plan = make_plan(load_recipe_data(recipe, "test").draw(0))
-    species, parameters = plan.drawn.species[name], plan.generator_parameters[name]
+    species, parameters = plan.drawn.species[name], plan.plants.generators[name]
     height_m, width_m = size_m(species, 0.4 * species.ecology.max_radius_m)
     rng = np.random.default_rng(seed)
     skeleton = GENERATORS.load(parameters.generator).grow(parameters, height_m, width_m, rng)

@@ -336,8 +336,8 @@ def test_a_species_without_modules_is_told_and_too_many_modules_too():
         last("b", 12, plants=5, most_modules=20)
     species = [ecology("x", plant_type("a"))]
     empty = MODEL.Parameters(initial_plants=0)
-    assert "initial_plants" in MODEL.why_barren(empty, Site((9.0, 9.0)), species)
-    assert MODEL.why_barren(MODEL.Parameters(), Site((9.0, 9.0)), species) is None
+    assert "initial_plants" in MODEL.empty_reason(empty, Site((9.0, 9.0)), species)
+    assert MODEL.empty_reason(MODEL.Parameters(), Site((9.0, 9.0)), species) is None
 
 
 def test_the_estimate_is_above_what_a_stand_holds(stand):

@@ -177,7 +177,7 @@ def test_the_recipe_itself_is_valid(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", MISTAKES)
 def test_a_mistake_is_told_at_its_place(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("forestgen.stages.plan.free_bytes", lambda: 64_000_000_000)
+    monkeypatch.setattr("forestgen.scene.plan.free_bytes", lambda: 64_000_000_000)
     old, new, parts = MISTAKES[name]
     assert RECIPE.count(old) == 1
     text = RECIPE.replace(old, new)

@@ -1,0 +1,284 @@
+"""Light at points of a recipe's site: illuminance, colour, photons for plants, spectra."""
+
+from __future__ import annotations
+
+import csv
+import io
+import itertools
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.atmosphere.clouds.source import cloud_source_of
+from forestgen.atmosphere.daylight import illuminance
+from forestgen.community.simulation import final_population
+from forestgen.core.errors import RecipeError
+from forestgen.core.progress import Progress, Timings
+from forestgen.core.randomness import child_seed
+from forestgen.core.spectrum import LUMINANCE, Spectrum
+from forestgen.recipe.load import LoadedRecipe
+from forestgen.render.irradiance import REPLICATES, PointLight, measure
+from forestgen.render.transport import check_far_clouds, cloud_transport_of
+from forestgen.scene.build import BuiltScene, build_scene
+from forestgen.scene.colour_checker import temperature_of
+from forestgen.scene.ground import height_field
+from forestgen.scene.plan import Plan, check_memory
+from forestgen.scene.planning import check_plan
+
+MOST_POINTS = 1000
+_FARTHEST_M = 5000.0
+_PHOTONS_UMOL_PER_J_NM = 1e-9 / (6.62607015e-34 * 299_792_458.0 * 6.02214076e23) * 1e6  # over h c N_A
+_PAR_NM = (400.0, 700.0)
+_INSIDE_LUX = 1e-3
+Floats = NDArray[np.float64]
+Point = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A mean and its standard error."""
+
+    value: float
+    error: float
+
+
+@dataclass(frozen=True)
+class LightMeter:
+    """What a meter at a point reads. Shares are of the illuminance."""
+
+    point_m: Point  # world
+    above_ground_m: float
+    normal: Point  # unit, of the surface that the light falls on
+    illuminance_lux: Quantity
+    from_sun: Quantity  # share that comes straight from the sun
+    from_sky: Quantity  # straight from the sky and its clouds; the rest was scattered by plants and ground
+    illuminance_colour_mode_lux: Quantity  # by the renderer's colour mode instead of wavelengths
+    cct_k: Quantity  # correlated colour temperature; NaN where the light is too far from a black body's
+    duv: float  # distance from the Planckian locus, positive is greenish
+    par_umol_per_m2_s: Quantity  # photons of 400 to 700 nm
+    irradiance_w_per_m2: Quantity  # 300 to 2500 nm
+    spectrum: Spectrum = field(repr=False)  # W/m²/nm
+    spectrum_error: Spectrum = field(repr=False)
+    note: str | None = None
+
+
+def prepare(loaded: LoadedRecipe, progress: Progress, timings: Timings) -> tuple[Plan, BuiltScene]:
+    """The scene of a recipe's first image."""
+    plan = check_plan(loaded)
+    with timings("community"):
+        population = final_population(plan.community, progress)
+    check_memory(plan, plants=len(population))
+    built = build_scene(plan, population, progress, timings)
+    clouds = plan.drawn.recipe.render.clouds
+    cloud_transport_of(clouds, built.spec, built.spec.cameras, where=plan.drawn.where("render", "clouds"))
+    return plan, built
+
+
+def light_at(
+    loaded: LoadedRecipe,
+    points: Sequence[Point],
+    normals: Sequence[Point],
+    *,
+    samples: int,
+    above_ground: bool,
+    progress: Progress,
+    timings: Timings,
+) -> list[LightMeter]:
+    """Measure at each point with each normal.
+
+    Parameters
+    ----------
+    samples : light paths of each light at each wavelength.
+    above_ground : whether z counts from the ground, not from z = 0.
+
+    Raises
+    ------
+    RecipeError : too many points; one far away, below the ground, in the clouds or close below them; the recipe is
+        wrong.
+    """
+    if not 0 < len(points) <= MOST_POINTS:
+        raise RecipeError(
+            "too few or too many points", parameter="at", expected=f"1 to {MOST_POINTS}", got=str(len(points))
+        )
+    plan = check_plan(loaded)
+    places = [place(plan, point, above_ground=above_ground) for point in points]  # before anything is simulated
+    plan, built = prepare(loaded, progress, timings)
+    for world_m, _ in places:
+        check_far_clouds(built.spec, world_m)
+    meters = []
+    with progress.stage("points", len(places) * len(normals)) as advance:
+        for number, (world_m, above_m) in enumerate(places):
+            for normal in normals:
+                with timings("light"):
+                    light = measure(
+                        built.spec,
+                        np.array(world_m),
+                        np.array(normal),
+                        samples=samples,
+                        max_depth=plan.drawn.recipe.render.max_depth,
+                        seed=child_seed(plan.drawn.image_seed, "light", number),
+                        progress=progress,
+                    )
+                meters.append(read(light, world_m, above_m, normal))
+                advance(1)
+    return meters
+
+
+def place(plan: Plan, point: Point, *, above_ground: bool) -> tuple[Point, float]:
+    """A point in the world, and its height above ground.
+
+    Raises
+    ------
+    RecipeError : it lies far away, below the ground or in the clouds.
+    """
+    said = " ".join(f"{value:g}" for value in point)
+    recipe = plan.drawn.recipe
+    width, depth = recipe.site.size_m
+    beyond = max(-point[0], point[0] - width, -point[1], point[1] - depth, 0.0)
+    if not (all(math.isfinite(value) for value in point) and max(beyond, abs(point[2])) <= _FARTHEST_M):
+        expected = f"metres, within {_FARTHEST_M:,.0f} m of the site, which is {width:g} x {depth:g} m"
+        raise RecipeError("this is no point of the site", parameter="at", expected=expected, got=said)
+    ground_m = float(height_field(plan.drawn)(np.array(point[0]), np.array(point[1])))
+    z = point[2] + (ground_m if above_ground else 0.0)
+    if z <= ground_m:
+        raise RecipeError(
+            "this point does not lie above the ground",
+            parameter="at",
+            expected="z above 0" if above_ground else f"z above {ground_m:.3f} m",
+            got=said,
+            hint="z counts from the ground below; with `absolute_z` from z = 0",
+        )
+    base_m = cloud_source_of(plan.drawn).known_base_m(plan.drawn)
+    if base_m is not None and z >= base_m:
+        raise RecipeError(
+            "this point lies in or above the clouds", parameter="at", expected=f"z below {base_m:g} m", got=said
+        )
+    return (point[0], point[1], z), z - ground_m
+
+
+def read(light: PointLight, point_m: Point, above_m: float, normal: Point) -> LightMeter:
+    """Quantities of a measured light, each with the standard error of its replicates."""
+    wavelength = light.wavelength_nm
+    spectra = [Spectrum(wavelength, row) for row in light.spectral]
+    lux = np.array([illuminance(one) for one in spectra])
+    mean = Spectrum(wavelength, light.spectral.mean(axis=0))
+    dark = not lux.mean() > _INSIDE_LUX
+    cct, duv = (math.nan, math.nan) if dark else temperature_of(mean)
+    scatter = np.array([temperature_of(one)[0] for one in spectra] if math.isfinite(cct) else [math.nan] * 2)
+    length = math.sqrt(sum(value * value for value in normal))
+    visible = (wavelength >= _PAR_NM[0]) & (wavelength <= _PAR_NM[1])
+    photons = light.spectral * wavelength * _PHOTONS_UMOL_PER_J_NM
+    return LightMeter(
+        point_m=point_m,
+        above_ground_m=above_m,
+        normal=(normal[0] / length, normal[1] / length, normal[2] / length),
+        illuminance_lux=quantity(lux),
+        from_sun=_share(light.sun_lux, np.asarray(light.colour @ LUMINANCE)),
+        from_sky=_share(light.sky_lux, np.asarray(light.colour @ LUMINANCE)),
+        illuminance_colour_mode_lux=quantity(np.asarray(light.colour @ LUMINANCE)),
+        cct_k=Quantity(cct, quantity(scatter).error),
+        duv=duv,
+        par_umol_per_m2_s=quantity(_integral(photons[:, visible], wavelength[visible])),
+        irradiance_w_per_m2=quantity(_integral(light.spectral, wavelength)),
+        spectrum=mean,
+        spectrum_error=Spectrum(wavelength, light.spectral.std(axis=0, ddof=1) / math.sqrt(REPLICATES)),
+        note="no light reaches this point: it lies inside of something" if dark else None,
+    )
+
+
+def quantity(replicates: NDArray[Any]) -> Quantity:
+    """Mean and standard error of (K,) replicates."""
+    return Quantity(float(replicates.mean()), float(replicates.std(ddof=1) / math.sqrt(len(replicates))))
+
+
+def _integral(rows: Floats, wavelength_nm: Floats) -> Floats:
+    """(K,) of each row over wavelength."""
+    return np.asarray(np.trapezoid(rows, wavelength_nm, axis=1))
+
+
+def _share(part: Floats, whole: Floats) -> Quantity:
+    """A ratio of means; its error by the delta method, since both come from the same replicates."""
+    mean = float(whole.mean())
+    if mean <= 0:
+        return Quantity(0.0, 0.0)
+    ratio = float(part.mean()) / mean
+    return Quantity(ratio, quantity(part - ratio * whole).error / mean)
+
+
+def sampled(meter: LightMeter, step_nm: float) -> list[tuple[float, float, float]]:
+    """Wavelength, spectral irradiance and its error at equal steps: means over each step, so that sums are kept."""
+    edges = np.arange(300.0, 2500.0 + 1e-9, step_nm)
+    rows = []
+    for low, high in itertools.pairwise(edges):
+        inside = meter.spectrum.wavelength_nm
+        grid = np.unique(np.concatenate([[low, high], inside[(inside > low) & (inside < high)]]))
+        value, error = (
+            float(np.trapezoid(one.at(grid), grid) / (high - low)) for one in (meter.spectrum, meter.spectrum_error)
+        )
+        rows.append(((low + high) / 2, value, error))
+    return rows
+
+
+def as_json(meters: Sequence[LightMeter], loaded: LoadedRecipe, *, samples: int, step_nm: float) -> bytes:
+    """All that was measured, spectra included."""
+    from forestgen.dataset.manifest import package_versions
+
+    def plain(meter: LightMeter) -> dict[str, Any]:
+        rows = sampled(meter, step_nm)
+        data = asdict(meter)
+        for name in ("spectrum", "spectrum_error"):
+            del data[name]
+        data["spectral_irradiance"] = {
+            "unit": "W m-2 nm-1, mean over each step",
+            "wavelength_nm": [row[0] for row in rows],
+            "value": [row[1] for row in rows],
+            "error": [row[2] for row in rows],
+        }
+        return dict(_without_nan(data))
+
+    content = {
+        "schema": "forestgen-light/1",
+        "recipe_hash": loaded.hash,
+        "samples": samples,
+        "versions": package_versions(),
+        "points": [plain(meter) for meter in meters],
+    }
+    return (json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False) + "\n").encode()
+
+
+def _without_nan(value: Any) -> Any:
+    """JSON has no NaN: null stands for it."""
+    if isinstance(value, dict):
+        return {key: _without_nan(one) for key, one in value.items()}
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def as_csv(meters: Sequence[LightMeter], *, step_nm: float | None) -> bytes:
+    """A row a point; with `step_nm` a column for each step of the spectrum, in W/m²/nm."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    names = [
+        "illuminance_lux", "from_sun", "from_sky", "illuminance_colour_mode_lux", "cct_k", "par_umol_per_m2_s",
+        "irradiance_w_per_m2",
+    ]  # fmt: skip
+    header = ["x_m", "y_m", "z_m", "above_ground_m", "normal_x", "normal_y", "normal_z", "duv"]
+    header += [column for name in names for column in (name, f"{name}_error")]
+    if step_nm is not None and meters:
+        header += [f"e_{row[0]:g}_nm" for row in sampled(meters[0], step_nm)]
+    writer.writerow(header)
+    for meter in meters:
+        row = [*meter.point_m, meter.above_ground_m, *meter.normal, meter.duv]
+        for name in names:
+            one: Quantity = getattr(meter, name)
+            row += [one.value, one.error]
+        if step_nm is not None:
+            row += [value for _, value, _ in sampled(meter, step_nm)]
+        writer.writerow(["" if math.isnan(value) else f"{value:.7g}" for value in row])
+    return text.getvalue().encode()
