@@ -55,11 +55,10 @@ OTHER_MEANINGS = {  # file -> names that are no part's in it, or a default
     "scene/sky.py": {"sun"},  # a key of the recipe
     "dataset/check/merged.py": {"bop"},  # a folder, whose files the checks read by their names
     "lsystem/parsing.py": {"points"},  # a rule of the grammar
-    "lsystem/statement_reader.py": {"points"},  # the same
-    "recipe/schema.py": {"litter"},  # the default
+    "lsystem/statements.py": {"points"},  # the same
+    "recipe/schema.py": {"flat", "litter"},  # defaults
     "recipe/sky.py": {"clear"},  # the default
     "recipe/suggestions.py": {"grass"},  # a species
-    "recipe/terrain.py": {"flat"},  # the default
     "render/clear_view.py": {"clear"},  # a stream of random numbers
     "scene/spec.py": {"clear"},  # the default
     "scene/terrain.py": {"litter"},  # the default
