@@ -19,9 +19,9 @@ from forestgen.core.progress import Silent
 from forestgen.core.threads import limit_cores
 from forestgen.plants.growing import forget_shared
 from forestgen.recipe.load import LoadedRecipe, load_recipe
-from forestgen.scene.assemble import stand_on
-from forestgen.scene.build import choose_exemplars, grow_planned
+from forestgen.scene.build import stand_on
 from forestgen.scene.ground import height_field
+from forestgen.scene.growth import choose_exemplars, grow_planned
 from forestgen.scene.planning import make_plan
 from forestgen.scene.views import drawn_cameras
 

@@ -16,9 +16,8 @@ from time import perf_counter
 import numpy as np
 
 from forestgen.core.cache import DiskCache
-from forestgen.plants.cache import ExemplarRequest
 from forestgen.plants.exemplar import Exemplar
-from forestgen.plants.growing import grow_exemplars
+from forestgen.plants.growing import ExemplarRequest, grow_exemplars
 from forestgen.recipe.load import load_recipe_data
 from forestgen.scene.planning import make_plan
 

@@ -14,7 +14,7 @@ import argparse
 import json
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -129,14 +129,20 @@ class Moment:
 
 
 def moments(
-    species: tuple[str, ...], community: dict[str, Any], size_m: tuple[float, float], *, seed: int, every: int
+    species: tuple[str, ...],
+    community: dict[str, Any],
+    size_m: tuple[float, float],
+    *,
+    seed: int,
+    every: int,
+    buildings: Sequence[dict[str, Any]] = (),
 ) -> Iterator[Moment]:
     """Snapshots of a simulation, every so many steps and the last."""
     recipe = {
         "forestgen": 1,
         "seed": seed,
-        "site": {"size_m": list(size_m)},
-        "species": {name: None if name == "house" else {"from": name, "modules": NONE} for name in species},
+        "site": {"size_m": list(size_m), "buildings": list(buildings)},
+        "species": {name: {"from": name, "modules": NONE} for name in species},
         "community": {"model": "branch_modules", **community},
     }
     with tempfile.TemporaryDirectory() as folder:
@@ -275,10 +281,8 @@ def beside_a_house(report: Report, quick: bool) -> Figure:
             for built in (True, False):
                 at = np.array([20 + side * (size[0] / 2 + 1.5), 20.0])
                 course = planted(species, at[None], years)
-                if built:
-                    course["obstacles"] = [{"species": "house", "position_m": [20, 20], "size_m": list(size)}]
-                names = (species, "house") if built else (species,)
-                moment = last(names, course, (40.0, 40.0), seed=seed)
+                houses = [{"position_m": [20, 20], "size_m": list(size)}] if built else []
+                moment = last((species,), course, (40.0, 40.0), seed=seed, buildings=houses)
                 crown = moment.crown(moment.nearest(*at))
                 low = crown.below(size[2])
                 (away if built else free).append(low.reach_towards_m(side) / low.reach_towards_m(-side))

@@ -48,7 +48,7 @@ def _frames(
         with _tracing(threads, device), display.running():
             plan = make_plan(loaded.draw(index))
             check_memory(plan)
-            image = assemble_image(plan, loaded.seed, display, Timings())
+            image = assemble_image(plan, display, Timings())
         made = image_frames(image, display, Timings())
         while True:
             with _tracing(threads, device), display.running():

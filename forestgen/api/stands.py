@@ -102,11 +102,11 @@ class Stand:
 
         plan = self.summary.plan
         return map_figure(
-            plan.community.obstacles.left_out_of(self.population),
-            plan.community.site,
-            map_colours(plan.community),
-            periodic=plan.community.parameters.periodic,
-            obstacles=plan.community.obstacles,
+            plan.obstacles.left_out_of(self.population),
+            plan.site,
+            map_colours(plan),
+            periodic=plan.parameters.periodic,
+            obstacles=plan.obstacles,
             axes=_axes_of(ax),
         )
 

@@ -11,7 +11,6 @@ from forestgen.recipe.load import LoadedRecipe
 from forestgen.recipe.sources import dotted
 from forestgen.scene.plan import Plan, estimate_bytes
 from forestgen.scene.planning import check_plan
-from forestgen.scene.views import check_outside_of_houses, views_below_ground
 
 _MOST_CAMERAS = 5
 
@@ -106,6 +105,6 @@ def _notes(plan: Plan) -> Iterator[str]:
     reason = plan.community.empty_reason
     if reason:
         yield reason
-    for name in views_below_ground(plan.drawn):
+    for name in plan.views.below_ground:
         yield f"the camera {name} stands below the ground"
-    yield from check_outside_of_houses(plan.drawn, plan.community.obstacles.entries)
+    yield from plan.views.check_outside_of_buildings()

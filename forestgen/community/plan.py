@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from forestgen.community.capabilities import HasObstacles, capability
 from forestgen.community.ecology import SpeciesEcology, ecology_of
 from forestgen.community.model import CommunityParameters, Site
-from forestgen.community.obstacles import NO_OBSTACLES, Obstacles
-from forestgen.plants.registry import is_built
+from forestgen.community.obstacles import Obstacles
 from forestgen.recipe.load import DrawnRecipe
 
 
@@ -21,14 +19,15 @@ class CommunityPlan:
     model: Any  # a CommunityModel
     parameters: CommunityParameters
     site: Site
-    ecologies: list[SpeciesEcology]
+    ecologies: list[SpeciesEcology]  # of the species, then of kinds of buildings, which do not grow
     obstacles: Obstacles
 
     @classmethod
     def of(cls, drawn: DrawnRecipe, model: Any, parameters: CommunityParameters, site: Site) -> CommunityPlan:
         """The plan of a drawn recipe."""
+        obstacles = Obstacles(site.buildings)
         ecologies = [ecology_of(name, species) for name, species in drawn.species.items()]
-        return cls(drawn, model, parameters, site, ecologies, obstacles_of(drawn, model, parameters))
+        return cls(drawn, model, parameters, site, ecologies + obstacles.ecologies(), obstacles)
 
     @property
     def steps(self) -> int:
@@ -39,12 +38,3 @@ class CommunityPlan:
         """Why no plant can ever grow; None if some may. An empty site is no error."""
         reason: str | None = self.model.empty_reason(self.parameters, self.site, self.ecologies)
         return reason
-
-
-def obstacles_of(drawn: DrawnRecipe, model: object, parameters: CommunityParameters) -> Obstacles:
-    """The obstacles of a community that may have some."""
-    stands = capability(model, HasObstacles)
-    if stands is None:
-        return NO_OBSTACLES
-    built = frozenset(name for name, one in drawn.species.items() if is_built(one.plant.generator))
-    return Obstacles(stands.obstacles(parameters), built)

@@ -13,13 +13,13 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from forestgen.community.community_cache import simulation_code
 from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.history import open_history
 from forestgen.community.model import CommunityParameters
 from forestgen.community.module_history import NAME
 from forestgen.community.plan import CommunityPlan
 from forestgen.community.population import Population
+from forestgen.community.simulation import simulation_code
 from forestgen.community.snapshot_checks import ImpossibleValueError, check_snapshot
 from forestgen.core import __version__
 from forestgen.core.errors import AssetError, RecipeError
@@ -75,6 +75,7 @@ def _about_site(plan: CommunityPlan) -> dict[str, Any]:
         "altitude_m": site.altitude_m,
         "latitude_deg": site.latitude_deg,
         "wind_from_deg": site.wind_from_deg,
+        **({"buildings": [one.model_dump(mode="json") for one in site.buildings]} if site.buildings else {}),
     }
 
 

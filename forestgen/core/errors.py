@@ -19,7 +19,7 @@ from __future__ import annotations
 import re
 import unicodedata
 from collections.abc import Callable, Sequence
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, ParamSpec, Self, TypeVar
 
 MOST_SHOWN = 50
 _PLACE = re.compile(r"^(?P<origin>.*?):(?P<line>\d+)(?::|$)")
@@ -70,6 +70,10 @@ class ForestgenError(Exception):
         self.got = got
         self.hint = hint
         super().__init__(str(self))
+
+    def at(self, where: str) -> Self:
+        """The same error at another place, for one of code that does not know it."""
+        return type(self)(self.problem, where=where, expected=self.expected, got=self.got, hint=self.hint)
 
     @property
     def place(self) -> str | None:

@@ -23,7 +23,7 @@ _LICENCE = {"licence_name": ("dataset", "licence", "name"), "licence_url": ("dat
 
 def class_map(drawn: DrawnRecipe) -> ClassMap:
     """The semantic classes of a drawn recipe."""
-    return ClassMap(tuple(drawn.species), drawn.recipe.labels.classes)
+    return ClassMap(drawn.recipe.labelled_names, drawn.recipe.labels.classes)
 
 
 def data_set_of(drawn: DrawnRecipe) -> DatasetSettings:

@@ -1,21 +1,47 @@
-"""Is the renderer's colour right? A colour chart and a grey card in the recipe's own scene and light."""
+"""A colour chart and a grey card in the recipe's own scene and light: is the renderer's colour right?
+
+A board of 24 patches with known reflectances is rendered at 81 wavelengths, in the spectral and in the rgb mode. CIE
+delta E 2000 compares each patch with colour-science; a light meter at the board's middle checks the grey card.
+
+| key | |
+|---|---|
+| at | the board's middle x, y, z, metres, z above the ground; default over the site's middle, above all plants |
+| normal | where the board looks: up, north, east, south, west, or a vector; default up |
+| width_px | width of the chart's picture; default 96 |
+| samples | light paths a pixel, of each light; default 64 |
+| absolute_z | whether z counts from z = 0, not from the ground below |
+
+Example: ``forestgen measure colour_chart RECIPE --out sheet.html``, or ``forestgen calibrate RECIPE``.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from forestgen.core.errors import RecipeError
 from forestgen.core.progress import Progress, Timings
 from forestgen.core.randomness import child_seed
 from forestgen.core.spectrum import Spectrum
-from forestgen.instruments.light import LightMeter, Point, place, prepare, read
-from forestgen.recipe.load import LoadedRecipe
+from forestgen.instruments.calibration import (
+    BOUND_MODES,
+    CARD_BOUND,
+    MAX_BOUND,
+    MEAN_BOUND,
+    MODES,
+    Calibration,
+    Check,
+    PatchResult,
+)
+from forestgen.instruments.instrument import Direction, Instrument, Place3, Point
+from forestgen.instruments.light_meter import LightMeter, place, read
+from forestgen.recipe.fields import Flag, Section, Whole
 from forestgen.render.chart_pass import WAVELENGTHS_NM, ChartImages, render_chart
 from forestgen.render.cloud_heights import near_base_of
 from forestgen.render.identity import SceneTracer, trace_identity
@@ -23,14 +49,10 @@ from forestgen.render.irradiance import Source, measure
 from forestgen.render.skies.model import sky_model_of
 from forestgen.render.transport import check_far_clouds
 from forestgen.scene import colour_checker as checker
+from forestgen.scene.build import BuiltScene
 from forestgen.scene.plan import Plan
-from forestgen.scene.planning import check_plan
 from forestgen.scene.spec import Camera, Instances, SceneSpec
 
-MEAN_BOUND, MAX_BOUND = 0.5, 1.5  # delta E 2000 of `BOUND_MODES`
-MODES = {"wavelengths": "81 wavelengths", "spectral": "spectral mode", "rgb": "rgb mode"}
-BOUND_MODES = ("wavelengths", "spectral")
-CARD_BOUND = 0.02  # grey card against light meter, a share; and three standard errors
 EVEN_BOUND = 0.05  # spread of the light over the board, above which its shadows are told
 _ABOVE_PLANTS_M = 2.0
 _IDENTITY_SAMPLES = 4
@@ -39,95 +61,45 @@ Floats = NDArray[np.float64]
 Sources = Callable[[Floats], Sequence[Source]]
 
 
-@dataclass(frozen=True, eq=False)
-class PatchResult:
-    """A patch: tristimulus values relative to a white of Y = 100, and by mode (see `MODES`) what became of them."""
+class ColourChartKeys(Section):
+    """Keys of a colour chart."""
 
-    name: str
-    expected_xyz: Floats  # (3,) by colour-science
-    found_xyz: Mapping[str, Floats]  # (3,)
-    delta_e: Mapping[str, float]
-    error: Mapping[str, float]  # standard error of the luminance by the pixels' scatter, a share
-
-
-@dataclass(frozen=True)
-class Check:
-    """A bound, and whether it holds."""
-
-    name: str
-    value: float
-    bound: float
-
-    @property
-    def holds(self) -> bool:
-        return bool(self.value < self.bound)
+    at: Annotated[Place3 | None, Field(description="The board's middle, metres. None: above all plants.")] = None
+    normal: Annotated[Direction, Field(description="Where the board looks.")] = (0.0, 0.0, 1.0)
+    width_px: Annotated[Whole, Field(ge=64, le=1024, description="Width of the chart's picture.")] = 96
+    samples: Annotated[Whole, Field(ge=4, le=65536, description="Light paths a pixel, of each light.")] = 64
+    absolute_z: Annotated[Flag, Field(description="Count z from z = 0, not from the ground below.")] = False
 
 
-@dataclass(frozen=True, eq=False)
-class Calibration:
-    """All that was measured at a chart."""
+class ColourChart(Instrument[ColourChartKeys, Calibration]):
+    """A colour chart and a grey card."""
 
-    point_m: Point
-    above_ground_m: float
-    normal: Point
-    patches: tuple[PatchResult, ...]
-    light: Spectrum  # W/m²/nm on the board, by the grey card, at `WAVELENGTHS_NM`
-    white: checker.White  # of that light
-    illuminance_lux: float  # by the grey card
-    meter: LightMeter  # at the board's middle, without the board
-    unevenness: float  # of the light over the board: (highest - lowest) / mean of its 24 neighbourhoods
-    checks: tuple[Check, ...]
-    notes: tuple[str, ...]
-    picture: NDArray[np.uint8]  # (H, W, 3) sRGB, of the spectral image
+    name = "colour_chart"
+    Parameters = ColourChartKeys
+    endings = (".json", ".html")
 
-    @property
-    def holds(self) -> bool:
-        return all(check.holds for check in self.checks)
+    def check(self, plan: Plan, keys: ColourChartKeys) -> None:
+        if keys.at is not None:
+            place(plan.drawn, keys.at, above_ground=not keys.absolute_z)
 
-    def delta_e(self, mode: str) -> Floats:
-        """(24,) of a mode."""
-        return np.array([patch.delta_e[mode] for patch in self.patches])
-
-
-def calibrate(
-    loaded: LoadedRecipe,
-    *,
-    at: Point | None,
-    normal: Point,
-    above_ground: bool,
-    width_px: int,
-    samples: int,
-    progress: Progress,
-    timings: Timings,
-) -> Calibration:
-    """Put the chart into the scene of a recipe's first image and measure it.
-
-    Parameters
-    ----------
-    at : the board's middle; None: over the middle of the site, two metres above the highest plant.
-    normal : of the board.
-    """
-    plan = check_plan(loaded)
-    if at is not None:
-        place(plan, at, above_ground=above_ground)  # before anything is simulated
-    plan, built = prepare(loaded, progress, timings)
-    spec = built.spec
-    if at is None:
-        at, above_ground = _over_the_plants(plan, spec), False
-    point, above_m = place(plan, at, above_ground=above_ground)
-    check_far_clouds(spec, point)
-    with timings("calibrate"):
-        return measure_chart(
-            spec,
-            point,
-            normal,
-            above_ground_m=above_m,
-            width_px=width_px,
-            samples=samples,
-            max_depth=plan.drawn.recipe.render.max_depth,
-            seed=child_seed(plan.drawn.image_seed, "calibrate"),
-            progress=progress,
-        )
+    def measure(self, scene: BuiltScene, keys: ColourChartKeys, progress: Progress, timings: Timings) -> Calibration:
+        drawn, at, above_ground = scene.drawn, keys.at, not keys.absolute_z
+        if at is None:
+            at, above_ground = _over_the_plants(scene.spec, drawn.recipe.site.size_m), False
+        point, above_m = place(drawn, at, above_ground=above_ground)
+        check_far_clouds(scene.spec, point)
+        with timings("calibrate"):
+            return measure_chart(
+                scene.spec,
+                point,
+                keys.normal,
+                above_ground_m=above_m,
+                width_px=keys.width_px,
+                samples=keys.samples,
+                max_depth=drawn.recipe.render.max_depth,
+                seed=child_seed(drawn.image_seed, "calibrate"),
+                progress=progress,
+            )
 
 
 def measure_chart(
@@ -156,7 +128,7 @@ def measure_chart(
         spec, point, towards, samples=paths, max_depth=max_depth, seed=seed, progress=progress, sources=sources
     )
     meter = read(light, point_m, above_ground_m, normal)
-    return judge(images, regions, meter, notes)
+    return judge(images, regions, meter, notes, samples)
 
 
 def with_chart(spec: SceneSpec, point_m: Floats, normal: Floats, camera: Camera) -> SceneSpec:
@@ -228,7 +200,9 @@ def find_regions(spec: SceneSpec, camera: Camera, progress: Progress) -> tuple[N
     return inside, notes
 
 
-def judge(images: ChartImages, regions: NDArray[np.int64], meter: LightMeter, notes: Sequence[str]) -> Calibration:
+def judge(
+    images: ChartImages, regions: NDArray[np.int64], meter: LightMeter, notes: Sequence[str], samples: int
+) -> Calibration:
     """Compare the images with what the table and the light on the grey card ask for."""
     grey = checker.GREY_REGION
     radiance, _ = _means(images.wavelengths, regions)
@@ -281,6 +255,7 @@ def judge(images: ChartImages, regions: NDArray[np.int64], meter: LightMeter, no
         checks=tuple(checks),
         notes=tuple(told),
         picture=checker.shown(pictures["spectral"], white.xy),
+        samples=samples,
     )
 
 
@@ -306,9 +281,9 @@ def _unevenness(image: NDArray[Any], regions: NDArray[np.int64]) -> tuple[float,
     return float((means.max() - means.min()) / means.mean()), float(np.mean(errors) / means.mean())
 
 
-def _over_the_plants(plan: Plan, spec: SceneSpec) -> Point:
+def _over_the_plants(spec: SceneSpec, size_m: tuple[float, float]) -> Point:
     """Over the site's middle, above all plants."""
-    width, depth = plan.drawn.recipe.site.size_m
+    width, depth = size_m
     top = float(spec.terrain.mesh.vertices_m[spec.terrain.far_share == 0, 2].max(initial=0.0))
     for index in np.unique(spec.instances.exemplar):
         low, high = spec.exemplars[index].bounds_m()
@@ -319,3 +294,6 @@ def _over_the_plants(plan: Plan, spec: SceneSpec) -> Point:
     if base_m is not None:
         top = min(top, max(base_m - 2 * _ABOVE_PLANTS_M, 0.0))
     return width / 2, depth / 2, top + _ABOVE_PLANTS_M
+
+
+INSTRUMENT = ColourChart()

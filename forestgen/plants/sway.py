@@ -12,20 +12,19 @@ from forestgen.core.errors import RecipeError
 from forestgen.plants.build import build_exemplar, leaf_area_m2, size_m
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.plants.meshing import organ_meshes
+from forestgen.plants.parameters import Sways
+from forestgen.plants.registry import GENERATORS
 from forestgen.recipe.species import Species
-
-_SWAYING = "strands"  # the one generator that knows poses
-# Where a species' file says nothing of wind, or makes the plant too stiff to move; degrees.
-_BREEZE, _GIVING = {"speed_directed": 1.0, "speed_undirected": 2.5}, 0.3
 
 
 def check_sways(species_name: str, parameters: Any) -> None:
     """Raise `RecipeError` if the plant's generator has no poses."""
-    if parameters.generator != _SWAYING or parameters.variation is not None:
+    if parameters.variation is not None or not isinstance(GENERATORS.load(parameters.generator), Sways):
+        able = " or ".join(name for name, generator in GENERATORS.parts() if isinstance(generator, Sways))
         raise RecipeError(
             "plants of this species cannot sway",
             parameter="frames",
-            expected=f"a species of the generator {_SWAYING}, without variation",
+            expected=f"a species of the generator {able}, without variation",
             got=f"{species_name}, of the generator {parameters.generator}",
             hint="`forestgen plant --list` shows generators; or leave `frames` out",
         )
@@ -46,15 +45,11 @@ def sway(
     ----------
     seed_rng : gives the plant's random generator, anew at each call.
     """
-    from forestgen.plants.strands.poses import poses
-
-    wind = parameters.wind
-    if wind.speed_undirected * (1.0 - parameters.stiffness) <= 0.0:
-        breeze = wind.model_copy(update=_BREEZE)
-        parameters = parameters.model_copy(update={"wind": breeze, "stiffness": min(parameters.stiffness, _GIVING)})
+    generator: Sways = GENERATORS.load(parameters.generator)
+    parameters = generator.in_wind(parameters)
     still = build_exemplar(species_name, species, parameters, radius_m, seed_rng())
     times_s = (np.arange(frames) / frames_per_s).tolist()
-    for skeleton in poses(parameters, *size_m(species, radius_m), seed_rng(), times_s):
+    for skeleton in generator.poses(parameters, *size_m(species, radius_m), seed_rng(), times_s):
         organs = organ_meshes(skeleton, parameters.shapes, parameters.wood)
         posed = replace(still, organs=_with_the_faces_of(still.organs, organs))
         low, high = posed.bounds_m()

@@ -18,6 +18,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from forestgen.core.errors import AssetError
+from forestgen.recipe.registries import BUILDINGS
 from forestgen.recipe.suggestions import did_you_mean
 
 PACKAGE = Path(__file__).resolve().parents[1]
@@ -117,6 +118,8 @@ def find_asset(
         path_like = f"./{name or 'name'}{suffixes[0]}"
         expected = f"one of {', '.join(names) or '(there are none)'}, or a path such as {path_like}"
         problem, hint = f"nothing in {kind} has this name", did_you_mean(name, names)
+        if kind == "species" and name in BUILDINGS:
+            hint = f"it is a building: site: {{buildings: [{{kind: {name}, position_m: [...]}}]}}"
         raise AssetError(problem, where=where, parameter=parameter, expected=expected, got=repr(name), hint=hint)
     return _files(kind)[name]
 

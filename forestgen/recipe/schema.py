@@ -21,6 +21,7 @@ from pydantic import (
     model_validator,
 )
 
+from forestgen.recipe.buildings import Building
 from forestgen.recipe.camera_keys import default_view
 from forestgen.recipe.cameras import AnyCamera, Camera, check_cameras, check_motion
 from forestgen.recipe.classes import MOST_CLASSES, NO_SPECIES, wrong_classes
@@ -116,6 +117,11 @@ class Site(Section):
         description="Where the prevailing wind comes from, degrees clockwise from north: 270 is west; for species with "
         "a response to wind, and for the wind that plants lean and sway in.",
     )
+    buildings: tuple[SerializeAsAny[Building], ...] = Field(
+        default=(),
+        max_length=1000,
+        description="What people have built there; for community models that know of buildings.",
+    )
     wet_soil: WetSoil | None = Field(
         default=None,
         description="How litter, dry soil, rock and sand darken where the community model has water in its soil; "
@@ -130,7 +136,21 @@ class Site(Section):
     @model_serializer(mode="wrap")
     def _without_what_few_need(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
         found: dict[str, Any] = handler(self)
-        return {key: value for key, value in found.items() if key != "wet_soil" or value is not None}
+        few = {"wet_soil": None, "buildings": ()}
+        return {key: value for key, value in found.items() if key not in few or value not in (few[key], [])}
+
+    @model_validator(mode="after")
+    def _buildings_stand_on_it(self) -> Self:
+        width, depth = self.size_m
+        for index, one in enumerate(self.buildings):
+            corners = one.corners_m()
+            low, high = (", ".join(f"{value:.1f}" for value in corner) for corner in (corners.min(0), corners.max(0)))
+            if (corners < 0).any() or (corners > (width, depth)).any():
+                x, y = one.position_m
+                expected = f"all of its ground plan within x from 0 to {width:g} and y from 0 to {depth:g} metres"
+                problem, got = "this building does not lie on the site", f"[{x:g}, {y:g}], from [{low}] to [{high}]"
+                raise mistake(expected, problem=problem, got=got, at=("buildings", index, "position_m"))
+        return self
 
 
 class Community(OpenSection):
@@ -356,15 +376,10 @@ class Recipe(Section):
         ]
         return {**data, "cameras": filled}
 
-    @field_validator("species")
-    @classmethod
-    def _species_are_plants(cls, species: dict[str, Species]) -> dict[str, Species]:
-        for name in species:
-            if name.lower() in NO_SPECIES:
-                expected = f"another name than {', '.join(NO_SPECIES)}"
-                problem = "labels use this name for what is no plant"
-                raise mistake(expected, problem=problem, got=name, at=name)
-        return species
+    @property
+    def labelled_names(self) -> tuple[str, ...]:
+        """Names of what has instances: the species, and the kinds of buildings."""
+        return (*self.species, *dict.fromkeys(one.kind for one in self.site.buildings))
 
     @field_validator("cameras")
     @classmethod
@@ -384,7 +399,15 @@ class Recipe(Section):
             hint = "site: {latitude_deg: 51.0, longitude_deg: 13.7} is Dresden"
             expected = "site.latitude_deg and site.longitude_deg, degrees"
             raise mistake(expected, problem=problem, got=got, hint=hint, at=("site", missing[0]))
-        wrong = None if self.labels.classes is None else wrong_classes(self.labels.classes, list(self.species))
+        reserved = (*NO_SPECIES, *(one.kind for one in self.site.buildings))
+        for name in self.species:
+            if name.lower() in reserved:
+                expected, problem = (
+                    f"another name than {', '.join(reserved)}",
+                    "labels use this name for what is no plant",
+                )
+                raise mistake(expected, problem=problem, got=name, at=("species", name))
+        wrong = None if self.labels.classes is None else wrong_classes(self.labels.classes, self.labelled_names)
         if wrong is not None:
             raise wrong
         check_motion(self.cameras, plants_move=self.wind.speed_m_per_s > 0 and self.wind.gustiness > 0)

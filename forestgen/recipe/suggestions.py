@@ -15,7 +15,7 @@ _SYNONYMS = {
     "bracken": "fern pteridium", "bramble": "blackberry rubus", "cecropia": "trumpet_tree", "cholla": "cactus",
     "cotton_grass": "eriophorum sedge", "cypress": "cupressus", "eucalyptus": "eucalypt gum mountain_ash",
     "fan_palm": "licuala", "fireweed": "rosebay willowherb", "grass": "tussock deschampsia", "hemlock": "tsuga",
-    "house": "building obstacle", "juniper": "juniperus", "kapok": "ceiba", "larch": "larix tamarack",
+    "juniper": "juniperus", "kapok": "ceiba", "larch": "larix tamarack",
     "lily": "lilium", "maple": "acer sycamore", "meranti": "shorea dipterocarp", "oak": "quercus",
     "palm": "coconut cocos", "pine": "pinus", "poplar": "aspen cottonwood populus", "redgrass": "themeda",
     "sequoia": "redwood sequoiadendron", "shrub": "hazel corylus bush", "snag": "dead_tree deadwood",

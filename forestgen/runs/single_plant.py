@@ -23,9 +23,8 @@ from forestgen.geometry.export import Model, Piece, Surface, Value, exporter_of,
 from forestgen.geometry.mesh import surface_area_m2
 from forestgen.plants.bark.texture import texture_images
 from forestgen.plants.build import size_m
-from forestgen.plants.cache import ExemplarRequest
 from forestgen.plants.exemplar import Exemplar, OrganMesh
-from forestgen.plants.growing import grow_exemplar
+from forestgen.plants.growing import ExemplarRequest, grow_exemplar
 from forestgen.plants.light_wood import check_wood_triangles, with_light_wood
 from forestgen.plants.parameters import with_detail
 from forestgen.plants.plan import PlantPlan, plan_plants

@@ -111,7 +111,7 @@ def _render(source: Path, fresh: Path, progress: Progress) -> dict[str, dict[str
     mitsuba(None)
     loaded = load_recipe(source)
     plan = make_plan(loaded.draw(0))
-    scene = assemble_image(plan, loaded.seed, progress, Timings())
+    scene = assemble_image(plan, progress, Timings())
     image = write_image(scene, data_set_of(plan.drawn), fresh, progress, Timings())
     return {str(row["frame"]): row for row in image.rows}
 

@@ -140,7 +140,7 @@ def complete(
     try:
         frames = staging / _FRAMES
         frames.mkdir()
-        scene = assemble_image(plan, work.loaded.seed, progress, timings, memory_budget_bytes=memory_budget_bytes)
+        scene = assemble_image(plan, progress, timings, memory_budget_bytes=memory_budget_bytes)
         image = write_image(scene, work.settings, frames, progress, timings)
         with timings("write"):
             _add_thumbnails(staging, image.folders)

@@ -13,33 +13,22 @@ from forestgen.atmosphere.clouds.source import CloudRequest, cloud_source_of
 from forestgen.community.population import Population
 from forestgen.core.progress import Progress
 from forestgen.core.randomness import child_rng
-from forestgen.plants.build import size_m
-from forestgen.plants.cache import LIBRARY_BYTES, MOST_BYTES, ExemplarRequest, exemplar_store
 from forestgen.plants.exemplar import Exemplar
-from forestgen.plants.growing import grow_exemplars
-from forestgen.plants.levels import level_for, level_of_index
-from forestgen.plants.registry import GENERATORS
-from forestgen.plants.solids import as_solids
-from forestgen.scene.assemble import pixel_size_m, place_instances, stand_on
+from forestgen.recipe.load import DrawnRecipe
+from forestgen.scene.building import building_materials
 from forestgen.scene.camera_path import next_frame
-from forestgen.scene.exemplar_library import library_of, modelled_species, origin_of
-from forestgen.scene.exemplar_plan import ExemplarPlan
 from forestgen.scene.exemplars import (
     SizeError,
-    check_traits,
-    plan_exemplars,
-    size_errors,
-    with_levels,
 )
-from forestgen.scene.explicit_plants import has_own, own_requests, plan_own_plants, species_seen
-from forestgen.scene.ground import height_field, wetness_of
+from forestgen.scene.ground import wetness_of
+from forestgen.scene.growth import choose_exemplars, errors_of_sizes, grow_planned, species_seen
 from forestgen.scene.plan import Plan
 from forestgen.scene.sky import sky_of
-from forestgen.scene.spec import Camera, SceneSpec
-from forestgen.scene.surfaces import infrared_notes, materials_of
+from forestgen.scene.spec import Camera, Instances, Material, SceneSpec
+from forestgen.scene.surfaces import infrared_notes, materials_of, surface_of
 from forestgen.scene.terrain import HeightField, build_terrain
 from forestgen.scene.trunks import Trunks
-from forestgen.scene.views import check_outside_of_houses, check_trunks, drawn_cameras
+from forestgen.scene.views import check_trunks, drawn_cameras
 from forestgen.scene.wind import Sway, spec_at, sway_in
 
 MOST_CACHED_IMAGES = 16  # a data set of many images would only wash the cache out
@@ -48,14 +37,19 @@ Timer = Callable[[str], AbstractContextManager[None]]
 
 @dataclass(frozen=True)
 class BuiltScene:
-    """A scene, the plants in it with their feet on the ground, and how well exemplars stand for them."""
+    """A drawn recipe, simulated and assembled: the scene, and the plants in it with their feet on the ground."""
 
+    plan: Plan
     spec: SceneSpec  # in still air
     population: Population
-    size_errors: list[SizeError]
+    size_errors: list[SizeError]  # how well exemplars stand for the plants
     sway: Sway | None = None  # of the plants in the wind; None: still air
-    notes: tuple[str, ...] = ()  # on cameras in trunks, and on surfaces whose infrared is unknown
+    notes: tuple[str, ...] = ()  # for people: of the community, on cameras in trunks, and on unknown infrared
     _posed: dict[float, SceneSpec] = field(default_factory=dict, repr=False, compare=False)  # by time, the last two
+
+    @property
+    def drawn(self) -> DrawnRecipe:
+        return self.plan.drawn
 
     def at(self, time_s: float) -> SceneSpec:
         """The scene as the wind holds its plants at a time; in still air `spec` itself, and one object for one time."""
@@ -78,9 +72,8 @@ def build_scene(plan: Plan, population: Population, progress: Progress, timer: T
     recipe, seed = plan.drawn.recipe, plan.drawn.image_seed
     simulated = population  # in the community's own frame: heights above the ground
     with timer("scene"):
-        height = height_field(plan.drawn)
+        height, cameras = plan.views.height, plan.views.all_cameras
         population = stand_on(population, height)
-        cameras = [camera for entry in drawn_cameras(plan.drawn) for camera in entry]  # walks do not go around yet
     with timer("plants"):
         exemplar_plan = choose_exemplars(plan, population, cameras)
         exemplars = grow_planned(plan, exemplar_plan, progress, population)
@@ -104,10 +97,11 @@ def build_scene(plan: Plan, population: Population, progress: Progress, timer: T
         )
         trunks = Trunks(exemplars, instances)
         views = drawn_cameras(plan.drawn, trunks)
-        materials = materials_of(species_seen(plan.drawn.species, population), recipe.plants.season)
+        materials = _materials(plan, population)
         notes = [
+            *(f"image {plan.drawn.image_index}: {note}" for note in simulated.notes),
             *check_trunks(plan.drawn, views, trunks),
-            *check_outside_of_houses(plan.drawn, plan.community.obstacles.entries),
+            *plan.views.check_outside_of_buildings(),
             *infrared_notes(materials, cameras),
         ]
         spec = SceneSpec(
@@ -120,7 +114,8 @@ def build_scene(plan: Plan, population: Population, progress: Progress, timer: T
             cameras=tuple(camera for entry in views for camera in entry),
         )
         sway = _sway(plan, spec)
-    return BuiltScene(spec, population, _errors(plan, population, exemplar_plan, exemplars), sway, tuple(notes))
+    errors = errors_of_sizes(plan, population, exemplar_plan, exemplars)
+    return BuiltScene(plan, spec, population, errors, sway, tuple(dict.fromkeys(notes)))
 
 
 def _sway(plan: Plan, spec: SceneSpec) -> Sway | None:
@@ -143,126 +138,61 @@ def _lowest_m(plan: Plan, height: HeightField) -> float:
     return float(np.min(height(x, y)))
 
 
-def choose_exemplars(plan: Plan, population: Population, cameras: Sequence[Camera]) -> ExemplarPlan:
-    """Sizes, variants and levels of detail that the plants need.
-
-    Raises
-    ------
-    RecipeError : a trait that the plants do not have.
-    """
-    section = plan.drawn.recipe.plants
-    check_traits(section.traits, population, plan.drawn.where("plants", "traits"))
-    pixel_m = None
-    if len(population) and (section.levels or has_own(plan, population)):
-        pixel_m = pixel_size_m(cameras, population.position_m, population.height_m, _widths_m(plan, population))
-    given = {} if pixel_m is None else plan_own_plants(plan, population, pixel_m)
-    chosen = plan_exemplars(
-        population,
-        section.exemplars_per_species,
-        plan.drawn.image_seed,
-        traits=section.traits,
-        variants=section.variants_per_size,
-        given=given,
-        library=library_of(plan.drawn),
-    )
-    if not section.levels or pixel_m is None:
-        return chosen
-    own_height_m = np.ones(len(population))
-    for index, name in enumerate(population.species_names):
-        rows = population.species == index
-        exemplar_radius_m = chosen.radius_m[chosen.exemplar_of_plant[rows]]
-        own_height_m[rows] = modelled_species(plan.drawn, name).allometry.height(exemplar_radius_m)
-    stand_in = chosen.plant[chosen.exemplar_of_plant]
-    own_height_m = np.where(stand_in < 0, own_height_m, population.height_m[np.maximum(stand_in, 0)])
-    scale = population.height_m / own_height_m  # of the instance
-    return with_levels(chosen, level_for(pixel_m / scale))
+def _materials(plan: Plan, population: Population) -> dict[tuple[str, str], Material]:
+    """Of the species and the buildings."""
+    season = plan.drawn.recipe.plants.season
+    materials = materials_of(species_seen(plan.drawn.species, population), season)
+    for (kind, key), one in building_materials(plan.community.obstacles.entries).items():
+        materials[kind, key] = surface_of(one, season, f"{kind}/{key}")
+    return materials
 
 
-def grow_planned(
-    plan: Plan, exemplar_plan: ExemplarPlan, progress: Progress, population: Population | None = None
-) -> tuple[Exemplar, ...]:
-    """The exemplars of a plan; see `exemplar_requests`."""
-    section = plan.drawn.recipe.plants
-    kept = section.cache and (section.library is not None or plan.drawn.image_index < MOST_CACHED_IMAGES)
-    with progress.stage("plants", len(exemplar_plan)) as advance:
-        requests = exemplar_requests(plan, exemplar_plan, population)
-        store = exemplar_store(MOST_BYTES if section.library is None else LIBRARY_BYTES) if kept else None
-        grown = grow_exemplars(requests, store=store, advance=advance)
-    grown = tuple(
-        replace(one, is_unique=bool(unique)) for one, unique in zip(grown, exemplar_plan.is_unique, strict=True)
-    )
-    if section.geometry == "silhouettes":
-        return tuple(_silhouette(request, one) for request, one in zip(requests, grown, strict=True))
-    return grown
+def stand_on(population: Population, height: HeightField) -> Population:
+    """The same plants with their feet on the terrain."""
+    position = population.position_m.copy()
+    position[:, 2] = height(position[:, 0], position[:, 1])
+    return replace(population, position_m=position)
 
 
-def _silhouette(request: ExemplarRequest, exemplar: Exemplar) -> Exemplar:
-    """The plant's solid: of its generator's own curve where there is one, otherwise as wide as the plant grew."""
-    profile_of = getattr(GENERATORS.load(request.parameters.generator), "crown_profile", None)
-    size = size_m(request.species, request.radius_m)
-    return as_solids(exemplar, None if profile_of is None else profile_of(request.parameters, *size))
+def place_instances(
+    population: Population,
+    exemplar_of_plant: NDArray[np.uint32],
+    exemplars: Sequence[Exemplar],
+    seed: int,
+    *,
+    stands_for_m: NDArray[np.float64] | None = None,
+    is_unique: NDArray[np.bool_] | None = None,
+) -> Instances:
+    """One instance a plant: its exemplar scaled to the plant's exact height and turned by the plant's own angle.
 
-
-def exemplar_requests(
-    plan: Plan, exemplar_plan: ExemplarPlan, population: Population | None = None
-) -> list[ExemplarRequest]:
-    """What to grow. A plant's randomness belongs to its species, its cluster's rank and its variant, at any level.
+    The angle belongs to the plant_id, so a plant keeps it through time and whatever else grows beside it; a community
+    that knows how its plants stand gives it in a column `azimuth_deg`, clockwise from north, NaN where it does not.
 
     Parameters
     ----------
-    population : of the plan, which plants that grew branches of their own are part of.
+    stands_for_m : (E,) height of the plant whose own branches an exemplar has; NaN or None: the exemplar's height is
+        that of its plants.
+    is_unique : (E,) exemplars of one plant alone, whose branches know their neighbours: neither turned nor scaled.
     """
-    names = list(plan.drawn.species)
-    own = {} if population is None else own_requests(plan, exemplar_plan, population)
-    requests = []
-    for index in range(len(exemplar_plan)):
-        if index in own:
-            requests.append(own[index])
-            continue
-        name = names[exemplar_plan.species[index]]
-        seed, identity = origin_of(plan.drawn, name, int(exemplar_plan.rank[index]), int(exemplar_plan.variant[index]))
-        requests.append(
-            ExemplarRequest(
-                species_name=name,
-                species=modelled_species(plan.drawn, name),
-                parameters=plan.plants.generators[name],
-                radius_m=float(exemplar_plan.radius_m[index]),
-                seed=seed,
-                identity=identity,
-                level=level_of_index(int(exemplar_plan.level[index])),
-                is_shared=plan.drawn.recipe.plants.library is not None,
-            )
-        )
-    return requests
-
-
-def _errors(
-    plan: Plan, population: Population, exemplar_plan: ExemplarPlan, exemplars: tuple[Exemplar, ...]
-) -> list[SizeError]:
-    """Error of the approximation, each plant's width by its species' allometry.
-
-    An exemplar with a plant's own branches has that plant's own size: leaves beyond its modules are no error.
-    """
-    widths_m, plant = _widths_m(plan, population), exemplar_plan.plant
-    height_m, width_m = (
-        np.where(plant < 0, made, grown[np.maximum(plant, 0)]) if len(population) else made
-        for made, grown in (
-            (np.array([exemplar.height_m for exemplar in exemplars]), population.height_m),
-            (np.array([exemplar.crown_width_m for exemplar in exemplars]), widths_m),
-        )
+    heights = np.array([exemplar.height_m for exemplar in exemplars], dtype=np.float64)
+    if stands_for_m is not None:
+        heights = np.where(np.isnan(stands_for_m), heights, stands_for_m)
+    scale = population.height_m / heights[exemplar_of_plant]
+    angle = np.array([child_rng(seed, "plant", int(i)).random() for i in population.plant_id]) * 2 * np.pi
+    if "azimuth_deg" in population.columns:
+        turned = -np.radians(population.columns["azimuth_deg"].astype(np.float64))
+        angle = np.where(np.isnan(turned), angle, turned)
+    if is_unique is not None:
+        own = is_unique[exemplar_of_plant]
+        scale, angle = np.where(own, 1.0, scale), np.where(own, 0.0, angle)
+    cos, sin = np.cos(angle) * scale, np.sin(angle) * scale
+    zero = np.zeros_like(cos)
+    rows = [[cos, -sin, zero], [sin, cos, zero], [zero, zero, scale]]
+    transform = np.empty((len(population), 3, 4))
+    for r in range(3):
+        for c in range(3):
+            transform[:, r, c] = rows[r][c]
+    transform[:, :, 3] = population.position_m
+    return Instances(
+        exemplar=exemplar_of_plant.astype(np.uint32), transform=transform, plant_id=population.plant_id.copy()
     )
-    for index, name in enumerate(population.species_names):
-        if not GENERATORS.load(plan.plants.generators[name].generator).has_crown:
-            widths_m[population.species == index] = np.nan
-    return size_errors(population, exemplar_plan, height_m, width_m, widths_m)
-
-
-def _widths_m(plan: Plan, population: Population) -> NDArray[np.float64]:
-    """(N,) crown width of each plant by its species' allometry."""
-    width = np.ones(len(population))
-    for index, name in enumerate(population.species_names):
-        rows = population.species == index
-        radius_m = population.radius_m[rows]
-        own = population.modules is not None and name in plan.plants.foliage
-        width[rows] = 2.0 * radius_m if own else plan.drawn.species[name].allometry.width(radius_m)
-    return width

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from forestgen.community.capabilities import SoilWater, capability, models_with
-from forestgen.community.model import CommunityParameters, Site
+from forestgen.community.model import Site
 from forestgen.community.plan import CommunityPlan
 from forestgen.community.population import Population
 from forestgen.core.errors import AssetError, RecipeError
@@ -33,7 +33,7 @@ def height_field(drawn: DrawnRecipe) -> HeightField:
         return _height_field(site.size_m, site.terrain, drawn.image_seed, drawn.folder)
     except AssetError as cause:
         where = drawn.where("site", "terrain", *TERRAINS.load(site.terrain.kind).file_keys)
-        raise AssetError(cause.problem, where=where, expected=cause.expected, got=cause.got, hint=cause.hint) from cause
+        raise cause.at(where) from cause
 
 
 @lru_cache(maxsize=16)
@@ -52,18 +52,14 @@ def community_site(drawn: DrawnRecipe) -> Site:
         altitude_m=site.altitude_m,
         latitude_deg=site.latitude_deg,
         wind_from_deg=site.wind_from_deg,
+        buildings=site.buildings,
     )
 
 
-def check_wet_soil(drawn: DrawnRecipe, model: object, parameters: CommunityParameters) -> None:
-    """Refuse a recipe that says how wet soil shows where no community knows of any.
-
-    Raises
-    ------
-    RecipeError : with the line of the key.
-    """
-    section = drawn.recipe.site.wet_soil
-    if section is not None and section.shown and capability(model, SoilWater) is None:
+def check_wet_soil(plan: CommunityPlan) -> None:
+    """Raise `RecipeError` for a recipe that says how wet soil shows where its community knows of none."""
+    drawn, section = plan.drawn, plan.drawn.recipe.site.wet_soil
+    if section is not None and section.shown and capability(plan.model, SoilWater) is None:
         raise RecipeError(
             "this community knows no water in its soil",
             where=drawn.where("site", "wet_soil"),

@@ -16,12 +16,11 @@ from forestgen.core.processes import free_bytes
 from forestgen.plants.budget import most_triangles
 from forestgen.plants.parameters import PlantParameters
 from forestgen.plants.plan import PlantPlan
-from forestgen.plants.registry import GENERATORS, is_built
+from forestgen.plants.registry import GENERATORS
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.schema import Plants
-from forestgen.scene.ground import height_field
 from forestgen.scene.own_exemplars import MOST_TRIANGLES
-from forestgen.scene.views import drawn_cameras
+from forestgen.scene.views import Views
 
 # Kept free for the operating system and for what no estimate sees.
 _SHARE_OF_MEMORY = 0.8
@@ -52,6 +51,7 @@ class Plan:
     drawn: DrawnRecipe
     community: CommunityPlan
     plants: PlantPlan
+    views: Views
 
 
 def estimate_bytes(plan: Plan, *, simulate_only: bool = False, plants: int = 0) -> dict[str, int]:
@@ -61,17 +61,15 @@ def estimate_bytes(plan: Plan, *, simulate_only: bool = False, plants: int = 0) 
     ----------
     plants : how many the scene will hold; before the simulation nobody knows, and their share is left out.
     """
-    recipe = plan.drawn.recipe
+    recipe, stand = plan.drawn.recipe, plan.community
     try:
-        community = plan.community.model.estimate_bytes(
-            plan.community.parameters, plan.community.site, plan.community.ecologies
-        )
+        community = stand.model.estimate_bytes(stand.parameters, stand.site, stand.ecologies)
     except (RecipeError, ResourceError) as cause:
         raise _located(cause, plan.drawn) from cause
     if simulate_only:
         return {"community": community + _FILM_BYTES, "libraries": _LOADED_SIMULATOR_BYTES}
     pixels = max(camera.size_px[0] * camera.size_px[1] for camera in recipe.cameras)
-    exact = recipe.sky.clouds.has_clouds and _may_be_exact(plan.drawn)
+    exact = recipe.sky.clouds.has_clouds and _may_be_exact(plan.views)
     per_plant = _BYTES_PER_PLANT + exact * _BYTES_PER_PLANT_UNDER_CLOUDS
     clouds_per_triangle = exact * _BYTES_PER_TRIANGLE_UNDER_CLOUDS
     per_triangle = _BYTES_PER_TRIANGLE + clouds_per_triangle
@@ -86,9 +84,7 @@ def estimate_bytes(plan: Plan, *, simulate_only: bool = False, plants: int = 0) 
         "images": pixels * (_BYTES_PER_PIXEL + recipe.labels.samples * _BYTES_PER_SAMPLE),
         "exemplars": _exemplar_triangles(plan) * per_triangle + own * (_BYTES_PER_OWN_TRIANGLE + clouds_per_triangle),
         "plants": plants * per_plant,
-        "clouds": cloud_source_of(plan.drawn).estimate_bytes(
-            plan.drawn, plan.community.model, plan.community.parameters
-        ),
+        "clouds": cloud_source_of(plan.drawn).estimate_bytes(plan.drawn, stand.model, stand.parameters),
     }
 
 
@@ -111,21 +107,20 @@ def own_triangles(foliage: Mapping[str, PlantParameters], section: Plants) -> in
 def _located(cause: RecipeError | ResourceError, drawn: DrawnRecipe) -> RecipeError | ResourceError:
     """A model's error with the file and line of the key that it names: models know keys only."""
     keys = tuple(int(key) if key.isdigit() else key for key in (cause.where or "").split("."))
-    if keys[0] != "community":
-        return cause
-    where = drawn.where(*keys)
-    return type(cause)(cause.problem, where=where, expected=cause.expected, got=cause.got, hint=cause.hint)
+    return cause.at(drawn.where(*keys)) if keys[0] == "community" else cause
 
 
-def _may_be_exact(drawn: DrawnRecipe) -> bool:
+def _may_be_exact(views: Views) -> bool:
     """Whether the light of a recipe with clouds may be traced through them; see `render.transport`."""
-    recipe, base_m = drawn.recipe, cloud_source_of(drawn).known_base_m(drawn)
+    drawn, recipe = views.drawn, views.drawn.recipe
+    base_m = cloud_source_of(drawn).known_base_m(drawn)
     if recipe.render.clouds != "auto" or base_m is None:
         return recipe.render.clouds != "farfield"
     x_m, y_m = np.meshgrid(*(np.linspace(0.0, side_m, _GROUND_POINTS) for side_m in recipe.site.size_m))
-    plants_m = max((species.mature_height_m for species in drawn.species.values()), default=0.0)
-    tops_m = [float(height_field(drawn)(x_m, y_m).max()) + plants_m]
-    tops_m += [camera.position_m[2] for cameras in drawn_cameras(drawn) for camera in cameras]
+    standing_m = [species.mature_height_m for species in drawn.species.values()]
+    standing_m += [building.size_m[2] for building in recipe.site.buildings]
+    tops_m = [float(views.height(x_m, y_m).max()) + max(standing_m, default=0.0)]
+    tops_m += [camera.position_m[2] for camera in views.all_cameras]
     return base_m < max(tops_m) + max(LEAST_GAP_M, GAP_OF_SITE * math.hypot(*recipe.site.size_m)) + _SURELY_FAR_M
 
 
@@ -135,7 +130,7 @@ def _exemplar_triangles(plan: Plan) -> int:
     each = section.exemplars_per_species * section.variants_per_size * (_DETAIL_OF_ALL_LEVELS if section.levels else 1)
     total = 0.0
     for name, species in plan.drawn.species.items():
-        if name not in plan.plants.foliage and not is_built(species.plant.generator):
+        if name not in plan.plants.foliage:
             has_crown = GENERATORS.load(species.plant.generator).has_crown
             width_m = float(species.allometry.width(species.ecology.max_radius_m)) if has_crown else 0.0
             total += most_triangles(species.mature_height_m, width_m)

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from forestgen.atmosphere.clouds.source import cloud_source_of
-from forestgen.community.capabilities import OwnSkeletons, PlanChecks, capability
+from forestgen.community.capabilities import HasObstacles, OwnSkeletons, PlanChecks, capability, models_with
 from forestgen.community.disturbance import Ground
-from forestgen.community.model import CommunityParameters, Site
-from forestgen.community.obstacles import check_obstacles
+from forestgen.community.model import Site
 from forestgen.community.placement.density_map import check_maps
-from forestgen.community.plan import CommunityPlan, obstacles_of
+from forestgen.community.plan import CommunityPlan
 from forestgen.community.registry import COMMUNITY_MODELS
 from forestgen.core.errors import ErrorList, RecipeError
 from forestgen.plants.plan import PlantPlan, foliage_of, generator_parameters
@@ -22,7 +21,7 @@ from forestgen.scene.exemplars import check_traits
 from forestgen.scene.ground import check_wet_soil, community_site
 from forestgen.scene.plan import Plan, check_memory
 from forestgen.scene.sky import check_sun
-from forestgen.scene.views import check_above_ground, check_outside_of_houses, drawn_cameras
+from forestgen.scene.views import Views
 
 
 def make_plan(drawn: DrawnRecipe) -> Plan:
@@ -49,9 +48,13 @@ def collect_plan(drawn: DrawnRecipe, errors: ErrorList, stand_ins: frozenset[str
     """
     had = len(errors.found)
     generators = generator_parameters(drawn, errors)
-    for check, sections in _CHECKS_OF_THE_VIEW:
-        if not sections & stand_ins:
-            errors.attempt(check, drawn)
+    views = None if {"cameras", "site"} & stand_ins else errors.attempt(Views.of, drawn)
+    if views is not None:
+        errors.attempt(views.check_above_ground)
+        if not {"sky", "render"} & stand_ins:
+            errors.attempt(_check_clouds, views)
+    if not {"sky", "site"} & stand_ins:
+        errors.attempt(check_sun, drawn)
     if not {"cameras", "labels", "dataset"} & stand_ins:
         for index, name in enumerate(drawn.recipe.dataset.formats):
             found = errors.attempt(DATASET_FORMATS.load, name, where=drawn.where("dataset", "formats", index))
@@ -65,35 +68,34 @@ def collect_plan(drawn: DrawnRecipe, errors: ErrorList, stand_ins: frozenset[str
     model = errors.attempt(COMMUNITY_MODELS.load, drawn.recipe.community.model, where=where)
     if model is None:
         return None
-    keys = drawn.recipe.community.parameters
-    model_parameters = errors.attempt(drawn.parse, model.Parameters, keys, ("community",))
     foliage = None
     if len(generators) == len(drawn.species) and "species" not in stand_ins:
         foliage = errors.attempt(foliage_of, drawn, model, generators)
-    if model_parameters is not None:
-        _check_community(drawn, model, model_parameters, errors, stand_ins)
-    if len(errors.found) > had or model_parameters is None or foliage is None:
+    keys = drawn.recipe.community.parameters
+    parameters = errors.attempt(drawn.parse, model.Parameters, keys, ("community",))
+    if parameters is None:
         return None
-    community = CommunityPlan.of(drawn, model, model_parameters, community_site(drawn))
-    return Plan(drawn, community, PlantPlan(drawn, generators, foliage))
+    site = errors.attempt(community_site, drawn) or Site(drawn.recipe.site.size_m)
+    community = CommunityPlan.of(drawn, model, parameters, site)
+    _check_community(community, errors, stand_ins)
+    if views is not None:
+        errors.attempt(views.check_outside_of_buildings)
+    if len(errors.found) > had or foliage is None or views is None:
+        return None
+    return Plan(drawn, community, PlantPlan(drawn, generators, foliage), views)
 
 
-def _check_community(
-    drawn: DrawnRecipe, model: object, parameters: CommunityParameters, errors: ErrorList, stand_ins: frozenset[str]
-) -> None:
+def _check_community(plan: CommunityPlan, errors: ErrorList, stand_ins: frozenset[str]) -> None:
     """What the community's keys and those of other sections say of each other."""
     if "species" not in stand_ins:
         had = len(errors.found)
-        for keys, name in parameters.named_species():
-            errors.attempt(_check_named_species, drawn, keys, name)
+        for keys, name in plan.parameters.named_species():
+            errors.attempt(_check_named_species, plan.drawn, keys, name)
         if len(errors.found) > had:
             stand_ins |= {"species"}
     for check, sections in _CHECKS_OF_THE_COMMUNITY:
         if not sections & stand_ins:
-            errors.attempt(check, drawn, model, parameters)
-    if "site" not in stand_ins:
-        size_m = drawn.recipe.site.size_m
-        errors.attempt(check_maps, parameters, size_m, lambda *keys: drawn.where("community", *keys))
+            errors.attempt(check, plan)
 
 
 def check_plan(loaded: LoadedRecipe, *, simulate_only: bool = False) -> Plan:
@@ -130,8 +132,9 @@ def _check_named_species(drawn: DrawnRecipe, keys: Keys, name: str) -> None:
         )
 
 
-def _check_disturbances(drawn: DrawnRecipe, model: object, parameters: CommunityParameters) -> None:
+def _check_disturbances(plan: CommunityPlan) -> None:
     """Times within the simulation, places on the site, planted radii that the species can have."""
+    drawn, parameters = plan.drawn, plan.parameters
     ground = Ground(drawn.recipe.site.size_m, parameters.periodic)
     for index, one in enumerate(parameters.disturbances):
         keys = ("community", "disturbances", index)
@@ -165,17 +168,17 @@ def _check_disturbances(drawn: DrawnRecipe, model: object, parameters: Community
                 )
 
 
-def _check_clouds(drawn: DrawnRecipe) -> None:
+def _check_clouds(views: Views) -> None:
     """Clouds that can be made; and cameras below them, where their light comes from afar.
 
     Such clouds are traced apart from the plants, which a camera inside or above them would see through.
     """
-    source = cloud_source_of(drawn)
+    drawn, source = views.drawn, cloud_source_of(views.drawn)
     source.check(drawn)
     base_m = source.known_base_m(drawn)
     if base_m is None or drawn.recipe.render.clouds != "farfield":
         return
-    for index, (section, cameras) in enumerate(zip(drawn.recipe.cameras, drawn_cameras(drawn), strict=True)):
+    for index, (section, cameras) in enumerate(zip(drawn.recipe.cameras, views.cameras, strict=True)):
         highest_m = max(camera.position_m[2] for camera in cameras)
         if highest_m >= base_m:
             later = section.path is not None and cameras[0].position_m[2] < base_m
@@ -189,45 +192,49 @@ def _check_clouds(drawn: DrawnRecipe) -> None:
             )
 
 
-def _check_obstacles(drawn: DrawnRecipe, model: object, parameters: CommunityParameters) -> None:
-    """Buildings on the site, and cameras outside of them."""
-    obstacles = obstacles_of(drawn, model, parameters)
-    check_obstacles(drawn, obstacles)
-    check_outside_of_houses(drawn, obstacles.entries)
+def _check_buildings(plan: CommunityPlan) -> None:
+    """A community that knows of buildings."""
+    drawn = plan.drawn
+    if drawn.recipe.site.buildings and capability(plan.model, HasObstacles) is None:
+        raise RecipeError(
+            "plants of this community would grow into the buildings",
+            where=drawn.where("site", "buildings"),
+            expected=f"community.model: {models_with(HasObstacles)}",
+            got=drawn.recipe.community.model,
+            hint="leave out site.buildings",
+        )
 
 
-def _check_models_own(drawn: DrawnRecipe, model: object, parameters: CommunityParameters) -> None:
-    checks = capability(model, PlanChecks)
+def _check_models_own(plan: CommunityPlan) -> None:
+    checks = capability(plan.model, PlanChecks)
     if checks is not None:
-        checks.check_recipe(drawn, parameters)
+        checks.check_recipe(plan.drawn, plan.parameters)
 
 
-def _check_clouds_of_community(drawn: DrawnRecipe, model: object, parameters: CommunityParameters) -> None:
-    cloud_source_of(drawn).check_community(drawn, model, parameters)
+def _check_clouds_of_community(plan: CommunityPlan) -> None:
+    cloud_source_of(plan.drawn).check_community(plan.drawn, plan.model, plan.parameters)
 
 
-_CHECKS_OF_THE_VIEW: tuple[tuple[Callable[[DrawnRecipe], None], frozenset[str]], ...] = (
-    (check_above_ground, frozenset({"cameras", "site"})),
-    (_check_clouds, frozenset({"sky", "cameras", "render", "site"})),
-    (check_sun, frozenset({"sky", "site"})),
-)
-_CommunityCheck = Callable[[DrawnRecipe, object, CommunityParameters], object]
-_CHECKS_OF_THE_COMMUNITY: tuple[tuple[_CommunityCheck, frozenset[str]], ...] = (
+def _check_maps(plan: CommunityPlan) -> None:
+    check_maps(plan.parameters, plan.drawn.recipe.site.size_m, lambda *keys: plan.drawn.where("community", *keys))
+
+
+_CHECKS_OF_THE_COMMUNITY: tuple[tuple[Callable[[CommunityPlan], None], frozenset[str]], ...] = (
     (_check_disturbances, frozenset({"species", "site"})),
-    (_check_obstacles, frozenset({"species", "site"})),
+    (_check_buildings, frozenset({"site"})),
     (_check_models_own, frozenset({"species", "site"})),
     (check_wet_soil, frozenset({"site"})),
     (_check_clouds_of_community, frozenset({"sky", "site"})),
+    (_check_maps, frozenset({"site"})),
 )
 
 
 def _check_traits(plan: Plan) -> None:
     """Refuse a trait that the model's plants will not have: seen on a small piece of land before the first step."""
-    traits = plan.drawn.recipe.plants.traits
-    if not traits:
-        return
-    site = Site((min(plan.community.site.size_m[0], 50.0), min(plan.community.site.size_m[1], 50.0)))
-    state = plan.community.model.init(
-        plan.community.parameters.for_trial(), site, plan.community.ecologies, plan.drawn.image_seed
-    )
-    check_traits(traits, plan.community.model.population(state), plan.drawn.where("plants", "traits"))
+    traits, community = plan.drawn.recipe.plants.traits, plan.community
+    if traits:
+        width_m, depth_m = community.site.size_m
+        site = Site((min(width_m, 50.0), min(depth_m, 50.0)))
+        parameters = community.parameters.for_trial()
+        state = community.model.init(parameters, site, community.ecologies, plan.drawn.image_seed)
+        check_traits(traits, community.model.population(state), plan.drawn.where("plants", "traits"))

@@ -24,13 +24,14 @@ def materials_of(species: Mapping[str, Species], season: Season = "summer") -> d
     season : of the spectra whose material names none.
     """
     return {
-        (name, key): _material(material, season, f"{name}/{key}")
+        (name, key): surface_of(material, season, f"{name}/{key}")
         for name, one in species.items()
         for key, material in one.materials.items()
     }
 
 
-def _material(material: recipe_species.Material, season: Season, name: str) -> Material:
+def surface_of(material: recipe_species.Material, season: Season, name: str) -> Material:
+    """A recipe's material; `name`, such as "birch/bark", seeds its texture."""
     spectra = None if material.spectrum is None else spectra_of(material.spectrum, material.season or season)
     if spectra is None:
         assert material.reflectance is not None  # the recipe's own check

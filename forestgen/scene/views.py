@@ -1,16 +1,17 @@
-"""Cameras of a drawn recipe, and whether something is in their way: told before any image is rendered."""
+"""Cameras of a drawn recipe, and whether something is in their way: reported before any image is rendered."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.community.obstacles import Obstacle
 from forestgen.core.errors import RecipeError
 from forestgen.core.spectrum import Band
+from forestgen.recipe.buildings import Building
 from forestgen.recipe.camera_keys import SensorFile
 from forestgen.recipe.cameras import Camera as CameraSection
 from forestgen.recipe.load import DrawnRecipe
@@ -18,6 +19,7 @@ from forestgen.recipe.spectra import bands_of, load_bands
 from forestgen.scene.camera_path import expand
 from forestgen.scene.ground import height_field
 from forestgen.scene.spec import Camera
+from forestgen.scene.terrain import HeightField
 from forestgen.scene.trunks import Trunks
 
 LEAST_ABOVE_GROUND_M = 0.01
@@ -39,118 +41,142 @@ def drawn_cameras(drawn: DrawnRecipe, trunks: Trunks | None = None) -> list[list
             cameras.append(expand(section, height_field(drawn), trunks, bands))
         except RecipeError as cause:  # the scene knows keys only
             keys = [int(key) if key.isdigit() else key for key in (cause.where or "").split(".")]
-            where = drawn.where("cameras", index, *keys)
-            raise RecipeError(
-                cause.problem, where=where, expected=cause.expected, got=cause.got, hint=cause.hint
-            ) from cause
+            raise cause.at(drawn.where("cameras", index, *keys)) from cause
     return cameras
 
 
 def _bands(drawn: DrawnRecipe) -> dict[SensorFile, tuple[Band, ...]]:
     bands = {}
     for index, section in enumerate(drawn.recipe.cameras):
-        if section.bands is None:
-            continue
-        name, where = section.bands.name, drawn.where("cameras", index, "bands")
-        if section.bands.text is None:
-            bands[section.bands] = load_bands(name, folder=drawn.folder, where=where)
-        else:
-            bands[section.bands] = bands_of(section.bands.text, name, where)
+        if section.bands is not None:
+            name, text, where = section.bands.name, section.bands.text, drawn.where("cameras", index, "bands")
+            found = load_bands(name, folder=drawn.folder, where=where) if text is None else bands_of(text, name, where)
+            bands[section.bands] = found
     return bands
 
 
-def below_ground(drawn: DrawnRecipe) -> list[tuple[int, Camera, float]]:
-    """Number of the entry, camera and height above the ground, metres, of cameras that are not above it."""
-    height = height_field(drawn)
-    found = []
-    for index, cameras in enumerate(drawn_cameras(drawn)):
-        x, y, z = np.array([camera.position_m for camera in cameras]).T
-        above = z - height(x, y)
-        found += [(index, cameras[k], float(above[k])) for k in np.flatnonzero(above < LEAST_ABOVE_GROUND_M)]
-    return found
+@dataclass(frozen=True)
+class Views:
+    """The cameras of a drawn recipe above its ground; walks go straight, for no trunks are known yet."""
 
+    drawn: DrawnRecipe
+    height: HeightField
+    cameras: list[list[Camera]]  # of each entry
 
-def views_below_ground(drawn: DrawnRecipe) -> list[str]:
-    """Names of the cameras, or frames of a path, that stand below the ground, of those that may."""
-    return [camera.name for _, camera, _ in below_ground(drawn)]
+    @classmethod
+    def of(cls, drawn: DrawnRecipe) -> Views:
+        """Raises `RecipeError` or `AssetError` as `drawn_cameras` and `height_field` do."""
+        return cls(drawn, height_field(drawn), drawn_cameras(drawn))
 
+    @property
+    def all_cameras(self) -> list[Camera]:
+        return [camera for entry in self.cameras for camera in entry]
 
-def ground_below(drawn: DrawnRecipe, camera: Camera) -> float:
-    """Height of the ground below a camera, metres, world."""
-    x, y, _ = camera.position_m
-    return float(height_field(drawn)(np.array([x]), np.array([y]))[0])
+    def ground_below(self, camera: Camera) -> float:
+        """Height of the ground below a camera, metres, world."""
+        x, y, _ = camera.position_m
+        return float(self.height(np.array([x]), np.array([y]))[0])
 
+    @property
+    def below_ground(self) -> list[str]:
+        """Names of the cameras, or frames of a path, that stand below the ground, of those that may."""
+        return [camera.name for _, camera, _ in self._below_ground()]
 
-def check_above_ground(drawn: DrawnRecipe) -> None:
-    """Refuse cameras below the ground, of entries whose `obstructed` is an error.
+    def _below_ground(self) -> list[tuple[int, Camera, float]]:
+        """Number of the entry, camera and height above the ground, metres, of cameras that are not above it."""
+        found = []
+        for index, cameras in enumerate(self.cameras):
+            x, y, z = np.array([camera.position_m for camera in cameras]).T
+            above = z - self.height(x, y)
+            found += [(index, cameras[k], float(above[k])) for k in np.flatnonzero(above < LEAST_ABOVE_GROUND_M)]
+        return found
 
-    Raises
-    ------
-    RecipeError : with the camera's line.
-    """
-    for index, camera, above_m in below_ground(drawn):
-        section = drawn.recipe.cameras[index]
-        if section.obstructed == "error":
-            raise RecipeError(
+    def check_above_ground(self) -> None:
+        """Raise `RecipeError` for a camera below the ground, unless its entry's `obstructed` is a note."""
+        for index, camera, above_m in self._below_ground():
+            _note_or_error(
+                self.drawn,
+                index,
                 f"the camera {camera.name} stands below the ground",
-                where=drawn.where("cameras", index, *_place_key(section)),
                 expected=f"at least {LEAST_ABOVE_GROUND_M * 100:g} cm above the ground",
                 got=f"{above_m:.3g} m",
                 hint="raise it; or set obstructed: note, to look at it all the same",
             )
 
+    def check_outside_of_buildings(self) -> list[str]:
+        """Notes on cameras inside of buildings, which see dark walls, of entries whose `obstructed` is a note.
 
-def in_houses(drawn: DrawnRecipe, obstacles: Sequence[Obstacle]) -> list[tuple[int, Camera, int]]:
-    """Number of the entry, camera, and number of the obstacle within whose walls and roof it surely stands."""
-    if not obstacles:
-        return []
-    feet = np.array([one.position_m for one in obstacles])
-    ground_m, found = height_field(drawn)(feet[:, 0], feet[:, 1]), []
-    for index, cameras in enumerate(drawn_cameras(drawn)):
-        at = np.array([camera.position_m for camera in cameras])
-        for number, one in enumerate(obstacles):
-            inside = _is_within(one, at - [*one.position_m, float(ground_m[number])])
-            found += [(index, cameras[k], number) for k in np.flatnonzero(inside)]
-    return found
+        Raises
+        ------
+        RecipeError : a camera of another entry, with its line.
+        """
+        buildings = self.drawn.recipe.site.buildings
+        if not buildings:
+            return []
+        feet = np.array([one.position_m for one in buildings])
+        ground_m, notes = self.height(feet[:, 0], feet[:, 1]), []
+        for index, cameras in enumerate(self.cameras):
+            at_m = np.array([camera.position_m for camera in cameras])
+            for number, building in enumerate(buildings):
+                inside = _is_within(building, at_m - [*building.position_m, float(ground_m[number])])
+                for camera in (cameras[k] for k in np.flatnonzero(inside)):
+                    place = f"site.buildings.{number}, at [{_numbers(building.position_m)}]"
+                    note = _note_or_error(
+                        self.drawn,
+                        index,
+                        f"the camera {camera.name} stands inside of a {building.kind}",
+                        expected=f"a place outside of {place}",
+                        got=f"[{_numbers(camera.position_m)}]",
+                        hint="move it; or set obstructed: note, to look at it all the same",
+                    )
+                    notes.append(note)
+        return notes
 
 
-def _is_within(house: Obstacle, at_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _is_within(building: Building, at_m: NDArray[np.float64]) -> NDArray[np.bool_]:
     """(N,) whether points lie inside, (N, 3) metres from the middle of the ground plan; walls, eaves left out.
 
-    Whatever the parameters of its generator: walls stand at most a tenth of the house inside of its ground plan, and a
-    roof falls by at most half of the height.
+    That is what `scene.building.BuildingKind` says of walls and roofs.
     """
-    cos, sin = math.cos(house.turn_rad), math.sin(house.turn_rad)
+    cos, sin = math.cos(building.turn_rad), math.sin(building.turn_rad)
     along, across = np.abs(at_m[:, 0] * cos + at_m[:, 1] * sin), np.abs(at_m[:, 1] * cos - at_m[:, 0] * sin)
-    width, depth, height = house.size_m
+    width, depth, height = building.size_m
     eaves = 0.1 * min(width, depth)
     below_roof = at_m[:, 2] < height * (1.0 - across / depth) - _ROOF_M
     return np.asarray((along < 0.5 * width - eaves) & (across < 0.5 * depth - eaves) & (at_m[:, 2] > 0) & below_roof)
 
 
-def check_outside_of_houses(drawn: DrawnRecipe, obstacles: Sequence[Obstacle]) -> list[str]:
-    """Refuse cameras inside of houses, which see dark walls; notes on those of entries whose `obstructed` is a note.
+def check_trunks(drawn: DrawnRecipe, cameras: Sequence[Sequence[Camera]], trunks: Trunks) -> list[str]:
+    """Notes on cameras in trunks or right before them, of entries whose `obstructed` is a note.
 
     Raises
     ------
-    RecipeError : with the camera's line.
+    RecipeError : a camera of another entry, with its line.
     """
     notes = []
-    for index, camera, number in in_houses(drawn, obstacles):
-        house = obstacles[number]
-        problem = f"the camera {camera.name} stands inside of a {house.species}"
-        expected = f"a place outside of community.obstacles.{number}, at [{_numbers(house.position_m)}]"
-        hint = "move it; or set obstructed: note, to look at it all the same"
-        notes.append(_note_or_error(drawn, index, camera, problem, expected, hint))
+    for index, entry in enumerate(cameras):
+        for camera in entry:
+            apart_m, plant = trunks.clearance_m(np.array(camera.position_m), LEAST_FROM_TRUNKS_M)
+            if plant:
+                stands = "in" if apart_m < 0 else f"{apart_m * 100:.2g} cm from"
+                note = _note_or_error(
+                    drawn,
+                    index,
+                    f"the camera {camera.name} stands {stands} the trunk of plant {plant}",
+                    expected=f"at least {LEAST_FROM_TRUNKS_M * 100:g} cm to any trunk",
+                    got=f"[{_numbers(camera.position_m)}]",
+                    hint="move it; rig: {kind: walk} goes around trunks; or set obstructed: note",
+                )
+                notes.append(note)
     return notes
 
 
-def _note_or_error(drawn: DrawnRecipe, index: int, camera: Camera, problem: str, expected: str, hint: str) -> str:
-    """The problem as a note, where the camera's entry lets it be one; else a `RecipeError`."""
+def _note_or_error(drawn: DrawnRecipe, index: int, problem: str, *, expected: str, got: str, hint: str) -> str:
+    """The problem as a note, where the entry of cameras lets it be one; else a `RecipeError` at the camera's place."""
     section = drawn.recipe.cameras[index]
     if section.obstructed == "note":
         return problem
-    where, got = drawn.where("cameras", index, *_place_key(section)), f"[{_numbers(camera.position_m)}]"
+    where = drawn.where("cameras", index, *_place_key(section))
     raise RecipeError(problem, where=where, expected=expected, got=got, hint=hint)
 
 
@@ -163,24 +189,3 @@ def _place_key(section: CameraSection) -> tuple[str, ...]:
     if section.position_m is None:
         return ("rig",)
     return ("path", "position_m") if section.path is not None and section.path.position_m else ("position_m",)
-
-
-def check_trunks(drawn: DrawnRecipe, cameras: Sequence[Sequence[Camera]], trunks: Trunks) -> list[str]:
-    """Refuse cameras in trunks or right before them; notes on those of entries whose `obstructed` is a note.
-
-    Raises
-    ------
-    RecipeError : with the camera's line.
-    """
-    notes = []
-    for index, entry in enumerate(cameras):
-        for camera in entry:
-            apart_m, plant = trunks.clearance_m(np.array(camera.position_m), LEAST_FROM_TRUNKS_M)
-            if not plant:
-                continue
-            stands = "in" if apart_m < 0 else f"{apart_m * 100:.2g} cm from"
-            problem = f"the camera {camera.name} stands {stands} the trunk of plant {plant}"
-            expected = f"at least {LEAST_FROM_TRUNKS_M * 100:g} cm to any trunk"
-            hint = "move it; rig: {kind: walk} goes around trunks; or set obstructed: note"
-            notes.append(_note_or_error(drawn, index, camera, problem, expected, hint))
-    return notes

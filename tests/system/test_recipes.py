@@ -27,7 +27,7 @@ SMALL = (
 
 
 COARSE = {  # of clouds, of a walk of eight frames, of a house on a larger site, and of large stands
-    "branch_modules": ("community.obstacles.0.position_m=[18, 20]",),
+    "branch_modules": ("site.buildings.0.position_m=[18, 20]",),
     "ecoclimates/aridity": ("community.steps=6", "community.initial_plants=20"),
     "ecoclimates/dieback": ("community.steps=6", "community.initial_plants=20"),
     "ecoclimates/drought": ("community.steps=6",),

@@ -24,13 +24,14 @@ from forestgen.scene.planning import check_plan
 
 _KEY = b"forestgen.community"
 _STEP = 3
-_HEAD = "forestgen: 1\nseed: 4\nsite: {size_m: [20, 12]}\ncameras: [{position_m: [0, -9, 2]}]\n"
-_MODULES = "species: {pine: , house: , shrub: }\ncommunity: {model: %s, initial_plants: 9, history_modules: true, "
-_OBSTACLE = "obstacles: [{species: house, position_m: [5, 5], size_m: [3, 3, 3]}], standing_dead_yr: 4, "
+_HEAD = "forestgen: 1\nseed: 4\ncameras: [{position_m: [0, -9, 2]}]\nsite: {size_m: [20, 12]%s}\n"
+_MODULES = "species: {pine: , shrub: }\ncommunity: {model: %s, initial_plants: 9, history_modules: true, "
+_BUILDING = ", buildings: [{kind: house, position_m: [5, 5], size_m: [3, 3, 3]}]"
+_DEAD = "standing_dead_yr: 4, "
 _RECIPES = {
-    "branch_modules": _MODULES % "branch_modules" + _OBSTACLE + "dieback_share: 0.3, ",
+    "branch_modules": _MODULES % "branch_modules" + _DEAD + "dieback_share: 0.3, ",
     "ecoclimate": _MODULES % "ecoclimate"
-    + _OBSTACLE
+    + _DEAD
     + "soil_water: {cell_m: 4}, climate: {temperature_c: [10, 10, 10, 10, 10, 10, 10, 10, 10, 10, 10, 10], "
     "precipitation_mm: [60, 60, 60, 60, 60, 60, 60, 60, 60, 60, 60, 60]}, ",
     "forest_footprints": "species: {poplar: , spruce: }\ncommunity: {model: forest_footprints, "
@@ -39,6 +40,10 @@ _RECIPES = {
     "multiset_lsystem": "species: {poplar: , spruce: }\ncommunity: {model: multiset_lsystem, ",
     "uniform": "species: {poplar: , spruce: }\ncommunity: {model: uniform, plants: {poplar: {count: 20}}, ",
 }
+
+
+def _head(model: str) -> str:
+    return _HEAD % (_BUILDING if model in ("branch_modules", "ecoclimate") else "")
 
 
 @dataclass(frozen=True)
@@ -56,7 +61,11 @@ def written(tmp_path_factory):
     def of(model: str) -> Written:
         if model not in made:
             folder = tmp_path_factory.mktemp(model)
-            (folder / "stand.yaml").write_text(_HEAD + _RECIPES[model] + f"steps: {_STEP + 3}}}\n")
+            (folder / "stand.yaml").write_text(
+                _HEAD % (_BUILDING if "modules" in _RECIPES[model] else "")
+                + _RECIPES[model]
+                + f"steps: {_STEP + 3}}}\n"
+            )
             plan = check_plan(load_recipe(folder / "stand.yaml", []), simulate_only=True)
             beginning = (one for one in snapshots(plan.community, Silent()) if one.step <= _STEP)
             with_modules = model in ("branch_modules", "ecoclimate")
@@ -175,7 +184,7 @@ OWN = [
     ("branch_modules", "dead_yr", -5.0),
     ("branch_modules", "dead_yr", np.inf),
     ("branch_modules", "tallest_m", np.nan),
-    ("branch_modules", "species", 1),  # a house among the plants
+    ("branch_modules", "species", 2),  # a house among the plants
     ("ecoclimate", "next_module", 0),
     ("ecoclimate", "dead_yr", 1e9),
     ("forest_footprints", "age_yr", 1e12),

@@ -21,11 +21,13 @@ from forestgen.scene.planning import make_plan
 PAGE = Path(__file__).parents[3] / "docs" / "branch_modules.md"
 RECIPE = {
     "forestgen": 1,
-    "site": {"size_m": [20, 20], "terrain": {"kind": "rolling", "amplitude_m": 2, "wavelength_m": 15}},
-    "species": {"birch": None, "house": None},
+    "site": {
+        "size_m": [20, 20], "terrain": {"kind": "rolling", "amplitude_m": 2, "wavelength_m": 15},
+        "buildings": [{"kind": "house", "position_m": [10, 10], "size_m": [5, 5, 5]}],
+    },
+    "species": {"birch": None},
     "community": {
         "model": "branch_modules", "steps": 12, "initial_plants": {"birch": 4}, "history_modules": True,
-        "obstacles": [{"species": "house", "position_m": [10, 10], "size_m": [5, 5, 5]}],
     },
 }  # fmt: skip
 

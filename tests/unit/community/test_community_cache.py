@@ -14,15 +14,13 @@ from PIL import Image
 from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
 
-from forestgen.community import community_cache
-from forestgen.community import simulation as community
-from forestgen.community.community_cache import _told, as_kept, community_key
+from forestgen.community import simulation
 from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.model import Site
 from forestgen.community.placement.density_map import MapSection
 from forestgen.community.population import Population
 from forestgen.community.registry import COMMUNITY_MODELS
-from forestgen.community.simulation import final_population
+from forestgen.community.simulation import _content, as_kept, community_key, final_population
 from forestgen.core.cache import ENVIRONMENT
 from forestgen.core.errors import RecipeError
 from forestgen.core.packed import pack
@@ -61,7 +59,7 @@ RECIPES = {"succession": SUCCESSION, "placed": PLACED, "modules": MODULES}
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An empty cache in which everything is worth its place."""
     monkeypatch.setenv(ENVIRONMENT, str(tmp_path / "cache"))
-    monkeypatch.setattr(community, "WORTHWHILE_S", 0.0)
+    monkeypatch.setattr(simulation, "WORTHWHILE_S", 0.0)
     return tmp_path / "cache" / "communities"
 
 
@@ -80,8 +78,8 @@ def planned(folder: Path, text: str, *overrides: str) -> Plan:
 def simulations(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """Grows with each simulation."""
     done: list[int] = []
-    own = community.snapshots
-    monkeypatch.setattr(community, "snapshots", lambda *args: done.append(1) or own(*args))
+    own = simulation.snapshots
+    monkeypatch.setattr(simulation, "snapshots", lambda *args: done.append(1) or own(*args))
     return done
 
 
@@ -111,12 +109,12 @@ def test_what_comes_from_disk_is_what_would_be_simulated(
 
 
 def test_an_empty_community_and_a_states_lists_come_back(cache: Path, tmp_path: Path) -> None:
-    store = community_cache.community_store()
+    store = simulation.community_store()
     assert store is not None
     empty = final_population(planned(tmp_path, SUCCESSION, "community.steps=0").community, Silent())
     told = replace(empty, state={"notes": ["one", "two"], "next_id": 7, "deep": {"a": [1, [2.5, None]], "b": (1,)}})
-    assert community_cache.keep_community(store, "x", told)
-    found = community_cache.load_community(store, "x")
+    assert simulation.keep_community(store, "x", told)
+    found = simulation.load_community(store, "x")
     assert found is not None
     assert pack(found) == pack(told)
     assert found.state == told.state
@@ -137,7 +135,7 @@ def test_a_damaged_entry_is_simulated_anew(cache: Path, tmp_path: Path, monkeypa
 
 
 def test_what_is_simulated_in_no_time_is_not_kept(cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(community, "WORTHWHILE_S", 3600.0)
+    monkeypatch.setattr(simulation, "WORTHWHILE_S", 3600.0)
     final_population(planned(tmp_path, SUCCESSION).community, Silent())
     assert not cache.exists()
 
@@ -221,7 +219,7 @@ def test_seed_steps_files_and_code_are_in_the_key(cache: Path, tmp_path: Path, m
     seen.add(community_key(planned(tmp_path, PLACED, "community.model=uniform").community))
     np.save(tmp_path / "hills.npy", np.full((4, 6), 2.0))
     seen.add(community_key(planned(tmp_path, PLACED).community))
-    monkeypatch.setattr(community_cache, "code_hash", lambda *_: "other")
+    monkeypatch.setattr(simulation, "code_hash", lambda *_: "other")
     seen.add(community_key(planned(tmp_path, PLACED).community))
     assert len(seen) == 6
     assert None not in seen
@@ -260,7 +258,7 @@ def test_every_key_of_every_model_is_told(name: str) -> None:
     base = complete(kind)
     for field, about in kind.model_fields.items():
         if not about.exclude:  # a map's file is told by its SHA-256
-            assert _told(base.model_copy(update={field: another(getattr(base, field))})) != _told(base), field
+            assert _content(base.model_copy(update={field: another(getattr(base, field))})) != _content(base), field
 
 
 def test_everything_of_the_site_and_of_a_species_is_told(tmp_path: Path) -> None:
@@ -275,8 +273,8 @@ def test_everything_of_the_site_and_of_a_species_is_told(tmp_path: Path) -> None
                 changed = replace(whole, name="other")
             else:
                 changed = replace(whole, **{one.name: getattr(whole, one.name) * 0.5 + 0.01})
-            assert _told(changed) != _told(whole), one.name
-    assert _told(Site((1.0, 2.0))) != _told(SpeciesEcology("a", 0, 1, 0, 0, 0, 1, 1, 1))
+            assert _content(changed) != _content(whole), one.name
+    assert _content(Site((1.0, 2.0))) != _content(SpeciesEcology("a", 0, 1, 0, 0, 0, 1, 1, 1))
 
 
 def test_what_its_content_does_not_tell_is_not_kept(tmp_path: Path) -> None:
@@ -285,4 +283,4 @@ def test_what_its_content_does_not_tell_is_not_kept(tmp_path: Path) -> None:
     assert community_key(replace(plan.community, site=strange)) is None
     unnamed = MapSection.model_construct(file="x.png", sha256=None, rows=None)
     with pytest.raises(TypeError):
-        _told(unnamed)
+        _content(unnamed)

@@ -14,20 +14,19 @@ from forestgen.community.branch_modules.traits import STAND_IN
 from forestgen.community.history_files import check_graphs
 from forestgen.community.model import simulate
 from forestgen.community.simulation import snapshots
-from forestgen.core.errors import OutputError, RecipeError, ResourceError
+from forestgen.core.errors import AssetError, OutputError, RecipeError, ResourceError
 from forestgen.core.progress import Silent
 from forestgen.recipe.load import load_recipe
 from forestgen.scene.planning import check_plan
 
 STAND = """
 forestgen: 1
-site: {size_m: [12, 12]}
-species: {pine: , house: }
+site: {size_m: [12, 12], buildings: [{kind: house, position_m: [6, 6], size_m: [2, 2, 2]}]}
+species: {pine: }
 community:
   model: branch_modules
   initial_plants: 8
   steps: 4
-  obstacles: [{species: house, position_m: [6, 6], size_m: [2, 2, 2]}]
 cameras: [{position_m: [0, -10, 2]}]
 """
 
@@ -51,28 +50,63 @@ def test_what_nobody_can_grow_is_told_at_its_place(tmp_path, setting, place):
     assert place in str(told.value)
 
 
+CLIMATE = ", climate: {place: Juneau}"
+
+
 @pytest.mark.parametrize("model", ["branch_modules", "ecoclimate"])
-@pytest.mark.parametrize(
-    ("species", "obstacles", "line", "problem"),
-    [
-        ("{pine: , house: }", "[]", "species.house", "house is no plant, and none stands anywhere"),
-        ("{pine: , house: , barn: {from: house}}", "[{species: house, position_m: [6, 6], size_m: [2, 2, 2]}]",
-         "species.barn", "barn is no plant"),
-        ("{pine: , fireweed: }", "[]", "species.fireweed", "fireweed does not grow by branch modules"),
-    ],
-)  # fmt: skip
-def test_a_species_that_neither_grows_nor_stands_is_told_at_its_place(
-    tmp_path, model, species, obstacles, line, problem
-):
-    climate = ", climate: {place: Juneau}" * (model == "ecoclimate")
+@pytest.mark.parametrize("name", ["snag", "stump", "log"])
+def test_dead_wood_does_not_grow(tmp_path, model, name):
     with pytest.raises(RecipeError) as told:
         plan_of(
             tmp_path,
-            f"species={species}",
-            f"community={{model: {model}, initial_plants: 8, steps: 4, obstacles: {obstacles}{climate}}}",
+            f"species={{pine: , {name}: }}",
+            f"community={{model: {model}, initial_plants: 8, steps: 4{CLIMATE * (model == 'ecoclimate')}}}",
         )
-    assert line in str(told.value.where)
-    assert problem in told.value.problem
+    assert f"species.{name}" in str(told.value.where)
+    assert told.value.problem == f"{name} is no living plant"
+    assert "standing_dead_yr" in told.value.hint
+
+
+@pytest.mark.parametrize("model", ["branch_modules", "ecoclimate"])
+def test_a_species_of_ones_own_needs_modules(tmp_path, model):
+    with pytest.raises(RecipeError) as told:
+        plan_of(
+            tmp_path,
+            "species={pine: , mine: {from: fireweed, modules: null}}",
+            f"community={{model: {model}, initial_plants: 8, steps: 4{CLIMATE * (model == 'ecoclimate')}}}",
+        )
+    assert "species.mine" in str(told.value.where)
+    assert told.value.problem == "mine does not grow by branch modules"
+
+
+@pytest.mark.parametrize("model", ["branch_modules", "ecoclimate"])
+def test_obstacles_of_older_recipes_are_told_their_new_key(tmp_path, model):
+    with pytest.raises(RecipeError) as told:
+        plan_of(
+            tmp_path,
+            f"community={{model: {model}, steps: 4, obstacles: [{{species: house, position_m: [6, 6]}}]"
+            f"{CLIMATE * (model == 'ecoclimate')}}}",
+        )
+    assert "community.obstacles" in str(told.value.where)
+    assert "site.buildings" in told.value.expected
+
+
+def test_a_house_among_the_species_is_told_its_new_key(tmp_path):
+    with pytest.raises(AssetError) as told:
+        plan_of(tmp_path, "species={pine: , house: }")
+    assert "site: {buildings: [{kind: house" in told.value.hint
+
+
+def test_a_species_has_another_name_than_a_building(tmp_path):
+    with pytest.raises(RecipeError, match="labels use this name for what is no plant"):
+        plan_of(tmp_path, "species={house: {from: pine}}")
+
+
+def test_buildings_need_a_community_that_knows_of_them(tmp_path):
+    with pytest.raises(RecipeError) as told:
+        plan_of(tmp_path, "community={model: uniform, plants: {pine: {count: 3}}}")
+    assert "site.buildings" in str(told.value.where)
+    assert "branch_modules" in told.value.expected
 
 
 def test_seeds_from_elsewhere_of_a_stranger_are_refused_in_a_change_too(tmp_path):
@@ -80,7 +114,6 @@ def test_seeds_from_elsewhere_of_a_stranger_are_refused_in_a_change_too(tmp_path
         plan_of(
             tmp_path,
             "community={model: ecoclimate, initial_plants: 8, steps: 4, climate: {place: Juneau}, "
-            "obstacles: [{species: house, position_m: [6, 6], size_m: [2, 2, 2]}], "
             "changes: [{at_yr: 1, set: {global_seeding: [{species: [house], seeds_per_ha: 1000}]}}]}",
         )
     assert "changes.0.set.global_seeding" in str(told.value)

@@ -13,20 +13,19 @@ from forestgen.community.resume import origin, snapshot_to_resume
 from forestgen.community.simulation import final_population, snapshots
 from forestgen.core.errors import AssetError, RecipeError
 from forestgen.core.progress import Silent
-from forestgen.plants.build import built
 from forestgen.recipe.load import load_recipe
+from forestgen.scene.building import exemplar_of
 from forestgen.scene.plan import Plan
 from forestgen.scene.planning import check_plan
 
 RECIPE = """\
 forestgen: 1
-site: {size_m: [30, 30]}
-species: {spruce: , house: }
+site: {size_m: [30, 30], buildings: [{kind: house, position_m: [15, 15], azimuth_deg: 30, size_m: [10, 8, 7]}]}
+species: {spruce: }
 community:
   model: branch_modules
   steps: 6
   initial_plants: {spruce: 5}
-  obstacles: [{species: house, position_m: [15, 15], azimuth_deg: 30, size_m: [10, 8, 7]}]
   temperature_c: 5
   precipitation_mm_per_yr: 800
   changes: [{at_yr: 2, set: {temperature_c: 9}}, {at_yr: 5, set: {species.spruce.shade_tolerance: 0.2}}]
@@ -75,7 +74,7 @@ def test_obstacles_are_the_first_plants_and_stand_as_they_are_told(recipe: Path)
     population = plan.community.obstacles.turned(final_population(plan.community, Silent()))
     ((row, house),) = plan.community.obstacles.rows_of(population).items()
     assert population.columns["azimuth_deg"][row] == 30
-    exemplar = built("house", plan.drawn.species["house"], plan.plants.generators["house"], house.size_m, 6.4)
+    exemplar = exemplar_of(house, 6.4)
     assert exemplar.height_m == population.height_m[row] == 7
     np.testing.assert_allclose(exemplar.bounds_m()[1, :2], [5, 4])
 
@@ -83,10 +82,14 @@ def test_obstacles_are_the_first_plants_and_stand_as_they_are_told(recipe: Path)
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [
-        (("community.obstacles.0.position_m=[5,5]",), r"recipe.yaml:8|position_m[\s\S]*does not lie on the site"),
-        (("community.obstacles.0.species=spruce",), r"a plant, and no obstacle[\s\S]*expected  one of house"),
-        (("community.obstacles.0.species=hause",), "did you mean 'house'"),
-        (("community.initial_plants={house: 3}",), r"initial_plants.house: house does not grow by branch modules"),
+        (
+            ("site.buildings.0.position_m=[5,5]",),
+            r"buildings.0.position_m: this building does not lie on the site",
+        ),
+        (("site.buildings.0.kind=hause",), "did you mean 'house'"),
+        (("site.buildings.0.size_m=[0,3,3]",), r"site.buildings.0.size_m.0"),
+        (("site.buildings.0.chimneys=2",), r"site.buildings.0.chimneys"),
+        (("community.initial_plants={house: 3}",), r"initial_plants.house: the recipe has no species of this name"),
         (("community.changes.1.set={species.house.opacity: 1}",), r"changes.1.set.species.house.opacity"),
         (("community.changes.0.set={temperature_c: 40}",), r"changes.0.set.temperature_c[\s\S]*-10 to 33 deg C"),
         (("community.step_yr=0",), "community.step_yr"),

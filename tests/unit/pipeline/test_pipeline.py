@@ -60,7 +60,7 @@ class Written:
 def written(tmp_path_factory: pytest.TempPathFactory) -> Written:
     folder, noted, timings = tmp_path_factory.mktemp("run"), Noted(), Timings()
     loaded = load_recipe(QUICKSTART, TINY)
-    scene = pipeline.assemble_image(make_plan(loaded.draw(0)), loaded.seed, noted, timings)
+    scene = pipeline.assemble_image(make_plan(loaded.draw(0)), noted, timings)
     image = pipeline.write_image(scene, data_set_of(scene.drawn), folder, noted, timings)
     return Written(folder, image, noted, timings, timings.total())
 

@@ -53,7 +53,7 @@ def test_bright_textures_lose_contrast_and_no_light():
     assert np.corrcoef(seen[..., 2].ravel(), dark[..., 2].ravel())[0, 1] > 0.999
 
 
-PLANTS = [name for name in list_assets("species") if name != "house"]  # whose paint has colours, not spectra
+PLANTS = list_assets("species")
 
 
 @pytest.mark.parametrize(

@@ -10,13 +10,13 @@ import pytest
 from test_own_plants import cameras, grown, planned
 
 from forestgen.community.population import Population, Status
+from forestgen.community.summary import standing_dead
 from forestgen.core.errors import RecipeError
 from forestgen.core.parts import Part
-from forestgen.pipeline import only_snags
 from forestgen.plants.growing import grow_exemplar
 from forestgen.recipe.load import load_recipe_data
-from forestgen.scene import build as scene
-from forestgen.scene.explicit_plants import MATERIAL, species_seen
+from forestgen.scene import growth
+from forestgen.scene.growth import MATERIAL, species_seen
 from forestgen.scene.planning import check_plan
 from forestgen.scene.surfaces import materials_of
 
@@ -34,13 +34,13 @@ def dying() -> Population:
 def test_the_dead_are_bare_dead_wood_and_the_living_are_as_they_were(unique: str | int) -> None:
     plants = dying()
     plan = planned(houses=False, unique=unique, exemplars_per_species=1)
-    chosen = scene.choose_exemplars(plan, plants, cameras(plan))
-    requests = scene.exemplar_requests(plan, chosen, plants)
+    chosen = growth.choose_exemplars(plan, plants, cameras(plan))
+    requests = growth.exemplar_requests(plan, chosen, plants)
     dead = plants.status == Status.DEAD
     assert np.array_equal(dead[chosen.plant][chosen.exemplar_of_plant], dead)  # nobody stands for another kind
     materials = materials_of(species_seen(plan.drawn.species, plants))
     usual = planned(houses=False, unique=unique, exemplars_per_species=1)
-    before = {request.key() for request in scene.exemplar_requests(usual, chosen, grown(houses=False))}
+    before = {request.key() for request in growth.exemplar_requests(usual, chosen, grown(houses=False))}
     for index, request in enumerate(requests):
         plant = grow_exemplar(request)
         parts = {organ.part for organ in plant.organs}
@@ -85,6 +85,6 @@ def test_dead_trees_that_would_bear_leaves_are_refused_before_anything_grows() -
 def test_a_stand_of_nothing_but_dead_trees_is_told_from_one_that_lives() -> None:
     plants = dying()
     dead = replace(plants, status=np.full_like(plants.status, Status.DEAD))
-    assert only_snags(dead)
-    assert not only_snags(plants)
-    assert not only_snags(grown(houses=False))
+    assert standing_dead(dead) == len(dead) > 0
+    assert 0 < standing_dead(plants) < len(plants)
+    assert standing_dead(grown(houses=False)) == 0

@@ -15,16 +15,17 @@ from forestgen.core.progress import Silent, Timings
 from forestgen.plants.growing import grow_exemplar
 from forestgen.recipe.load import load_recipe_data
 from forestgen.scene import build as scene
-from forestgen.scene.assemble import place_instances
-from forestgen.scene.explicit_plants import has_own
+from forestgen.scene import growth
+from forestgen.scene.build import place_instances
+from forestgen.scene.growth import has_branches
 from forestgen.scene.plan import Plan, estimate_bytes, own_triangles
 from forestgen.scene.planning import make_plan
 from forestgen.scene.views import drawn_cameras
 
 HOUSES = [
-    {"species": "house", "position_m": [12, 12], "azimuth_deg": 25, "size_m": [6, 5, 5]},
-    {"species": "house", "position_m": [4, 4], "azimuth_deg": 70, "size_m": [4, 3, 3]},
-    {"species": "house", "position_m": [4, 12], "azimuth_deg": 0, "size_m": [6, 5, 5]},
+    {"kind": "house", "position_m": [12, 12], "azimuth_deg": 25, "size_m": [6, 5, 5]},
+    {"kind": "house", "position_m": [4, 4], "azimuth_deg": 70, "size_m": [4, 3, 3]},
+    {"kind": "house", "position_m": [4, 12], "azimuth_deg": 0, "size_m": [6, 5, 5]},
 ]
 
 
@@ -32,13 +33,12 @@ def planned(*, houses: bool = True, **plants: object) -> Plan:
     data = {
         "forestgen": 1,
         "seed": 3,
-        "site": {"size_m": [16, 16]},
-        "species": {"oak": None, "spruce": None, **({"house": None} if houses else {})},
+        "site": {"size_m": [16, 16], "buildings": HOUSES if houses else []},
+        "species": {"oak": None, "spruce": None},
         "community": {
             "model": "branch_modules",
             "steps": 8,
             "initial_plants": {"oak": 4, "spruce": 5},
-            "obstacles": HOUSES if houses else [],
         },
         "plants": plants,
         "cameras": [
@@ -67,15 +67,13 @@ def cameras(plan: Plan):
 
 def test_unique_plants_have_their_own_wood_and_are_kept_on_no_disk():
     plan, plants = planned(unique=3, exemplars_per_species=1), grown()
-    chosen = scene.choose_exemplars(plan, plants, cameras(plan))
-    requests = scene.exemplar_requests(plan, chosen, plants)
+    chosen = growth.choose_exemplars(plan, plants, cameras(plan))
+    requests = growth.exemplar_requests(plan, chosen, plants)
     assert chosen.is_unique.sum() == 3
-    for index, request in enumerate(requests):
+    grown_ones = np.flatnonzero(chosen.species != 2)
+    for index, request in zip(grown_ones.tolist(), requests, strict=True):
         row = int(chosen.plant[index])
-        name = plants.species_names[chosen.species[index]]
-        assert request.species_name == name
-        if name == "house":
-            continue
+        assert request.species_name == plants.species_names[chosen.species[index]]
         assert request.wood is not None
         assert request.identity == ("own", int(plants.plant_id[row]))
         assert request.is_kept != chosen.is_unique[index]
@@ -85,10 +83,12 @@ def test_unique_plants_have_their_own_wood_and_are_kept_on_no_disk():
 
 def test_exemplars_are_grown_from_the_branches_and_marked():
     plan, plants = planned(unique="all"), grown()
-    chosen = scene.choose_exemplars(plan, plants, cameras(plan))
-    requests = scene.exemplar_requests(plan, chosen, plants)
-    tallest = int(np.argmax(np.where(chosen.species == 2, 0.0, plants.height_m[chosen.plant])))
-    plant = grow_exemplar(requests[tallest])
+    chosen = growth.choose_exemplars(plan, plants, cameras(plan))
+    requests = growth.exemplar_requests(plan, chosen, plants)
+    grown_ones = np.flatnonzero(chosen.species != 2)
+    place = int(np.argmax(plants.height_m[chosen.plant[grown_ones]]))
+    tallest = grown_ones[place]
+    plant = grow_exemplar(requests[place])
     marks, row = plant.marks(), int(chosen.plant[tallest])
     assert plants.modules is not None
     own = plants.modules.number[plants.modules.first[row] : plants.modules.first[row + 1]]
@@ -99,14 +99,13 @@ def test_exemplars_are_grown_from_the_branches_and_marked():
 
 def test_houses_have_one_exemplar_a_size_and_stand_turned():
     plan, plants = planned(unique="none"), grown()
-    chosen = scene.choose_exemplars(plan, plants, cameras(plan))
+    chosen = growth.choose_exemplars(plan, plants, cameras(plan))
     rows = np.flatnonzero(plants.species == 2)
     assert len(rows) == 3
     mine = chosen.exemplar_of_plant[rows]
     assert mine[0] == mine[2] != mine[1]
-    requests = scene.exemplar_requests(plan, chosen, plants)
-    assert [requests[int(index)].box_m for index in mine[:2]] == [(6, 5, 5), (4, 3, 3)]
-    exemplars = scene.grow_planned(plan, chosen, Silent(), plants)
+    exemplars = growth.grow_planned(plan, chosen, Silent(), plants)
+    assert [exemplars[int(index)].height_m for index in mine[:2]] == [5.0, 3.0]
     house = exemplars[int(mine[0])]
     assert {organ.part for organ in house.organs} == {Part.STRUCTURE}
     stands_for_m = plants.height_m[chosen.plant]
@@ -123,11 +122,11 @@ def test_a_population_without_modules_is_drawn_by_its_generator():
     plan = planned(houses=False)
     bare = grown(houses=False)
     plain = Population(**{name: getattr(bare, name) for name in bare.__dataclass_fields__ if name != "modules"})
-    assert has_own(plan, bare)
-    assert not has_own(plan, plain)
-    chosen = scene.choose_exemplars(plan, plain, cameras(plan))
+    assert has_branches(plan, bare).any()
+    assert not has_branches(plan, plain).any()
+    chosen = growth.choose_exemplars(plan, plain, cameras(plan))
     assert np.all(chosen.plant == -1)
-    assert all(request.wood is None for request in scene.exemplar_requests(plan, chosen, plain))
+    assert all(request.wood is None for request in growth.exemplar_requests(plan, chosen, plain))
 
 
 def test_memory_counts_the_plants_that_are_unique():
@@ -139,11 +138,11 @@ def test_memory_counts_the_plants_that_are_unique():
 
 def test_more_plants_as_themselves_than_memory_holds_are_refused(monkeypatch: pytest.MonkeyPatch):
     plan, population = planned(unique="all"), grown()
-    scene.choose_exemplars(plan, population, cameras(plan))
+    growth.choose_exemplars(plan, population, cameras(plan))
     monkeypatch.setattr("forestgen.scene.plan.free_bytes", lambda: 5_000_000)
     with pytest.raises(ResourceError, match=r"unique.*branches of their own"):
-        scene.choose_exemplars(plan, population, cameras(plan))
-    scene.choose_exemplars(planned(unique="none"), population, cameras(plan))
+        growth.choose_exemplars(plan, population, cameras(plan))
+    growth.choose_exemplars(planned(unique="none"), population, cameras(plan))
 
 
 @pytest.mark.parametrize("wanted", ["some", -1, 2.5, True])

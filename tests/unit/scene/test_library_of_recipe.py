@@ -13,8 +13,8 @@ from forestgen.core.errors import RecipeError
 from forestgen.core.progress import Silent
 from forestgen.plants import growing
 from forestgen.recipe.load import dump_yaml, load_recipe
-from forestgen.scene import build as scene
-from forestgen.scene.exemplar_library import modelled_species
+from forestgen.scene import growth
+from forestgen.scene.exemplars import modelled_species
 from forestgen.scene.plan import Plan
 from forestgen.scene.planning import make_plan
 
@@ -69,8 +69,8 @@ def herbs(plan: Plan, n: int = 12) -> Population:
 
 
 def keys(plan: Plan) -> set[str]:
-    chosen = scene.choose_exemplars(plan, herbs(plan), ())
-    return {request.key() for request in scene.exemplar_requests(plan, chosen)}
+    chosen = growth.choose_exemplars(plan, herbs(plan), ())
+    return {request.key() for request in growth.exemplar_requests(plan, chosen)}
 
 
 def test_images_of_a_split_ask_for_the_same_plants_and_other_splits_for_others(recipe: Path) -> None:
@@ -92,7 +92,7 @@ def test_without_a_library_every_image_has_its_own(recipe: Path) -> None:
     one, other = (keys(planned(recipe, image, "plants.library=null")) for image in (0, 2))
     assert not one & other
     plan = planned(recipe, 0, "plants.library=null")
-    requests = scene.exemplar_requests(plan, scene.choose_exemplars(plan, herbs(plan), ()))
+    requests = growth.exemplar_requests(plan, growth.choose_exemplars(plan, herbs(plan), ()))
     assert requests[0].identity == ("exemplar", "fireweed", 0)
     assert requests[0].seed == plan.drawn.image_seed
     assert requests[0].species is plan.drawn.species["fireweed"]
@@ -115,11 +115,11 @@ def test_images_late_in_the_data_set_take_their_plants_from_memory_or_disk(
     recipe: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("FORESTGEN_CACHE", str(tmp_path / "cache"))
-    plan = planned(recipe, scene.MOST_CACHED_IMAGES + 4)
-    chosen = scene.choose_exemplars(plan, herbs(plan), ())
+    plan = planned(recipe, growth.MOST_CACHED_IMAGES + 4)
+    chosen = growth.choose_exemplars(plan, herbs(plan), ())
 
     def vertices() -> list[bytes]:
-        grown = scene.grow_planned(plan, chosen, Silent())
+        grown = growth.grow_planned(plan, chosen, Silent())
         return [organ.mesh.vertices_m.tobytes() for one in grown for organ in one.organs]
 
     first = vertices()
@@ -136,7 +136,7 @@ def test_memory_holds_no_more_than_its_bytes(recipe: Path, monkeypatch: pytest.M
     monkeypatch.setattr(growing._shared, "most_bytes", 300_000)
     for image in (0, 2):
         plan = planned(recipe, image)
-        scene.grow_planned(plan, scene.choose_exemplars(plan, herbs(plan), ()), Silent())
+        growth.grow_planned(plan, growth.choose_exemplars(plan, herbs(plan), ()), Silent())
         held = list(growing._shared._kept.values())
         assert sum(one.nbytes for one in held) <= 300_000
 

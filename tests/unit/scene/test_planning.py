@@ -12,7 +12,6 @@ from forestgen.recipe.load import load_recipe
 from forestgen.scene import plan
 from forestgen.scene.plan import Plan, check_memory, estimate_bytes
 from forestgen.scene.planning import check_plan, make_plan
-from forestgen.scene.views import views_below_ground
 
 QUICKSTART = Path(__file__).parents[3] / "recipes" / "quickstart.yaml"
 PERIOD = "model: multiset_lsystem, program: self_thinning"
@@ -64,7 +63,7 @@ def test_a_barren_recipe_has_no_plants_and_another_may() -> None:
     ],
 )
 def test_cameras_below_the_ground_are_named(override: str, below: list[str]) -> None:
-    assert views_below_ground(planned("site.terrain=rolling", override).drawn) == below
+    assert planned("site.terrain=rolling", override).views.below_ground == below
 
 
 MORE = {

@@ -15,6 +15,7 @@ from forestgen.core.randomness import child_rng
 from forestgen.plants import growing
 from forestgen.recipe.load import load_recipe
 from forestgen.scene import build as scene
+from forestgen.scene import growth
 from forestgen.scene.plan import Plan, estimate_bytes
 from forestgen.scene.planning import check_plan, make_plan
 from forestgen.scene.spec import Terrain
@@ -99,8 +100,8 @@ def test_identities_are_the_species_rank_and_variant_at_any_level() -> None:
     plan = planned("plants.variants_per_size=2", "plants.levels=true", "plants.exemplars_per_species=2")
     population = herbs([*np.linspace(0, 1, 40), *np.linspace(1500, 1600, 40)])
     built = scene.build_scene(plan, population, Silent(), Timings())
-    chosen = scene.choose_exemplars(plan, built.population, built.spec.cameras)
-    requests = scene.exemplar_requests(plan, chosen)
+    chosen = growth.choose_exemplars(plan, built.population, built.spec.cameras)
+    requests = growth.exemplar_requests(plan, chosen)
     by_identity: dict[tuple[str | int, ...], set[float]] = {}
     for one in requests:
         by_identity.setdefault(one.identity, set()).add(one.radius_m)
@@ -136,7 +137,7 @@ def test_the_cache_changes_nothing_and_a_later_image_leaves_it_alone(
     assert vertices(planned()) == without
     entries = len(list((tmp_path / "exemplars").iterdir()))
     assert entries == 3
-    vertices(planned("images=99", image=scene.MOST_CACHED_IMAGES))
+    vertices(planned("images=99", image=growth.MOST_CACHED_IMAGES))
     assert len(list((tmp_path / "exemplars").iterdir())) == entries
     monkeypatch.setattr(growing, "grow_exemplar", None)  # would fail
     assert vertices(planned()) == without

@@ -2,46 +2,19 @@
 
 Geometry
 --------
-The frame is a plant's own: origin in the middle of the ground plan, z up. The ridge runs along x; the door is in the
-front, towards -y. Everything but the chimney lies within the box of width (x), depth (y) and height (z, to the ridge)
-that the community keeps its plants out of: the walls stand an overhang inside of it. Walls reach 1 m into the ground,
-which may slope.
+The origin is in the middle of the ground plan, z up. The ridge runs along x; the door is in the front, towards -y.
+Everything but the chimney lies within the box of width (x), depth (y) and height (z, to the ridge) that the community
+keeps its plants out of: the walls stand an overhang inside of it. Walls reach 1 m into the ground, which may slope.
 
 The roof rises with the slope's tangent times half the depth, but over no more than half of the height. It has courses
 of tiles, each of which lies on the next lower one. Windows stand in rows, a row a storey, as many as fit; they are
 recessed, with a frame, a cross of bars and a sill. A wall too small for one has none.
 
-Parameters
-----------
-================== ====== ======= ==========================================================
-name               unit   default meaning
-================== ====== ======= ==========================================================
-roof_slope_deg     degree 40      of the roof, 10 to 60
-overhang_m         m      0.4     of the roof beyond the walls; at most a tenth of the house
-storey_m           m      2.7     from one row of windows to the next
-window_m           m      0.9 1.2 width and height of a window
-window_spacing_m   m      2.6     from one window to the next
-door_m             m      1.0 2.1 width and height of the door
-course_m           m      0.33    of tiles, along the slope
-chimney            -      true    whether there is one
-materials          -      -       wall, plinth, roof, glass, frame, door, chimney: material of each
-================== ====== ======= ==========================================================
+Example
+-------
+    site: {buildings: [{kind: house, position_m: [30, 40], azimuth_deg: 20, size_m: [12, 9, 8], roof_slope_deg: 35}]}
 
-Recipe
-------
-::
-
-    species:
-      house:
-    community:
-      model: branch_modules
-      obstacles: [{species: house, position_m: [30, 40], azimuth_deg: 20, size_m: [12, 9, 8]}]
-
-Decisions
----------
-- A species of this generator may also stand in a community of another model: its height and width are then those of its
-  allometry, and its depth three quarters of the width.
-- Sizes are kept, nothing is random: a house is the same whatever the seed.
+Parameters: see `House`. Materials are those of its parts: wall, plinth, roof, glass, frame, door, chimney.
 """
 
 from __future__ import annotations
@@ -53,57 +26,58 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, Field
+from pydantic import Field, field_validator
 
-from forestgen.core.parts import Part
 from forestgen.geometry.mesh import Mesh
-from forestgen.plants.exemplar import Exemplar, OrganMesh
-from forestgen.plants.parameters import STRICT, Fit, PlantParameters, Wood
-from forestgen.plants.skeleton import Skeleton
+from forestgen.recipe.buildings import Building
+from forestgen.recipe.fields import mistake
+from forestgen.recipe.species import Material
+from forestgen.scene.building import BuildingKind
 
 Floats = NDArray[np.float64]
 Box = tuple[float, float, float, float]  # of an opening in a wall: left, bottom, right, top, metres
 
-DEPTH_SHARE = 0.75  # of the width, where only that is known
 _FOUNDATION_M, _PLINTH_M, _PLINTH_OUT_M = 1.0, 0.4, 0.03
 _RECESS_M, _FRAME_M, _BAR_M = 0.14, 0.06, 0.04
 _ROOF_THICK_M, _TILE_UP_M = 0.16, 0.035
 _MARGIN_M = 0.5  # of wall beside a window, at least
 
 
-class Materials(BaseModel):
-    """Which of the species' materials the parts are of."""
+class House(Building):
+    """Keys of a building of kind house."""
 
-    model_config = STRICT
-
-    wall: str = Field("wall", description="of walls")
-    plinth: str = Field("plinth", description="of the walls' foot")
-    roof: str = Field("roof", description="of the roof's tiles")
-    glass: str = Field("glass", description="of panes")
-    frame: str = Field("frame", description="of windows' frames, sills, and the roof's edges")
-    door: str = Field("door", description="of the door")
-    chimney: str = Field("chimney", description="of the chimney")
-
-
-class HouseParameters(PlantParameters):
-    """The `plant:` block of a house."""
-
-    generator: str = "house"
-    wood: Wood = Field(
-        Wood.model_validate({"material": "wall"}), description="surface of stems, of which a house has none"
+    roof_slope_deg: float = Field(40.0, ge=10, le=60, description="Slope of the roof, degrees.")
+    overhang_m: float = Field(
+        0.4, ge=0, le=2, description="Of the roof beyond the walls, metres; at most a tenth of the house."
     )
-    fit: Fit = Field("none", description="none: a house is built to its size")
-    roof_slope_deg: float = Field(40.0, ge=10, le=60, description="slope of the roof, degrees")
-    overhang_m: float = Field(0.4, ge=0, le=2, description="of the roof beyond the walls, metres")
-    storey_m: float = Field(2.7, ge=2, le=6, description="from one row of windows to the next, metres")
-    window_m: tuple[float, float] = Field((0.9, 1.2), description="width and height of a window, metres")
-    window_spacing_m: float = Field(2.6, ge=0.5, le=20, description="from one window to the next, metres")
-    door_m: tuple[float, float] = Field((1.0, 2.1), description="width and height of the door, metres")
-    course_m: float = Field(0.33, ge=0.05, le=2, description="of tiles, along the slope, metres")
-    chimney: bool = Field(True, description="whether there is a chimney")
-    materials: Materials = Field(
-        Materials.model_validate({}), description="which of the species' materials the parts are of"
-    )
+    storey_m: float = Field(2.7, ge=2, le=6, description="From one row of windows to the next, metres.")
+    window_m: tuple[float, float] = Field((0.9, 1.2), description="Width and height of a window, metres.")
+    window_spacing_m: float = Field(2.6, ge=0.5, le=20, description="From one window to the next, metres.")
+    door_m: tuple[float, float] = Field((1.0, 2.1), description="Width and height of the door, metres.")
+    course_m: float = Field(0.33, ge=0.05, le=2, description="Of tiles, along the slope, metres.")
+    chimney: bool = Field(True, description="Whether there is a chimney.")
+
+    @field_validator("materials")
+    @classmethod
+    def _of_its_parts(cls, materials: dict[str, Material]) -> dict[str, Material]:
+        for part in materials:
+            if part not in _MATERIALS:
+                raise mistake(
+                    "one of " + ", ".join(_MATERIALS), problem="a house has no such part", got=part, at=(part,)
+                )
+        return materials
+
+
+_COLOURS = {
+    "wall": (0.62, 0.58, 0.50),
+    "plinth": (0.25, 0.24, 0.22),
+    "roof": (0.24, 0.085, 0.05),
+    "glass": (0.035, 0.042, 0.05),
+    "frame": (0.55, 0.53, 0.48),
+    "door": (0.05, 0.11, 0.07),
+    "chimney": (0.21, 0.09, 0.06),
+}
+_MATERIALS = {part: Material(reflectance=colour) for part, colour in _COLOURS.items()}
 
 
 @dataclass
@@ -191,55 +165,32 @@ class _Form:
         return self.over(y) - self.thick
 
 
-def _form(parameters: HouseParameters, size_m: tuple[float, float, float]) -> _Form:
-    width, depth, height = size_m
-    overhang = min(parameters.overhang_m, 0.1 * min(width, depth))
+def _form(keys: House) -> _Form:
+    width, depth, height = keys.size_m
+    overhang = min(keys.overhang_m, 0.1 * min(width, depth))
     reach_x, reach_y = 0.5 * width, 0.5 * depth
-    slope = min(math.tan(math.radians(parameters.roof_slope_deg)), 0.5 * height / reach_y)
+    slope = min(math.tan(math.radians(keys.roof_slope_deg)), 0.5 * height / reach_y)
     thick = min(_ROOF_THICK_M, 0.05 * height)
     return _Form(reach_x - overhang, reach_y - overhang, reach_x, reach_y, height, slope, thick)
 
 
-class HouseGenerator:
-    """The generator; see the module's page."""
+class HouseKind(BuildingKind[House]):
+    """A detached house."""
 
-    Parameters = HouseParameters
-    has_crown = False
+    Parameters = House
+    materials = _MATERIALS
 
-    def grow(self, parameters: HouseParameters, height_m: float, width_m: float, rng: np.random.Generator) -> Skeleton:
-        """Nothing grows: a line from the ground to the ridge stands for the house where a skeleton is asked for."""
-        return Skeleton(
-            parent=np.array([-1, 0], dtype=np.int32),
-            position_m=np.array([[0.0, 0.0, 0.0], [0.0, 0.0, height_m]], dtype=np.float32),
-            radius_m=np.full(2, 1e-3, dtype=np.float32),
-            order=np.zeros(2, dtype=np.uint8),
-            axis=np.zeros(2, dtype=np.int32),
-        )
-
-    def build(
-        self, species_name: str, parameters: HouseParameters, size_m: tuple[float, float, float], radius_m: float
-    ) -> Exemplar:
-        """The house of a width, depth and height, metres; O(windows + courses of tiles)."""
-        form, builder, names = _form(parameters, size_m), _Builder(), parameters.materials
+    def meshes(self, keys: House) -> dict[str, Mesh]:
+        """O(windows + courses of tiles)."""
+        form, builder = _form(keys), _Builder()
         for index, wall in enumerate(_walls(form)):
-            _add_wall(
-                builder, names, wall, _openings(parameters, wall), _door(parameters, wall) if index == 0 else None
-            )
+            _add_wall(builder, wall, _openings(keys, wall), _door(keys, wall) if index == 0 else None)
         for sign in (-1.0, 1.0):
-            _add_gable(builder, names, form, sign)
-            _add_roof(builder, names, form, sign, parameters.course_m)
-        if parameters.chimney:
-            _add_chimney(builder, names, form)
-        organs = tuple(OrganMesh(Part.STRUCTURE, material, mesh) for material, mesh in builder.meshes().items())
-        return Exemplar(
-            species=species_name,
-            organs=organs,
-            radius_m=radius_m,
-            height_m=size_m[2],
-            crown_width_m=0.5 * (size_m[0] + size_m[1]),
-            leaf_area_m2=0.0,
-            wood_volume_m3=0.0,
-        )
+            _add_gable(builder, form, sign)
+            _add_roof(builder, form, sign, keys.course_m)
+        if keys.chimney:
+            _add_chimney(builder, form)
+        return builder.meshes()
 
 
 def _walls(form: _Form) -> list[_Wall]:
@@ -257,27 +208,27 @@ def _walls(form: _Form) -> list[_Wall]:
     return found
 
 
-def _door(parameters: HouseParameters, wall: _Wall) -> Box | None:
+def _door(keys: House, wall: _Wall) -> Box | None:
     """The door near the wall's middle, if it fits."""
-    width, height = parameters.door_m
+    width, height = keys.door_m
     if wall.height_m < height + 0.2 or wall.length_m < width + 2 * _MARGIN_M:
         return None
     middle = 0.5 * wall.length_m
     return middle - 0.5 * width, 0.05, middle + 0.5 * width, height
 
 
-def _openings(parameters: HouseParameters, wall: _Wall) -> list[Box]:
+def _openings(keys: House, wall: _Wall) -> list[Box]:
     """Windows in rows, evenly spaced; as many as fit."""
-    width, height = parameters.window_m
-    storeys = int((wall.height_m - 0.2) // parameters.storey_m)
+    width, height = keys.window_m
+    storeys = int((wall.height_m - 0.2) // keys.storey_m)
     room = wall.length_m - 2 * _MARGIN_M - width
     if room < 0 or storeys < 1:
         return []
-    count = 1 + int(room / max(parameters.window_spacing_m, width + 0.3))
+    count = 1 + int(room / max(keys.window_spacing_m, width + 0.3))
     gap = wall.length_m / count
     found = []
     for storey in range(storeys):
-        bottom = storey * parameters.storey_m + 0.95
+        bottom = storey * keys.storey_m + 0.95
         for k in range(count):
             left = (k + 0.5) * gap - 0.5 * width
             found.append((left, bottom, left + width, bottom + height))
@@ -289,7 +240,7 @@ def _apart(box: Box, other: Box) -> bool:
     return box[2] + gap < other[0] or other[2] + gap < box[0] or box[3] + gap < other[1] or other[3] + gap < box[1]
 
 
-def _add_wall(builder: _Builder, names: Materials, wall: _Wall, windows: list[Box], door: Box | None) -> None:
+def _add_wall(builder: _Builder, wall: _Wall, windows: list[Box], door: Box | None) -> None:
     """The wall around its openings, what stands in them, and its foot."""
     if door is not None:
         windows = [box for box in windows if _apart(box, door)]
@@ -300,17 +251,17 @@ def _add_wall(builder: _Builder, names: Materials, wall: _Wall, windows: list[Bo
         for bottom, top in pairwise(zs):
             x, z = 0.5 * (left + right), 0.5 * (bottom + top)
             if not any(box[0] < x < box[2] and box[1] < z < box[3] for box in openings):
-                builder.quad(names.wall, wall.rectangle((left, bottom, right, top)))
+                builder.quad("wall", wall.rectangle((left, bottom, right, top)))
     for box in windows:
-        _add_reveal(builder, names.frame, wall, box)
-        _add_window(builder, names, wall, box)
+        _add_reveal(builder, "frame", wall, box)
+        _add_window(builder, wall, box)
     if door is not None:
-        _add_reveal(builder, names.frame, wall, door)
-        builder.quad(names.door, wall.rectangle(door, -_RECESS_M))
+        _add_reveal(builder, "frame", wall, door)
+        builder.quad("door", wall.rectangle(door, -_RECESS_M))
     plinth = min(_PLINTH_M, 0.2 * wall.height_m)
     parts = [(0.0, wall.length_m)] if door is None else [(0.0, door[0]), (door[2], wall.length_m)]
     for left, right in parts:
-        _add_slab(builder, names.plinth, wall, (left, -_FOUNDATION_M, right, plinth), 0.0, _PLINTH_OUT_M)
+        _add_slab(builder, "plinth", wall, (left, -_FOUNDATION_M, right, plinth), 0.0, _PLINTH_OUT_M)
 
 
 def _add_reveal(builder: _Builder, material: str, wall: _Wall, box: Box) -> None:
@@ -321,10 +272,10 @@ def _add_reveal(builder: _Builder, material: str, wall: _Wall, box: Box) -> None
         builder.quad(material, [outer[k], outer[n], inner[n], inner[k]])
 
 
-def _add_window(builder: _Builder, names: Materials, wall: _Wall, box: Box) -> None:
+def _add_window(builder: _Builder, wall: _Wall, box: Box) -> None:
     """A pane, a frame around it, a cross of bars, and a sill below."""
     left, bottom, right, top = box
-    builder.quad(names.glass, wall.rectangle(box, -_RECESS_M))
+    builder.quad("glass", wall.rectangle(box, -_RECESS_M))
     x, z = 0.5 * (left + right), bottom + 0.62 * (top - bottom)
     front, half = -_RECESS_M + 0.03, 0.5 * _BAR_M
     for bar in (
@@ -335,8 +286,8 @@ def _add_window(builder: _Builder, names: Materials, wall: _Wall, box: Box) -> N
         (x - half, bottom, x + half, top),
         (left, z - half, right, z + half),
     ):
-        builder.quad(names.frame, wall.rectangle(bar, front))
-    _add_slab(builder, names.frame, wall, (left - 0.06, bottom - 0.06, right + 0.06, bottom), 0.0, 0.07)
+        builder.quad("frame", wall.rectangle(bar, front))
+    _add_slab(builder, "frame", wall, (left - 0.06, bottom - 0.06, right + 0.06, bottom), 0.0, 0.07)
 
 
 def _add_slab(builder: _Builder, material: str, wall: _Wall, box: Box, inner: float, outer: float) -> None:
@@ -348,14 +299,14 @@ def _add_slab(builder: _Builder, material: str, wall: _Wall, box: Box, inner: fl
         builder.quad(material, [back[k], back[n], face[n], face[k]])
 
 
-def _add_gable(builder: _Builder, names: Materials, form: _Form, sign: float) -> None:
+def _add_gable(builder: _Builder, form: _Form, sign: float) -> None:
     """The triangle above the eaves on one end."""
     x, y = sign * form.wall_x, form.wall_y
     triangle = [(x, -sign * y, form.eaves), (x, sign * y, form.eaves), (x, 0.0, form.under(0.0))]
-    builder.quad(names.wall, triangle)
+    builder.quad("wall", triangle)
 
 
-def _add_roof(builder: _Builder, names: Materials, form: _Form, sign: float, course_m: float) -> None:
+def _add_roof(builder: _Builder, form: _Form, sign: float, course_m: float) -> None:
     """One side of the roof: courses of tiles above, boards below and at the edges."""
     x, y = form.reach_x, form.reach_y
 
@@ -370,10 +321,10 @@ def _add_roof(builder: _Builder, names: Materials, form: _Form, sign: float, cou
     up = min(_TILE_UP_M, 0.2 * form.thick)
     for lower, upper in pairwise(ys):
         # A course's lower edge stands up over the one below; the ridge stays the highest line.
-        strip(names.roof, (lower, form.over(lower) - up), (lower, form.over(lower)))
-        strip(names.roof, (lower, form.over(lower)), (upper, form.over(upper) - up * (upper > 0)))
-    strip(names.frame, (y, form.under(y)), (y, form.over(y) - up))
-    strip(names.frame, (0.0, form.under(0.0)), (y, form.under(y)))
+        strip("roof", (lower, form.over(lower) - up), (lower, form.over(lower)))
+        strip("roof", (lower, form.over(lower)), (upper, form.over(upper) - up * (upper > 0)))
+    strip("frame", (y, form.under(y)), (y, form.over(y) - up))
+    strip("frame", (0.0, form.under(0.0)), (y, form.under(y)))
     for end in (-1.0, 1.0):
         corners = [
             (end * x, sign * y, form.under(y)),
@@ -381,17 +332,17 @@ def _add_roof(builder: _Builder, names: Materials, form: _Form, sign: float, cou
             (end * x, 0.0, form.over(0.0)),
             (end * x, 0.0, form.under(0.0)),
         ]
-        builder.quad(names.frame, corners if end * sign < 0 else corners[::-1])
+        builder.quad("frame", corners if end * sign < 0 else corners[::-1])
 
 
-def _add_chimney(builder: _Builder, names: Materials, form: _Form) -> None:
+def _add_chimney(builder: _Builder, form: _Form) -> None:
     """A chimney through one side of the roof, with a cap; up to 0.7 m above the ridge."""
     side = min(0.3, 0.08 * form.wall_x + 0.05)
     x, y = 0.45 * form.wall_x, min(0.8, 0.3 * form.wall_y)
     top = form.ridge + min(0.7, 0.1 * form.ridge)
-    builder.box(names.chimney, (x - side, y - side, form.under(y + side) - 0.1), (x + side, y + side, top))
+    builder.box("chimney", (x - side, y - side, form.under(y + side) - 0.1), (x + side, y + side, top))
     rim = side + 0.05
-    builder.box(names.plinth, (x - rim, y - rim, top), (x + rim, y + rim, top + 0.06))
+    builder.box("plinth", (x - rim, y - rim, top), (x + rim, y + rim, top + 0.06))
 
 
-GENERATOR = HouseGenerator()
+BUILDING = HouseKind()

@@ -1,7 +1,8 @@
-"""What the loop of `loop.py` reads: one row an axis, and one row a growth step."""
+"""Growth steps, gains and influences of a skeleton's axes, and running the loop of `loop.py` on them."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -9,7 +10,8 @@ from numpy.typing import NDArray
 
 from forestgen.geometry.mesh import rotate, unit
 from forestgen.plants.budget import check_budget
-from forestgen.plants.skeleton import Skeleton
+from forestgen.plants.skeleton import OrganPlacements, Skeleton
+from forestgen.plants.variation.loop import NewNodes, carry, walk
 from forestgen.plants.variation.model import Plane, Variation
 from forestgen.recipe.curves import Function, evaluate
 
@@ -225,3 +227,66 @@ def normals(foot: Floats, plane: Plane, azimuth: Floats) -> Floats:
             return np.cross(up, foot)
         case "random":
             return rotate(up, foot, azimuth)
+
+
+def vary(skeleton: Skeleton, variation: Variation, rng: np.random.Generator) -> Skeleton:
+    """The plant as it would have grown under the influences of `variation`.
+
+    Lengths, and the base's own bends, are as they were; axes may have more nodes. Without influences the skeleton
+    comes back unchanged.
+
+    Raises
+    ------
+    RecipeError : more growth steps than memory holds.
+    """
+    axes, new = varied_nodes(skeleton, variation, rng)
+    parent = np.arange(-1, len(new.source) - 1)
+    begins = axes.bearer >= 0
+    parent[new.piece_of[axes.first[begins]]] = new.new_of[axes.bearer[begins]]
+    position = skeleton.position_m.astype(np.float64)
+    return Skeleton.of(
+        parent,
+        new.point_m + new.shift_m,
+        _radius(skeleton, axes, new),
+        skeleton.order[new.source],
+        skeleton.axis[new.source],
+        organs=tuple(_carried(one, position[np.maximum(skeleton.parent, 0)], position, new) for one in skeleton.organs),
+    )
+
+
+def varied_nodes(skeleton: Skeleton, variation: Variation, rng: np.random.Generator) -> tuple[Axes, NewNodes]:
+    """Where the loop takes every node of a skeleton, in double precision."""
+    base = skeleton.position_m.astype(np.float64)
+    axes = axes_of(skeleton, base)
+    t = tables(axes, variation, rng)
+    most = len(base) + int(t.steps.sum())
+    new = NewNodes(
+        new_of=np.zeros(len(base), np.int64),
+        piece_of=np.zeros(len(base), np.int64),
+        point_m=np.empty((most, 3)),
+        shift_m=np.empty((most, 3)),
+        quaternion=np.empty((most, 4)),
+        source=np.empty(most, np.int64),
+        share=np.empty(most),
+    )
+    gains = (variation.derivative_gain, variation.integral_gain)
+    toward = variation.target_pull.direction() if variation.target_pull else (0.0, 0.0, 1.0)
+    signal = np.empty((int(t.steps.max(initial=1)), 3))
+    made = walk(base, axes, t, gains, variation.reference == "local", toward, new, signal)
+    return axes, NewNodes(*new[:2], *(column[:made] for column in new[2:]))
+
+
+def _radius(base: Skeleton, axes: Axes, new: NewNodes) -> Floats:
+    """Thickness, even between the base's nodes; an axis begins as thick as its own first node."""
+    end = base.radius_m.astype(np.float64)
+    start = end[np.maximum(base.parent, 0)]
+    start[axes.first] = end[axes.first]
+    radius = start[new.source] + new.share * (end - start)[new.source]
+    return np.where(new.share == 1.0, end[new.source], radius)
+
+
+def _carried(placement: OrganPlacements, start: Floats, end: Floats, new: NewNodes) -> OrganPlacements:
+    frame = placement.frame.astype(np.float64)
+    out, node = np.empty_like(frame), np.empty(len(frame), np.int64)
+    carry(frame, placement.node.astype(np.int64), start, end, new, out, node)
+    return replace(placement, frame=out.astype(np.float32), node=node.astype(np.int32))

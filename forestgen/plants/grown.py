@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.architecture.modules import Modules
 from forestgen.architecture.prototype import MOST_NODES
 from forestgen.architecture.skeletal_graph import skeletal_graph
 from forestgen.architecture.tables import Tables
@@ -20,7 +19,6 @@ from forestgen.plants.skeleton import Skeleton
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
-
 
 MOST_ORDER = 7  # what is of a higher order counts as this
 _NO_LENGTH_M = 1e-3  # shorter segments have not begun to grow
@@ -53,6 +51,11 @@ class ModuleWood:
     def height_m(self) -> float:
         """Of the highest node."""
         return float(self.position_m[:, 2].max())
+
+    def rows(self, node: Ints, parent: Ints, main: Bools) -> ModuleWood:
+        """The graph of some nodes, with other parents."""
+        columns = ("position_m", "diameter_m", "age_share", "age_yr", "light", "mark")
+        return replace(self, parent=parent, main=main, **{name: getattr(self, name)[node] for name in columns})
 
 
 @dataclass(frozen=True)
@@ -89,7 +92,8 @@ def wood_skeleton(
     main, free = _one_main(wood), np.ones(len(wood), dtype=bool)
     free[wood.parent[1:]] = False
     order, head = _axes(wood, main)
-    at = _sorted_axes(wood, main, order, head)
+    # Axis after axis, base to tip, bearers first; parents precede children, so an axis' nodes are in order.
+    at = np.lexsort((np.arange(len(wood)), head, order))
     parent = wood.parent[at]
     place = np.empty(len(at), dtype=np.int64)
     place[at] = np.arange(len(at))
@@ -109,13 +113,8 @@ def wood_skeleton(
         part == 1, np.where(parent[node] < 0, -1, last[np.maximum(parent[node], 0)]), np.arange(-1, len(node) - 1)
     )
     axis = np.unique(np.stack([order[at], head[at]], axis=1), axis=0, return_inverse=True)[1].reshape(-1)
-    skeleton = Skeleton(
-        parent=above.astype(np.int32),
-        position_m=position.astype(np.float32),
-        radius_m=radius.astype(np.float32),
-        order=np.minimum(order[at], MOST_ORDER)[node].astype(np.uint8),
-        axis=axis[node].astype(np.int32),
-        mark=wood.mark[at][node],
+    skeleton = Skeleton.of(
+        above, position, radius, np.minimum(order[at], MOST_ORDER)[node], axis[node], mark=wood.mark[at][node]
     )
     stations = (part * steps[node]) // pieces[node] > ((part - 1) * steps[node]) // pieces[node]
     return ClothedWood(
@@ -157,30 +156,14 @@ def _seen(wood: ModuleWood, bearing: Bools) -> tuple[ModuleWood, Bools]:
     keep = ~gone
     number = np.cumsum(keep) - 1
     parent = np.where(wood.parent < 0, -1, number[holder[np.maximum(wood.parent, 0)]])
-    return ModuleWood(
-        parent=parent[keep],
-        position_m=wood.position_m[keep],
-        diameter_m=wood.diameter_m[keep],
-        age_share=wood.age_share[keep],
-        age_yr=wood.age_yr[keep],
-        light=wood.light[keep],
-        main=main[keep],
-        mark=wood.mark[keep],
-    ), bearing[keep]
+    return wood.rows(np.flatnonzero(keep), parent[keep], main[keep]), bearing[keep]
 
 
 def _sprout(wood: ModuleWood) -> ModuleWood:
     """A stem of a centimetre, for a plant that has none yet."""
-    return ModuleWood(
-        parent=np.array([-1, 0]),
-        position_m=np.array([[0.0, 0.0, 0.0], [0.0, 0.0, _LEAST_STEM_M]]),
-        diameter_m=np.full(2, 0.002),
-        age_share=np.repeat(wood.age_share[:1], 2),
-        age_yr=np.repeat(wood.age_yr[:1], 2),
-        light=np.repeat(wood.light[:1], 2),
-        main=np.array([False, True]),
-        mark=np.repeat(wood.mark[:1], 2),
-    )
+    stem = wood.rows(np.zeros(2, dtype=np.int64), np.array([-1, 0]), np.array([False, True]))
+    position = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, _LEAST_STEM_M]])
+    return replace(stem, position_m=position, diameter_m=np.full(2, 0.002))
 
 
 def _one_main(wood: ModuleWood) -> Bools:
@@ -207,11 +190,6 @@ def _axes(wood: ModuleWood, main: Bools) -> tuple[Ints, Ints]:
             stem = low[p] and order[p] == 0
             order[i], head[i] = (0 if stem else order[p] + 1), i
     return np.array(order), np.array(head)
-
-
-def _sorted_axes(wood: ModuleWood, main: Bools, order: Ints, head: Ints) -> Ints:
-    """Nodes axis after axis, base to tip; bearers before what they bear."""
-    return np.lexsort((np.arange(len(wood)), head, order))  # parents precede children, so an axis' nodes are in order
 
 
 class _Curves:
@@ -303,7 +281,10 @@ def woods_of(population: Population, tables: Tables, plants: Ints) -> list[Modul
     prototype = modules.prototype[graph.module]
     grown = tables.mature_age[kind] * (1.0 - tables.birth[prototype, graph.node])
     share = np.clip(graph.age / np.maximum(grown, 1e-9), 0.0, 1.0)
-    start = np.searchsorted(_place(graph.plant, plants), np.arange(len(plants) + 1))
+    change = np.concatenate([[0], np.cumsum(np.diff(graph.plant) != 0)])  # which of `plants` each node's is
+    assert len(plants) == change[-1] + 1  # every plant has a root, and nodes are in the plants' order
+    start = np.searchsorted(change, np.arange(len(plants) + 1))
+    mark = modules.number[graph.module] * np.uint32(MOST_NODES) + graph.node.astype(np.uint32)
     dead, dead_yr = population.status == Status.DEAD, population.columns.get("dead_yr", np.zeros(len(population)))
     woods = []
     for plant, (first, last) in zip(plants.tolist(), pairwise(start), strict=True):
@@ -318,20 +299,8 @@ def woods_of(population: Population, tables: Tables, plants: Ints) -> list[Modul
                 age_yr=modules.age_yr[graph.module[part]].astype(np.float64),
                 light=modules.light[graph.module[part]].astype(np.float64),
                 main=graph.is_main[part],
-                mark=_marks(modules, graph.module[part], graph.node[part]),
+                mark=mark[part].astype(np.uint32),
                 dead_yr=float(dead_yr[plant]) if dead[plant] else None,
             )
         )
     return woods
-
-
-def _place(plant: Ints, plants: Ints) -> Ints:
-    """(N,) which of `plants` each node's is; nodes are in that order."""
-    change = np.concatenate([[0], np.cumsum(np.diff(plant) != 0)])
-    assert len(plants) == change[-1] + 1  # every plant has a root
-    return change
-
-
-def _marks(modules: Modules, module: Ints, node: NDArray[np.int16]) -> NDArray[np.uint32]:
-    """(N,) a module's number times `MOST_NODES`, plus the node of its prototype."""
-    return (modules.number[module] * np.uint32(MOST_NODES) + node.astype(np.uint32)).astype(np.uint32)

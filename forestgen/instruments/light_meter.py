@@ -1,4 +1,19 @@
-"""Light at points of a recipe's site: illuminance, colour, photons for plants, spectra."""
+"""A light meter at points of a recipe's site: illuminance, colour, photons for plants, spectra.
+
+A flat meter with a cosine response, which sees all directions above it: the sun, the sky, and what plants and ground
+scatter. Each value has the standard error of eight independent replicates.
+
+| key | |
+|---|---|
+| at | points x, y, z in metres, z above the ground |
+| normals | where the meter looks at each point: up, down, north, east, south, west, or a vector; default up |
+| samples | light paths of each light at each wavelength; default 16384 |
+| absolute_z | whether z counts from z = 0, not from the ground below |
+| spectrum | steps, nm, in which the spectral irradiance is reported, 300 to 2500 nm |
+
+Example: ``forestgen measure light_meter RECIPE --key "at=[[30, 40, 1.5]]"``; or, for short,
+``forestgen light RECIPE --at 30 40 1.5``.
+"""
 
 from __future__ import annotations
 
@@ -7,36 +22,38 @@ import io
 import itertools
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from forestgen.atmosphere.clouds.source import cloud_source_of
 from forestgen.atmosphere.daylight import illuminance
-from forestgen.community.simulation import final_population
 from forestgen.core.errors import RecipeError
+from forestgen.core.figures import count, table_lines
 from forestgen.core.progress import Progress, Timings
 from forestgen.core.randomness import child_seed
 from forestgen.core.spectrum import LUMINANCE, Spectrum
-from forestgen.recipe.load import LoadedRecipe
+from forestgen.instruments.instrument import Directions, Instrument, Places, Point, Reading
+from forestgen.recipe.fields import Flag, Number, Section, Whole
+from forestgen.recipe.load import DrawnRecipe, LoadedRecipe
 from forestgen.render.irradiance import REPLICATES, PointLight, measure
-from forestgen.render.transport import check_far_clouds, cloud_transport_of
-from forestgen.scene.build import BuiltScene, build_scene
+from forestgen.render.transport import check_far_clouds
+from forestgen.scene.build import BuiltScene
 from forestgen.scene.colour_checker import temperature_of
 from forestgen.scene.ground import height_field
-from forestgen.scene.plan import Plan, check_memory
-from forestgen.scene.planning import check_plan
+from forestgen.scene.plan import Plan
 
 MOST_POINTS = 1000
 _FARTHEST_M = 5000.0
 _PHOTONS_UMOL_PER_J_NM = 1e-9 / (6.62607015e-34 * 299_792_458.0 * 6.02214076e23) * 1e6  # over h c N_A
 _PAR_NM = (400.0, 700.0)
 _INSIDE_LUX = 1e-3
+_STEP_NM = 10.0  # of the spectra in a file, where none is asked for
 Floats = NDArray[np.float64]
-Point = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -67,69 +84,89 @@ class LightMeter:
     note: str | None = None
 
 
-def prepare(loaded: LoadedRecipe, progress: Progress, timings: Timings) -> tuple[Plan, BuiltScene]:
-    """The scene of a recipe's first image."""
-    plan = check_plan(loaded)
-    with timings("community"):
-        population = final_population(plan.community, progress)
-    check_memory(plan, plants=len(population))
-    built = build_scene(plan, population, progress, timings)
-    clouds = plan.drawn.recipe.render.clouds
-    cloud_transport_of(clouds, built.spec, built.spec.cameras, where=plan.drawn.where("render", "clouds"))
-    return plan, built
+class LightMeterKeys(Section):
+    """Keys of a light meter."""
+
+    at: Annotated[Places, Field(min_length=1, max_length=MOST_POINTS, description="Points, metres, z above ground.")]
+    normals: Annotated[Directions, Field(min_length=1, description="Where the meter looks at each point.")] = (
+        (0.0, 0.0, 1.0),
+    )
+    samples: Annotated[
+        Whole, Field(ge=512, le=100_000_000, description="Light paths of each light at each wavelength.")
+    ] = 16384
+    absolute_z: Annotated[Flag, Field(description="Count z from z = 0, not from the ground below.")] = False
+    spectrum: Annotated[
+        Number | None, Field(ge=1, le=1100, description="Steps of the reported spectra, nm. None: none are reported.")
+    ] = None
 
 
-def light_at(
-    loaded: LoadedRecipe,
-    points: Sequence[Point],
-    normals: Sequence[Point],
-    *,
-    samples: int,
-    above_ground: bool,
-    progress: Progress,
-    timings: Timings,
-) -> list[LightMeter]:
-    """Measure at each point with each normal.
+class LightReadings(list[LightMeter], Reading):
+    """Meters in the order of the points, and at each in that of the directions.
 
     Parameters
     ----------
+    step_nm : of the spectra in the text; None: it has none.
     samples : light paths of each light at each wavelength.
-    above_ground : whether z counts from the ground, not from z = 0.
-
-    Raises
-    ------
-    RecipeError : too many points; one far away, below the ground, in the clouds or close below them; the recipe is
-        wrong.
     """
-    if not 0 < len(points) <= MOST_POINTS:
-        raise RecipeError(
-            "too few or too many points", parameter="at", expected=f"1 to {MOST_POINTS}", got=str(len(points))
-        )
-    plan = check_plan(loaded)
-    places = [place(plan, point, above_ground=above_ground) for point in points]  # before anything is simulated
-    plan, built = prepare(loaded, progress, timings)
-    for world_m, _ in places:
-        check_far_clouds(built.spec, world_m)
-    meters = []
-    with progress.stage("points", len(places) * len(normals)) as advance:
-        for number, (world_m, above_m) in enumerate(places):
-            for normal in normals:
-                with timings("light"):
-                    light = measure(
-                        built.spec,
-                        np.array(world_m),
-                        np.array(normal),
-                        samples=samples,
-                        max_depth=plan.drawn.recipe.render.max_depth,
-                        seed=child_seed(plan.drawn.image_seed, "light", number),
-                        progress=progress,
-                    )
-                meters.append(read(light, world_m, above_m, normal))
-                advance(1)
-    return meters
+
+    def __init__(self, meters: Iterable[LightMeter], step_nm: float | None = None, samples: int = 0) -> None:
+        super().__init__(meters)
+        self.step_nm, self.samples = step_nm, samples
+
+    def __repr__(self) -> str:
+        return f"<LightReadings: {count(len(self), 'meter')}>"
+
+    def lines(self) -> Iterator[str]:
+        """The table, what its columns mean, and notes."""
+        yield from table_lines(_rows(self), names_left=False)
+        yield "x, y and z (above ground) in metres; PAR: µmol/m²/s of 400 to 700 nm; W/m² of 300 to 2500 nm"
+        yield "sun, sky: their direct shares of the lux; the rest was scattered by plants and ground; ± standard error"
+        if self.step_nm is not None:
+            yield from _spectra(self, self.step_nm)
+        for number, meter in enumerate(self, start=1):
+            if meter.note:
+                yield f"note: point {number}: {meter.note}"
+
+    def content(self, ending: str, loaded: LoadedRecipe) -> bytes:
+        return _as_csv(self, self.step_nm) if ending == ".csv" else _as_json(self, loaded)
 
 
-def place(plan: Plan, point: Point, *, above_ground: bool) -> tuple[Point, float]:
+class LightAtPoints(Instrument[LightMeterKeys, LightReadings]):
+    """Light meters at points."""
+
+    name = "light_meter"
+    Parameters = LightMeterKeys
+    endings = (".csv", ".json")
+
+    def check(self, plan: Plan, keys: LightMeterKeys) -> None:
+        for point in keys.at:
+            place(plan.drawn, point, above_ground=not keys.absolute_z)
+
+    def measure(self, scene: BuiltScene, keys: LightMeterKeys, progress: Progress, timings: Timings) -> LightReadings:
+        drawn = scene.drawn
+        places = [place(drawn, point, above_ground=not keys.absolute_z) for point in keys.at]
+        for world_m, _ in places:
+            check_far_clouds(scene.spec, world_m)
+        meters = []
+        with progress.stage("points", len(places) * len(keys.normals)) as advance:
+            for number, (world_m, above_m) in enumerate(places):
+                for normal in keys.normals:
+                    with timings("light"):
+                        light = measure(
+                            scene.spec,
+                            np.array(world_m),
+                            np.array(normal),
+                            samples=keys.samples,
+                            max_depth=drawn.recipe.render.max_depth,
+                            seed=child_seed(drawn.image_seed, "light", number),
+                            progress=progress,
+                        )
+                    meters.append(read(light, world_m, above_m, normal))
+                    advance(1)
+        return LightReadings(meters, keys.spectrum, keys.samples)
+
+
+def place(drawn: DrawnRecipe, point: Point, *, above_ground: bool) -> tuple[Point, float]:
     """A point in the world, and its height above ground.
 
     Raises
@@ -137,13 +174,13 @@ def place(plan: Plan, point: Point, *, above_ground: bool) -> tuple[Point, float
     RecipeError : it lies far away, below the ground or in the clouds.
     """
     said = " ".join(f"{value:g}" for value in point)
-    recipe = plan.drawn.recipe
+    recipe = drawn.recipe
     width, depth = recipe.site.size_m
     beyond = max(-point[0], point[0] - width, -point[1], point[1] - depth, 0.0)
     if not (all(math.isfinite(value) for value in point) and max(beyond, abs(point[2])) <= _FARTHEST_M):
         expected = f"metres, within {_FARTHEST_M:,.0f} m of the site, which is {width:g} x {depth:g} m"
         raise RecipeError("this is no point of the site", parameter="at", expected=expected, got=said)
-    ground_m = float(height_field(plan.drawn)(np.array(point[0]), np.array(point[1])))
+    ground_m = float(height_field(drawn)(np.array(point[0]), np.array(point[1])))
     z = point[2] + (ground_m if above_ground else 0.0)
     if z <= ground_m:
         raise RecipeError(
@@ -153,7 +190,7 @@ def place(plan: Plan, point: Point, *, above_ground: bool) -> tuple[Point, float
             got=said,
             hint="z counts from the ground below; with `absolute_z` from z = 0",
         )
-    base_m = cloud_source_of(plan.drawn).known_base_m(plan.drawn)
+    base_m = cloud_source_of(drawn).known_base_m(drawn)
     if base_m is not None and z >= base_m:
         raise RecipeError(
             "this point lies in or above the clouds", parameter="at", expected=f"z below {base_m:g} m", got=said
@@ -224,12 +261,12 @@ def sampled(meter: LightMeter, step_nm: float) -> list[tuple[float, float, float
     return rows
 
 
-def as_json(meters: Sequence[LightMeter], loaded: LoadedRecipe, *, samples: int, step_nm: float) -> bytes:
+def _as_json(meters: LightReadings, loaded: LoadedRecipe) -> bytes:
     """All that was measured, spectra included."""
     from forestgen.dataset.manifest import package_versions
 
     def plain(meter: LightMeter) -> dict[str, Any]:
-        rows = sampled(meter, step_nm)
+        rows = sampled(meter, meters.step_nm or _STEP_NM)
         data = asdict(meter)
         for name in ("spectrum", "spectrum_error"):
             del data[name]
@@ -244,7 +281,7 @@ def as_json(meters: Sequence[LightMeter], loaded: LoadedRecipe, *, samples: int,
     content = {
         "schema": "forestgen-light/1",
         "recipe_hash": loaded.hash,
-        "samples": samples,
+        "samples": meters.samples,
         "versions": package_versions(),
         "points": [plain(meter) for meter in meters],
     }
@@ -260,7 +297,7 @@ def _without_nan(value: Any) -> Any:
     return value
 
 
-def as_csv(meters: Sequence[LightMeter], *, step_nm: float | None) -> bytes:
+def _as_csv(meters: Sequence[LightMeter], step_nm: float | None) -> bytes:
     """A row a point; with `step_nm` a column for each step of the spectrum, in W/m²/nm."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
@@ -282,3 +319,55 @@ def as_csv(meters: Sequence[LightMeter], *, step_nm: float | None) -> bytes:
             row += [value for _, value, _ in sampled(meter, step_nm)]
         writer.writerow(["" if math.isnan(value) else f"{value:.7g}" for value in row])
     return text.getvalue().encode()
+
+
+def _rows(meters: Sequence[LightMeter]) -> list[list[str]]:
+    turned = {meter.normal for meter in meters} != {(0.0, 0.0, 1.0)}
+    rows = [
+        ["x", "y", "z", *(["normal"] if turned else []), "lux", "sun", "sky", "scattered", "CCT (K)", "PAR", "W/m²"]
+    ]
+    for meter in meters:
+        scattered = 1.0 - meter.from_sun.value - meter.from_sky.value
+        shares = (meter.from_sun.value, meter.from_sky.value, scattered)
+        rows.append(
+            [
+                *(f"{value:g}" for value in meter.point_m[:2]),
+                f"{meter.above_ground_m:.2f}",
+                *([",".join(f"{value:.2g}" for value in meter.normal)] if turned else []),
+                with_error(meter.illuminance_lux),
+                *(f"{100 * max(share, 0.0):.1f}%" for share in shares),
+                "none" if math.isnan(meter.cct_k.value) else with_error(meter.cct_k),
+                with_error(meter.par_umol_per_m2_s),
+                with_error(meter.irradiance_w_per_m2),
+            ]
+        )
+    return rows
+
+
+def _spectra(meters: Sequence[LightMeter], step_nm: float) -> Iterator[str]:
+    columns = [sampled(meter, step_nm) for meter in meters]
+    rows = [["nm", *(f"point {number + 1}" for number in range(len(meters)))]]
+    rows += [[f"{row[0][0]:g}", *(f"{value:.4g}" for _, value, _ in row)] for row in zip(*columns, strict=True)]
+    yield ""
+    yield from table_lines(rows, names_left=False)
+    yield "W/m²/nm, means over each step"
+
+
+def with_error(one: Quantity) -> str:
+    """A value to at most five digits and no more than its error leaves, and that error."""
+    value, error = one.value, one.error
+    if value == 0 or not math.isfinite(value):
+        return f"{value:g}"
+    places = 4 - math.floor(math.log10(abs(value)))
+    if not (math.isfinite(error) and error > 0):
+        return _plain(value, places)
+    places = min(places, 1 - math.floor(math.log10(error)))
+    return f"{_plain(value, places)} ± {_plain(max(error, 10.0**-places), places)}"
+
+
+def _plain(value: float, places: int) -> str:
+    """Rounded to decimal places; a negative number of them rounds to tens, hundreds, ..."""
+    return f"{round(value, places):,.{max(places, 0)}f}"
+
+
+INSTRUMENT = LightAtPoints()

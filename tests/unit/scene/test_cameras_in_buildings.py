@@ -7,18 +7,19 @@ import pytest
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.load import load_recipe
 from forestgen.scene.planning import make_plan
-from forestgen.scene.views import check_outside_of_houses
 
 # The house is 12 m along its ridge, which goes from north-west to south-east, and 6 m deep.
 STAND = """
 forestgen: 1
-site: {size_m: [40, 40], terrain: flat}
-species: {pine: , house: }
+site:
+  size_m: [40, 40]
+  terrain: flat
+  buildings: [{kind: house, position_m: [20, 20], size_m: [12, 6, 8], azimuth_deg: 45}]
+species: {pine: }
 community:
   model: branch_modules
   initial_plants: 3
   steps: 1
-  obstacles: [{species: house, position_m: [20, 20], size_m: [12, 6, 8], azimuth_deg: 45}]
 cameras: [{position_m: %s, look_at_m: [1, 2, 1], obstructed: %s}]
 """
 INSIDE = ([20, 20, 1.6], [20, 20, 6.5], [23, 17, 2], [17, 23, 2])
@@ -34,13 +35,13 @@ def drawn_of(tmp_path, position, obstructed):
 def test_a_camera_in_a_house_is_refused_at_its_line(tmp_path, position):
     with pytest.raises(RecipeError, match="stands inside of a house") as told:
         make_plan(drawn_of(tmp_path, position, "error"))
-    assert "stand.yaml:10: cameras.0.position_m" in str(told.value.where)
+    assert "stand.yaml:12: cameras.0.position_m" in str(told.value.where)
 
 
 @pytest.mark.parametrize("position", INSIDE)
 def test_a_camera_in_a_house_is_a_note_where_cameras_stand_at_random(tmp_path, position):
     plan = make_plan(drawn_of(tmp_path, position, "note"))
-    (note,) = check_outside_of_houses(plan.drawn, plan.community.obstacles.entries)
+    (note,) = plan.views.check_outside_of_buildings()
     assert note == "the camera camera0 stands inside of a house"
 
 

@@ -4,24 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from forestgen.core.parts import Part
-from forestgen.plants.build import built
 from forestgen.plants.exemplar import Exemplar
-from forestgen.plants.generators.house import GENERATOR, HouseParameters
-from forestgen.recipe.load import load_recipe_data
+from forestgen.recipe.buildings import Building
+from forestgen.scene.building import building_materials, exemplar_of
 
 SIZES = [(12.0, 9.0, 8.0), (4.0, 6.0, 3.0), (0.5, 0.5, 0.5), (60.0, 20.0, 25.0)]
 
 
-@pytest.fixture(scope="module")
-def species():
-    data = {"forestgen": 1, "species": {"house": None}, "community": {"model": "uniform"}}
-    return load_recipe_data(data, "test").draw(0).species["house"]
-
-
-def house(species, size_m: tuple[float, float, float], **keys: object) -> Exemplar:
-    return built("house", species, HouseParameters(**keys), size_m, 1.0)
+def house(size_m: tuple[float, float, float], **keys: object) -> Exemplar:
+    return exemplar_of(Building(kind="house", position_m=(0, 0), size_m=size_m, **keys), 1.0)
 
 
 def corners(exemplar: Exemplar, *, without: str = "") -> np.ndarray:
@@ -31,8 +25,8 @@ def corners(exemplar: Exemplar, *, without: str = "") -> np.ndarray:
 
 
 @pytest.mark.parametrize("size_m", SIZES)
-def test_all_but_the_chimney_is_in_the_box(species, size_m) -> None:
-    one = house(species, size_m, chimney=False)
+def test_all_but_the_chimney_is_in_the_box(size_m) -> None:
+    one = house(size_m, chimney=False)
     low, high = one.bounds_m()
     np.testing.assert_allclose(high, [size_m[0] / 2, size_m[1] / 2, size_m[2]], rtol=1e-6)
     np.testing.assert_allclose(low, [-size_m[0] / 2, -size_m[1] / 2, -1.0], rtol=1e-6)
@@ -42,9 +36,9 @@ def test_all_but_the_chimney_is_in_the_box(species, size_m) -> None:
 
 
 @pytest.mark.parametrize("size_m", SIZES)
-def test_no_light_comes_in(species, size_m) -> None:
+def test_no_light_comes_in(size_m) -> None:
     """Whichever way one looks from inside, there is a surface, and it is seen from behind."""
-    triangles = corners(house(species, size_m, chimney=False))
+    triangles = corners(house(size_m, chimney=False))
     rng = np.random.default_rng(4)
     ways = rng.normal(size=(300, 3))
     ways[:, 2] = np.abs(ways[:, 2])  # the floor is the ground
@@ -66,7 +60,7 @@ def test_no_light_comes_in(species, size_m) -> None:
         assert normal @ way > 0 or (normal[2] < 0 and way[2] > 0)
 
 
-def test_windows_and_door_are_there_where_there_is_room(species) -> None:
+def test_windows_and_door_are_there_where_there_is_room() -> None:
     def area(exemplar: Exemplar, material: str) -> float:
         found = [one.mesh for one in exemplar.organs if one.material == material]
         if not found:
@@ -74,7 +68,7 @@ def test_windows_and_door_are_there_where_there_is_room(species) -> None:
         at = found[0].vertices_m[found[0].faces].astype(np.float64)
         return float(np.linalg.norm(np.cross(at[:, 1] - at[:, 0], at[:, 2] - at[:, 0]), axis=1).sum() / 2)
 
-    large, small = house(species, (12.0, 9.0, 8.0)), house(species, (1.5, 1.5, 1.5))
+    large, small = house((12.0, 9.0, 8.0)), house((1.5, 1.5, 1.5))
     panes = area(large, "glass") / (0.9 * 1.2)
     assert panes == pytest.approx(round(panes), abs=1e-4)
     assert panes >= 8
@@ -86,12 +80,20 @@ def test_windows_and_door_are_there_where_there_is_room(species) -> None:
     assert area(large, "wall") + area(large, "glass") + area(large, "door") == pytest.approx(planes, rel=1e-4)
 
 
-def test_the_chimney_rises_above_the_ridge_and_leaves_the_height(species) -> None:
-    one = house(species, (12.0, 9.0, 8.0))
+def test_the_chimney_rises_above_the_ridge_and_leaves_the_height() -> None:
+    one = house((12.0, 9.0, 8.0))
     assert one.bounds_m()[1, 2] > 8.3
     assert one.height_m == 8.0
 
 
-def test_a_skeleton_of_it_is_a_line() -> None:
-    skeleton = GENERATOR.grow(HouseParameters(), 8.0, 12.0, np.random.default_rng(0))
-    assert skeleton.position_m[-1, 2] == 8.0
+def test_a_house_may_have_materials_of_its_own() -> None:
+    red = {"wall": {"reflectance": [0.5, 0.1, 0.1]}}
+    plain = Building(kind="house", position_m=(1, 2))
+    painted = Building(kind="house", position_m=(9, 2), materials=red)
+    materials = building_materials([plain, painted])
+    for one in (plain, painted):
+        assert {("house", organ.material) for organ in exemplar_of(one, 1.0).organs} <= set(materials)
+    colours = {one.reflectance for (_, name), one in materials.items() if name.startswith("wall")}
+    assert colours == {(0.62, 0.58, 0.50), (0.5, 0.1, 0.1)}
+    with pytest.raises(ValidationError, match="a house has no such part"):
+        Building(kind="house", position_m=(9, 2), materials={"moat": red["wall"]})
