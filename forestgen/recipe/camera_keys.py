@@ -70,11 +70,7 @@ class CameraPath(Section):
 
 
 class Exposure(Section):
-    """Lens and sensor that make a raw image (dataset/raw.py). Without shutter_s and ev the picture is metered.
-
-    Photographic relations (ISO 2720, ISO 12232), with f-number N, time t, luminance L, speed S: the exposure value at
-    ISO 100 is 2^EV = N² / t, at another N² / t = 2^EV S / 100; a meter sets N² / t = L S / K.
-    """
+    """Lens and sensor that make a raw image. Without shutter_s and ev the picture is metered."""
 
     f_number: Positive = Field(default=8.0, ge=0.5, le=128, description="Focal length by the pupil's diameter.")
     shutter_s: Positive | None = Field(
@@ -121,7 +117,11 @@ class Exposure(Section):
         return self
 
     def shutter_for_s(self, luminance_cd_m2: float) -> float:
-        """Time that is set, or that a meter pointed at this mean luminance sets; 1 s in the dark."""
+        """Time that is set, or that a meter pointed at this mean luminance sets; 1 s in the dark.
+
+        Photographic relations (ISO 2720, ISO 12232), with f-number N, time t, luminance L, speed S: at ISO 100 the
+        exposure value is 2^EV = N² / t, at another N² / t = 2^EV S / 100; a meter sets N² / t = L S / K.
+        """
         if self.shutter_s is not None:
             return self.shutter_s
         if self.ev is not None:
