@@ -106,20 +106,6 @@ class Rule:
     plain: tuple[int, ...] | None  # the successor's kinds where it always applies and has no parameters
 
 
-@dataclass(frozen=True)
-class Packed:
-    """The two tables, and addresses in them."""
-
-    whole: NDArray[np.int64]
-    real: NDArray[np.float64]
-    sets: tuple[RuleSet, ...]
-    globals_at: int
-    code_at: int
-
-    def code_address(self, index: int) -> int:
-        return index if index < 0 else self.code_at + 2 * index
-
-
 class _Compiler:
     def __init__(self, ast: ProgramAST) -> None:
         self.ast = ast
@@ -149,18 +135,19 @@ class _Compiler:
         sets = [[self.production(production) for production in rules] for rules in groups]
         blocks = [self.block(block) for block in (one.start, one.start_each, one.end_each)]
         self.block(one.end)  # nothing is left for it to change, but it must be right
-        packed = _pack(self.e, sets, self.ignored(), list(one.arrays.values()), list(one.functions.values()))
-        addresses = [packed.code_address(begin) for begin in (*axiom, *blocks)]
+        whole, real, packed, bases = _tables(self.e, one, sets, self.ignored())
+        code_at = bases[Region.CODE]
+        addresses = [begin if begin < 0 else code_at + 2 * begin for begin in (*axiom, *blocks)]
         every_rule = [rule for group in sets for rule in group]
         length = one.derivation_length
         return Program(
             ast=one,
             kinds=tuple(self.e.kinds),
-            whole=packed.whole,
-            real=packed.real,
-            productions=packed.sets[0],
-            decomposition=packed.sets[1],
-            interpretation=packed.sets[2],
+            whole=whole,
+            real=real,
+            productions=packed[0],
+            decomposition=packed[1],
+            interpretation=packed[2],
             decomposition_depth=self.whole(one.decomposition.maximum_depth, DEEPEST, "maximum depth"),
             interpretation_depth=self.whole(one.interpretation.maximum_depth, 1, "maximum depth"),
             has_contexts=any(rule.left or rule.right for rule in sets[0]),
@@ -174,11 +161,11 @@ class _Compiler:
             start=addresses[-3],
             start_each=addresses[-2],
             end_each=addresses[-1],
-            globals_at=packed.globals_at,
+            globals_at=bases[Region.GLOBAL],
             globals=tuple(self.e.globals),
             groups=frozenset(self.e.groups),
             counted=tuple((slot, symbol) for symbol, slot in self.e.counted.items()),
-            code_at=packed.code_address(0),
+            code_at=code_at,
             places=tuple(instruction.place for instruction in self.e.code),
             derivation_length=None if length is None else self.whole(length, 0, "derivation length"),
         )
@@ -254,15 +241,11 @@ class _Compiler:
         return int(value)
 
 
-def _pack(
-    code: CodeGenerator,
-    sets: Sequence[Sequence[Rule]],
-    ignored: Sequence[bool],
-    arrays: Sequence[Sequence[float]],
-    functions: Sequence[Sequence[tuple[float, float]]],
-) -> Packed:
-    """Lay out code, productions and values as vm_layout.py says."""
-    real, bases, array_at, function_at = _reals(code, arrays, functions)
+def _tables(
+    code: CodeGenerator, ast: ProgramAST, sets: Sequence[Sequence[Rule]], ignored: Sequence[bool]
+) -> tuple[NDArray[np.int64], NDArray[np.float64], tuple[RuleSet, ...], dict[Region, int]]:
+    """Code, productions and values as vm_layout.py says, and where each region begins."""
+    real, bases, stack, array_at, function_at = _reals(code, ast)
     whole = [0] * layout.HEADER
     arity = [kind.arity for kind in code.kinds]
     whole[layout.ARITY] = _append(whole, arity)
@@ -273,14 +256,15 @@ def _pack(
     pairs = [by_number.get(number, (0, 0)) for number in range(1, most + 1)]  # no samples: there is no such function
     whole[layout.FUNCTION_AT] = _append(whole, [one for pair in pairs for one in pair])
     whole[layout.FUNCTIONS] = most
-    whole[layout.STACK], whole[layout.LOCALS] = bases["stack"], bases["locals"]
-    whole[layout.SPARE], whole[layout.LOCAL_SIZE] = bases["spare"], code.local_size
-    bases["arrays"] = _append(whole, [one for pair in array_at for one in pair])
-    code_at = len(whole)
+    whole[layout.STACK], whole[layout.LOCALS] = stack, bases[Region.LOCAL]
+    whole[layout.SPARE], whole[layout.LOCAL_SIZE] = bases[Region.LOCAL] + code.local_size, code.local_size
+    bases[Region.ARRAY] = _append(whole, [one for pair in array_at for one in pair])
+    bases[Region.CODE] = code_at = len(whole)
     for one in code.code:
-        whole += [one.operation, _address(one.operand, one.region, bases, code_at)]
+        size = 2 if one.region in (Region.CODE, Region.ARRAY) else 1
+        whole += [one.operation, bases[one.region] + size * one.operand]
     packed = tuple(_pack_rules(whole, rules, code_at, arity) for rules in sets)
-    return Packed(np.array(whole, dtype=np.int64), real, packed, bases["globals"], code_at)
+    return np.array(whole, dtype=np.int64), real, packed, bases
 
 
 def _append(whole: list[int], values: Sequence[int]) -> int:
@@ -290,37 +274,25 @@ def _append(whole: list[int], values: Sequence[int]) -> int:
 
 
 def _reals(
-    code: CodeGenerator, arrays: Sequence[Sequence[float]], functions: Sequence[Sequence[tuple[float, float]]]
-) -> tuple[NDArray[np.float64], dict[str, int], list[tuple[int, int]], list[tuple[int, int]]]:
-    """The table of real numbers; its regions, arrays (first, last) and functions (first, samples)."""
-    parts = [np.array(list(code.constants), dtype=np.float64)]
-    at = len(code.constants)
-    bases = {"constants": 0, "globals": at, "locals": at + len(code.globals)}
-    bases["spare"] = bases["locals"] + code.local_size
-    parts.append(np.zeros(len(code.globals) + 2 * code.local_size))
-    at += len(parts[-1])
+    code: CodeGenerator, ast: ProgramAST
+) -> tuple[NDArray[np.float64], dict[Region, int], int, list[tuple[int, int]], list[tuple[int, int]]]:
+    """The table of real numbers; its regions, the stack, arrays (first, last) and functions (first, samples)."""
+    constants, global_size = len(code.constants), len(code.globals)
+    bases = {Region.NOTHING: 0, Region.CONSTANT: 0, Region.GLOBAL: constants, Region.LOCAL: constants + global_size}
+    parts = [np.array(list(code.constants), dtype=np.float64), np.zeros(global_size + 2 * code.local_size)]
+    at = constants + len(parts[-1])
     array_at, function_at = [], []
-    for values in arrays:
+    for values in ast.arrays.values():
         parts.append(np.array(values, dtype=np.float64))
         array_at.append((at, at + len(values)))
         at += len(values)
-    for points in functions:
+    for points in ast.functions.values():
         x, y = _sampled(points)
         parts += [x, y]
         function_at.append((at, len(x)))
         at += 2 * len(x)
-    bases["stack"] = at
     parts.append(np.zeros(code.stack_size + 1))
-    return np.concatenate(parts), bases, array_at, function_at
-
-
-def _address(operand: int, region: Region, bases: dict[str, int], code_at: int) -> int:
-    if region is Region.CODE:
-        return code_at + 2 * operand
-    if region is Region.ARRAY:
-        return bases["arrays"] + 2 * operand
-    base = {Region.CONSTANT: "constants", Region.GLOBAL: "globals", Region.LOCAL: "locals"}.get(region)
-    return operand if base is None else bases[base] + operand
+    return np.concatenate(parts), bases, at, array_at, function_at
 
 
 def _pack_rules(whole: list[int], rules: Sequence[Rule], code_at: int, arity: Sequence[int]) -> RuleSet:
@@ -341,9 +313,8 @@ def _pack_rules(whole: list[int], rules: Sequence[Rule], code_at: int, arity: Se
     ]
     records = len(whole)
     for rule, (left, head, right, plain) in zip(ordered, lists, strict=True):
-        code = [
-            -1 if begin < 0 else code_at + 2 * begin for begin in (rule.condition, rule.probability, rule.successor)
-        ]
+        begins = (rule.condition, rule.probability, rule.successor)
+        code = [-1 if begin < 0 else code_at + 2 * begin for begin in begins]
         whole += [
             rule.group, *code, left, len(rule.left), head, len(rule.predecessor), right, len(rule.right),
             rule.most_modules, rule.most_values, -1 if rule.plain is None else plain, len(rule.plain or ()),
