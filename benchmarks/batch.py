@@ -47,7 +47,7 @@ def empty_job(work: Work, job: Job, attempt: int) -> Outcome:
     record = JobRecord(
         job.key, job.image, job.split, 0, "0" * 64, (), {}, {"image": job.image, "seed": 0, "counts": {}}
     )
-    work.place.write(record_path(job.key), record_bytes(record))
+    work.storage.write(record_path(job.key), record_bytes(record))
     return Done(job, record, JobRun(job.image, attempt, f"{os.getpid()}", time.perf_counter() - start))
 
 

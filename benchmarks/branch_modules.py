@@ -26,11 +26,11 @@ from typing import Any
 
 import numpy as np
 
-from forestgen.architecture.plant_type import PlantType
-from forestgen.community.branch_modules.state import State, rows_of_plants
+from forestgen.community.branch_modules.state import State
 from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.model import Site
 from forestgen.community.models.branch_modules import MODEL
+from forestgen.recipe.species import PlantType
 
 PLANTS, MODULES = 468_199, 2_271_000  # Makowski 2023, Table 4, Fig. 16 g
 MOST_STEP_S, MOST_GB, MOST_STAND_S, MOST_DEVIATION = 19.0, 10.0, 120.0, 0.15
@@ -85,7 +85,7 @@ def sized(state: State, modules_per_plant: float) -> State:
     chosen = chosen[: max(int(np.sum(enough)), 1)]
     keep = np.zeros(len(counts), dtype=np.bool_)
     keep[chosen] = True
-    return replace(state, plants=state.plants.where(keep), modules=rows_of_plants(state.modules, keep))
+    return replace(state, plants=state.plants.where(keep), modules=state.modules.of_plants(keep))
 
 
 def tiled(state: State, across: int, along: int) -> State:
@@ -160,7 +160,7 @@ def part(state: State, modules: int) -> State:
         state,
         site=Site((PATCH_M, along_m)),
         plants=state.plants.where(keep),
-        modules=rows_of_plants(state.modules, keep),
+        modules=state.modules.of_plants(keep),
     )
 
 

@@ -129,9 +129,8 @@ def bare_wetness(stand: Stand) -> Floats:
     """(rows, cols) soil water before anything grew, mm a year; nan where nothing can grow."""
     wet = wetness(stand.plan, stand.moments[0])
     x, y = np.moveaxis(middles(stand.plan.community.site.size_m, wet.shape), -1, 0)
-    blocked = is_blocked(
-        parameters_of(stand.plan).blocked_soil(), x.ravel(), y.ravel(), stand.plan.community.site.size_m
-    )
+    points = np.column_stack([x.ravel(), y.ravel()])
+    blocked = is_blocked(parameters_of(stand.plan).blocked_soil(), points, stand.plan.community.site.size_m)
     return np.where(blocked.reshape(wet.shape), np.nan, wet)
 
 

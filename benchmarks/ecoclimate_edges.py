@@ -25,11 +25,10 @@ from scipy.ndimage import binary_fill_holes, distance_transform_edt
 from silviculture_stands import Report
 
 from forestgen.architecture.geometry import spheres
-from forestgen.community.branch_modules.kinds import kinds_at
+from forestgen.community.branch_modules.state import step_parameters
 from forestgen.community.branch_modules.surroundings import surroundings_of
 from forestgen.community.branch_modules.vigour import stature_of
-from forestgen.community.ecoclimate.months import local_climate
-from forestgen.community.ecoclimate.state import Ecoclimate
+from forestgen.community.ecoclimate.months import Ecoclimate, local_climate
 from forestgen.community.plots import new_figure
 from forestgen.community.population import Population
 from forestgen.scene.plan import Plan
@@ -109,7 +108,7 @@ def state_of(plan: Plan, population: Population) -> Ecoclimate:
 def microclimate_of(stand: Stand, population: Population) -> tuple[Floats, Floats]:
     """(rows, cols) temperature at the ground, deg C, and soil water, mm a year, as plants feel them."""
     state = state_of(stand.plan, population)
-    kinds = kinds_at(state.forest)
+    kinds = step_parameters(state.forest)
     stature = stature_of(state.forest.modules, state.forest.plants.species, kinds.tables, kinds.traits)
     around = surroundings_of(state.forest, kinds, stature.leaves)
     shape = population.maps["soil_mean_mm"].shape
@@ -122,7 +121,7 @@ def canopy_m(stand: Stand, population: Population) -> Floats:
     """(rows, cols) height of the highest module over each square metre; 0 where there is none."""
     state = state_of(stand.plan, population)
     modules, plants = state.forest.modules, state.forest.plants
-    centre, radius = spheres(kinds_at(state.forest).tables, modules, plants.species)
+    centre, radius = spheres(step_parameters(state.forest).tables, modules, plants.species)
     foot = np.repeat(plants.position_m, np.diff(modules.first), axis=0)
     cols, rows = (round(side) for side in stand.plan.community.site.size_m)
     out = np.zeros((rows, cols))

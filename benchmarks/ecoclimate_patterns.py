@@ -16,11 +16,10 @@ from numpy.typing import NDArray
 from silviculture_stands import Report
 
 from forestgen.community.plots import new_figure
-from forestgen.community.soil_water.ground import Ground
-from forestgen.community.soil_water.parameters import PlantParameters, SoilWaterParameters
+from forestgen.community.soil_water import Ground, SoilWaterParameters
 from support.field_measures import FieldMeasures, measure_field, radial_spectrum
 from support.persistence import field_features, holes
-from support.vegetation_water import Vegetation, VegetationWater, grown_state
+from support.vegetation_water import PlantParameters, Vegetation, VegetationWater, grown_state
 
 Floats = NDArray[np.float64]
 RAIN = {"bare ground": 0.5, "spots": 0.75, "labyrinth": 1.0, "gaps": 1.2, "full cover": 1.5}  # mm/d

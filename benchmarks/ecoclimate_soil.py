@@ -11,8 +11,7 @@ from silviculture_stands import Report
 
 from forestgen.community.model import Site
 from forestgen.community.plots import new_figure
-from forestgen.community.soil_water.ground import Ground
-from forestgen.community.soil_water.model import SoilWater
+from forestgen.community.soil_water import Ground, SoilWater, Water
 from forestgen.core.threads import cores
 
 SIDE_M, CELL_M, MONTH_DAYS = 1000.0, 1.5, 365.25 / 12
@@ -31,7 +30,7 @@ def soil(report: Report, quick: bool, seeds: range) -> Figure:
     model = SoilWater(ground)
     rng = np.random.default_rng(seeds[0])
     plants = 20 * rng.random(ground.shape)
-    water = model.dry()
+    water = Water(np.zeros(ground.shape), np.zeros(ground.shape))
     before, uptake, loss, rain = 0.0, 0.0, 0.0, 0.0
     error, wall, own = 0.0, perf_counter(), process_time()
     for month in range(12):
@@ -39,7 +38,7 @@ def soil(report: Report, quick: bool, seeds: range) -> Figure:
         passed = model.advance(water, MONTH_DAYS, plants_g_per_m2=plants, rain_mm_per_day=rain_mm_per_day)
         water, budget = passed.water, passed.budget
         uptake, loss, rain = uptake + budget.uptake_mm, loss + budget.loss_mm, rain + budget.rain_mm
-        error = max(error, abs(budget.error_mm) / budget.rain_mm)
+        error = max(error, abs(budget.error_mm(float(water.soil_mm.mean() + water.surface_mm.mean()))) / budget.rain_mm)
     wall, own = perf_counter() - wall, process_time() - own
     stored = float(water.soil_mm.mean() + water.surface_mm.mean())
     rows, cols = ground.shape

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from forestgen.community.ecoclimate.leaves import leaf_area_index
-from forestgen.community.ecoclimate.months import soil_of
+from forestgen.community.ecoclimate.months import leaf_area_index, soil_of
 from forestgen.community.ecoclimate.parameters import EcoclimateParameters
 from forestgen.community.population import Population
 from forestgen.community.simulation import snapshots

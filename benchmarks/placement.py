@@ -109,7 +109,7 @@ def scaling(sizes: list[int]) -> None:
         radius, species = np.full(plants, 6.5), np.zeros(plants, dtype=np.int64)
         took = []
         for _ in range(3):
-            again = field.copy()
+            again = DensityField(field.cells, field.size_m, periodic=True)
             start = process_time()
             place([again], species, radius, [[table]], uniform)
             took.append(process_time() - start)

@@ -25,17 +25,17 @@ from matplotlib.patches import Circle, Rectangle
 from numpy.typing import NDArray
 
 from forestgen.architecture.geometry import spheres
-from forestgen.architecture.plant_type import PlantType
-from forestgen.architecture.prototypes import load_prototypes
-from forestgen.architecture.tables import tables_of
+from forestgen.architecture.prototypes import load_prototypes, tables_of
 from forestgen.community.branch_modules.boxes import NO_BOXES, Boxes
-from forestgen.community.branch_modules.crowding import SphereGrid, intersection_ratio, overlap_volumes
+from forestgen.community.branch_modules.crowding import SphereGrid, overlap_volumes
 from forestgen.community.plots import save_figure
 from forestgen.community.population import Population
 from forestgen.community.simulation import snapshots
 from forestgen.core.progress import Silent
 from forestgen.recipe.load import load_recipe
+from forestgen.recipe.species import PlantType
 from forestgen.scene.planning import check_plan
+from support.module_spheres import intersection_ratio
 
 MOST_RATIO = 0.05  # 18a
 LEAST_WIDER, LEAST_ASYMMETRY = 1.3, 1.5  # 15: in the open over crowded; at a group's edge over in the open
@@ -114,7 +114,7 @@ class Moment:
         """Intersection volume ratio of section 2.8."""
         assert self.population.modules is not None
         grid = SphereGrid.of(self.world_m, self.radius_m, self.period_m)
-        return intersection_ratio(grid, self.population.modules.parent_row(), joints=joints)
+        return intersection_ratio(grid, None if joints else self.population.modules.parent_row())
 
     def crown(self, plant: int) -> Crown:
         assert self.population.modules is not None
@@ -309,7 +309,7 @@ def _share_within(moment: Moment, house: Boxes) -> float:
     """Share of all spheres' volume that lies in boxes."""
     grid = SphereGrid.of(moment.world_m, moment.radius_m)
     roots = np.full(len(grid), -1)
-    both, free = (overlap_volumes(grid, roots, boxes, joints=True).sum() for boxes in (house, NO_BOXES))
+    both, free = (overlap_volumes(grid, roots, boxes).sum() for boxes in (house, NO_BOXES))
     return float((both - free) / grid.volume_m3.sum())
 
 

@@ -19,7 +19,7 @@ from forestgen.api.datasets import Merged, Run
 from forestgen.api.diagnosis import Diagnosis
 from forestgen.api.points import FittedKernel
 from forestgen.api.programs import Words
-from forestgen.api.validation import Validation
+from forestgen.api.recipes import Validation
 from forestgen.cli import app
 from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.model import CommunityModel, CommunityParameters, Site
@@ -123,7 +123,8 @@ def _members(one: type) -> tuple[list[str], list[tuple[str, Any]]]:
     for name, field in getattr(one, "model_fields", {}).items():
         kind = inspect.get_annotations(one).get(name) or inspect.get_annotations(one.__mro__[1]).get(name, "")
         rows.append(f"| `{name}` | {_cell_of_type(kind)} | {field.description or ''} |")
-    for name, value in vars(one).items():
+    own = [base for base in one.__mro__ if base.__module__.startswith("forestgen.api.")] or [one]
+    for name, value in (item for base in own for item in vars(base).items()):
         if name.startswith("_") or name in names or name.startswith("model_"):
             continue
         getter = getattr(value, "fget", None) or getattr(value, "func", None)

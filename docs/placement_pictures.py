@@ -22,14 +22,13 @@ from PIL import Image
 
 from forestgen.community.history_files import map_colours
 from forestgen.community.model import Site
-from forestgen.community.placement.asked_and_placed import Densities, asked_densities, deformed
 from forestgen.community.placement.densities import grid_shape
 from forestgen.community.placement.kernels import KernelTable, kernel_matrix
-from forestgen.community.plot_densities import draw_field
-from forestgen.community.plots import colours_of, darker, new_figure
+from forestgen.community.placement.model import Densities, asked_densities, deformed
+from forestgen.community.plots import colours_of, darker, draw_field, new_figure
+from forestgen.community.point_patterns import hopkins_index
 from forestgen.community.population import Population
 from forestgen.community.simulation import final_population
-from forestgen.community.statistics import hopkins_index
 from forestgen.core.progress import Silent
 from forestgen.recipe.load import load_recipe
 from forestgen.scene.plan import Plan

@@ -17,8 +17,9 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from forestgen.api.catalogue import doctor, models, register, schema, species
+    from forestgen.api.catalogue import models, register, schema, species
     from forestgen.api.datasets import Dataset, merge, verify
+    from forestgen.api.diagnosis import doctor
     from forestgen.api.plants import Plant, plant
     from forestgen.api.points import fit_kernel, stats
     from forestgen.api.programs import derive
@@ -47,7 +48,8 @@ _MODULES = {
     "Frame": "forestgen.dataset.frame",
     **dict.fromkeys(("Dataset", "merge", "verify"), "forestgen.api.datasets"),
     **dict.fromkeys(("plant", "Plant"), "forestgen.api.plants"),
-    **dict.fromkeys(("doctor", "models", "register", "schema", "species"), "forestgen.api.catalogue"),
+    "doctor": "forestgen.api.diagnosis",
+    **dict.fromkeys(("models", "register", "schema", "species"), "forestgen.api.catalogue"),
     **dict.fromkeys(("fit_kernel", "stats"), "forestgen.api.points"),
     "derive": "forestgen.api.programs",
     "__version__": "forestgen.core",

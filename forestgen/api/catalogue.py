@@ -1,4 +1,4 @@
-"""What there is: models, species, the recipe's schema; and what this machine offers."""
+"""What there is: models, species, the recipe's schema."""
 
 from __future__ import annotations
 
@@ -8,13 +8,16 @@ import sys
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from pydantic import BaseModel
 
 from forestgen.community.registry import COMMUNITY_MODELS, COMPETITION_MODELS
 from forestgen.core.arguments import shown, text_of
 from forestgen.core.errors import RecipeError
 from forestgen.core.registry import Registry, part_at
 from forestgen.geometry.export import MESH_EXPORTERS
+from forestgen.plants.parameters import PlantParameters
 from forestgen.plants.registry import GENERATORS
 from forestgen.recipe.assets import find_asset, list_assets
 from forestgen.recipe.registries import (
@@ -31,9 +34,6 @@ from forestgen.recipe.registries import (
     TERRAINS,
 )
 from forestgen.recipe.suggestions import did_you_mean
-
-if TYPE_CHECKING:
-    from forestgen.api.diagnosis import Diagnosis
 
 _REGISTRIES: dict[str, Registry] = {
     "community_model": COMMUNITY_MODELS,
@@ -72,12 +72,28 @@ class Entry:
         """Its manual page, or its file."""
         if self.path is not None:
             return f"{self.path}\n\n{self.path.read_text(encoding='utf-8').rstrip()}"
-        module = sys.modules[type(_REGISTRIES[self.kind].part(self.name)).__module__]
-        return inspect.cleandoc(module.__doc__ or f"{self.name} has no manual page")
+        part = _REGISTRIES[self.kind].part(self.name)
+        module = sys.modules[type(part).__module__]
+        page = inspect.cleandoc(module.__doc__ or f"{self.name} has no manual page")
+        return page + _keys(part.Parameters) if "Parameters: see" in page else page
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values, for JSON."""
         return {**asdict(self), "path": None if self.path is None else str(self.path)}
+
+
+def _keys(parameters: type[BaseModel]) -> str:
+    """The keys of a part with their meaning and default, below a manual page without them."""
+    schema, text = parameters.model_json_schema(), ""
+    shared = PlantParameters.model_json_schema()["$defs"] if issubclass(parameters, PlantParameters) else {}
+    own = {title: one for title, one in schema.get("$defs", {}).items() if title not in shared}
+    for title, section in {"Keys": schema, **own}.items():
+        keys = section.get("properties", {})
+        text += f"\n\n{title}\n{'-' * len(title)}" if keys else ""
+        for key, about in keys.items():
+            default = f" [{about['default']}]" if about.get("default") is not None else ""
+            text += f"\n{key}: {about.get('description', '')}{default}"
+    return text
 
 
 def models(name: str | None = None, *, kind: str | None = None) -> list[Entry]:
@@ -216,10 +232,3 @@ def _path_of(part: object) -> str:
         got=f"{part!r:.80} of {module}",
         hint="put it into a module of its own, or pass its place: 'package.module:NAME'",
     )
-
-
-def doctor() -> Diagnosis:
-    """What this machine offers: `Diagnosis.ready` tells whether forestgen can render here."""
-    from forestgen.api.diagnosis import diagnose
-
-    return diagnose()

@@ -1,10 +1,14 @@
-"""Data sets: `Dataset` reads one, checks it, shows it, packs it; `merge` makes one of several."""
+"""Data sets: `Dataset` reads one, checks it, shows it, packs it; `merge` makes one of several.
+
+PyTorch and Hugging Face's library are optional, and loaded when they are asked for.
+"""
 
 from __future__ import annotations
 
+import importlib
 import operator
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -13,22 +17,28 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 
 from forestgen.api.display import display_of
-from forestgen.api.loaders import PICTURES, Transform, huggingface_splits, torch_frames
 from forestgen.core.arguments import PathLike, path_of, paths_of, shown, text_of, texts_of
-from forestgen.core.errors import DatasetError, RecipeError
+from forestgen.core.errors import DatasetError, RecipeError, ResourceError
 from forestgen.core.progress import Progress
 from forestgen.dataset.frame import Frame, StoredFrame
 from forestgen.dataset.index import INDEX_NAME, whole_index
 from forestgen.dataset.index_values import plain_rows
 from forestgen.dataset.legend import read_legend
-from forestgen.dataset.safe_path import SafePath
+from forestgen.dataset.safe_path import SafePath, unreadable
 from forestgen.recipe.suggestions import did_you_mean
 from forestgen.runs.description import DATASET_NAME
 from forestgen.runs.summary import RunSummary
 
 if TYPE_CHECKING:
     from forestgen.dataset.pack.run import Packed
-    from forestgen.runs.verify_report import VerificationReport
+    from forestgen.runs.verify import VerificationReport
+
+_PICTURES = ("preview", "semantic", "instance")
+_ARRAYS = (
+    *_PICTURES, "radiance", "variance", "denoised", "part", "depth", "distance", "position", "normal", "albedo",
+    "motion", "sun", "cloud", "boundary", "overlay",
+)  # fmt: skip
+Transform = Callable[[dict[str, Any]], Any]
 
 
 class Run:
@@ -68,7 +78,8 @@ class Dataset(Sequence[Frame]):
     def __init__(self, folder: PathLike, split: str | None = None) -> None:
         self.folder = path_of(folder, "folder")
         self._split = split
-        self._rows = _rows_of(self.folder)
+        _ = self.info  # which refuses what is no data set
+        self._rows = whole_index(self.folder / INDEX_NAME)
         if split is not None:
             if text_of(split, "split") not in self.splits:
                 raise self._no_split(split)
@@ -198,7 +209,7 @@ class Dataset(Sequence[Frame]):
         with display.running():
             return pack(self.folder, target, packing, overwrite=overwrite, progress=display)
 
-    def as_torch(self, channels: str | Sequence[str] = PICTURES, transform: Transform | None = None) -> Any:
+    def as_torch(self, channels: str | Sequence[str] = _PICTURES, transform: Transform | None = None) -> Any:
         """A map-style data set for `torch.utils.data.DataLoader`: a dict of tensors a frame, pictures as (C, H, W).
 
         Parameters
@@ -221,8 +232,9 @@ class Dataset(Sequence[Frame]):
         ResourceError : the library datasets is not installed.
         DatasetError : a file is missing, or the library cannot hold a value.
         """
-        splits = (self._split,) if self._split is not None else self.splits
-        return huggingface_splits(self.folder, self._rows, splits)
+        datasets, splits = _library("datasets"), self.splits if self._split is None else (self._split,)
+        made = {split: _huggingface(datasets, self.folder, self._rows, split) for split in splits}
+        return datasets.DatasetDict(made)
 
     @cached_property
     def _numbers(self) -> dict[str, int]:
@@ -231,17 +243,14 @@ class Dataset(Sequence[Frame]):
 
     def _no_split(self, name: str) -> RecipeError:
         """The error for a split that no image is in."""
-        expected = "one of " + ", ".join(self.splits)
         declared = {split: share for one in self.info["recipes"] for split, share in one["splits"].items()}
-        if name not in declared:
-            hint = did_you_mean(str(name), self.splits)
-            return RecipeError(
-                "the data set has no such split", parameter="split", expected=expected, got=shown(name), hint=hint
-            )
-        share, total = declared[name], sum(declared.values())
-        part = f"about {100 * share / total:.2g} % of the images are for it; " if share > 0 and total > 0 else ""
-        hint = f"{part}make more, with `resume=True`"
-        problem = "the data set has no such split yet: its recipe declares it, but no image of it is there"
+        problem, hint = "the data set has no such split", did_you_mean(name, self.splits)
+        if name in declared:
+            share, total = declared[name], sum(declared.values())
+            part = f"about {100 * share / total:.2g} % of the images are for it; " if share > 0 and total > 0 else ""
+            problem += " yet: its recipe declares it, but no image of it is there"
+            hint = f"{part}make more, with `resume=True`"
+        expected = "one of " + ", ".join(self.splits)
         return RecipeError(problem, parameter="split", expected=expected, got=shown(name), hint=hint)
 
     @cached_property
@@ -249,9 +258,6 @@ class Dataset(Sequence[Frame]):
         if not self.splits:
             raise DatasetError("the data set has no split", where=str(self.folder / DATASET_NAME))
         return read_legend(SafePath(self.folder, self.splits[0]))
-
-    def __iter__(self) -> Iterator[Frame]:
-        return (self[number] for number in range(len(self)))
 
     def __repr__(self) -> str:
         return f"<Dataset {self.folder}: {len(self)} frames, {', '.join(self.splits)}>"
@@ -332,8 +338,72 @@ def merge(
     return Merged(target, done.frames, done.bytes, done.notes)
 
 
-def _rows_of(folder: Path) -> Any:
-    from forestgen.runs.verify import open_data_set
+def torch_frames(frames: Sequence[Frame], channels: Sequence[str], transform: Transform | None) -> Any:
+    """See `Dataset.as_torch`. The class is made here, as PyTorch may be missing or slow to load."""
+    for name in channels:
+        if name not in _ARRAYS:
+            expected, hint = "one of " + ", ".join(_ARRAYS), did_you_mean(str(name), _ARRAYS)
+            raise RecipeError(
+                "frames have no such array", parameter="channels", expected=expected, got=repr(name), hint=hint
+            )
+    torch = _library("torch")
+    data = _library("torch.utils.data")
 
-    open_data_set(folder)
-    return whole_index(folder / INDEX_NAME)
+    class Frames(data.Dataset):  # type: ignore[misc,name-defined]
+        def __len__(self) -> int:
+            return len(frames)
+
+        def __getitem__(self, index: int) -> Any:
+            frame = frames[index]
+            item = {name: torch.from_numpy(_for_torch(name, getattr(frame, name))) for name in channels}
+            return item if transform is None else transform(item)
+
+        def __reduce__(self) -> Any:  # for loaders whose processes do not fork
+            return torch_frames, (frames, channels, transform)
+
+    return Frames()
+
+
+def _huggingface(datasets: Any, folder: Path, index: Any, split: str) -> Any:
+    import pyarrow as pa
+
+    rows = plain_rows(index.filter(np.asarray(index["split"]) == split), folder / INDEX_NAME)
+    names = [name for name in index.column_names if not pa.types.is_nested(index.schema.field(name).type)]
+    plain = {name: [row[name] for row in rows] for name in names}  # a text or a number a frame
+    frames = [f"{row['split']}/{row['frame']}" for row in rows]
+    pictures = {name: [_located(folder, f"{frame}/{name}.png") for frame in frames] for name in _PICTURES}
+    try:
+        made = datasets.Dataset.from_dict({**pictures, **plain})
+    except (ValueError, TypeError, OverflowError, pa.ArrowException) as error:
+        where, got = str(folder / INDEX_NAME), " ".join(str(error).split())[:200]
+        raise DatasetError("the library datasets cannot hold the index's values", where=where, got=got) from error
+    for name in _PICTURES:
+        made = made.cast_column(name, datasets.Image())
+    return made
+
+
+def _located(folder: Path, name: str) -> str:
+    """The path of a file, for libraries that open it themselves."""
+    path = SafePath(folder, name)
+    try:
+        return str(path.located())
+    except OSError as error:
+        raise unreadable(path, error, "forestgen verify checks all files") from error
+
+
+def _library(name: str) -> Any:
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        package = name.partition(".")[0]
+        hint = f"uv pip install {package}"
+        raise ResourceError(f"the library {package} cannot be loaded", got=str(error), hint=hint) from error
+
+
+def _for_torch(name: str, values: Any) -> Any:
+    """A copy that may be written to, as tensors may."""
+    if values is None:
+        hint = "labels.channels of the recipe chooses them"
+        raise RecipeError("the data set has no such channel", parameter="channels", got=name, hint=hint)
+    array = np.moveaxis(values, -1, 0) if values.ndim == 3 else values
+    return np.array(array, dtype=np.int64 if array.dtype == np.uint32 else array.dtype, order="C")

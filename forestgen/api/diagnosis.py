@@ -16,6 +16,14 @@ from forestgen.dataset.manifest import package_versions
 
 _LEAST_FREE_BYTES = 3_000_000_000
 _PATIENCE_S = 120
+_LIBRARIES = (  # name, function of render.check, remedy
+    ("scalar_rgb", "check_scalar", "reinstall mitsuba: `uv sync --reinstall-package mitsuba`"),
+    (
+        "llvm_ad_rgb",
+        "check_llvm",
+        "install the package karellen-llvm-core, or point DRJIT_LIBLLVM_PATH at libLLVM 19 or newer",
+    ),
+)
 _PREPARE = "pass"  # run before each check of a library; tests break the library here
 
 
@@ -62,9 +70,13 @@ class Diagnosis:
         yield "ready to render" if self.ready else "forestgen cannot render here yet"
 
 
-def diagnose() -> Diagnosis:
-    """Check what rendering needs, each library in a process of its own."""
-    findings = tuple(find() for find in (_python, _cores, _memory, _disk, _packages, _scalar, _llvm, _cuda))
+def doctor() -> Diagnosis:
+    """What this machine offers: `Diagnosis.ready` tells whether forestgen can render here."""
+    machine = (find() for find in (_python, _cores, _memory, _disk, _packages))
+    libraries = (_tried(*one) for one in _LIBRARIES)  # each in a process of its own
+    gpu = _tried("GPU", "check_cuda", "", required=False)
+    use = "used if FORESTGEN_TRACING is cuda" if gpu.good else "not needed"
+    findings = (*machine, *libraries, replace(gpu, text=f"{gpu.text}; {use}"))
     system = f"{platform.system()} {platform.machine()}"
     return Diagnosis(__version__, platform.python_version(), system, findings)
 
@@ -102,43 +114,19 @@ def _packages() -> Finding:
     return Finding("packages", not missing, text, f"missing: {', '.join(missing)}; run `uv sync`")
 
 
-def _apart(function: str) -> str:
-    """What a function of `render.check` says, in a process of its own: an unfit library may end the whole process.
-
-    Raises
-    ------
-    RuntimeError : the check failed; the last thing it said.
-    """
+def _tried(name: str, function: str, remedy: str, *, required: bool = True) -> Finding:
+    """What a function of `render.check` says, in a process of its own: an unfit library may end the whole process."""
     code = f"{_PREPARE}; from forestgen.render import check; print(check.{function}())"
     try:
         done = subprocess.run(
             [sys.executable, "-c", code], capture_output=True, encoding="utf-8", timeout=_PATIENCE_S, check=False
         )
-    except subprocess.TimeoutExpired as error:
-        raise RuntimeError(f"no answer within {_PATIENCE_S} s") from error
-    if done.returncode == 0:
-        return done.stdout.strip()
-    said = done.stderr.strip().splitlines() or ["it said nothing"]
-    last = said[-1].removeprefix("RuntimeError: ")
-    raise RuntimeError(last if done.returncode > 0 else f"crashed with signal {-done.returncode}: {last}")
-
-
-def _tried(name: str, function: str, remedy: str, *, required: bool = True) -> Finding:
-    try:
-        return Finding(name, True, _apart(function), required=required)
-    except (RuntimeError, OSError) as error:
+    except subprocess.TimeoutExpired:
+        return Finding(name, False, f"no answer within {_PATIENCE_S} s", remedy, required)
+    except OSError as error:
         return Finding(name, False, str(error), remedy, required)
-
-
-def _scalar() -> Finding:
-    return _tried("scalar_rgb", "check_scalar", "reinstall mitsuba: `uv sync --reinstall-package mitsuba`")
-
-
-def _llvm() -> Finding:
-    remedy = "install the package karellen-llvm-core, or point DRJIT_LIBLLVM_PATH at libLLVM 19 or newer"
-    return _tried("llvm_ad_rgb", "check_llvm", remedy)
-
-
-def _cuda() -> Finding:
-    found = _tried("GPU", "check_cuda", "", required=False)
-    return replace(found, text=f"{found.text}; {'used if FORESTGEN_TRACING is cuda' if found.good else 'not needed'}")
+    if done.returncode == 0:
+        return Finding(name, True, done.stdout.strip(), required=required)
+    last = (done.stderr.strip().splitlines() or ["it said nothing"])[-1].removeprefix("RuntimeError: ")
+    crash = "" if done.returncode > 0 else f"crashed with signal {-done.returncode}: "
+    return Finding(name, False, crash + last, remedy, required)

@@ -10,31 +10,18 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from typing import Any, Protocol, cast
+from typing import Any, cast
 
 from forestgen.core.arguments import shown
 from forestgen.core.errors import RecipeError
 from forestgen.core.figures import three_digits
 from forestgen.core.progress import Progress
-from forestgen.runs.meter import Meter
+from forestgen.runs.tracker import Display, ProgressTracker, SilentDisplay
 
 _LINE_EVERY_S = 60.0
 _NOTEBOOK_EVERY_S = 0.5
 _MOST_BARS = 12  # more would not fit into a terminal's usual height
 _MOST_STAGES = 4
-
-
-class Display(Progress, Protocol):
-    """What shows the progress of a call: its stages, the counts of a run, and lines that stay."""
-
-    meter: Meter | None  # of the run that is shown, None before it has begun
-
-    def running(self) -> Any:
-        """A context manager: what is shown while its block runs."""
-
-    def say(self, text: str) -> None: ...
-
-    def show(self, meter: Meter) -> None: ...
 
 
 def display_of(progress: bool | Progress | None) -> Display:
@@ -58,36 +45,11 @@ def display_of(progress: bool | Progress | None) -> Display:
     return cast(Display, progress) if is_display else _Wrapped(progress)
 
 
-class SilentDisplay:
-    """Shows nothing."""
-
-    meter: Meter | None = None
-
-    @contextmanager
-    def running(self) -> Iterator[SilentDisplay]:
-        yield self
-
-    @contextmanager
-    def stage(self, title: str, total: int) -> Iterator[Callable[[int], None]]:
-        yield lambda steps: None
-
-    def say(self, text: str) -> None:
-        pass
-
-    def show(self, meter: Meter) -> None:
-        self.meter = meter
-
-
 class _Wrapped(SilentDisplay):
     """Hands the stages on to a listener of the caller's."""
 
     def __init__(self, listener: Progress) -> None:
-        self._listener = listener
-
-    @contextmanager
-    def stage(self, title: str, total: int) -> Iterator[Callable[[int], None]]:
-        with self._listener.stage(title, total) as advance:
-            yield advance
+        self.stage = listener.stage  # type: ignore[method-assign,assignment]
 
 
 class Bars(SilentDisplay):
@@ -145,13 +107,13 @@ class Bars(SilentDisplay):
         else:
             _write(text)
 
-    def show(self, meter: Meter) -> None:
-        self.meter = meter
+    def show(self, tracker: ProgressTracker) -> None:
+        self.tracker = tracker
         if self._progress is None:
             return
         if self._run is None:
-            self._run = self._progress.add_task("images", total=meter.total, note="")
-        self._progress.update(self._run, completed=meter.done + meter.failed, note=pace(meter))
+            self._run = self._progress.add_task("images", total=tracker.total, note="")
+        self._progress.update(self._run, completed=tracker.done + tracker.failed, note=pace(tracker))
 
     def _remove_oldest(self) -> None:
         done = {task.id for task in self._progress.tasks if task.finished}
@@ -196,7 +158,7 @@ class Lines(SilentDisplay):
 
     def line(self) -> str:
         """How far it is; "" if nothing has begun."""
-        parts = [line(self.meter)] if self.meter is not None else []
+        parts = [line(self.tracker)] if self.tracker is not None else []
         stages = list(self._stages)
         return "; ".join([*parts, *([stages[-1].text] if stages else [])])
 
@@ -249,24 +211,24 @@ class _Stage:
         return f"{self._title} {100 * self._done / max(self._total, 1):.0f} %"
 
 
-def line(meter: Meter) -> str:
+def line(tracker: ProgressTracker) -> str:
     """The counts in a line: 120 of 1,000 images, 240 an hour, 3 h 40 min left, 2 failed; render 61 %, ..."""
-    images = f"{meter.total:,} image{'' if meter.total == 1 else 's'}"
-    shares = ", ".join(f"{name} {100 * share:.0f} %" for name, share in list(meter.shares().items())[:_MOST_STAGES])
-    return f"{meter.done:,} of {images}, {pace(meter)}" + (f"; {shares}" if shares else "")
+    images = f"{tracker.total:,} image{'' if tracker.total == 1 else 's'}"
+    shares = ", ".join(f"{name} {100 * share:.0f} %" for name, share in list(tracker.shares().items())[:_MOST_STAGES])
+    return f"{tracker.done:,} of {images}, {pace(tracker)}" + (f"; {shares}" if shares else "")
 
 
-def pace(meter: Meter) -> str:
+def pace(tracker: ProgressTracker) -> str:
     """How fast a run is, and what went wrong."""
     parts = []
-    if meter.images_per_hour is not None and meter.seconds_left is not None:
-        parts += [f"{three_digits(meter.images_per_hour)} an hour", f"{span(meter.seconds_left)} left"]
+    if tracker.images_per_hour is not None and tracker.seconds_left is not None:
+        parts += [f"{three_digits(tracker.images_per_hour)} an hour", f"{span(tracker.seconds_left)} left"]
     else:
-        parts.append(f"{span(time.monotonic() - meter.started_s)} so far")
-    if meter.failed:
-        parts.append(f"{meter.failed:,} failed")
-    if meter.retried:
-        parts.append(f"{meter.retried:,} attempt{'' if meter.retried == 1 else 's'} again")
+        parts.append(f"{span(time.monotonic() - tracker.started_s)} so far")
+    if tracker.failed:
+        parts.append(f"{tracker.failed:,} failed")
+    if tracker.retried:
+        parts.append(f"{tracker.retried:,} attempt{'' if tracker.retried == 1 else 's'} again")
     return ", ".join(parts)
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -11,16 +12,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.core.progress import Timings
+from forestgen.core.threads import cores, limit_cores
 from forestgen.dataset.camera import camera_model
+from forestgen.dataset.data_set import data_set_of
 from forestgen.dataset.exr import frame_parts
-from forestgen.dataset.frame import Parts
+from forestgen.dataset.frame import Frame, Parts
 from forestgen.dataset.maps import write_maps
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.dataset.tables import plants_table
 from forestgen.dataset.tonemap import preview_of
 from forestgen.dataset.writer import write_frame
-from forestgen.pipeline import RenderedFrame
-from forestgen.recipe.load import DrawnRecipe, dump_yaml
+from forestgen.pipeline import RenderedFrame, assemble_image, image_frames
+from forestgen.recipe.load import DrawnRecipe, LoadedRecipe, dump_yaml
+from forestgen.render.variant import mitsuba, tracing_on
+from forestgen.runs.tracker import Display
+from forestgen.scene.plan import check_memory
+from forestgen.scene.planning import make_plan
 
 
 class MadeFrame:
@@ -57,3 +65,35 @@ class MadeFrame:
     def save(self, folder: Path, beside: Path) -> None:
         stored = replace(self._drawn, data=write_maps(beside, self._drawn.data, self._drawn.folder))
         write_frame(folder, self._frame.labelled, dump_yaml(stored), self._frame.attributes, self._settings)
+
+
+def frames_of(
+    loaded: LoadedRecipe, images: range, threads: int | None, device: str | None, display: Display
+) -> Iterator[Frame]:
+    """See `Recipe.frames`. Nothing is set while the caller looks at a frame."""
+    for index in images:
+        with _tracing(threads, device), display.running():
+            plan = make_plan(loaded.draw(index))
+            check_memory(plan)
+            image = assemble_image(plan, display, Timings())
+        made = image_frames(image, display, Timings())
+        while True:
+            with _tracing(threads, device), display.running():
+                frame = next(made, None)
+            if frame is None:
+                break
+            yield Frame(MadeFrame(frame, image.drawn, data_set_of(image.drawn)))
+
+
+@contextmanager
+def _tracing(threads: int | None, device: str | None) -> Iterator[None]:
+    """In the block, rays are traced by so many threads, and on a device."""
+    with tracing_on(device):
+        limit_cores(threads)
+        mitsuba(threads)
+        try:
+            yield
+        finally:
+            if threads is not None:
+                limit_cores(None)
+                mitsuba(cores())

@@ -71,9 +71,9 @@ class FittedKernel:
 
     def lines(self) -> Iterator[str]:
         """For people: the recipe's first lines, how new stands compare with the measured one, notes, files."""
-        from forestgen.community.fitting import fit_text
+        from forestgen.community.fitting import report
 
-        yield fit_text.head(self.fit)
+        yield report.head(self.fit)
         yield ""
         lines = self.recipe.rstrip().splitlines()
         for line in lines[:_HEAD]:
@@ -82,13 +82,13 @@ class FittedKernel:
             where = "recipe" if self.files is None else self.files[0]
             yield f"... and {count(len(lines) - _HEAD, 'more line')} in {where}"
         yield ""
-        yield from fit_text.check_lines(self.fit)
+        yield from report.check_lines(self.fit)
         for note in self.notes:
             yield f"note: {note}"
         if self.files is not None:
             yield f"files: {', '.join(str(path) for path in self.files)}"
             yield f"place one: forestgen simulate {self.files[0]} --set seed=1"
-        yield fit_text.in_words(self.fit)
+        yield report.in_words(self.fit)
 
 
 def fit_kernel(
@@ -123,7 +123,7 @@ def fit_kernel(
     RecipeError, OutputError
     """
     from forestgen.community.fitting.fit import Settings, fit_stand
-    from forestgen.community.fitting.recipe_text import recipe_text, species_sources
+    from forestgen.community.fitting.report import recipe_text, species_sources
     from forestgen.community.fitting.stand import measured_stand
     from forestgen.community.point_table import read_points
 
@@ -186,15 +186,14 @@ def _on_fit(fit: Fit) -> list[str]:
         )
     if fit.nursery.founders:
         notes.append(
-            f"one kernel leaves the nearest neighbours far off (loss {fit.plain.losses[-1]:.3g}); "
-            f"{fit.nursery.founders} founders that come first leave {fit.matched.losses[-1]:.3g}"
+            f"one kernel leaves the nearest neighbours far off (loss {fit.plain.loss:.3g}); "
+            f"{fit.nursery.founders} founders that come first leave {fit.matched.loss:.3g}"
         )
     return notes
 
 
 def _write(files: tuple[Path, Path, Path], fitted: FittedKernel, points: Path, *, overwrite: bool) -> None:
-    from forestgen.community.fitting.plot_fit import fit_picture
-    from forestgen.community.fitting.recipe_text import document
+    from forestgen.community.fitting.report import document, fit_picture
 
     recipe, picture, numbers = files
     content = json.dumps(document(fitted.fit, points.name, list(fitted.notes)), indent=1, allow_nan=False) + "\n"

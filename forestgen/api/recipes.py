@@ -1,29 +1,32 @@
-"""Recipes: `load` reads one, and everything that a recipe can make is a method of `Recipe`."""
+"""Recipes: `load` reads one, and everything that a recipe can make is a method of `Recipe`.
+
+Its methods that make images are in rendering.py, those that measure in instruments.py.
+"""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from forestgen.core.arguments import PathLike, address_of, path_of, paths_of, plain_copy, shown, texts_of
+from forestgen.api.display import display_of
+from forestgen.api.instruments import Instruments
+from forestgen.api.rendering import Rendering
+from forestgen.core.arguments import PathLike, listed, path_of, paths_of, plain_copy, shown, texts_of, whole_of
 from forestgen.core.errors import RecipeError
-from forestgen.core.progress import Progress
+from forestgen.core.figures import count, show_bytes
+from forestgen.core.progress import Progress, Timings
+from forestgen.recipe.sources import dotted
 from forestgen.scene.load_checked import load_checked
 
 if TYPE_CHECKING:
-    from forestgen.api.datasets import Run
     from forestgen.api.stands import Stand
-    from forestgen.api.validation import Validation
-    from forestgen.atmosphere.clouds.source import WeatherReport
-    from forestgen.dataset.frame import Frame
-    from forestgen.instruments.calibration import Calibration
-    from forestgen.instruments.instrument import Reading
-    from forestgen.instruments.light_meter import LightReadings
-    from forestgen.runs.start import DryRun
+    from forestgen.scene.plan import Plan
 
 Overrides = Mapping[str, Any] | Sequence[str] | None
+_MOST_STEPS = 10**9
 
 
 def load(
@@ -74,20 +77,70 @@ def _yaml(key: str, value: Any) -> str:
         ) from error
 
 
-def _values(texts: Sequence[str]) -> dict[str, Any]:
-    """Key -> value of texts ``key=YAML``."""
-    from forestgen.recipe.sources import parse_yaml
-
-    found = {}
-    for text in texts:
-        key, equals, written = text.partition("=")
-        if not equals:
-            raise RecipeError("this gives no key a value", parameter="keys", expected="key=value", got=shown(text))
-        found[key.strip()], _ = parse_yaml(written, f"keys: {key.strip()}", lines=False)
-    return found
+_MOST_CAMERAS = 5  # in the text of a validation
 
 
-class Recipe:
+@dataclass(frozen=True)
+class CameraSummary:
+    """One entry of the recipe's cameras."""
+
+    name: str
+    size_px: tuple[int, int]
+    frames: int  # of an image
+
+
+@dataclass(frozen=True)
+class Validation:
+    """What a recipe makes, checked without simulating."""
+
+    recipe: str  # where it was read from
+    images: int
+    cameras: tuple[CameraSummary, ...]
+    site_size_m: tuple[float, float]
+    terrain: str
+    community: str
+    steps: int
+    species: tuple[str, ...]
+    drawn: tuple[str, ...]  # keys whose values each image draws
+    sampling: str | None
+    render_bytes: int  # of memory, an upper estimate
+    simulate_bytes: int
+    hash: str
+    notes: tuple[str, ...]
+
+    @property
+    def frames(self) -> int:
+        return self.images * sum(camera.frames for camera in self.cameras)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values, for JSON."""
+        return {"valid": True, **asdict(self), "frames": self.frames}
+
+    def __str__(self) -> str:
+        return "\n".join([f"{self.recipe}: valid", *(f"  {name:<10} {text}" for name, text in self._rows())])
+
+    def _rows(self) -> Iterator[tuple[str, str]]:
+        yield (
+            "makes",
+            f"{count(self.frames, 'frame')}: {count(self.images, 'image')} x " + count(len(self.cameras), "camera"),
+        )
+        for camera in self.cameras[:_MOST_CAMERAS]:
+            along = f", {camera.frames} images" if camera.frames > 1 else ""
+            yield "", f"{camera.name}, {camera.size_px[0]} x {camera.size_px[1]} px{along}"
+        if len(self.cameras) > _MOST_CAMERAS:
+            yield "", "..."
+        yield "site", f"{self.site_size_m[0]:g} x {self.site_size_m[1]:g} m, {self.terrain}"
+        yield "community", f"{self.community}, {count(self.steps, 'step')}"
+        yield "species", ", ".join(self.species)
+        yield "drawn", ", ".join(self.drawn) or "nothing but the random numbers"
+        if self.sampling is not None:
+            yield "sampling", self.sampling
+        memory = f"{show_bytes(self.render_bytes)} to render, {show_bytes(self.simulate_bytes)} to simulate alone"
+        yield "memory", f"up to about {memory}"
+        yield "hash", self.hash
+
+
+class Recipe(Rendering, Instruments):
     """A recipe that has passed the checks of its text. Objects do not change; `set` returns another one."""
 
     def __init__(self, source: PathLike | Mapping[str, Any], overrides: Sequence[str] = ()) -> None:
@@ -141,9 +194,34 @@ class Recipe:
         ------
         RecipeError, AssetError, ResourceError : what is wrong, or would not fit into memory.
         """
-        from forestgen.api.validation import validation_of
+        from forestgen.scene.plan import estimate_bytes
+        from forestgen.scene.planning import check_plan
 
-        return validation_of(self._loaded)
+        loaded = self._loaded
+        plan = check_plan(loaded)
+        drawn = plan.drawn.recipe
+        render_bytes, simulate_bytes = (
+            sum(estimate_bytes(plan, simulate_only=only).values()) for only in (False, True)
+        )
+        return Validation(
+            recipe=str(loaded.path),
+            images=loaded.images,
+            cameras=tuple(
+                CameraSummary(camera.name, (camera.size_px[0], camera.size_px[1]), camera.frames)
+                for camera in drawn.cameras
+            ),
+            site_size_m=(drawn.site.size_m[0], drawn.site.size_m[1]),
+            terrain=drawn.site.terrain.kind,
+            community=drawn.community.model,
+            steps=plan.community.steps,
+            species=tuple(drawn.species),
+            drawn=tuple(dotted(keys) for keys in loaded.distributions),
+            sampling=None if loaded.draws.sampler is None else loaded.draws.sampler.describe(),
+            render_bytes=render_bytes,
+            simulate_bytes=simulate_bytes,
+            hash=loaded.hash,
+            notes=tuple(_notes(plan)),
+        )
 
     def simulate(
         self,
@@ -172,299 +250,40 @@ class Recipe:
         ------
         RecipeError, ResourceError, OutputError
         """
-        from forestgen.api.stands import simulated
+        from forestgen import pipeline
+        from forestgen.api.stands import Stand
 
-        return simulated(
-            self._loaded,
-            None if out is None else path_of(out, "out", output=True),
-            map_steps=map_steps,
-            resume=None if resume is None else path_of(resume, "resume"),
-            from_step=from_step,
-            graphs=paths_of(graphs, "graphs", output=True),
-            overwrite=overwrite,
-            progress=progress,
-        )
+        if from_step is not None and resume is None:
+            raise RecipeError(
+                "no history to go on from", parameter="from_step", expected="`resume='history.parquet'` with it"
+            )
 
-    def frames(
-        self,
-        count: int | None = None,
-        *,
-        first: int = 0,
-        threads: int | None = None,
-        device: str | None = None,
-        progress: bool | Progress | None = None,
-    ) -> Iterator[Frame]:
-        """Render images one after another and yield their frames, arrays in memory; nothing is written.
+        def step(value: Any, parameter: str) -> int:
+            return whole_of(value, parameter, -_MOST_STEPS, _MOST_STEPS)
 
-        Parameters
-        ----------
-        count : images, each of which has a frame for every camera; by default as many as the recipe says.
-        first : index of the first one.
-        threads, device, progress : see `render`.
-        """
-        from forestgen.api.rendering import frames_of
-
-        return frames_of(self._loaded, count, first, threads, device, progress)
-
-    def render(
-        self,
-        out: PathLike | None = None,
-        *,
-        count: int | None = None,
-        resume: bool = False,
-        discard: bool = False,
-        overwrite: bool = False,
-        threads: int | None = None,
-        device: str | None = None,
-        progress: bool | Progress | None = None,
-    ) -> Run:
-        """Make a data set in this process, one image after another.
-
-        Parameters
-        ----------
-        out : its folder; by default outputs/NAME, outputs/NAME-2, ...
-        count : images, in all; by default as many as the recipe says.
-        resume : go on in a data set that is there: make what is missing, damaged or has changed.
-        discard : with resume, remove finished images that do not belong to the data set any more.
-        overwrite : replace a previous data set.
-        threads : by default all cores. Results do not depend on it.
-        device : what traces rays: llvm, the processor, or cuda.
-        progress : None or True: shown; False: silent; or a listener, see `forestgen.api.display`.
-
-        Raises
-        ------
-        ForestgenError : the first image that fails raises its own error; finished images stay, and `resume` goes on.
-        """
-        from forestgen.api.rendering import render_run
-        from forestgen.runs.start import RunOptions
-
-        options = RunOptions(
-            count=count, resume=resume, discard=discard, overwrite=overwrite, threads=threads, device=device
-        )
-        return render_run(self._loaded, None if out is None else address_of(out, "out"), options, progress)
-
-    def batch(
-        self,
-        out: PathLike,
-        count: int | None = None,
-        *,
-        workers: int | None = None,
-        threads: int | None = None,
-        resume: bool = False,
-        discard: bool = False,
-        overwrite: bool = False,
-        worker_memory: int | str | None = None,
-        timeout: float | str | None = None,
-        retries: int = 2,
-        engine: str = "local",
-        scheduler: str | None = None,
-        resources: Mapping[str, float] | None = None,
-        device: str | None = None,
-        progress: bool | Progress | None = None,
-    ) -> Run:
-        """Make a data set with worker processes, or on a Dask cluster. The bytes are those that `render` makes.
-
-        Parameters
-        ----------
-        out : its folder, or its address in an object store, such as s3://bucket/forests.
-        count, resume, discard, overwrite, device, progress : see `render`.
-        workers : processes; by default as many as cores and memory allow.
-        threads : of each worker; by default all cores are shared out.
-        worker_memory : bytes, or a text such as 4GB; a worker that takes more is stopped, and its image tried again.
-        timeout : seconds, or a text such as 30min, that an image may take.
-        retries : further attempts at an image that failed for a reason that may pass.
-        engine, scheduler, resources : ``"dask"``, its scheduler's address, and what each image takes of a worker.
-
-        Raises
-        ------
-        DatasetError : images could not be made; the others are there.
-        RecipeError, ResourceError, OutputError
-        """
-        from forestgen.api.rendering import batch_run
-        from forestgen.runs.start import RunOptions
-
-        options = RunOptions(
-            count=count,
-            workers=workers,
-            threads=threads,
-            resume=resume,
-            discard=discard,
-            overwrite=overwrite,
-            worker_memory=worker_memory,
-            timeout=timeout,
-            retries=retries,
-            engine=engine,
-            scheduler=scheduler,
-            resources={} if resources is None else resources,
-            device=device,
-        )
-        return batch_run(self._loaded, address_of(out, "out"), options, progress)
-
-    def estimate(
-        self,
-        out: PathLike,
-        count: int | None = None,
-        *,
-        workers: int | None = None,
-        threads: int | None = None,
-        resume: bool = False,
-        discard: bool = False,
-        overwrite: bool = False,
-        worker_memory: int | str | None = None,
-        timeout: float | str | None = None,
-        retries: int = 2,
-        engine: str = "local",
-        scheduler: str | None = None,
-        resources: Mapping[str, float] | None = None,
-        device: str | None = None,
-        progress: bool | Progress | None = None,
-    ) -> DryRun:
-        """What a batch would take in time, memory and disk: some of its images are made and thrown away.
-
-        The parameters are those of `batch`; without `overwrite`, finished images that are there do not count.
-
-        Raises
-        ------
-        RecipeError, ResourceError, OutputError : the batch could not be made.
-        """
-        from forestgen.api.rendering import estimate_run
-        from forestgen.runs.start import RunOptions
-
-        options = RunOptions(
-            count=count,
-            workers=workers,
-            threads=threads,
-            resume=resume,
-            discard=discard,
-            overwrite=overwrite,
-            worker_memory=worker_memory,
-            timeout=timeout,
-            retries=retries,
-            engine=engine,
-            scheduler=scheduler,
-            resources={} if resources is None else resources,
-            device=device,
-        )
-        return estimate_run(self._loaded, address_of(out, "out"), options, progress)
-
-    def light(
-        self,
-        at: Sequence[Sequence[float | str]],
-        *,
-        normals: str | Sequence[str | Sequence[float]] = ("up",),
-        samples: int = 16384,
-        absolute_z: bool = False,
-        out: PathLike | None = None,
-        spectrum: float | None = None,
-        overwrite: bool = False,
-        progress: bool | Progress | None = None,
-    ) -> LightReadings:
-        """Measure light at points of the first image's scene.
-
-        Parameters
-        ----------
-        at : points x, y, z in metres, z above ground.
-        normals : where the meter looks: up, down, north, east, south, west, or a vector.
-        samples : light paths of each light at each wavelength.
-        absolute_z : count z from z = 0, not from the ground below.
-        out : a .csv or .json file.
-        spectrum : step in nm of the spectra in `out`.
-        overwrite : replace an existing file.
-        """
-        from forestgen.api.instruments import measured
-        from forestgen.instruments.light_meter import INSTRUMENT
-
-        keys = {"at": at, "normals": normals, "samples": samples, "absolute_z": absolute_z, "spectrum": spectrum}
-        target = None if out is None else path_of(out, "out", output=True)
-        return measured(self._loaded, INSTRUMENT, keys, target, overwrite, progress)
-
-    def measure(
-        self,
-        instrument: str,
-        keys: Overrides = None,
-        *,
-        out: PathLike | None = None,
-        overwrite: bool = False,
-        progress: bool | Progress | None = None,
-    ) -> Reading:
-        """Measure in the first image's scene with an instrument; `print` shows what it measured.
-
-        Parameters
-        ----------
-        instrument : one of `forestgen.models(kind="instrument")`, whose page has its keys.
-        keys : of the measurement: ``{"at": [[30, 40, 1.5]]}``, or texts ``["at=[[30, 40, 1.5]]"]`` whose values are
-            YAML.
-        out : a file, in one of the formats of the instrument; most write .json.
-        overwrite : replace an existing file.
-        """
-        from forestgen.api.instruments import measured_by
-
-        values = keys if isinstance(keys, Mapping) else _values(texts_of(keys or (), "keys"))
-        target = None if out is None else path_of(out, "out", output=True)
-        return measured_by(self._loaded, instrument, values, target, overwrite, progress)
-
-    def weather(
-        self,
-        count: int | None = None,
-        *,
-        out: Sequence[PathLike] | PathLike = (),
-        picture: PathLike | None = None,
-        overwrite: bool = False,
-        progress: bool | Progress | None = None,
-    ) -> list[WeatherReport]:
-        """Simulate the weather alone, of each of `count` images.
-
-        Parameters
-        ----------
-        out : files for the last image's: .nc, the state of the air; .vol or .vdb, its extinction.
-        picture : a PNG, a row an image.
-        """
-        from forestgen.api.instruments import simulate_weather
-
-        return simulate_weather(
-            self._loaded,
-            count,
-            out=paths_of(out, "out", output=True),
-            picture=None if picture is None else path_of(picture, "picture", output=True),
-            overwrite=overwrite,
-            progress=progress,
-        )
-
-    def calibrate(
-        self,
-        out: PathLike | None = None,
-        *,
-        at: Sequence[float | str] | None = None,
-        normal: str | Sequence[float] = "up",
-        width_px: int = 96,
-        samples: int = 64,
-        absolute_z: bool = False,
-        overwrite: bool = False,
-        progress: bool | Progress | None = None,
-    ) -> tuple[Calibration, Path]:
-        """Render a ColorChecker and a grey card in the scene and compare them with colour science.
-
-        Parameters
-        ----------
-        out : folder for a sheet, calibration.html, and its numbers; by default outputs/NAME-calibration.
-        at : the board's middle, metres, z above ground; by default over the site's middle, above all plants.
-        normal : where the board looks: up, north, east, south, west, or a vector.
-        width_px, samples : of the chart's picture; light paths a pixel, of each light.
-        absolute_z : count z from z = 0, not from the ground below.
-
-        Returns
-        -------
-        What was measured, whose `holds` tells whether the bounds hold; and the folder.
-        """
-        from forestgen.api.instruments import calibrate
-
-        return calibrate(
-            self._loaded,
-            None if out is None else path_of(out, "out", output=True),
-            {"at": at, "normal": normal, "width_px": width_px, "samples": samples, "absolute_z": absolute_z},
-            overwrite,
-            progress,
-        )
+        folder, display = None if out is None else path_of(out, "out", output=True), display_of(progress)
+        with display.running():
+            summary = pipeline.simulate(
+                self._loaded,
+                folder,
+                map_steps=[step(one, "map_steps") for one in listed(map_steps, "map_steps", "steps")],
+                resume=None if resume is None else path_of(resume, "resume"),
+                from_step=None if from_step is None else step(from_step, "from_step"),
+                graphs=paths_of(graphs, "graphs", output=True),
+                overwrite=overwrite,
+                progress=display,
+                timings=Timings(),
+            )
+        return Stand(summary, folder)
 
     def __repr__(self) -> str:
         return f"<Recipe {self._loaded.path}: {self.images} image{'' if self.images == 1 else 's'}>"
+
+
+def _notes(plan: Plan) -> Iterator[str]:
+    reason = plan.community.empty_reason
+    if reason:
+        yield reason
+    for name in plan.views.below_ground:
+        yield f"the camera {name} stands below the ground"
+    yield from plan.views.check_outside_of_buildings()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -11,18 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen import pipeline
-from forestgen.api.display import display_of
 from forestgen.community.history_files import map_colours
 from forestgen.community.population import Population, Status
 from forestgen.community.summary import SimulationSummary
-from forestgen.core.arguments import listed, shown, whole_of
+from forestgen.core.arguments import shown
 from forestgen.core.errors import RecipeError
-from forestgen.core.progress import Progress, Timings
-from forestgen.recipe.load import LoadedRecipe
 from forestgen.recipe.suggestions import did_you_mean
-
-_MOST_STEPS = 10**9
 
 
 class Stand:
@@ -127,37 +120,3 @@ def _axes_of(ax: Any) -> Any:
     if ax is None or isinstance(ax, Axes):
         return ax
     raise RecipeError("these are no axes", parameter="ax", expected="matplotlib Axes, one pair", got=shown(ax))
-
-
-def simulated(
-    loaded: LoadedRecipe,
-    out: Path | None,
-    *,
-    map_steps: Sequence[int],
-    resume: Path | None,
-    from_step: int | None,
-    graphs: Sequence[Path],
-    overwrite: bool,
-    progress: bool | Progress | None,
-) -> Stand:
-    """See `Recipe.simulate`."""
-    if from_step is not None and resume is None:
-        raise RecipeError(
-            "no history to go on from", parameter="from_step", expected="`resume='history.parquet'` with it"
-        )
-    steps = [whole_of(one, "map_steps", -_MOST_STEPS, _MOST_STEPS) for one in listed(map_steps, "map_steps", "steps")]
-    first = None if from_step is None else whole_of(from_step, "from_step", -_MOST_STEPS, _MOST_STEPS)
-    display = display_of(progress)
-    with display.running():
-        summary = pipeline.simulate(
-            loaded,
-            out,
-            map_steps=steps,
-            resume=resume,
-            from_step=first,
-            graphs=graphs,
-            overwrite=overwrite,
-            progress=display,
-            timings=Timings(),
-        )
-    return Stand(summary, out)

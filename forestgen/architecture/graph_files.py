@@ -24,39 +24,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.architecture.skeletal_graph import SkeletalGraph
+from forestgen.architecture.geometry import SkeletalGraph
 from forestgen.core.errors import OutputError
 
 GRAPH_FORMATS = (".parquet", ".csv", ".gltf", ".glb", ".obj", ".usda", ".usdc")
-_TYPES: dict[str, type] = {
-    "plant": np.int64,
-    "module": np.int64,
-    "node": np.int16,
-    "parent": np.int64,
-    "x_m": np.float32,
-    "y_m": np.float32,
-    "z_m": np.float32,
-    "diameter_m": np.float32,
-    "age": np.float32,
-    "order": np.uint8,
-    "axis": np.int64,
-    "is_main": np.bool_,
-}
+_NAMES = ("plant", "module", "node", "parent", "x_m", "y_m", "z_m", "diameter_m", "age", "order", "axis", "is_main")
 Columns = Mapping[str, Sequence[Any] | NDArray[Any]]
 
 
 def write_graph(path: Path, graph: SkeletalGraph, *, foot_m: Any = None, columns: Columns | None = None) -> None:
-    """Write a graph in the format that the path's suffix names.
+    """Write a graph in the format that the path's suffix names; an `OutputError` if that is not possible.
 
-    Parameters
-    ----------
-    foot_m : (P, 3) world, of all plants of the population: positions become the world's; None: each from its own foot.
-    columns : name -> (P,) what else is known of each plant, such as plant_id and species: columns of tables, custom
-        data of scenes.
-
-    Raises
-    ------
-    OutputError : no such format, or the file cannot be written.
+    With `foot_m` (P, 3), of all plants of the population, positions are the world's; without, each plant's from its own
+    foot. `columns` are name -> (P,) what else is known of each plant, such as plant_id and species: columns of tables,
+    custom data of scenes.
     """
     suffix = path.suffix.lower()
     if suffix not in GRAPH_FORMATS:
@@ -88,9 +69,8 @@ def _table_bytes(
     import pyarrow.csv as pa_csv
     import pyarrow.parquet as pq
 
-    columns = {name: getattr(graph, name) for name in _TYPES if not name.endswith("_m") or name == "diameter_m"}
-    columns |= dict(zip(("x_m", "y_m", "z_m"), position.T, strict=True))
-    columns = {name: columns[name] for name in _TYPES}
+    of_nodes = {**vars(graph), **dict(zip(("x_m", "y_m", "z_m"), position.T, strict=True))}
+    columns = {name: of_nodes[name] for name in _NAMES}
     columns |= {name: values[graph.plant] for name, values in known.items()}
     table = pa.table({name: pa.array(np.ascontiguousarray(values)) for name, values in columns.items()})
     sink = pa.BufferOutputStream()

@@ -68,10 +68,8 @@ def matrix_of(rotation, row, turned):  # type: ignore[no-untyped-def]
 def place_nodes(shapes, s, type_, age, turned, place, metres):  # type: ignore[no-untyped-def]
     """Fill `place` (N, 3), metres from the module's root along the world's axes, and `metres` (N,), segment lengths.
 
-    Parameters
-    ----------
-    s, type_ : index of the prototype and of the plant type.
-    age : the module's physiological age; what passes the mature age does not count.
+    `s` and `type_` are the index of the prototype and of the plant type. What of `age` passes the mature age does not
+    count.
     """
     shape, parent, count, kind = shapes.shape[s], shapes.parent[s], shapes.count[s], shapes.kind[type_]
     grown = min(age, kind[0])
@@ -152,27 +150,24 @@ def fill_terminals(shapes, modules, wanted, first, end, position, direction):  #
 
 
 @compiled
-def fill_nodes(shapes, modules, rows, start, first, end, position, length):  # type: ignore[no-untyped-def]
-    """Fill `position` (., 3) and `length` (.,) of the nodes of modules `rows[first:end]`, the k-th's from start[k]."""
+def fill_nodes(shapes, modules, start, first, end, position, length):  # type: ignore[no-untyped-def]
+    """Fill `position` (., 3) and `length` (.,) of the nodes of modules `first` to `end`, row's from start[row]."""
     shapes, modules = borrowed(shapes), borrowed(modules)
     n = shapes.parent.shape[1]
     turned, place, metres = np.empty((3, 3)), np.empty((n, 3)), np.empty(n)
-    for k in range(first, end):
-        row = rows[k]
+    for row in range(first, end):
         place_module(shapes, modules, row, turned, place, metres)
         for node in range(shapes.count[modules.prototype[row]]):
-            length[start[k] + node] = metres[node]
+            length[start[row] + node] = metres[node]
             for axis in range(3):
-                position[start[k] + node, axis] = modules.base[row, axis] + place[node, axis]
+                position[start[row] + node, axis] = modules.base[row, axis] + place[node, axis]
 
 
 @compiled
 def add_pipes(shapes, kind, s, age, disused, borne, squared):  # type: ignore[no-untyped-def]
     """Fill `squared` (N,) with the squared diameters of one module's nodes, m2: the pipe model from its terminals down.
 
-    Parameters
-    ----------
-    borne : (N,) squared diameter of the root node of the module that each terminal bears, m2; -1: none.
+    `borne` (N,) is the squared diameter of the root node of the module that each terminal bears, m2; -1: none.
     """
     count, mature = shapes.count[s], shapes.mature[kind]
     grown = min(age, mature)

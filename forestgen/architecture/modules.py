@@ -43,3 +43,22 @@ class Modules:
         """(M,) row of the module that bears each module, -1 for roots."""
         start = np.repeat(self.first[:-1], np.diff(self.first))
         return np.where(self.parent < 0, -1, start + self.parent)
+
+    def rows(self, plants: NDArray[np.integer] | NDArray[np.bool_]) -> NDArray[np.int64]:
+        """(M',) rows of the modules of plants, one plant's after another's; (K,) rows of plants, or a mask (P,)."""
+        chosen = np.arange(self.plants)[plants]
+        counts = self.first[chosen + 1] - self.first[chosen]
+        begins = np.cumsum(counts) - counts
+        return np.asarray(np.arange(counts.sum()) + np.repeat(self.first[chosen] - begins, counts))
+
+    def of_plants(self, plants: NDArray[np.integer] | NDArray[np.bool_]) -> Modules:
+        """The modules of these plants, in this order; `plants` as in `rows`."""
+        rows, counts = self.rows(plants), np.diff(self.first)[plants]
+        columns = {name: values[rows] for name, values in vars(self).items() if name != "first"}
+        return Modules(first=np.concatenate([[0], np.cumsum(counts)]).astype(np.int64), **columns)
+
+    def and_then(self, others: Modules) -> Modules:
+        """The modules of these plants, and of further ones behind them."""
+        parts = {name: np.concatenate([values, getattr(others, name)]) for name, values in vars(self).items()}
+        parts["first"] = np.concatenate([self.first, self.first[-1] + others.first[1:]])
+        return Modules(**parts)

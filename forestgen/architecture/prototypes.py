@@ -1,23 +1,33 @@
-"""Module prototypes as data: ``scenes/modules/NAME.yaml``, or files of the user's own.
+"""Module prototypes: the branching patterns that branch modules repeat (Makowski 2023, section 2.5.2).
+
+A prototype is a tree of nodes. Node 0 is its root, at the module's origin; every other node ends a branch segment. The
+nodes without children are its terminals, where other modules may grow. Of several children of a node the first is the
+continuation of the axis (main), the others are lateral. The files are ``scenes/modules/NAME.yaml``::
 
     description: main axis with a whorl of laterals, as in young firs
-    apical_control: 0.83   # lambda, its place in the morphospace of Makowski (2023), section 2.5.2
+    apical_control: 0.83   # lambda, its place in the morphospace
     determinacy: 0.85      # D
     nodes:                 # node 0 is the root, at the origin; the first entry is node 1
       - {parent: 0, angle_deg: 2, azimuth_deg: 0, length: 0.6}
       - {parent: 1, angle_deg: 55, azimuth_deg: 137.5, length: 0.7, birth: 0.3, thickness: 0.8}
 
-Of several children of a node the first is the continuation of the axis. A node's segment leaves its parent in a
-`direction` [x, y, z] of the module's frame, whose z is the module's axis; or at `angle_deg` from the segment that its
-parent ends, on the side `azimuth_deg`. The azimuth counts about that segment, from the frame's x axis turned by the
-least rotation that takes z to the segment. `length` is a factor on the plant type's lengths, `birth` the share of the
-mature age at which the segment begins to grow: a grown segment is ``length * (1 - birth)`` long in these units.
+A node's segment leaves its parent in a `direction` [x, y, z] of the module's frame, whose z is the module's axis; or at
+`angle_deg` from the segment that its parent ends, on the side `azimuth_deg`. The azimuth counts about that segment,
+from the frame's x axis turned by the least rotation that takes z to the segment. `length` is a factor on the plant
+type's lengths, `birth` the share of the mature age at which the segment begins to grow: a grown segment is
+``length * (1 - birth)`` long in these units.
+
+Prototypes and plant types become padded arrays, for compiled loops over modules. Physiological ages are those of the
+plant type, 0 to its mature age. A module's frame has its root node at the origin and its axis along z. What depends on
+a module's attitude to the vertical (Eq. 12) is not in the tables.
+
+Makowski, M. (2023), chapter 2 (Synthetic Silviculture), sections 2.5.2 and 2.5.3.
 """
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Self
@@ -26,37 +36,56 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationError, model_validator
 
-from forestgen.architecture.prototype import MOST_NODES, Prototype
 from forestgen.core.errors import AssetError
-from forestgen.recipe.assets import find_asset, inside, list_assets
+from forestgen.recipe.assets import find_asset, list_assets
 from forestgen.recipe.fields import Fraction, Number, Positive, Section, Text, Whole, mistake
 from forestgen.recipe.messages import Explainer
-from forestgen.recipe.sources import SourceMap, parse_yaml, read_yaml
+from forestgen.recipe.sources import read_yaml
+from forestgen.recipe.species import PlantType
 
-MOST_PROTOTYPES = 64
-MOST_BYTES = 100_000  # of a prototype's text
+MOST_NODES = 32
+_COLUMNS = ("mature_age", "length_per_age_m", "longest_segment_m", "tropism_strength", "tropism_decay", "opacity")
+
+
+@dataclass(frozen=True)
+class Prototype:
+    """One prototype, with its place in the morphospace of apical control and determinacy."""
+
+    name: str
+    apical_control: float  # lambda, 0 to 1
+    determinacy: float  # D, 0 to 1
+    parent: NDArray[np.int16]  # (N,) -1 for node 0; parents precede children
+    direction: NDArray[np.float32]  # (N, 3) unit vector of the segment that the node ends; module's frame, z its axis
+    length: NDArray[np.float32]  # (N,) of that segment, as a factor on the plant type's lengths; 0 for node 0
+    birth: NDArray[np.float32]  # (N,) a_n over the mature age, 0 to 1: the segment's; not below its parent's
+    thickness: NDArray[np.float32]  # (N,) factor on the plant type's thickening, for terminals
+
+    def __len__(self) -> int:
+        return len(self.parent)
+
+    @property
+    def terminals(self) -> NDArray[np.int64]:
+        """(K,) nodes without children."""
+        return np.setdiff1d(np.arange(len(self.parent)), self.parent[1:])
+
+
 _UnitFree = Annotated[Number, Field(ge=-1e3, le=1e3)]
 
 
 class PrototypeNode(Section):
     """One node of a prototype's file, and the branch segment that it ends."""
 
-    parent: Annotated[Whole, Field(ge=0, le=MOST_NODES - 2, description="Number of the node it grows from; 0: root.")]
-    direction: Annotated[
-        tuple[_UnitFree, _UnitFree, _UnitFree] | None,
-        Field(description="Of the segment, in the module's frame, of any length; in place of the angles."),
-    ] = None
-    angle_deg: Annotated[
-        Number | None, Field(ge=0, le=180, description="From the segment that the parent ends, degrees.")
-    ] = None
-    azimuth_deg: Annotated[Number, Field(ge=-3600, le=3600, description="Side of that angle, degrees.")] = 0.0
-    length: Annotated[Positive, Field(ge=1e-3, le=20, description="Factor on the plant type's segment lengths.")]
-    birth: Annotated[
-        Fraction, Field(le=0.95, description="Share of the mature age at which the segment begins to grow.")
-    ] = 0.0
-    thickness: Annotated[
-        Positive, Field(ge=1e-3, le=20, description="Factor on the plant type's thickening, of a terminal node.")
-    ] = 1.0
+    parent: Whole = Field(ge=0, le=MOST_NODES - 2, description="Number of the node it grows from; 0: root.")
+    direction: tuple[_UnitFree, _UnitFree, _UnitFree] | None = Field(
+        None, description="Of the segment, in the module's frame, of any length; in place of the angles."
+    )
+    angle_deg: Number | None = Field(None, ge=0, le=180, description="From the segment that the parent ends, degrees.")
+    azimuth_deg: Number = Field(0.0, ge=-3600, le=3600, description="Side of that angle, degrees.")
+    length: Positive = Field(ge=1e-3, le=20, description="Factor on the plant type's segment lengths.")
+    birth: Fraction = Field(0.0, le=0.95, description="Share of the mature age at which the segment begins to grow.")
+    thickness: Positive = Field(
+        1.0, ge=1e-3, le=20, description="Factor on the plant type's thickening, of a terminal node."
+    )
 
     @model_validator(mode="after")
     def _one_way(self) -> Self:
@@ -73,14 +102,12 @@ class PrototypeNode(Section):
 class PrototypeFile(Section):
     """A prototype's file."""
 
-    name: Annotated[Text | None, Field(min_length=1, max_length=64, description="null: as the file.")] = None
-    description: Annotated[Text, Field(max_length=1000, description="What branches it draws.")] = ""
-    apical_control: Annotated[Fraction, Field(description="Place in the morphospace [lambda].")]
-    determinacy: Annotated[Fraction, Field(description="Place in the morphospace [D].")]
-    nodes: Annotated[
-        tuple[PrototypeNode, ...],
-        Field(min_length=1, max_length=MOST_NODES - 1, description="All but the root, parents first; see the page."),
-    ]
+    description: Text = Field("", max_length=1000, description="What branches it draws.")
+    apical_control: Fraction = Field(description="Place in the morphospace [lambda].")
+    determinacy: Fraction = Field(description="Place in the morphospace [D].")
+    nodes: tuple[PrototypeNode, ...] = Field(
+        min_length=1, max_length=MOST_NODES - 1, description="All but the root, parents first; see the page."
+    )
 
     @model_validator(mode="after")
     def _is_a_tree(self) -> Self:
@@ -104,14 +131,14 @@ class PrototypeFile(Section):
         return self
 
     def prototype(self, name: str) -> Prototype:
-        """The arrays; `name` stands where the file gives none."""
+        """The arrays of the prototype."""
         directions = [np.array([0.0, 0.0, 1.0])]
         for node in self.nodes:
             directions.append(_direction(node, directions[node.parent]))
         numbers = [(0.0, 0.0, 1.0), *((node.length, node.birth, node.thickness) for node in self.nodes)]
         length, birth, thickness = np.array(numbers, dtype=np.float32).T
         return Prototype(
-            self.name or name,
+            name,
             self.apical_control,
             self.determinacy,
             np.array([-1, *(node.parent for node in self.nodes)], dtype=np.int16),
@@ -143,99 +170,17 @@ def _direction(node: PrototypeNode, along: NDArray[np.float64]) -> NDArray[np.fl
     )
 
 
-def parse_prototype(name: str, text: str) -> Prototype:
-    """The prototype of a file's text.
-
-    Raises
-    ------
-    AssetError : the text is no prototype; with the line, what was expected and what was found.
-    """
-    data, sources = parse_yaml(text, name, error=AssetError)
-    if not isinstance(data, dict):
-        raise AssetError("not a mapping", where=name, expected="keys such as apical_control and nodes", got="no keys")
-    return _checked(data, sources, Path(name).stem)
-
-
-class PrototypeText(Section):
-    """A prototype as recipes name it: a shipped one's name, or a file's path; drawn recipes hold a file's text too."""
-
-    name: Annotated[Text, Field(min_length=1, max_length=1000, description="Such as whorled, or a path.")]
-    text: Annotated[Text | None, Field(max_length=MOST_BYTES, description="Content of a file of your own.")] = None
-
-
-def load_prototypes(
-    names: Sequence[str | PrototypeText] | None = None, folder: Path | None = None
-) -> tuple[Prototype, ...]:
-    """The prototypes of the names, sorted by name.
-
-    Parameters
-    ----------
-    names : of shipped prototypes, paths of files, or paths of folders with files (with a slash), relative to `folder`;
-        or files' names with their texts. None: all shipped.
-    folder : the recipe's folder; None: the working directory.
-
-    Raises
-    ------
-    AssetError : no such file, a file that is no prototype, or two of one name.
-    """
-    if names is None:
-        return _shipped()
-    found: list[Prototype] = []
-    for entry in names:
-        if isinstance(entry, PrototypeText) and entry.text is not None:
-            found.append(parse_prototype(entry.name, entry.text))
-        else:
-            found += [_read(path) for path in prototype_files(entry if isinstance(entry, str) else entry.name, folder)]
-    return in_order(found)
-
-
-def prototype_files(name: str, folder: Path | None = None) -> list[Path]:
-    """The file of a prototype's name or path, or those of a folder's path, sorted."""
-    own = Path(name) if folder is None else inside(folder, name)
-    try:
-        is_folder = ("/" in name or "\\" in name) and own.is_dir()
-        listed = sorted(path for path in own.iterdir() if path.suffix in (".yaml", ".yml")) if is_folder else []
-    except (OSError, ValueError) as cause:  # no name for a file, or a folder that may not be read
-        raise AssetError("the folder cannot be read", where=str(own), got=str(cause)) from cause
-    if is_folder and not listed:
-        raise AssetError("a folder without prototypes", where=str(own), expected="files such as fork.yaml")
-    return listed or [find_asset("modules", name, folder=folder)]
-
-
-def in_order(prototypes: Sequence[Prototype]) -> tuple[Prototype, ...]:
-    """Prototypes sorted by name, as module graphs count them; two of one name or place are an error."""
-    found = tuple(sorted(prototypes, key=lambda prototype: prototype.name))
-    if not 1 <= len(found) <= MOST_PROTOTYPES:
-        raise AssetError("bad number of prototypes", expected=f"1 to {MOST_PROTOTYPES}", got=str(len(found)))
-    for one, next_one in itertools.pairwise(found):
-        if one.name == next_one.name:
-            raise AssetError("two prototypes of one name", expected="names of their own", got=repr(one.name))
-    places: dict[tuple[float, float], str] = {}
-    for one in found:
-        place = one.apical_control, one.determinacy
-        if place in places:
-            raise AssetError(
-                "two prototypes at one place of the morphospace",
-                expected="another apical_control or determinacy: a region belongs to one prototype",
-                got=f"{places[place]!r} and {one.name!r} at {place[0]:g}, {place[1]:g}",
-            )
-        places[place] = one.name
-    return found
-
-
 @cache
-def _shipped() -> tuple[Prototype, ...]:
-    return in_order([_read(find_asset("modules", name)) for name in list_assets("modules")])
+def load_prototypes() -> tuple[Prototype, ...]:
+    """All prototypes, sorted by name, as module graphs count them."""
+    return tuple(read_prototype(find_asset("modules", name)) for name in sorted(list_assets("modules")))
 
 
-def _read(path: Path) -> Prototype:
+def read_prototype(path: Path) -> Prototype:
+    """The prototype of a file; an `AssetError` if it holds none."""
     data, sources = read_yaml(path, error=AssetError)
-    return _checked(data, sources, path.stem)
-
-
-def _checked(data: dict[str, Any], sources: SourceMap, name: str) -> Prototype:
     try:
-        return PrototypeFile.model_validate(data).prototype(name)
+        return PrototypeFile.model_validate(data).prototype(path.stem)
     except ValidationError as failure:
         found = Explainer(PrototypeFile, data, sources, (), {}).error(failure)
         raise AssetError(
@@ -248,10 +193,7 @@ def choose_prototype(
 ) -> NDArray[np.uint8]:
     """Index of the prototype whose Voronoi region of the morphospace holds each point; the first of equals.
 
-    Parameters
-    ----------
-    apical_control, determinacy : (...) lambda and D', 0 to 1; of one shape, or one number.
-    allowed : (..., S) among which prototypes each may choose, at least one; None: all.
+    The points are lambda and D', 0 to 1, of one shape (...); `allowed` (..., S) says which prototypes each may choose.
     """
     control, determinate = np.broadcast_arrays(
         np.asarray(apical_control, dtype=np.float64), np.asarray(determinacy, dtype=np.float64)
@@ -266,3 +208,131 @@ def choose_prototype(
         chosen[closer] = index
         nearest = np.where(closer, distance, nearest)
     return chosen
+
+
+@dataclass(frozen=True)
+class Tables:
+    """T plant types in the species' order, S prototypes in the order of their names, N = MOST_NODES nodes a prototype.
+
+    Padding: parent, first_child, next_sibling, terminal and terminal_index -1; the rest 0.
+    """
+
+    names: tuple[str, ...]  # of the prototypes
+    nodes: NDArray[np.int16]  # (S,) number of nodes
+    parent: NDArray[np.int16]  # (S, N) -1 for node 0
+    direction: NDArray[np.float64]  # (S, N, 3) unit, module's frame
+    length: NDArray[np.float64]  # (S, N) factor
+    birth: NDArray[np.float64]  # (S, N) over the mature age
+    thickness: NDArray[np.float64]  # (S, N) factor
+    first_child: NDArray[np.int16]  # (S, N) the main child; -1: a terminal
+    next_sibling: NDArray[np.int16]  # (S, N) the next lateral of the same parent; -1: none
+    terminals: NDArray[np.int16]  # (S,) number of terminals, K
+    terminal: NDArray[np.int16]  # (S, N) node numbers of the terminals, ascending
+    terminal_index: NDArray[np.int16]  # (S, N) place of a node among the terminals; -1: none
+    disused_node: NDArray[np.int16]  # (S,) last node of the main axis that is no terminal: there disused pipes begin
+    mature_age: NDArray[np.float64]  # (T,) physiological
+    length_per_age_m: NDArray[np.float64]  # (T,)
+    longest_segment_m: NDArray[np.float64]  # (T,)
+    tropism_strength: NDArray[np.float64]  # (T,) g_2
+    tropism_decay: NDArray[np.float64]  # (T,) g_1
+    thickening_m: NDArray[np.float64]  # (T,) `pipe_diameter_m`, of a grown terminal segment of thickness 1
+    opacity: NDArray[np.float64]  # (T,)
+    sphere_scale: float  # of the spheres' radii
+    sphere_centre_m: NDArray[np.float64]  # (T, S, 3) of grown modules, module's frame, no tropism
+    sphere_radius_m: NDArray[np.float64]  # (T, S) of grown modules, no tropism
+
+    @property
+    def most_terminals(self) -> int:
+        """Of any of the prototypes."""
+        return int(self.terminals.max())
+
+
+def tables_of(prototypes: Sequence[Prototype], types: Sequence[PlantType], *, sphere_scale: float = 1.0) -> Tables:
+    """Tables of prototypes, in the order of their names, and plant types, in the species' order.
+
+    `sphere_scale` is a factor on the spheres' radii; at 1 the spheres of a chain of modules touch.
+    """
+    s, n = len(prototypes), MOST_NODES
+    parent = np.full((s, n), -1, dtype=np.int16)
+    first_child, next_sibling, terminal, terminal_index = (np.full((s, n), -1, dtype=np.int16) for _ in range(4))
+    direction = np.zeros((s, n, 3))
+    length, birth, thickness = np.zeros((s, n)), np.zeros((s, n)), np.zeros((s, n))
+    disused = np.zeros(s, dtype=np.int16)
+    for index, prototype in enumerate(prototypes):
+        count = len(prototype)
+        parent[index, :count] = prototype.parent
+        unit = prototype.direction.astype(np.float64)
+        direction[index, :count] = unit / np.linalg.norm(unit, axis=-1, keepdims=True)
+        length[index, :count], birth[index, :count] = prototype.length, prototype.birth
+        thickness[index, :count] = prototype.thickness
+        for node in range(count - 1, 0, -1):  # from the last, so that the first child ends at the front
+            bearer = prototype.parent[node]
+            next_sibling[index, node] = first_child[index, bearer]
+            first_child[index, bearer] = node
+        ends = prototype.terminals
+        terminal[index, : len(ends)] = ends
+        terminal_index[index, ends] = np.arange(len(ends))
+        while first_child[index, first_child[index, disused[index]]] >= 0:
+            disused[index] = first_child[index, disused[index]]
+    length[:, 0] = 0.0
+    mature, per_age, longest, strength, decay, opacity = (
+        np.array([getattr(one, name) for one in types], dtype=np.float64) for name in _COLUMNS
+    )
+    nodes = np.array([len(prototype) for prototype in prototypes], dtype=np.int16)
+    centre, radius = _grown_spheres(parent, direction, length, birth, mature, per_age, longest)
+    return Tables(
+        names=tuple(prototype.name for prototype in prototypes),
+        nodes=nodes,
+        parent=parent,
+        direction=direction,
+        length=length,
+        birth=birth,
+        thickness=thickness,
+        first_child=first_child,
+        next_sibling=next_sibling,
+        terminals=np.array([len(prototype.terminals) for prototype in prototypes], dtype=np.int16),
+        terminal=terminal,
+        terminal_index=terminal_index,
+        disused_node=disused,
+        mature_age=mature,
+        length_per_age_m=per_age,
+        longest_segment_m=longest,
+        tropism_strength=strength,
+        tropism_decay=decay,
+        thickening_m=np.array([pipe_diameter_m(one) for one in types], dtype=np.float64),
+        opacity=opacity,
+        sphere_scale=sphere_scale,
+        sphere_centre_m=centre,
+        sphere_radius_m=radius * sphere_scale,
+    )
+
+
+def pipe_diameter_m(one: PlantType) -> float:
+    """Of the pipes that a grown terminal segment adds to the wood below: n shoots of phi have sqrt(n) phi (Eq. 10)."""
+    return float(one.thickening_cm / 100.0 * np.sqrt(one.shoots_per_terminal))
+
+
+def _grown_spheres(
+    parent: NDArray[np.int16],
+    direction: NDArray[np.float64],
+    length: NDArray[np.float64],
+    birth: NDArray[np.float64],
+    mature: NDArray[np.float64],
+    per_age: NDArray[np.float64],
+    longest: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Centres (T, S, 3) and radii (T, S), metres, of straight grown modules; as geometry.spheres has them."""
+    mature, per_age, longest = (one[:, None, None] for one in (mature, per_age, longest))
+    since = np.maximum(mature - birth * mature, 0.0)  # (T, S, N)
+    metres = length * np.minimum(longest, per_age * since)
+    place = np.zeros((*metres.shape, 3))
+    every = np.arange(len(parent))
+    for node in range(1, parent.shape[1]):
+        bearer = np.maximum(parent[:, node], 0)
+        place[:, :, node] = place[:, every, bearer] + metres[..., node, None] * direction[:, node]
+    weight = metres.sum(axis=-1)
+    centre = (place * metres[..., None]).sum(axis=-2) / np.where(weight > 0, weight, 1.0)[..., None]
+    away = np.linalg.norm(centre, axis=-1)
+    axis = centre / np.where(away > 0, away, 1.0)[..., None]
+    reach = np.where(metres > 0, np.einsum("tsnc,tsc->tsn", place, axis), 0.0).max(axis=-1)
+    return centre, 0.5 * reach

@@ -4,29 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any, Optional
+from typing import Annotated, Any
 
 import typer
 
-from forestgen.cli.calibrate import calibrate
-from forestgen.cli.completion import add_completion, complete_names
-from forestgen.cli.console import errors_for_people
-from forestgen.cli.datasets import merge, pack, report
-from forestgen.cli.fit_kernel import fit_kernel
-from forestgen.cli.help_pages import show_plainly
+from forestgen.cli.arguments import option
+from forestgen.cli.communities import fit_kernel, lsystem, simulate, stats
+from forestgen.cli.console import errors_for_people, names_of
+from forestgen.cli.datasets import merge, pack, report, verify
 from forestgen.cli.inspect import doctor, models, schema, validate
-from forestgen.cli.light import PointsCommand, light
-from forestgen.cli.lsystem import lsystem
-from forestgen.cli.measure import measure
-from forestgen.cli.option_names import names_of
+from forestgen.cli.instruments import calibrate, light, measure, weather
+from forestgen.cli.parsing import (
+    PointsCommand,
+    RadiiCommand,
+    add_completion,
+    complete_names,
+    options_suggested,
+    show_plainly,
+)
 from forestgen.cli.plant import plant
 from forestgen.cli.render import batch, render
-from forestgen.cli.simulate import simulate
-from forestgen.cli.stats import stats
-from forestgen.cli.suggestions import options_suggested
-from forestgen.cli.variadic import RadiiCommand
-from forestgen.cli.verify import verify
-from forestgen.cli.weather import weather
 from forestgen.core import __version__
 
 
@@ -73,17 +70,13 @@ def _version(wanted: bool) -> None:
 
 @app.callback()
 def options(
-    version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")
-    ] = False,
+    version: Annotated[bool, option("--version", "Show the version.", callback=_version, is_eager=True)] = False,
     allowed: Annotated[
-        Optional[list[Path]],  # noqa: UP045 - typer reads annotations at run time
-        typer.Option(
-            "--allow-folder",
-            metavar="DIR",
-            help="Let recipes read from this folder too, not only from their own. Before the command's name; may be "
+        list[Path] | None,
+        option(
+            "--allow-folder DIR",
+            "Let recipes read from this folder too, not only from their own. Before the command's name; may be "
             "repeated.",
-            show_default=False,
         ),
     ] = None,
 ) -> None:

@@ -10,6 +10,9 @@
 70   a bug in forestgen
 129  the terminal was closed; 130: interrupted (Ctrl-C); 143: terminated. Nothing is left half-written.
 141  the reader of the output has left, as `head` does
+
+Errors name parameters of Python's calls, and the command line shows its options instead: an error has its `parameter`;
+in its words a parameter stands between backticks, `` `overwrite=True` ``.
 """
 
 from __future__ import annotations
@@ -17,23 +20,33 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from typing import TYPE_CHECKING, NoReturn, cast
+from typing import TYPE_CHECKING, Any, NoReturn, cast
 
 import typer
 
-from forestgen.cli.option_names import in_options
 from forestgen.core.errors import ForestgenError, OutputError, ResourceError, plain
 from forestgen.core.streams import output_failure, redirect_failed_streams
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-INTERNAL_ERROR = 70
+NOTHING_WRITTEN = "nothing was written"
+_QUOTED = re.compile(r"`([a-z][a-z0-9_]*(?:='.*?'|=[^'`][^`]*)?)`", re.DOTALL)
+#: Of other commands than the one that fails, such as that which made a data set.
+_ELSEWHERE = {
+    "resume": "--resume",
+    "workers": "--workers",
+    "split": "--split",
+    "set": "--set",
+    "allow_folders": "forestgen --allow-folder",  # before the command's name
+}
+_SOURCE = {"source": "RECIPE", "sources": "DIR..."}  # arguments by the names that they have in Python
 # The base of all errors of the command line's syntax, which typer does not export.
 _UsageError: type[Exception] = cast("type[Exception]", typer.BadParameter.__base__)
 
@@ -75,13 +88,8 @@ def _finite(content: object) -> object:
 class _StoppedError(BaseException):
     """A signal that asks the process to end, raised so that every `finally` runs."""
 
-    def __init__(self, number: int) -> None:
-        self.number = number
-        self.kept = "nothing was written"
-
-    @property
-    def message(self) -> str:
-        return f"{_STOPPED[signal.Signals(self.number).name]}: {self.kept}"
+    def __init__(self, number: int, kept: str = NOTHING_WRITTEN) -> None:
+        self.number, self.kept = number, kept
 
 
 _STOPPED = {"SIGINT": "interrupted", "SIGTERM": "terminated", "SIGHUP": "the terminal was closed"}
@@ -124,8 +132,8 @@ def _stopping_cleanly() -> Iterator[None]:
     try:
         yield
     except Exception as error:
-        if stopped:  # an import that was cut short fails in its own words
-            raise _StoppedError(stopped[0]) from error
+        if stopped:  # an import that was cut short, or a loop of Dr.Jit's, fails in its own words
+            raise _StoppedError(stopped[0], _kept(error)) from error
         raise
     finally:
         sys.unraisablehook = hook
@@ -142,32 +150,19 @@ def _on_its_way(error: BaseException | None) -> bool:
     return error is not None
 
 
-def _say(message: str) -> None:
+def fail(message: str, code: int) -> NoReturn:
+    """Print an error and leave."""
     with suppress(OSError, ValueError):  # a closed terminal takes no message, nor does a full disk
         sys.stderr.write(message.rstrip() + "\n")
         sys.stderr.flush()
-
-
-def fail(message: str, code: int) -> NoReturn:
-    """Print an error and leave."""
-    _say(message)
     raise SystemExit(code)
-
-
-def _fail_of_output(failure: OSError) -> NoReturn:
-    """Leave because standard output takes no more, as on a full disk."""
-    got = failure.strerror or str(failure)
-    error = OutputError("the output cannot be written", where="standard output", got=got)
-    fail(f"error: {error}", error.exit_code)
 
 
 @contextmanager
 def errors_for_people(names: Callable[[], Mapping[str, str]] = dict) -> Iterator[None]:
     """Turn exceptions into messages and exit codes. FORESTGEN_DEBUG=1 shows tracebacks instead.
 
-    Parameters
-    ----------
-    names : options by the parameters that errors name, see `option_names.names_of`.
+    `names`: options by the parameters that errors name, see `names_of`.
     """
     if os.environ.get("FORESTGEN_DEBUG"):
         yield
@@ -183,21 +178,24 @@ def errors_for_people(names: Callable[[], Mapping[str, str]] = dict) -> Iterator
     except MemoryError:
         hint = "make images or the site smaller, or take fewer species or exemplars"
         fail(f"error: {ResourceError('memory ran out', hint=hint)}", ResourceError.exit_code)
-    except _StoppedError as stopped:
-        fail(stopped.message, 128 + stopped.number)
-    except KeyboardInterrupt:
-        fail(_StoppedError(signal.SIGINT).message, 130)
+    except (_StoppedError, KeyboardInterrupt) as error:
+        number = error.number if isinstance(error, _StoppedError) else signal.SIGINT
+        fail(f"{_STOPPED[signal.Signals(number).name]}: {_kept(error)}", 128 + number)
     except BrokenPipeError:
         # Python would complain again when it flushes at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         raise SystemExit(141) from None
     except Exception as error:  # noqa: BLE001 - the one place where a bug is caught, named as such, and reported
-        if (failure := output_failure()) is not None:
-            _fail_of_output(failure)
+        if (failure := output_failure()) is not None:  # such as a full disk
+            got = failure.strerror or str(failure)
+            fail(
+                f"error: {OutputError('the output cannot be written', where='standard output', got=got)}",
+                OutputError.exit_code,
+            )
         fail(
             f"error: a bug in forestgen: {type(error).__name__}: {error}\n"
             "  try       the same command with FORESTGEN_DEBUG=1 shows the traceback for a report",
-            INTERNAL_ERROR,
+            70,
         )
     finally:
         redirect_failed_streams()
@@ -208,6 +206,49 @@ def stops_keep(what: Callable[[], str]) -> Iterator[None]:
     """A block that leaves something behind when it is interrupted; `what` tells of it, in the message's words."""
     try:
         yield
-    except _StoppedError as stopped:
-        stopped.kept = what()
+    except BaseException as error:  # also an error that compiled code has made of a stop
+        error.kept = what()  # type: ignore[attr-defined]
         raise
+
+
+def _kept(error: BaseException) -> str:
+    return str(getattr(error, "kept", NOTHING_WRITTEN))
+
+
+def names_of(command: Any) -> dict[str, str]:
+    """Parameter in Python -> option or argument of a command; several values are one name, `splits` and --split."""
+    found = {}
+    for one in command.params:
+        if isinstance(one, typer.core.TyperArgument):
+            found[one.name] = one.metavar or str(one.name).upper()
+            continue
+        option = next((name for name in one.opts if name.startswith("--")), one.opts[0])
+        name = option.removeprefix("--").replace("-", "_")
+        found |= {one.name: option, name: option, f"{name}s": option}
+    return found
+
+
+def in_options(error: ForestgenError, names: Mapping[str, str]) -> str:
+    """The text of one error with options in place of parameters; what it got is a user's and stays.
+
+    `names`: of the command, see `names_of`.
+    """
+    known = {**_ELSEWHERE, **_SOURCE, **names}
+
+    def option(parameter: str) -> str | None:
+        """``workers=8`` as ``--workers 8``; None if there is no such option."""
+        name, _, value = parameter.partition("=")
+        if name not in known or value in ("", "True"):
+            return known.get(name)
+        value = value[1:-1] if value.startswith("'") else value
+        return f"{known[name]} '{value}'" if " " in value else f"{known[name]} {value}"
+
+    def words(text: str | None) -> str | None:
+        return text and _QUOTED.sub(lambda found: option(found[1]) or found[0], text)
+
+    where = words(error.where)
+    if error.parameter is not None:
+        where = option(error.parameter) or error.parameter
+    problem = words(error.problem) or ""
+    expected, hint = words(error.expected), words(error.hint)
+    return str(ForestgenError(problem, where=where, expected=expected, got=error.got, hint=hint))

@@ -1,30 +1,59 @@
-"""The commands on data sets: `merge`, `pack`, `report`."""
+"""The commands on data sets: `verify`, `merge`, `pack`, `report`."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Optional
+from typing import Annotated
 
-import typer
-
-from forestgen.cli.arguments import DatasetPath, Overwrite, Quiet, Seed, progress_of
+from forestgen.cli.arguments import DatasetPath, Json, Overwrite, Quiet, Seed, Workers, argument, option, progress_of
 from forestgen.cli.console import Printer
 from forestgen.core.figures import count
 
-if TYPE_CHECKING:
-    from forestgen.dataset.pack.run import Packed
+
+def verify(
+    folder: DatasetPath,
+    rerender: Annotated[int, option("--rerender K", "Render K images again, and compare all bytes.", min=0)] = 0,
+    seed: Seed = 0,
+    workers: Workers = None,
+    hashes: Annotated[bool, option("--hashes/--no-hashes", "Read all files and compare them with SHA256SUMS.")] = True,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Check a data set: its files, its index, its splits, its labels.
+
+    Every file has its SHA-256, nothing else lies there, the index tells what the frames show, no plant community is in
+    two splits, and all labels are true to each other. With --rerender, images are rendered again.
+
+    Every finding is named, up to 1,000 of each check. Files that other tools leave in the folder are a note.
+
+    Exit code 0 if all is right, 6 if not, 2 if the folder is no data set.
+    """
+    from forestgen import verify as check
+    from forestgen.core.errors import DatasetError
+
+    report = check(
+        folder, rerender=rerender, seed=seed, workers=workers, hashes=hashes, progress=progress_of(quiet or as_json)
+    )
+    if as_json:
+        Printer().json(report.as_dict())
+    else:
+        Printer(quiet)(str(report))
+    if not report.ok:
+        first, total = report.findings[0], len(report.findings) + report.not_named
+        raise DatasetError(
+            f"{first.problem} (check {first.check!r}; {count(total, 'finding')} in all)",
+            where=str(folder / first.file),
+            expected=first.expected or None,
+            got=first.got or None,
+            hint="the command that made the data set, with --resume, makes damaged images again",
+        )
 
 
 def merge(
-    sources: Annotated[
-        list[Path], typer.Argument(metavar="DIR...", help="Data sets of render or batch.", show_default=False)
-    ],
-    out: Annotated[
-        Path, typer.Option("--out", "-o", metavar="DIR", help="The merged data set's folder.", show_default=False)
-    ],
+    sources: Annotated[list[Path], argument("DIR...", "Data sets of render or batch.", show_default=False)],
+    out: Annotated[Path, option("--out -o DIR", "The merged data set's folder.", show_default=False)],
     link: Annotated[
-        bool,
-        typer.Option("--link", help="Hard links instead of copies: quick, and no disk space; files are then shared."),
+        bool, option("--link", "Hard links instead of copies: quick, and no disk space; files are then shared.")
     ] = False,
     quiet: Quiet = False,
 ) -> None:
@@ -45,33 +74,21 @@ def merge(
 
 def pack(
     folder: DatasetPath,
-    form: Annotated[
-        str,
-        typer.Option("--format", metavar="NAME", help="webdataset, huggingface, or another pack.", show_default=False),
-    ],
-    out: Annotated[Path, typer.Option("--out", "-o", metavar="DIR", help="Folder for the pack.", show_default=False)],
-    shard_size: Annotated[
-        str, typer.Option("--shard-size", metavar="SIZE", help="No file is larger: 500MB, 1.5GB, 256MiB.")
-    ] = "500MB",
+    form: Annotated[str, option("--format NAME", "webdataset, huggingface, or another pack.", show_default=False)],
+    out: Annotated[Path, option("--out -o DIR", "Folder for the pack.", show_default=False)],
+    shard_size: Annotated[str, option("--shard-size SIZE", "No file is larger: 500MB, 1.5GB, 256MiB.")] = "500MB",
     channels: Annotated[
-        Optional[str],  # noqa: UP045 - typer reads annotations at run time
-        typer.Option(
-            "--channels",
-            metavar="A,B,...",
-            help="Of preview, semantic, instance, depth, overlay, raw, annotations, plants, exr, and of arrays out of "
+        str | None,
+        option(
+            "--channels A,B,...",
+            "Of preview, semantic, instance, depth, overlay, raw, annotations, plants, exr, and of arrays out of "
             "frame.exr: depth_m, normal, albedo, motion, radiance. By default preview, semantic, instance, and depth "
             "and annotations if the data set has them.",
-            show_default=False,
         ),
     ] = None,
-    splits: Annotated[
-        Optional[list[str]],  # noqa: UP045
-        typer.Option("--split", metavar="NAME", help="Pack this split alone; may be repeated.", show_default=False),
-    ] = None,
+    splits: Annotated[list[str] | None, option("--split NAME", "Pack this split alone; may be repeated.")] = None,
     seed: Seed = 0,
-    by_name: Annotated[
-        bool, typer.Option("--by-name", help="Frames in the order of their names, not shuffled.")
-    ] = False,
+    by_name: Annotated[bool, option("--by-name", "Frames in the order of their names, not shuffled.")] = False,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
 ) -> None:
@@ -93,11 +110,7 @@ def pack(
         overwrite=overwrite,
         progress=progress_of(quiet),
     )
-    _print_pack(packed, Printer(quiet))
-
-
-def _print_pack(packed: Packed, say: Printer) -> None:
-    width = max(len(name) for name in packed.splits)
+    say, width = Printer(quiet), max(len(name) for name in packed.splits)
     for name, shards in packed.splits.items():
         frames, size = sum(one.frames for one in shards), sum(one.size_bytes for one in shards)
         say(f"{name:<{width}}  {count(frames, 'frame')} in {count(len(shards), 'file')}, {size / 1e6:,.1f} MB")
@@ -110,12 +123,7 @@ def _print_pack(packed: Packed, say: Printer) -> None:
 
 def report(
     folder: DatasetPath,
-    out: Annotated[
-        Optional[Path],  # noqa: UP045
-        typer.Option(
-            "--out", "-o", metavar="FILE", help="The page; by default report.html in DIR.", show_default=False
-        ),
-    ] = None,
+    out: Annotated[Path | None, option("--out -o FILE", "The page; by default report.html in DIR.")] = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Show a data set on one HTML page: gallery, balance, coverage, failures, timings.

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from forestgen.cli.arguments import Json, Overrides, RecipePath
+from forestgen.cli.arguments import Json, Overrides, RecipePath, argument, option
 from forestgen.cli.console import Printer
 
 
@@ -17,7 +17,7 @@ def validate(recipe: RecipePath, overrides: Overrides = None, as_json: Json = Fa
     """Check a recipe without making anything, and say what it would make."""
     from forestgen import load
 
-    found, say = load(recipe, set=overrides or ()).validate(), Printer()
+    found, say = load(recipe, set=overrides).validate(), Printer()
     if as_json:
         say.json(found.as_dict())
         return
@@ -36,19 +36,11 @@ def schema() -> None:
 
 def models(
     name: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="NAME",
-            help="Show this part's manual page, or this species' or recipe's file.",
-        ),
+        str | None, argument("NAME", "Show this part's manual page, or this species' or recipe's file.")
     ] = None,
     kind: Annotated[
         str | None,
-        typer.Option(
-            "--kind",
-            metavar="KIND",
-            help="Only these, such as community_model or species; an unknown one lists the kinds.",
-        ),
+        option("--kind KIND", "Only these, such as community_model or species; an unknown one lists the kinds."),
     ] = None,
     as_json: Json = False,
 ) -> None:

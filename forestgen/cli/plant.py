@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from forestgen.cli.arguments import Json, Overwrite, Quiet, Seed, progress_of
+from forestgen.cli.arguments import Json, Overwrite, Quiet, Seed, argument, option, progress_of
 from forestgen.cli.console import Printer
 from forestgen.core.figures import count, show_bytes, table_lines, three_digits
 
@@ -16,87 +17,63 @@ if TYPE_CHECKING:
     from forestgen.runs.single_plant import SinglePlant
 
 _MOST_FILES = 6  # named one by one
-
-SpeciesName = Annotated[
-    str | None, typer.Argument(metavar="SPECIES", help="A species' name, see --list, or its YAML file.")
-]
-HeightM = Annotated[
-    float | None, typer.Option("--height-m", metavar="METRES", help="By default that of a mature plant.")
-]
 Out = Annotated[
     list[Path] | None,
-    typer.Option(
-        "--out",
-        "-o",
-        metavar="FILE",
-        help="A mesh: .glb, .ply, .obj (with its .mtl), .usd, .usda, .usdc, .usdz; or a picture: .png. May be "
+    option(
+        "--out -o FILE",
+        "A mesh: .glb, .ply, .obj (with its .mtl), .usd, .usda, .usdc, .usdz; or a picture: .png. May be "
         "repeated; by default outputs/SPECIES.glb and .png.",
     ),
 ]
-PlantCount = Annotated[
-    int, typer.Option("--count", metavar="N", help="So many plants, of seeds from --seed on: tree-0001.glb, ...")
-]
 Frames = Annotated[
     int | None,
-    typer.Option(
-        "--frames",
-        metavar="N",
-        help="So many poses in the wind, of a species of the generator strands: tree-0001.glb, ...",
-    ),
+    option("--frames N", "So many poses in the wind, of a species of the generator strands: tree-0001.glb, ..."),
 ]
 Detail = Annotated[
     int | None,
-    typer.Option(
-        "--detail",
-        metavar="0..2",
+    option(
+        "--detail 0..2",
+        "How finely leaves and flowers are drawn: 2 for close views; by default as the species' file says.",
         min=0,
         max=2,
-        help="How finely leaves and flowers are drawn: 2 for close views; by default as the species' file says.",
     ),
 ]
 WoodTriangles = Annotated[
     int | None,
-    typer.Option(
-        "--wood-triangles",
-        metavar="N",
-        help="In mesh files, wood of about N triangles with one baked texture, for real-time programs.",
+    option(
+        "--wood-triangles N",
+        "In mesh files, wood of about N triangles with one baked texture, for real-time programs.",
     ),
-]
-SizePx = Annotated[
-    tuple[int, int], typer.Option("--size-px", metavar="W H", help="Size of the picture.", show_default="540 720")
-]
-Samples = Annotated[
-    int, typer.Option("--samples", metavar="N", min=1, max=65536, help="Light paths a pixel of the picture.")
 ]
 DistanceM = Annotated[
     float | None,
-    typer.Option(
-        "--distance-m",
-        metavar="METRES",
-        help="How far the camera stands from the plant; by default as far as a normal lens asks for.",
+    option(
+        "--distance-m METRES",
+        "How far the camera stands from the plant; by default as far as a normal lens asks for.",
     ),
 ]
 LookAtM = Annotated[
     float | None,
-    typer.Option(
-        "--look-at-m", metavar="METRES", help="Look at this height through a normal lens, not at the whole plant."
-    ),
+    option("--look-at-m METRES", "Look at this height through a normal lens, not at the whole plant."),
 ]
 
 
 def plant(
-    species: SpeciesName = None,
-    list_species: Annotated[bool, typer.Option("--list", help="List the species that come with forestgen.")] = False,
-    height_m: HeightM = None,
+    species: Annotated[str | None, argument("SPECIES", "A species' name, see --list, or its YAML file.")] = None,
+    list_species: Annotated[bool, option("--list", "List the species that come with forestgen.")] = False,
+    height_m: Annotated[float | None, option("--height-m METRES", "By default that of a mature plant.")] = None,
     seed: Seed = 0,
     out: Out = None,
-    plants: PlantCount = 1,
+    plants: Annotated[int, option("--count N", "So many plants, of seeds from --seed on: tree-0001.glb, ...")] = 1,
     frames: Frames = None,
-    frames_per_s: Annotated[float, typer.Option("--frames-per-s", metavar="N", help="Pace of the frames.")] = 12.0,
+    frames_per_s: Annotated[float, option("--frames-per-s N", "Pace of the frames.")] = 12.0,
     detail: Detail = None,
     wood_triangles: WoodTriangles = None,
-    size_px: SizePx = (540, 720),
-    samples: Samples = 32,
+    size_px: Annotated[tuple[int, int], option("--size-px W H", "Size of the picture.", show_default="540 720")] = (
+        540,
+        720,
+    ),
+    samples: Annotated[int, option("--samples N", "Light paths a pixel of the picture.", min=1, max=65536)] = 32,
     distance_m: DistanceM = None,
     look_at_m: LookAtM = None,
     overwrite: Overwrite = False,
@@ -128,24 +105,15 @@ def plant(
         overwrite=overwrite,
         progress=progress_of(quiet),
     )
-    _print(made, Printer(quiet), frames=frames is not None, as_json=as_json)
-
-
-def _print(made: Sequence[SinglePlant], say: Printer, *, frames: bool, as_json: bool) -> None:
+    say = Printer(quiet)
     if as_json:
-        say.json([_plain(one) for one in made])
+        say.json([{**asdict(one), "files": {str(path): size for path, size in one.files.items()}} for one in made])
         return
     if len(made) == 1:
         _print_one(made[0], say)
     else:
-        _print_many(made, say, frames=frames)
+        _print_many(made, say, frames=frames is not None)
     _print_files({path: size for one in made for path, size in one.files.items()}, say)
-
-
-def _plain(one: SinglePlant) -> dict[str, Any]:
-    from dataclasses import asdict
-
-    return {**asdict(one), "files": {str(path): size for path, size in one.files.items()}}
 
 
 def _print_one(one: SinglePlant, say: Printer) -> None:
@@ -194,8 +162,6 @@ def _mass(kilograms: float) -> str:
 
 def _library(as_json: bool) -> None:
     """List the shipped species: no plant is grown."""
-    from dataclasses import asdict
-
     from forestgen import species
 
     found, say = species(), Printer()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -22,25 +22,25 @@ from forestgen.cli.arguments import (
     Threads,
     Verbose,
     Workers,
+    option,
     progress_of,
-    with_first,
 )
-from forestgen.cli.console import Printer, stops_keep
+from forestgen.cli.console import NOTHING_WRITTEN, Printer, stops_keep
 from forestgen.core.figures import count
 
 if TYPE_CHECKING:
-    from forestgen.api.display import Display
+    from forestgen.api.datasets import Run
+    from forestgen.api.recipes import Recipe
+    from forestgen.runs.tracker import Display
 
 
 def render(
     recipe: RecipePath,
     out: Annotated[
         str | None,
-        typer.Option(
-            "--out",
-            "-o",
-            metavar="DIR",
-            help="The data set's folder, or its address in an object store; by default outputs/NAME, ...-2, ...",
+        option(
+            "--out -o DIR",
+            "The data set's folder, or its address in an object store; by default outputs/NAME, ...-2, ...",
         ),
     ] = None,
     images: Count = None,
@@ -59,95 +59,56 @@ def render(
 
     The same bytes as `batch` makes with many workers. Ctrl-C keeps finished images; --resume goes on.
     """
-    from forestgen import load
     from forestgen.api.rendering import free_folder
 
-    loaded = load(recipe, set=with_first(overrides, first))
+    loaded = _load(recipe, overrides, first)
     target = free_folder(Path("outputs") / recipe.stem) if out is None else out
+    options: dict[str, Any] = {
+        "resume": resume,
+        "discard": discard,
+        "overwrite": overwrite,
+        "threads": threads,
+        "device": device,
+    }
     if dry_run:
-        shown = progress_of(quiet)
-        expected = loaded.estimate(
-            target,
-            images,
-            workers=1,
-            threads=threads,
-            resume=resume,
-            discard=discard,
-            overwrite=overwrite,
-            device=device,
-            progress=shown,
-        )
-        Printer(quiet)(str(expected))
+        Printer(quiet)(str(loaded.estimate(target, images, workers=1, progress=progress_of(quiet), **options)))
         return
-    display = _display(quiet)
-    with stops_keep(lambda: kept(display, overwrite=overwrite, if_none="nothing was written")):
-        run = loaded.render(
-            target,
-            count=images,
-            resume=resume,
-            discard=discard,
-            overwrite=overwrite,
-            threads=threads,
-            device=device,
-            progress=display,
-        )
-    Printer(quiet)("\n".join(run.summary.lines(verbose=verbose)))
+
+    def make(display: Display) -> Run:
+        return loaded.render(target, count=images, progress=display, **options)
+
+    _run(make, quiet, verbose, overwrite=overwrite, if_none=NOTHING_WRITTEN)
 
 
-BatchFolder = Annotated[
-    str,
-    typer.Option(
-        "--out",
-        "-o",
-        metavar="DIR",
-        help="The data set's folder, or its address in an object store: s3://bucket/forests.",
-    ),
-]
 WorkerMemory = Annotated[
     str | None,
-    typer.Option(
-        "--worker-memory",
-        metavar="SIZE",
-        help="What a worker may take, such as 4GB; one that takes more is stopped, and its image tried again.",
+    option(
+        "--worker-memory SIZE",
+        "What a worker may take, such as 4GB; one that takes more is stopped, and its image tried again.",
     ),
 ]
 Timeout = Annotated[
     str | None,
-    typer.Option(
-        "--timeout",
-        metavar="TIME",
-        help="What an image may take, such as 30min; one that takes longer is stopped, and tried again.",
+    option(
+        "--timeout TIME",
+        "What an image may take, such as 30min; one that takes longer is stopped, and tried again.",
     ),
 ]
 Retries = Annotated[
     int,
-    typer.Option(
-        "--retries",
-        metavar="N",
-        min=0,
-        max=100,
-        help="Further attempts at an image that failed for a reason that may pass.",
-    ),
-]
-Engine = Annotated[
-    str, typer.Option("--engine", metavar="local|dask", help="Who works: this machine, or a Dask cluster.")
-]
-Scheduler = Annotated[
-    str | None, typer.Option("--scheduler", metavar="ADDRESS", help="Of Dask, such as tcp://10.0.0.1:8786.")
+    option("--retries N", "Further attempts at an image that failed for a reason that may pass.", min=0, max=100),
 ]
 Resources = Annotated[
     list[str] | None,
-    typer.Option(
-        "--resource",
-        metavar="NAME=AMOUNT",
-        help="That each image takes of a Dask worker, such as GPU=1. May be repeated.",
-    ),
+    option("--resource NAME=AMOUNT", "That each image takes of a Dask worker, such as GPU=1. May be repeated."),
 ]
 
 
 def batch(
     recipe: RecipePath,
-    out: BatchFolder,
+    out: Annotated[
+        str, option("--out -o DIR", "The data set's folder, or its address in an object store: s3://bucket/forests.")
+    ],
     images: Count = None,
     overrides: Overrides = None,
     resume: Resume = False,
@@ -161,16 +122,14 @@ def batch(
     timeout: Timeout = None,
     retries: Retries = 2,
     first: First = None,
-    engine: Engine = "local",
-    scheduler: Scheduler = None,
+    engine: Annotated[str, option("--engine local|dask", "Who works: this machine, or a Dask cluster.")] = "local",
+    scheduler: Annotated[str | None, option("--scheduler ADDRESS", "Of Dask, such as tcp://10.0.0.1:8786.")] = None,
     resources: Resources = None,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
     """Make a data set of many images with many workers; --resume goes on where it was interrupted."""
-    from forestgen import load
-
-    loaded, amounts = load(recipe, set=with_first(overrides, first)), _amounts(resources or ())
+    loaded, amounts = _load(recipe, overrides, first), _amounts(resources or ())
     options: dict[str, Any] = {
         "workers": workers,
         "threads": threads,
@@ -188,29 +147,36 @@ def batch(
     if dry_run:
         Printer(quiet)(str(loaded.estimate(out, images, progress=progress_of(quiet), **options)))
         return
-    display = _display(quiet)
-    with stops_keep(lambda: kept(display, overwrite=overwrite)):
-        run = loaded.batch(out, images, progress=display, **options)
-    Printer(quiet)("\n".join(run.summary.lines(verbose=verbose)))
+    _run(lambda display: loaded.batch(out, images, progress=display, **options), quiet, verbose, overwrite=overwrite)
 
 
-def _display(quiet: bool) -> Display:
+def _load(recipe: Path, overrides: list[str] | None, first: int | None) -> Recipe:
+    from forestgen import load
+
+    return load(recipe, set=[*(overrides or []), *([f"first_image={first}"] if first is not None else [])])
+
+
+def _run(make: Callable[[Display], Run], quiet: bool, verbose: bool, *, overwrite: bool, if_none: str = "") -> None:
+    """Make a data set, and print what was made; what stays where it is interrupted is told too, see `kept`."""
     from forestgen.api.display import display_of
 
-    return display_of(progress_of(quiet))
+    display = display_of(progress_of(quiet))
+    with stops_keep(lambda: kept(display, overwrite=overwrite, if_none=if_none)):
+        run = make(display)
+    Printer(quiet)("\n".join(run.summary.lines(verbose=verbose)))
 
 
 def kept(display: Display, *, overwrite: bool = False, if_none: str = "") -> str:
     """What an interrupted run leaves behind, for people; `if_none`: where it has finished no image."""
-    meter = display.meter
-    if overwrite and (meter is None or not meter.done):
-        return "nothing was written; a previous data set is as it was"
-    if meter is None:
-        return "nothing was written"
-    if not meter.done and if_none:
+    tracker = display.tracker
+    if overwrite and (tracker is None or not tracker.done):
+        return f"{NOTHING_WRITTEN}; a previous data set is as it was"
+    if tracker is None:
+        return NOTHING_WRITTEN
+    if not tracker.done and if_none:
         return if_none
-    total = count(meter.total, "image")
-    done = f"{meter.done:,} of {total} are done and stay" if meter.done else f"none of {total} was finished"
+    total = count(tracker.total, "image")
+    done = f"{tracker.done:,} of {total} are done and stay" if tracker.done else f"none of {total} was finished"
     return f"{done}; the same command with --resume{' in place of --overwrite' if overwrite else ''} goes on"
 
 

@@ -14,7 +14,7 @@ from PIL import Image, ImageColor, ImageDraw, ImageFont
 from forestgen.community.model import Site
 from forestgen.community.obstacles import NO_OBSTACLES, Obstacles
 from forestgen.community.plots import OBSTACLE, colours_of
-from forestgen.community.population import Population, Status
+from forestgen.community.population import Floats, Population, Status
 from forestgen.core.errors import OutputError
 
 MOST_FRAMES = 60
@@ -34,10 +34,8 @@ _OPACITY, _DARKER = 0.55, 0.7  # of fills, and of edges, as on the map
 class Film:
     """Frames of an animation, drawn as snapshots come; it keeps the frames, a byte a pixel, and no snapshot.
 
-    Parameters
-    ----------
-    periodic : circles that reach over an edge go on at the opposite one.
-    obstacles : drawn as their ground plans, below the circles; the snapshots must not hold them as plants.
+    `periodic` circles that reach over an edge continue at the opposite one. Obstacles are drawn as their ground plans,
+    below the circles; the snapshots must not hold them as plants.
     """
 
     def __init__(
@@ -85,13 +83,7 @@ class Film:
         self._stamp_small(pixels, centre[large:], radius[large:], kind[large:])
         return Image.fromarray(pixels)
 
-    def _draw_large(
-        self,
-        draw: ImageDraw.ImageDraw,
-        centre: NDArray[np.float64],
-        radius: NDArray[np.float64],
-        kind: NDArray[np.uint16],
-    ) -> None:
+    def _draw_large(self, draw: ImageDraw.ImageDraw, centre: Floats, radius: Floats, kind: NDArray[np.uint16]) -> None:
         width, height = (side * _FINER for side in self._size_px)
         fills = [_mixed(rgb, _GROUND, _OPACITY) for rgb in self._rgb]
         edges = [_mixed(rgb, (0, 0, 0), _DARKER) for rgb in self._rgb]
@@ -101,13 +93,7 @@ class Film:
                     box = (x + dx - r, y + dy - r, x + dx + r, y + dy + r)
                     draw.ellipse(box, fill=fills[k], outline=edges[k], width=_FINER)
 
-    def _stamp_small(
-        self,
-        pixels: NDArray[np.uint8],
-        centre: NDArray[np.float64],
-        radius: NDArray[np.float64],
-        kind: NDArray[np.uint16],
-    ) -> None:
+    def _stamp_small(self, pixels: NDArray[np.uint8], centre: Floats, radius: Floats, kind: NDArray[np.uint16]) -> None:
         """Small circles without an edge, all of one size at once: there may be a hundred thousand."""
         height, width = pixels.shape[:2]
         column, row = np.floor(centre).astype(np.intp).T

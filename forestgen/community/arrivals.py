@@ -1,17 +1,18 @@
-"""What the models share: tables of plants and their snapshots; new plants: how many, where, how large, their ids."""
+"""Shared by the models: tables of plants and their snapshots; new plants: how many, where, how large, their ids."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.community.ecology import SpeciesEcology
+from forestgen.community.ecology import Ecologies
 from forestgen.community.model import Site
-from forestgen.community.population import Population, Status
+from forestgen.community.population import Floats, Population, Status
 from forestgen.core.errors import ResourceError
 
 _LARGEST_ID = 2**32 - 1
@@ -33,18 +34,18 @@ class Rows:
 
 
 @dataclass(frozen=True)
-class Circles(Rows):
+class CirclePlants(Rows):
     """Circles that grow and age, in order of plant_id; their models add columns."""
 
-    x_m: NDArray[np.float64]  # (N, 2) metres, world x and y
-    r_m: NDArray[np.float64]  # (N,) metres
+    x_m: Floats  # (N, 2) metres, world x and y
+    r_m: Floats  # (N,) metres
     sp: NDArray[np.uint16]  # (N,) index of species
     plant_id: NDArray[np.uint32]  # (N,)
     born: NDArray[np.int32]  # (N,) step of arrival
 
     def population(
         self,
-        species: Sequence[SpeciesEcology],
+        species: Ecologies,
         step: int,
         step_yr: float,
         next_id: int,
@@ -82,42 +83,36 @@ class Circles(Rows):
         }
 
 
-def on_the_ground(x_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def on_the_ground(x_m: Floats) -> Floats:
     """(N, 3) of (N, 2) places, z 0."""
     position_m = np.zeros((len(x_m), 3))
     position_m[:, :2] = x_m
     return position_m
 
 
-def heights_m(
-    species: Sequence[SpeciesEcology], sp: NDArray[np.integer], radius_m: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def heights_m(species: Ecologies, sp: NDArray[np.integer], radius_m: Floats) -> Floats:
     """(N,) heights of plants by their species' allometry, metres."""
     scale, exponent = (of_species(species, name)[sp] for name in ("height_scale", "height_exponent"))
     return np.asarray(scale * radius_m**exponent)
 
 
-def of_species(species: Sequence[SpeciesEcology], name: str) -> NDArray[np.float64]:
+def of_species(species: Ecologies, name: str) -> Floats:
     """One number of every species; (number of species,)."""
     return np.array([getattr(one, name) for one in species], dtype=np.float64)
 
 
-def seedlings_per_step(species: Sequence[SpeciesEcology], site: Site, step_yr: float) -> NDArray[np.float64]:
+def seedlings_per_step(species: Ecologies, site: Site, step_yr: float) -> Floats:
     """Mean number of seedlings of each species; (number of species,)."""
     with np.errstate(over="ignore"):  # inf is refused like any other absurd number
         return of_species(species, "seedlings_per_ha_per_yr") * site.area_ha * step_yr
 
 
 def seedlings(
-    sp: NDArray[np.uint16], site: Site, species: Sequence[SpeciesEcology], rng: np.random.Generator
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Places, uniform on the site, and radii of seedlings of given species.
+    sp: NDArray[np.uint16], site: Site, species: Ecologies, rng: np.random.Generator
+) -> tuple[Floats, Floats]:
+    """(N, 2) places, uniform on the site, and (N,) radii of seedlings of given species, metres.
 
     Radii are uniform between 0.5 and 1.5 times the species' seedling_radius_m, and at most its max_radius_m.
-
-    Returns
-    -------
-    (N, 2) and (N,) float64, metres
     """
     x_m = rng.random((len(sp), 2)) * site.size_m
     r_m = of_species(species, "seedling_radius_m")[sp] * rng.uniform(0.5, 1.5, len(sp))
@@ -139,3 +134,8 @@ def refuse_overflow(first_id: int, expected: float) -> None:
             got=f"{first_id - 1} plants so far and about {expected:.3g} more",
             hint="lower seedlings_per_ha_per_yr (or initial_plants_per_ha), steps or site.size_m",
         )
+
+
+def upper_number(mean: float) -> float:
+    """A mean number of plants and six standard deviations of a Poisson number more, at most 1e30."""
+    return min(mean + 6 * math.sqrt(mean), 1e30)

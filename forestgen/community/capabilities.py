@@ -5,7 +5,7 @@ A model has a capability if it has its methods. `parameters` are the model's own
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from forestgen.community.registry import COMMUNITY_MODELS
 
 if TYPE_CHECKING:
-    from forestgen.architecture.tables import Tables
+    from forestgen.architecture.prototypes import Tables
     from forestgen.atmosphere.weather import AirGrid, Weather
-    from forestgen.community.ecology import SpeciesEcology
+    from forestgen.community.ecology import Ecologies
     from forestgen.community.model import Site
-    from forestgen.community.placement.asked_and_placed import Densities
+    from forestgen.community.placement.model import Densities
     from forestgen.community.population import Population
     from forestgen.core.progress import Progress
     from forestgen.recipe.load import DrawnRecipe
@@ -32,7 +32,6 @@ class PlanChecks(Protocol):
 
     def check_recipe(self, drawn: DrawnRecipe, parameters: Any) -> None:
         """Raise `RecipeError` or `ResourceError`, with the key's line, before anything is simulated."""
-        ...
 
 
 @runtime_checkable
@@ -46,17 +45,14 @@ class HasObstacles(Protocol):
 class OwnSkeletons(Protocol):
     """Plants with branches of their own, in `Population.modules`."""
 
-    def skeleton_tables(self, parameters: Any, species: Sequence[SpeciesEcology], population: Population) -> Tables:
+    def skeleton_tables(self, parameters: Any, species: Ecologies, population: Population) -> Tables:
         """The shapes and sizes of a population's modules at its time; species in the population's order."""
-        ...
 
     def check_foliage(self, drawn: DrawnRecipe, parameters: Any, species: Collection[str]) -> None:
         """Raise `RecipeError` if plants will need foliage on their own branches beyond that of `species`."""
-        ...
 
     def keeps_skeletons(self, parameters: Any) -> bool:
         """Whether a history keeps the modules too."""
-        ...
 
 
 @runtime_checkable
@@ -65,19 +61,17 @@ class OwnAir(Protocol):
 
     def air_grid(self, drawn: DrawnRecipe, parameters: Any) -> AirGrid:
         """The cells of the air that a picture shows; raises `RecipeError` if there is none at the last step."""
-        ...
 
     def air(
         self,
         drawn: DrawnRecipe,
         parameters: Any,
         site: Site,
-        species: Sequence[SpeciesEcology],
+        species: Ecologies,
         population: Population,
         progress: Progress,
     ) -> Weather:
         """The air over a population as the community left it; raises `RecipeError` if it cannot be stepped."""
-        ...
 
 
 class SoilWaterMaps(NamedTuple):
@@ -94,18 +88,14 @@ class SoilWater(Protocol):
 
     def soil_water(self, parameters: Any, population: Population) -> SoilWaterMaps:
         """The water of a population's time."""
-        ...
 
 
 @runtime_checkable
 class AskedDensities(Protocol):
     """Plants placed by densities that the recipe asks for."""
 
-    def densities(
-        self, parameters: Any, site: Site, species: Sequence[SpeciesEcology], placed: Population
-    ) -> Densities:
+    def densities(self, parameters: Any, site: Site, species: Ecologies, placed: Population) -> Densities:
         """The densities, for pictures and statistics of the plants `placed` in step 0."""
-        ...
 
 
 def capability(model: object, kind: type[Capability]) -> Capability | None:

@@ -1,4 +1,4 @@
-"""Disturbances: fellings, fires and plantings, which a simulation meets whatever its model is.
+"""Disturbances of a simulation with any model: fellings, fires and plantings.
 
 A climax community lasts until something external or internal destroys a part of it; then succession begins anew
 (Lane 2002, section 2.1: clearcuts, forest fires, the death of one dominant tree). Planting a large tree and felling it
@@ -27,13 +27,13 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from forestgen.community.population import Population, Status
+from forestgen.community.population import Floats, Population, Status
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.fields import Coordinate, Fraction, Name, NonNegative, Number, Positive, Section, Whole, mistake
 from forestgen.recipe.sources import Keys
 
 if TYPE_CHECKING:
-    from forestgen.community.ecology import SpeciesEcology
+    from forestgen.community.ecology import Ecologies
 
 PointOnGround = tuple[Coordinate, Coordinate]
 _MOST_DRAWS = 100_000_000
@@ -55,9 +55,9 @@ class Planting:
     """New plants, in the order in which they are numbered."""
 
     species: NDArray[np.uint16]  # (N,) index of species
-    position_m: NDArray[np.float64]  # (N, 2) metres, world x and y
-    radius_m: NDArray[np.float64]  # (N,) metres
-    columns: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)  # (N,) a model's own, those that are given
+    position_m: Floats  # (N, 2) metres, world x and y
+    radius_m: Floats  # (N,) metres
+    columns: Mapping[str, Floats] = field(default_factory=dict)  # (N,) a model's own, those that are given
 
     def __len__(self) -> int:
         return len(self.species)
@@ -69,18 +69,14 @@ class Circle(Section):
     center_m: PointOnGround = Field(description="Its middle: x, y, metres; on the site.")
     radius_m: Positive = Field(description="Its radius, metres.")
 
-    def box(self) -> tuple[float, float, float, float]:
-        (x, y), r = self.center_m, self.radius_m
-        return x - r, y - r, x + r, y + r
+    def corners(self) -> Sequence[PointOnGround]:
+        return [self.center_m]
 
-    def inside(self, xy_m: NDArray[np.float64], ground: Ground) -> NDArray[np.bool_]:
+    def inside(self, xy_m: Floats, ground: Ground) -> NDArray[np.bool_]:
         away = np.abs(xy_m - self.center_m)
         if ground.periodic:
             away = np.minimum(away, np.abs(np.array(ground.size_m) - away))
         return np.asarray(np.sum(away**2, axis=1) <= self.radius_m**2)
-
-    def corners(self) -> Sequence[PointOnGround]:
-        return [self.center_m]
 
 
 class Rectangle(Section):
@@ -95,37 +91,35 @@ class Rectangle(Section):
             raise mistake("max_m north-east of min_m", problem="a rectangle without area", got=str(list(self.max_m)))
         return self
 
-    def box(self) -> tuple[float, float, float, float]:
-        return (*self.min_m, *self.max_m)
-
-    def inside(self, xy_m: NDArray[np.float64], ground: Ground) -> NDArray[np.bool_]:
-        return np.asarray(np.all((xy_m >= self.min_m) & (xy_m <= self.max_m), axis=1))
-
     def corners(self) -> Sequence[PointOnGround]:
         return [self.min_m, self.max_m]
+
+    def inside(self, xy_m: Floats, ground: Ground) -> NDArray[np.bool_]:
+        return np.asarray(np.all((xy_m >= self.min_m) & (xy_m <= self.max_m), axis=1))
 
 
 class Polygon(Section):
     """A polygon; where its edges cross, what they go around an odd number of times."""
 
-    corners_m: Annotated[tuple[PointOnGround, ...], Field(min_length=3, max_length=10_000)] = Field(
-        description="Its corners in order: [x, y], metres; the last is joined to the first."
+    corners_m: tuple[PointOnGround, ...] = Field(
+        min_length=3,
+        max_length=10_000,
+        description="Its corners in order: [x, y], metres; the last is joined to the first.",
     )
 
     @model_validator(mode="after")
     def _has_an_area(self) -> Self:
         x, y = np.array(self.corners_m).T
         twice = abs(float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))))
-        # Beside such a sliver no random place would ever be found inside.
+        # Random places would never be found inside a narrower sliver.
         if twice <= 2e-6 * float(np.ptp(x) * np.ptp(y)) or twice == 0:
             raise mistake("corners that go around an area", problem="a polygon without area", at=("corners_m",))
         return self
 
-    def box(self) -> tuple[float, float, float, float]:
-        x, y = np.array(self.corners_m).T
-        return float(x.min()), float(y.min()), float(x.max()), float(y.max())
+    def corners(self) -> Sequence[PointOnGround]:
+        return self.corners_m
 
-    def inside(self, xy_m: NDArray[np.float64], ground: Ground) -> NDArray[np.bool_]:
+    def inside(self, xy_m: Floats, ground: Ground) -> NDArray[np.bool_]:
         odd = np.zeros(len(xy_m), dtype=np.bool_)
         x, y = xy_m.T
         for k, (x1, y1) in enumerate(self.corners_m):
@@ -133,9 +127,6 @@ class Polygon(Section):
             if y0 != y1:
                 odd ^= ((y0 > y) != (y1 > y)) & (x < x0 + (y - y0) * (x1 - x0) / (y1 - y0))
         return odd
-
-    def corners(self) -> Sequence[PointOnGround]:
-        return self.corners_m
 
 
 class Region(Section):
@@ -148,31 +139,26 @@ class Region(Section):
     @model_validator(mode="after")
     def _one_shape(self) -> Self:
         if len(self.shapes()) > 1:
-            raise mistake(
-                "at most one of circle, rectangle, polygon",
-                problem="more than one region",
-                got=", ".join(self.shapes()),
-                hint="write two disturbances",
-            )
+            expected, got = "at most one of circle, rectangle, polygon", ", ".join(self.shapes())
+            raise mistake(expected, problem="more than one region", got=got, hint="write two disturbances")
         return self
 
     def shapes(self) -> dict[str, Circle | Rectangle | Polygon]:
         """The region's shape by its key; empty: the whole site."""
         return {key: one for key in ("circle", "rectangle", "polygon") if (one := getattr(self, key)) is not None}
 
-    def inside(self, xy_m: NDArray[np.float64], ground: Ground) -> NDArray[np.bool_]:
+    def inside(self, xy_m: Floats, ground: Ground) -> NDArray[np.bool_]:
         """Which of (N, 2) positions, metres, lie in the region."""
-        keep = np.ones(len(xy_m), dtype=np.bool_)
         for shape in self.shapes().values():
-            keep &= shape.inside(xy_m, ground)
-        return keep
+            return shape.inside(xy_m, ground)
+        return np.ones(len(xy_m), dtype=np.bool_)
 
     def off_site(self, ground: Ground) -> Iterator[tuple[Keys, PointOnGround]]:
         """Key path of a shape, and a corner of it that lies beyond the site."""
         for key, shape in self.shapes().items():
             yield from (((key,), point) for point in shape.corners() if not ground.holds(*point))
 
-    def random_places(self, count: int, ground: Ground, rng: np.random.Generator) -> NDArray[np.float64]:
+    def random_places(self, count: int, ground: Ground, rng: np.random.Generator) -> Floats:
         """(count, 2) positions, metres, uniform in the region and on the site."""
         low, high = self._box(ground)
         found, drawn = [np.empty((0, 2))], 0
@@ -186,11 +172,12 @@ class Region(Section):
             drawn += len(xy)
         return np.concatenate(found)
 
-    def _box(self, ground: Ground) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _box(self, ground: Ground) -> tuple[Floats, Floats]:
         """South-western and north-eastern corner of a box to draw places from."""
         size = np.array(ground.size_m)
         for shape in self.shapes().values():
-            low, high = np.array(shape.box()[:2]), np.array(shape.box()[2:])
+            corners, margin_m = np.array(shape.corners()), self.circle.radius_m if self.circle else 0.0
+            low, high = corners.min(axis=0) - margin_m, corners.max(axis=0) + margin_m
             if self.circle is None or not ground.periodic:
                 return np.maximum(low, 0.0), np.minimum(high, size)
             if np.all(high - low <= size):  # else it overlaps itself around the torus
@@ -268,7 +255,7 @@ class Plant(Region):
         """How many plants there will be."""
         return len(self.positions_m) if self.positions_m is not None else int(self.count or 0)
 
-    def planting(self, ground: Ground, species: Sequence[SpeciesEcology], rng: np.random.Generator) -> Planting:
+    def planting(self, ground: Ground, species: Ecologies, rng: np.random.Generator) -> Planting:
         """The plants, with their places drawn."""
         index = [one.name for one in species].index(self.species)
         n = self.number
@@ -300,9 +287,8 @@ class Disturbance(Section):
             raise mistake("either at_yr or at_step", problem="it must be clear when this happens")
         kinds = [key for key in KINDS if getattr(self, key) is not None]
         if len(kinds) != 1:
-            raise mistake(
-                f"one of {', '.join(KINDS)}", problem="one thing happens at a time", got=", ".join(kinds) or "none"
-            )
+            got = ", ".join(kinds) or "none"
+            raise mistake(f"one of {', '.join(KINDS)}", problem="one thing happens at a time", got=got)
         return self
 
     def step(self, step_yr: float) -> int:
@@ -319,11 +305,10 @@ class Disturbance(Section):
     @property
     def region(self) -> Region:
         """Where it happens, and to what."""
-        found = self.fell or self.burn or self.plant
-        assert found is not None
-        return found
+        region: Region = getattr(self, self.kind)
+        return region
 
-    def victims(self, population: Population, ground: Ground, rng: np.random.Generator) -> NDArray[np.uint32]:
+    def affected_plants(self, population: Population, ground: Ground, rng: np.random.Generator) -> NDArray[np.uint32]:
         """Ids, sorted, of the plants that a felling or a fire removes."""
         if self.fell is not None:
             chosen = self.fell.chosen(population, ground)
@@ -341,15 +326,12 @@ class Disturbance(Section):
         if self.plant is not None:
             yield ("plant", "species"), self.plant.species
         for kind, one in (("fell", self.fell), ("burn", self.burn)):
-            for index, name in enumerate((one and one.species) or ()):
-                yield (kind, "species", index), name
-        for name in self.burn.survival_of if self.burn is not None else ():
-            yield ("burn", "survival_of", name), name
+            yield from (((kind, "species", index), name) for index, name in enumerate((one and one.species) or ()))
+        yield from ((("burn", "survival_of", name), name) for name in (self.burn.survival_of if self.burn else ()))
 
     def off_site(self, ground: Ground) -> Iterator[tuple[Keys, PointOnGround]]:
         """Key path and position of everything that lies beyond the site."""
-        for keys, point in self.region.off_site(ground):
-            yield (self.kind, *keys), point
+        yield from (((self.kind, *keys), point) for keys, point in self.region.off_site(ground))
         for index, point in enumerate((self.plant and self.plant.positions_m) or ()):
             if not ground.holds(*point):
                 yield ("plant", "positions_m", index), point

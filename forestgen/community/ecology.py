@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
-from forestgen.architecture.plant_type import PlantType
-from forestgen.recipe.species import Species
+from forestgen.recipe.species import PlantType, Species
 
 
 @dataclass(frozen=True)
@@ -37,6 +37,9 @@ class SpeciesEcology:
             if not (math.isfinite(value) and value <= most and (value > 0 or (value == 0 and least_is_zero))):
                 allowed = f"{'[' if least_is_zero else '('}0, {most:g}{']' if most == 1 else ')'}"
                 raise ValueError(f"{self.name}: {name} must lie in {allowed}, got {value!r}")
+
+
+Ecologies = Sequence[SpeciesEcology]  # the recipe's species, in its order: a species index counts them
 
 
 def ecology_of(name: str, species: Species) -> SpeciesEcology:

@@ -7,10 +7,10 @@ name. The file's metadata, JSON under ``forestgen.community``, names the species
 `forestgen.community.resume` can tell whether a recipe continues it. A snapshot is one row group, and is read alone. The
 same snapshots give the same bytes.
 
-Maps of the ground, where a model has any, lie beside it (`community.map_history`); the metadata then names them.
+Maps of the ground, where a model has any, lie beside it (`community.history_tables`); the metadata then names them.
 
-Of plants that grow by branch modules, the modules may lie in a second table beside it (`community.module_history`); the
-metadata then has their number in every snapshot, and null where they were left out.
+Of plants that grow by branch modules, the modules may lie in a second table beside it; the metadata then has their
+number in every snapshot, and null where they were left out.
 """
 
 from __future__ import annotations
@@ -29,12 +29,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from forestgen.community.map_history import NAME as MAPS
-from forestgen.community.map_history import MapWriter, read_maps
-from forestgen.community.module_history import NAME, ModuleWriter, read_modules
+from forestgen.community import history_tables as tables
 from forestgen.community.population import Population
-from forestgen.core.errors import AssetError, OutputError, ResourceError
-from forestgen.core.processes import free_bytes
+from forestgen.core.errors import OutputError
 
 _OWN = "model."
 _KEY = b"forestgen.community"
@@ -53,44 +50,33 @@ _COLUMNS = {
     "age_yr": pa.float64(),
     "status": pa.uint8(),
 }
-
-
 _FOR_PEOPLE = ("step", "species_name")  # a snapshot has them from elsewhere; older files lack them
+_SAME = ("plant_id", "species", "radius_m", "height_m", "age_yr", "status")  # arrays of a population by these names
 
 
 def _table(population: Population) -> Any:
-    names = pa.DictionaryArray.from_arrays(
+    columns: dict[str, Any] = {name: getattr(population, name) for name in _SAME}
+    columns["time_yr"] = np.full(len(population), population.time_yr)
+    columns["step"] = np.full(len(population), population.step)
+    columns["species_name"] = pa.DictionaryArray.from_arrays(
         pa.array(population.species, type=pa.uint16()), pa.array(population.species_names, type=pa.string())
     )
-    columns = {
-        "time_yr": np.full(len(population), population.time_yr),
-        "step": np.full(len(population), population.step),
-        "plant_id": population.plant_id,
-        "species": population.species,
-        "species_name": names,
-        "x_m": population.position_m[:, 0].copy(),
-        "y_m": population.position_m[:, 1].copy(),
-        "z_m": population.position_m[:, 2].copy(),
-        "radius_m": population.radius_m,
-        "height_m": population.height_m,
-        "age_yr": population.age_yr,
-        "status": population.status,
-    }
-    columns.update({_OWN + name: values for name, values in population.columns.items()})
-    return pa.table(
-        {
-            name: values if values is names else pa.array(values, type=_COLUMNS.get(name))
-            for name, values in columns.items()
-        }
-    )
+    for axis, name in enumerate(("x_m", "y_m", "z_m")):
+        columns[name] = population.position_m[:, axis].copy()
+    own = {_OWN + name: pa.array(values) for name, values in population.columns.items()}
+    return pa.table({name: _array(columns[name], kind) for name, kind in _COLUMNS.items()} | own)
+
+
+def _array(values: Any, kind: Any) -> Any:
+    return values if isinstance(values, pa.Array) else pa.array(values, type=kind)
 
 
 def _write(
     path: Path,
     populations: Iterable[Population],
     origin: Mapping[str, Any],
-    modules: ModuleWriter | None,
-    maps: MapWriter,
+    modules: tables.ModuleWriter | None,
+    maps: tables.MapWriter,
 ) -> None:
     writer, names, snapshots, has_modules = None, None, [], False
     try:
@@ -150,8 +136,8 @@ def write_history(
     partial = path.with_name(path.name + ".partial")
     try:
         with (
-            ModuleWriter(path.with_name(NAME)) if modules else nullcontext() as writer,
-            MapWriter(path.with_name(MAPS), size_m) as maps,
+            tables.ModuleWriter(path.with_name(tables.MODULES_NAME)) if modules else nullcontext() as writer,
+            tables.MapWriter(path.with_name(tables.MAPS_NAME), size_m) as maps,
         ):
             _write(partial, populations, origin or {}, writer, maps)
         partial.replace(path)
@@ -182,12 +168,7 @@ class History:
         return [step for _, _, step, _ in self._snapshots]
 
     def snapshot(self, step: int) -> Population:
-        """The snapshot of a step of `steps`.
-
-        Raises
-        ------
-        AssetError : the file has changed, or is damaged.
-        """
+        """The snapshot of a step of `steps`; raises `AssetError` where the file has changed, or is damaged."""
         return next(self._read([self.steps.index(step)]))
 
     @property
@@ -198,16 +179,14 @@ class History:
     def whole(self, step: int) -> Population:
         """The snapshot of a step of `steps` with its plants' modules and its maps, as far as they were written.
 
-        Raises
-        ------
-        AssetError : the modules' table or the maps are not there, or not of this history.
+        Raises `AssetError` where the modules' table or the maps are missing, or not of this history.
         """
         population, index = self.snapshot(step), self.steps.index(step)
         if self._modules is not None:
-            modules = read_modules(self.path.with_name(NAME), population, self._modules, index)
+            modules = tables.read_modules(self.path.with_name(tables.MODULES_NAME), population, self._modules, index)
             population = replace(population, modules=modules)
         if self.maps:
-            maps = read_maps(self.path.with_name(MAPS), step, self.maps, self._map_sums[index])
+            maps = tables.read_maps(self.path.with_name(tables.MAPS_NAME), step, self.maps, self._map_sums[index])
             population = replace(population, maps=maps)
         return population
 
@@ -217,30 +196,25 @@ class History:
     def _read(self, indices: Iterable[int]) -> Iterator[Population]:
         plants = [n for _, n, _, _ in self._snapshots]
         group = list(accumulate((n > 0 for n in plants), initial=0))  # snapshots without plants have none
-        with _readable(self.path) as file:
+        with _opened(self.path) as file:
             needed = [name for name in file.schema_arrow.names if name not in _FOR_PEOPLE]
-            nobody = file.schema_arrow.empty_table().select(needed)
+            empty = file.schema_arrow.empty_table().select(needed)
             for index in indices:
                 _check_rows(file, group[index], plants[index])
-                table = file.read_row_group(group[index], columns=needed) if plants[index] else nobody
+                table = file.read_row_group(group[index], columns=needed) if plants[index] else empty
                 yield self._population(table, index)
 
     def _population(self, table: Any, index: int) -> Population:
         time_yr, _, step, state = self._snapshots[index]
-        columns = {name: _values(table, name, step) for name in table.column_names}
+        columns: dict[str, Any] = {name: _values(table, name, step) for name in table.column_names}
         return Population(
             time_yr=time_yr,
             species_names=self.species_names,
-            plant_id=columns["plant_id"],
-            species=columns["species"],
             position_m=np.stack([columns["x_m"], columns["y_m"], columns["z_m"]], axis=1),
-            radius_m=columns["radius_m"],
-            height_m=columns["height_m"],
-            age_yr=columns["age_yr"],
-            status=columns["status"],
             columns={name.removeprefix(_OWN): values for name, values in columns.items() if name.startswith(_OWN)},
             step=step,
             state=state,
+            **{name: columns[name] for name in _SAME},
         )
 
 
@@ -257,59 +231,26 @@ def _values(table: Any, name: str, step: int) -> NDArray[Any]:
 
 
 def _check_rows(file: Any, group: int, plants: int) -> None:
-    """Refuse a group that has not as many rows as the history tells, or more than memory holds: a few bytes may say so.
-
-    Raises
-    ------
-    ValueError : it has another number of rows.
-    ResourceError : they do not fit into memory.
-    """
+    """Raise `ValueError` for other numbers of rows and plants, `ResourceError` for more than memory holds."""
     if not plants:
         return
     rows = file.metadata.row_group(group).num_rows if 0 <= group < file.metadata.num_row_groups else 0
     if rows != plants:
-        raise ValueError(f"{rows:,} rows where the history tells of {plants:,} plants")
-    need, free = 16 * rows * file.metadata.num_columns, free_bytes()  # of 8 bytes at most, twice
-    if need > free / 2:
-        raise ResourceError(
-            "the history's plants do not fit into memory",
-            expected=f"at most half of the {free / 1e9:.1f} GB that are free",
-            got=f"{need / 1e9:,.1f} GB",
-        )
+        raise ValueError(f"{rows:,} rows where the history has {plants:,} plants")
+    tables.refuse_large(16 * rows * file.metadata.num_columns, "plants")  # of 8 bytes at most, twice
 
 
 @contextmanager
-def _readable(path: Path) -> Iterator[Any]:
+def _opened(path: Path) -> Iterator[Any]:
     """The Parquet file; whatever is wrong with it is an `AssetError`."""
-    try:
-        with pq.ParquetFile(path) as file:
-            yield file
-    except (
-        OSError,
-        pa.ArrowException,
-        LookupError,
-        ValueError,
-        TypeError,
-        AttributeError,
-        ArithmeticError,
-        RecursionError,
-    ) as error:
-        raise AssetError(
-            "not a readable history of a community",
-            where=str(path),
-            expected="a history.parquet written by this version of forestgen",
-            got=f"no {error}" if isinstance(error, KeyError) else str(error),
-        ) from error
+    expected = "a history.parquet written by this version of forestgen"
+    with tables.readable(path, "not a readable history of a community", expected), pq.ParquetFile(path) as file:
+        yield file
 
 
 def open_history(path: Path) -> History:
-    """A file that `write_history` wrote.
-
-    Raises
-    ------
-    AssetError : no such file, or not a history.
-    """
-    with _readable(path) as file:
+    """A file that `write_history` wrote; raises `AssetError` for no such file, or for one that is no history."""
+    with _opened(path) as file:
         about = json.loads((file.metadata.metadata or {})[_KEY])
         if about["version"] != _VERSION:
             raise ValueError(f"version {about['version']} of the format, not {_VERSION}")
@@ -317,12 +258,12 @@ def open_history(path: Path) -> History:
         names, modules = tuple(about["species_names"]), about.get("modules")
         maps, sums = tuple(about.get("maps", ())), tuple(about["map_sums"] if "maps" in about else ())
         history = History(path, names, about["origin"], snapshots, "modules" in about, modules, maps, sums)
-        _check_told(history)
+        _check_metadata(history)
         return history
 
 
-def _check_told(history: History) -> None:
-    """Raise `ValueError` unless what a file's metadata tells of its snapshots fits together."""
+def _check_metadata(history: History) -> None:
+    """Raise `ValueError` unless what a file's metadata says of its snapshots fits together."""
     snapshots, steps = history._snapshots, history.steps
     if not snapshots or steps[0] < 0 or any(one >= other for one, other in pairwise(steps)):
         raise ValueError("its steps do not rise from 0 or more")
@@ -332,17 +273,7 @@ def _check_told(history: History) -> None:
         raise ValueError("its origin, or the state of a snapshot, is no table")
     if not all(isinstance(name, str) for name in (*history.species_names, *history.maps)):
         raise ValueError("names of species and maps must be texts")
-    told = len(snapshots)
-    marks = told if history._modules is None else len(history._modules)
-    if marks != told or len(history._map_sums) != (told if history.maps else 0):
-        raise ValueError("modules or maps are told of another number of snapshots")
-
-
-def read_history(path: Path) -> list[Population]:
-    """The snapshots of a file that `write_history` wrote, all in memory.
-
-    Raises
-    ------
-    AssetError : no such file, or not a history.
-    """
-    return list(open_history(path))
+    expected = len(snapshots)
+    marks = expected if history._modules is None else len(history._modules)
+    if marks != expected or len(history._map_sums) != (expected if history.maps else 0):
+        raise ValueError("modules or maps are those of another number of snapshots")

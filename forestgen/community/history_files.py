@@ -5,27 +5,22 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from forestgen.architecture.geometry import skeletal_graph
 from forestgen.architecture.graph_files import GRAPH_FORMATS, write_graph
-from forestgen.architecture.skeletal_graph import skeletal_graph
 from forestgen.community.animation import MOST_FRAMES, Film
 from forestgen.community.capabilities import AskedDensities, OwnSkeletons, capability, models_with
 from forestgen.community.history import write_history
-from forestgen.community.placement.asked_and_placed import describe_densities
+from forestgen.community.placement.model import describe_densities
 from forestgen.community.plan import CommunityPlan
-from forestgen.community.plot_densities import plot_densities
-from forestgen.community.plot_series import plot_curves, plot_thinning
-from forestgen.community.plot_sizes import plot_sizes
-from forestgen.community.plot_water import WaterSeries, plot_water
-from forestgen.community.plots import plot_map
-from forestgen.community.population import Population
+from forestgen.community.plot_series import WaterSeries, plot_curves, plot_sizes, plot_thinning, plot_water
+from forestgen.community.plots import map_figure, plot_densities, save_figure
+from forestgen.community.population import Population, plant_mass
 from forestgen.community.resume import origin
-from forestgen.community.statistics import plant_mass
 from forestgen.community.trajectory import Moment, Trajectory, describe_step, describe_thinning, moment, thinning_slope
 from forestgen.core.errors import OutputError, RecipeError
 
@@ -42,17 +37,47 @@ def evenly(first: int, last: int, most: int) -> Callable[[int], bool]:
     return lambda step: step == last or (step - first) % stride == 0
 
 
-@dataclass
-class _Told:
-    """What is kept of the snapshots that have passed."""
+class _Observer:
+    """Keeps numbers and pictures of the snapshots that pass, and draws maps of some; obstacles are left out."""
 
     film: Film
-    moments: list[Moment]
-    described: list[dict[str, Any]]
     last: Population  # as it is
     plants: Population  # the same without obstacles
-    placement: dict[str, Any] | None = None  # of the plants of step 0
-    water: list[tuple[float, Mapping[str, Any]]] = field(default_factory=list)  # of every snapshot with its time
+
+    def __init__(self, folder: Path, plan: CommunityPlan, map_steps: Sequence[int]) -> None:
+        self.folder, self.plan, self.map_steps = folder, plan, set(map_steps) or {plan.steps}
+        self.moments: list[Moment] = []
+        self.described: list[dict[str, Any]] = []
+        self.placement: dict[str, Any] | None = None  # of the plants of step 0
+        self.water: list[tuple[float, Mapping[str, Any]]] = []  # of every snapshot with its time
+
+    def watch(self, snapshots: Iterator[Population]) -> Iterator[Population]:
+        """The snapshots on their way."""
+        plan, site, obstacles = self.plan, self.plan.site, self.plan.obstacles
+        periodic, colours = plan.parameters.periodic, map_colours(plan)
+        for number, population in enumerate(snapshots):
+            step = population.step
+            self.last, self.plants = population, obstacles.left_out_of(population)
+            if number == 0:
+                names = self.plants.species_names
+                self.film = Film(site, names, colours, periodic=periodic, obstacles=obstacles)
+                on_curve, in_film, is_described = (
+                    evenly(step, plan.steps, most) for most in (_CURVE_POINTS, MOST_FRAMES, _DESCRIBED_STEPS)
+                )
+                if step == 0:
+                    self.placement = _placement(self.folder, plan, population)
+            if "water" in population.state:
+                self.water.append((population.time_yr, population.state["water"]))
+            if on_curve(step):
+                self.moments.append(moment(self.plants, site))
+            if plan.steps and in_film(step):
+                self.film.add(self.plants)
+            if is_described(step):
+                self.described.append(describe_step(self.plants, site, plan.drawn.image_seed))
+            if step in self.map_steps:
+                figure = map_figure(self.plants, site, colours, periodic=periodic, obstacles=obstacles)
+                save_figure(figure, self.folder / f"map-{step:06d}.png")
+            yield population
 
 
 def write_community(
@@ -66,67 +91,34 @@ def write_community(
     held but the current one. Fellings and plantings thin a stand as no crowding does: with them there is no
     self-thinning line. Obstacles, which are in the history, are no plants in pictures and statistics.
 
-    `check_map_steps` tells whether the simulation reaches `map_steps`.
+    `check_map_steps` checks whether the simulation reaches `map_steps`.
     """
-    told: list[_Told] = []
+    observer = _Observer(folder, plan, map_steps)
     skeletons = capability(plan.model, OwnSkeletons)
     modules = skeletons is not None and skeletons.keeps_skeletons(plan.parameters)
-    watched = _watched(folder, plan, snapshots, map_steps, told)
+    watched = observer.watch(snapshots)
     write_history(folder / "history.parquet", watched, origin(plan), modules=modules, size_m=plan.site.size_m)
-    (end,) = told
-    thinning = _write_course(folder, plan, end) if plan.steps else None
-    plot_sizes(end.plants, map_colours(plan), folder / "sizes.png")
-    _write_statistics(folder / "statistics.json", plan, end, thinning)
-    return end.last
+    thinning = _write_course(observer) if plan.steps else None
+    plot_sizes(observer.plants, map_colours(plan), folder / "sizes.png")
+    _write_statistics(folder / "statistics.json", observer, thinning)
+    return observer.last
 
 
-def _write_course(folder: Path, plan: CommunityPlan, end: _Told) -> dict[str, Any] | None:
-    """The pictures of a community in time; its self-thinning line as `describe_thinning` tells it."""
-    colours, unit = map_colours(plan), plant_mass(end.plants)[1]
-    trajectory = Trajectory.of(end.moments, end.plants.species_names, plan.site, unit)
+def _write_course(seen: _Observer) -> dict[str, Any] | None:
+    """The pictures of a community in time; its self-thinning line as `describe_thinning` reports it."""
+    plan, folder, colours = seen.plan, seen.folder, map_colours(seen.plan)
+    trajectory = Trajectory.of(seen.moments, seen.plants.species_names, plan.site, plant_mass(seen.plants)[1])
     plot_curves(trajectory, colours, folder / "curves.png")
     slope = None if plan.parameters.disturbances else thinning_slope(trajectory)
     plot_thinning(trajectory, slope, colours, folder / "thinning.png")
-    end.film.write(folder / "animation.gif")
-    if end.water:
-        plot_water(WaterSeries.of(end.water), end.last, plan.site, colours, folder / "water.png")
+    seen.film.write(folder / "animation.gif")
+    if seen.water:
+        plot_water(WaterSeries.of(seen.water), seen.last, plan.site, colours, folder / "water.png")
     return describe_thinning(trajectory, slope) if slope else None
 
 
-def _watched(
-    folder: Path, plan: CommunityPlan, snapshots: Iterator[Population], map_steps: Sequence[int], told: list[_Told]
-) -> Iterator[Population]:
-    """The snapshots, of which `told` takes notes and maps are drawn on their way."""
-    wanted, site, seed = set(map_steps) or {plan.steps}, plan.site, plan.drawn.image_seed
-    periodic, colours = plan.parameters.periodic, map_colours(plan)
-    obstacles = plan.obstacles
-    for population in snapshots:
-        step, plants = population.step, obstacles.left_out_of(population)
-        if not told:
-            film = Film(site, plants.species_names, colours, periodic=periodic, obstacles=obstacles)
-            told.append(_Told(film, [], [], population, plants))
-            on_curve, in_film, is_described = (
-                evenly(step, plan.steps, most) for most in (_CURVE_POINTS, MOST_FRAMES, _DESCRIBED_STEPS)
-            )
-            if step == 0:
-                told[0].placement = _placement(folder, plan, population)
-        told[0].last, told[0].plants = population, plants
-        if "water" in population.state:
-            told[0].water.append((population.time_yr, population.state["water"]))
-        if on_curve(step):
-            told[0].moments.append(moment(plants, site))
-        if plan.steps and in_film(step):
-            told[0].film.add(plants)
-        if is_described(step):
-            told[0].described.append(describe_step(plants, site, seed))
-        if step in wanted:
-            path = folder / f"map-{step:06d}.png"
-            plot_map(plants, site, colours, path, periodic=periodic, obstacles=obstacles)
-        yield population
-
-
 def _placement(folder: Path, plan: CommunityPlan, placed: Population) -> dict[str, Any] | None:
-    """Draw the densities of a model that has such under the plants of step 0, and tell how well they agree."""
+    """Draw the densities of a model that has such under the plants of step 0, and report how well they agree."""
     placement = capability(plan.model, AskedDensities)
     if placement is None:
         return None
@@ -137,22 +129,22 @@ def _placement(folder: Path, plan: CommunityPlan, placed: Population) -> dict[st
     return describe_densities(densities, placed, plan.site)
 
 
-def _write_statistics(path: Path, plan: CommunityPlan, end: _Told, thinning: dict[str, Any] | None) -> None:
-    """JSON: what is told of some steps, of all, and of the placement that was asked for."""
+def _write_statistics(path: Path, seen: _Observer, thinning: dict[str, Any] | None) -> None:
+    """JSON: statistics of some steps, of the whole course, and of the placement that was asked for."""
     document: dict[str, Any] = {
         "version": 1,
-        "site_size_m": list(plan.site.size_m),
-        "species": list(end.plants.species_names),
-        "mass_unit": "kg" if plant_mass(end.last)[1] == "kg" else "m3 (radius cubed)",
-        "steps": end.described,
+        "site_size_m": list(seen.plan.site.size_m),
+        "species": list(seen.plants.species_names),
+        "mass_unit": "kg" if plant_mass(seen.last)[1] == "kg" else "m3 (radius cubed)",
+        "steps": seen.described,
         "self_thinning": thinning,
     }
-    if end.placement is not None:
-        hopkins = end.described[0]["hopkins"]
-        document["placement"] = {name: {**one, "hopkins": hopkins[name]} for name, one in end.placement.items()}
+    if seen.placement is not None:
+        hopkins = seen.described[0]["hopkins"]
+        document["placement"] = {name: {**one, "hopkins": hopkins[name]} for name, one in seen.placement.items()}
     for name in ("clustering", "water"):
-        if name in end.last.state:
-            document[name] = end.last.state[name]
+        if name in seen.last.state:
+            document[name] = seen.last.state[name]
     try:
         path.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n", encoding="utf-8")
     except OSError as error:

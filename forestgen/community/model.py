@@ -1,4 +1,4 @@
-"""What every community model offers, and what it is told about species and site."""
+"""What every community model offers, and what it gets: parameters, the site, the species' ecology."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 
 from forestgen.community.disturbance import Disturbance, Ground, Planting
 from forestgen.community.ecology import SpeciesEcology
-from forestgen.community.population import Population
+from forestgen.community.population import Floats, Population
 from forestgen.core.randomness import child_rng
 from forestgen.recipe.buildings import Building
 from forestgen.recipe.fields import Whole, mistake
 from forestgen.recipe.messages import show
 from forestgen.recipe.sources import Keys
 
-GroundHeight = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
+GroundHeight = Callable[[Floats, Floats], Floats]
 
 
 @dataclass(frozen=True)
@@ -67,15 +67,14 @@ class CommunityParameters(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _no_keys_of_another_model(cls, data: Any) -> Any:
-        """A key left over from another model is told as such: a similar key of this one would mean something else."""
-        strange = [str(key) for key in data if key not in cls.model_fields] if isinstance(data, Mapping) else []
-        for key in strange:
-            if knows := _models_with(key):
+        """Refuse another model's key as such: a similar key of this one would mean something else."""
+        for key in map(str, data) if isinstance(data, Mapping) else ():
+            if key not in cls.model_fields and (owners := _models_with(key)):
                 raise mistake(
                     f"one of {', '.join(cls.model_fields)}",
                     problem=f"another model's key, {key!r}",
                     got=show(data[key]),
-                    hint=f"{key} is a key of {', '.join(knows)}: choose that as community.model, or leave the key out",
+                    hint=f"{key} is a key of {', '.join(owners)}: choose that as community.model, or leave the key out",
                     at=(key,),
                 )
         return data
@@ -104,8 +103,7 @@ class CommunityParameters(BaseModel):
     def named_species(self) -> Iterator[tuple[Keys, str]]:
         """Key path and name of every species that the parameters name."""
         for index, one in enumerate(self.disturbances):
-            for keys, name in one.named_species():
-                yield ("disturbances", index, *keys), name
+            yield from ((("disturbances", index, *keys), name) for keys, name in one.named_species())
 
 
 def _models_with(key: str) -> list[str]:
@@ -130,21 +128,17 @@ class CommunityModel(Protocol[P, S]):
 
     def init(self, parameters: P, site: Site, species: Sequence[SpeciesEcology], seed: int) -> S:
         """State of step 0."""
-        ...
 
     def step(self, state: S) -> S:
         """State one step later; `state` itself is left as it was."""
-        ...
 
     def population(self, state: S) -> Population:
         """Snapshot of a state."""
-        ...
 
     def resume(
         self, parameters: P, site: Site, species: Sequence[SpeciesEcology], seed: int, population: Population
     ) -> S:
         """The state that a snapshot was made of; the inverse of `population`."""
-        ...
 
     def check_snapshot(
         self, parameters: P, site: Site, species: Sequence[SpeciesEcology], population: Population
@@ -153,30 +147,24 @@ class CommunityModel(Protocol[P, S]):
 
         Of a snapshot from a file, before `resume`; `snapshot_checks.check_snapshot` has been through it.
         """
-        ...
 
     def remove(self, state: S, plant_id: NDArray[np.uint32]) -> S:
         """A disturbance: the state without these plants, in the same step; ids of no plant are ignored."""
-        ...
 
     def plant(self, state: S, planting: Planting) -> S:
         """A disturbance: the state in which new plants stand there, in the same step, numbered as they are given."""
-        ...
 
     def expected_plants(self, parameters: P, site: Site, species: Sequence[SpeciesEcology]) -> float:
         """Upper bound of the mean number of plants at any step; 0: no plant can ever grow."""
-        ...
 
     def empty_reason(self, parameters: P, site: Site, species: Sequence[SpeciesEcology]) -> str | None:
         """Why no plant can ever grow, or None if one may."""
-        ...
 
     def estimate_bytes(self, parameters: P, site: Site, species: Sequence[SpeciesEcology]) -> int:
         """Upper estimate of the peak memory of one simulation, one snapshot included; cheap, simulates nothing.
 
         A caller that keeps a history holds its snapshots on top of this.
         """
-        ...
 
 
 def simulate(
@@ -193,35 +181,25 @@ def simulate(
 
     From `start`, a snapshot of the same simulation, it goes on instead: `start` itself comes first.
     """
+    ground = Ground(site.size_m, parameters.periodic)
+
+    def disturbed(state: S, step: int) -> S:
+        """The state after the disturbances of its step, in their order."""
+        for index, one in enumerate(parameters.disturbances):
+            if one.step(parameters.step_yr) != step:
+                continue
+            rng = child_rng(seed, "disturbance", index)
+            if one.plant is not None:
+                state = model.plant(state, one.plant.planting(ground, species, rng))
+            else:
+                state = model.remove(state, one.affected_plants(model.population(state), ground, rng))
+        return state
+
     if start is None:
-        state = _disturbed(model, model.init(parameters, site, species, seed), parameters, site, species, seed, 0)
-    else:
-        # A snapshot is made after its step's disturbances.
-        state = model.resume(parameters, site, species, seed, start)
-    first = 0 if start is None else start.step
+        first, state = 0, disturbed(model.init(parameters, site, species, seed), 0)
+    else:  # a snapshot is made after its step's disturbances
+        first, state = start.step, model.resume(parameters, site, species, seed, start)
     yield model.population(state)
     for step in range(first + 1, steps + 1):
-        state = _disturbed(model, model.step(state), parameters, site, species, seed, step)
+        state = disturbed(model.step(state), step)
         yield model.population(state)
-
-
-def _disturbed(
-    model: CommunityModel[P, S],
-    state: S,
-    parameters: P,
-    site: Site,
-    species: Sequence[SpeciesEcology],
-    seed: int,
-    step: int,
-) -> S:
-    """The state at the end of a step, after that step's disturbances in their order."""
-    ground = Ground(site.size_m, parameters.periodic)
-    for index, one in enumerate(parameters.disturbances):
-        if one.step(parameters.step_yr) != step:
-            continue
-        rng = child_rng(seed, "disturbance", index)
-        if one.plant is not None:
-            state = model.plant(state, one.plant.planting(ground, species, rng))
-        else:
-            state = model.remove(state, one.victims(model.population(state), ground, rng))
-    return state

@@ -1,8 +1,7 @@
-"""What stands on a site and is no plant: buildings, as rows of a population."""
+"""Obstacles on a site, which are no plants: its buildings, as rows of a population."""
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -35,7 +34,21 @@ class Obstacles:
 
     def left_out_of(self, population: Population) -> Population:
         """The plants of a snapshot: no row is a building, and no species' name; modules are left out, too."""
-        return _without_species(population, self.counts) if self.entries else population
+        if not self.entries:
+            return population
+        names = population.species_names
+        stays = np.array([name not in self.counts for name in names], dtype=np.bool_)
+        number = np.cumsum(stays) - 1  # of each species among those that stay
+        rows = stays[population.species]
+        arrays = ("plant_id", "position_m", "radius_m", "height_m", "age_yr", "status")
+        return replace(
+            population,
+            species_names=tuple(name for name in names if name not in self.counts),
+            species=number[population.species[rows]].astype(np.uint16),
+            columns={name: values[rows] for name, values in population.columns.items()},
+            modules=None,
+            **{name: getattr(population, name)[rows] for name in arrays},
+        )
 
     def turned(self, population: Population) -> Population:
         """The population with buildings' azimuths in the column `azimuth_deg`, which the scene places plants by."""
@@ -48,23 +61,3 @@ class Obstacles:
 
 
 NO_OBSTACLES = Obstacles()
-
-
-def _without_species(population: Population, left_out: Collection[str]) -> Population:
-    names = population.species_names
-    stays = np.array([name not in left_out for name in names], dtype=np.bool_)
-    number = np.cumsum(stays) - 1  # of each species among those that stay
-    rows = stays[population.species]
-    return replace(
-        population,
-        species_names=tuple(name for name in names if name not in left_out),
-        plant_id=population.plant_id[rows],
-        species=number[population.species[rows]].astype(np.uint16),
-        position_m=population.position_m[rows],
-        radius_m=population.radius_m[rows],
-        height_m=population.height_m[rows],
-        age_yr=population.age_yr[rows],
-        status=population.status[rows],
-        columns={name: values[rows] for name, values in population.columns.items()},
-        modules=None,
-    )

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from forestgen.community import point_patterns as patterns
 from forestgen.community.point_patterns import Estimate, Window
 from forestgen.community.point_table import PointTable, read_points
-from forestgen.community.ripley import besag_l, count_pairs, greatest_radius, ripley_bound, ripley_k
+from forestgen.community.population import Floats
 from forestgen.core.errors import RecipeError, ResourceError
 from forestgen.core.figures import count, table_lines
 from forestgen.core.randomness import child_rng
@@ -36,9 +35,9 @@ class PointStatistics:
     hopkins_skellam: Estimate
     clark_evans: Estimate
     clark_evans_donnelly: Estimate
-    radii_m: NDArray[np.float64]
-    k_isotropic_m2: NDArray[np.float64]
-    k_translation_m2: NDArray[np.float64]
+    radii_m: Floats
+    k_isotropic_m2: Floats
+    k_translation_m2: Floats
     duplicates: int = 0  # points at the place of an earlier one
     notes: tuple[str, ...] = ()  # on the file, for people
 
@@ -76,10 +75,10 @@ class PointStatistics:
         yield "errors are standard errors; Hopkins is above 1 for clusters, the others below 1"
         yield ""
         rows = [("r (m)", "K isotropic", "K translation", "π r² (m²)", "L - r (m)", "pattern")]
-        bound_m = ripley_bound(self.n, self.window)
+        bound_m = patterns.ripley_bound(self.n, self.window)
         functions = zip(self.radii_m, self.k_isotropic_m2, self.k_translation_m2, strict=True)
         for r, isotropic, translation in functions:
-            excess_m = float(besag_l(isotropic)) - float(r)
+            excess_m = float(patterns.besag_l(isotropic)) - float(r)
             numbers = (f"{one:.6g}" for one in (r, isotropic, translation, math.pi * r * r))
             rows.append((*numbers, f"{excess_m:+.4g}", _word(excess_m, bound_m / _Z)))  # type: ignore[arg-type]
         yield from table_lines(rows)
@@ -111,7 +110,7 @@ def _word(difference: float, error: float) -> str:
 def measure_file(
     path: Path, window: tuple[float, float, float, float] | None, radii_m: Sequence[float | str]
 ) -> PointStatistics:
-    """Statistics of a file's points.
+    """Statistics of a file's points; the same points give the same numbers.
 
     Raises
     ------
@@ -119,47 +118,8 @@ def measure_file(
     ResourceError : too many pairs of points lie within the greatest radius.
     """
     table = read_points(path, window, allow_duplicates=True)
-    radii = _radii(radii_m, table)
-    _check_pairs(table.points_m, float(radii.max()))
-    return replace(measure(table.points_m, table.window, radii), duplicates=table.duplicates, notes=tuple(table.notes))
-
-
-def measure(points_m: NDArray[np.float64], window: Window, radii_m: NDArray[np.float64]) -> PointStatistics:
-    """All statistics of a pattern; the same points give the same numbers."""
-    distances = patterns.measure_distances(points_m, window, child_rng(0, "stats"))
-    nearest_m = distances.from_points_m
-    return PointStatistics(
-        n=len(points_m),
-        window=window,
-        density=patterns.density(points_m, window),
-        hopkins=patterns.hopkins(distances),
-        hopkins_skellam=patterns.hopkins_skellam(distances),
-        clark_evans=patterns.clark_evans(nearest_m, window),
-        clark_evans_donnelly=patterns.clark_evans_donnelly(nearest_m, window),
-        radii_m=radii_m,
-        k_isotropic_m2=ripley_k(points_m, window, radii_m, "isotropic"),
-        k_translation_m2=ripley_k(points_m, window, radii_m, "translation"),
-    )
-
-
-def _radii(given: Sequence[float | str], table: PointTable) -> NDArray[np.float64]:
-    """The radii asked for, in their order; by default ten up to a quarter of the window or to 100 neighbours."""
-    window, n = table.window, len(table.points_m)
-    if not given:
-        neighbours = min(_NEIGHBOURS, _DEFAULT_PAIRS / n)
-        most = min(min(window.size_m) / 4, math.sqrt(neighbours * window.area_m2 / (math.pi * n)))
-        return np.linspace(0, most, _DEFAULT_RADII + 1)[1:]
-    most = greatest_radius(window)
-    radii = [_radius(one, most) for text in given for one in str(text).split(",") if one.strip()]
-    if not 0 < len(radii) <= _MOST_RADII:
-        raise RecipeError(
-            "too few or too many radii", parameter="radii", expected=f"1 to {_MOST_RADII}", got=str(len(radii))
-        )
-    return np.array(radii)
-
-
-def _check_pairs(points_m: NDArray[np.float64], most_m: float) -> None:
-    pairs = count_pairs(points_m, most_m)
+    points_m, window_m, radii = table.points_m, table.window, _radii(radii_m, table)
+    pairs = patterns.count_pairs(points_m, most_m := float(radii.max()))
     if pairs > _MOST_PAIRS:
         raise ResourceError(
             "too many pairs of points lie within the greatest radius",
@@ -168,6 +128,37 @@ def _check_pairs(points_m: NDArray[np.float64], most_m: float) -> None:
             got=f"{pairs:,} within {most_m:g} m",
             hint="lower the greatest radius",
         )
+    distances = patterns.measure_distances(points_m, window_m, child_rng(0, "stats"))
+    return PointStatistics(
+        n=len(points_m),
+        window=window_m,
+        density=len(points_m) / window_m.area_m2,
+        hopkins=patterns.hopkins(distances),
+        hopkins_skellam=patterns.hopkins_skellam(distances),
+        clark_evans=patterns.clark_evans(distances.from_points_m, window_m),
+        clark_evans_donnelly=patterns.clark_evans_donnelly(distances.from_points_m, window_m),
+        radii_m=radii,
+        k_isotropic_m2=patterns.ripley_k(points_m, window_m, radii, "isotropic"),
+        k_translation_m2=patterns.ripley_k(points_m, window_m, radii, "translation"),
+        duplicates=table.duplicates,
+        notes=table.notes,
+    )
+
+
+def _radii(given: Sequence[float | str], table: PointTable) -> Floats:
+    """The radii asked for, in their order; by default ten up to a quarter of the window or to 100 neighbours."""
+    window, n = table.window, len(table.points_m)
+    if not given:
+        neighbours = min(_NEIGHBOURS, _DEFAULT_PAIRS / n)
+        most = min(min(window.size_m) / 4, math.sqrt(neighbours * window.area_m2 / (math.pi * n)))
+        return np.linspace(0, most, _DEFAULT_RADII + 1)[1:]
+    most = patterns.greatest_radius(window)
+    radii = [_radius(one, most) for text in given for one in str(text).split(",") if one.strip()]
+    if not 0 < len(radii) <= _MOST_RADII:
+        raise RecipeError(
+            "too few or too many radii", parameter="radii", expected=f"1 to {_MOST_RADII}", got=str(len(radii))
+        )
+    return np.array(radii)
 
 
 def _radius(text: str, most: float) -> float:

@@ -14,14 +14,16 @@ from array import array
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO, NoReturn
+from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.community.point_patterns import Window
+from forestgen.community.population import Floats
 from forestgen.core.arguments import shown
 from forestgen.core.errors import AssetError, RecipeError, ResourceError
+from forestgen.core.figures import count
 
 MOST_POINTS = 5_000_000
 _LONGEST_LINE = 10_000
@@ -34,11 +36,11 @@ _WINDOW = re.compile(rf"\bwindow\b\s*[:=]?\s*((?:{_NUMBER}[\s,;]+)*{_NUMBER})(?=
 class PointTable:
     """A file's points, and the window in which they were observed."""
 
-    points_m: NDArray[np.float64]  # (N, 2), N >= 2, all in the window
+    points_m: Floats  # (N, 2), N >= 2, all in the window
     window: Window
     notes: tuple[str, ...]  # what the reader had to assume
     species: tuple[str, ...] | None = None  # (N,) names; None: the file has no such column
-    radius_m: NDArray[np.float64] | None = None  # (N,) metres, above 0; None: the file has no such column
+    radius_m: Floats | None = None  # (N,) metres, above 0; None: the file has no such column
     duplicates: int = 0  # points at the place of an earlier one
 
 
@@ -72,44 +74,45 @@ def read_points(
             "the points cannot be read", where=str(path), expected="a CSV file", got=error.strerror or str(error)
         ) from error
     if len(points) < 2:
-        got = f"{len(points)} point" + "s" * (len(points) != 1)
+        got = count(len(points), "point")
         raise AssetError("too few points for statistics", where=str(path), expected="2 points at least", got=got)
-    notes: tuple[str, ...] = ()
+    notes = []
     chosen = given or _stated_window(comments)
     if chosen is None:
         chosen = _bounding_box(path, points)
-        notes = (
+        notes.append(
             f"the window is the points' bounding box, {chosen}: too tight, and all values lean towards regular; "
-            "state the true one by `window` or in a comment of the file",
+            "state the true one by `window` or in a comment of the file"
         )
     _check_inside(path, points, rows, chosen)
-    first, second = _pairs_of_one_place(points, rows)
-    if len(first) and not allow_duplicates:
-        raise _twice(path, points, rows, first, second)
-    if len(first):
-        notes = (*notes, _note_on_duplicates(len(first), len(points)))
+    duplicates = _count_duplicates(path, points, rows, allow_duplicates)
+    if duplicates:
+        lie = "lies" if duplicates == 1 else "lie"
+        notes.append(
+            f"{duplicates:,} of {len(points):,} points {lie} at the place of an earlier one: each counts as a point, "
+            "0 m from the other; where they are copies or rounded positions, all values lean towards clustered"
+        )
     radius = np.array([float(one) for one in cells["radius_m"]]) if "radius_m" in cells else None
     species = tuple(cells["species"]) if "species" in cells else None
-    return PointTable(points, chosen, notes, species, radius, len(first))
+    return PointTable(points, chosen, tuple(notes), species, radius, duplicates)
 
 
 def _given_window(window: tuple[float, float, float, float]) -> Window:
     try:
         return Window(*(float(one) for one in window))
     except (ValueError, TypeError, OverflowError) as error:
+        numbers = window if isinstance(window, list | tuple) else [window]
         raise RecipeError(
             "this is no window",
             parameter="window",
             expected="x0 x1 y0 y1 in metres, with x0 < x1 and y0 < y1, 1e-6 to 1e9 m wide and high",
-            got=" ".join(f"{one:g}" if isinstance(one, float) else shown(one) for one in window)
-            if isinstance(window, list | tuple)
-            else shown(window),
+            got=" ".join(f"{one:g}" if isinstance(one, float) else shown(one) for one in numbers),
         ) from error
 
 
 def _parse(
     path: Path, file: BinaryIO, marks: bool
-) -> tuple[NDArray[np.float64], NDArray[np.int64], list[str], dict[str, list[str]]]:
+) -> tuple[Floats, NDArray[np.int64], list[str], dict[str, list[str]]]:
     """Points, their lines' numbers, the comments that may state a window, and the columns of marks."""
     values, rows, comments = array("d"), array("q"), list[str]()
     columns: list[str] = []
@@ -126,16 +129,12 @@ def _parse(
             continue
         where = f"{path}:{number}"
         if marked:
-            cells = _unmarked(where, line, dict(zip(columns, cells, strict=False)), len(cells), columns, marked)
+            cells = _unmarked(where, line, cells, columns, marked)
         values.extend(_point(where, line, cells, marks and not columns))
         rows.append(number)
         if len(rows) > MOST_POINTS:
-            raise ResourceError(
-                "too many points",
-                where=str(path),
-                expected=f"at most {MOST_POINTS:,}",
-                hint="take a part of the window",
-            )
+            expected, hint = f"at most {MOST_POINTS:,}", "take a part of the window"
+            raise ResourceError("too many points", where=str(path), expected=expected, hint=hint)
     return np.array(values).reshape(-1, 2), np.array(rows, dtype=np.int64), comments, marked
 
 
@@ -143,23 +142,20 @@ def _is_header(cells: list[str], marks: bool) -> bool:
     names = [one.lower() for one in cells]
     if not marks:
         return names == ["x", "y"]
-    known = {"x", "y", "species", "radius_m"}
-    return {"x", "y"} <= set(names) <= known and len(set(names)) == len(names)
+    return {"x", "y"} <= set(names) <= {"x", "y", "species", "radius_m"} and len(set(names)) == len(names)
 
 
-def _unmarked(
-    where: str, line: str, row: dict[str, str], number: int, columns: list[str], marked: dict[str, list[str]]
-) -> list[str]:
+def _unmarked(where: str, line: str, cells: list[str], columns: list[str], marked: dict[str, list[str]]) -> list[str]:
     """A row's x and y; its marks go to their columns."""
     expected = f"the header's columns, {','.join(columns)}"
-    if number != len(columns):
-        got = f"{number} column" + "s" * (number != 1) + f": {_short(line)}"
+    if len(cells) != len(columns):
+        got = f"{count(len(cells), 'column')}: {_short(line)}"
         raise AssetError("this is no plant", where=where, expected=expected, got=got)
+    row = dict(zip(columns, cells, strict=True))
     for name, values in marked.items():
         if name == "radius_m" and not _is_radius(row[name]):
-            raise AssetError(
-                "this is no radius", where=where, expected="metres, above 0 and up to 1000", got=_short(row[name])
-            )
+            expected = "metres, above 0 and up to 1000"
+            raise AssetError("this is no radius", where=where, expected=expected, got=_short(row[name]))
         if not row[name]:
             raise AssetError("a plant without a species", where=where, expected=expected, got=_short(line))
         values.append(row[name])
@@ -175,26 +171,24 @@ def _is_radius(text: str) -> bool:
 
 def _lines(path: Path, file: BinaryIO) -> Iterator[tuple[int, str]]:
     """Numbers and texts of the lines that hold something. No line is read that could not be one of a table."""
-    number = 0
+    number, got = 0, ""
     while raw := file.readline(_LONGEST_LINE + 1):
         number += 1
         if b"\0" in raw or len(raw) > _LONGEST_LINE:
-            _no_text(path, number, "bytes that are no text" if b"\0" in raw else "a line of more than 10,000 bytes")
+            got = "bytes that are no text" if b"\0" in raw else "a line of more than 10,000 bytes"
         try:
-            text = raw.decode("utf-8-sig" if number == 1 else "utf-8")
+            text = raw.decode("utf-8-sig" if number == 1 else "utf-8").strip()
         except UnicodeDecodeError as error:
-            _no_text(path, number, f"the byte 0x{raw[error.start]:02x}, which is not UTF-8")
-        if text := text.strip():
+            got = got or f"the byte 0x{raw[error.start]:02x}, which is not UTF-8"
+        if got:
+            raise AssetError("not a text file", where=f"{path}:{number}", expected=f"a CSV file: {_EXPECTED}", got=got)
+        if text:
             yield number, text
-
-
-def _no_text(path: Path, number: int, got: str) -> NoReturn:
-    raise AssetError("not a text file", where=f"{path}:{number}", expected=f"a CSV file: {_EXPECTED}", got=got)
 
 
 def _point(where: str, line: str, cells: list[str], marks: bool) -> tuple[float, float]:
     if len(cells) != 2:
-        got = f"{len(cells)} column" + "s" * (len(cells) != 1) + f": {_short(line)}"
+        got = f"{count(len(cells), 'column')}: {_short(line)}"
         hint = "separate the columns by commas" if len(cells) == 1 else "keep x and y only, with points for decimals"
         if marks and len(cells) > 2:
             hint = "name the columns in the first line: x,y,species or x,y,species,radius_m; no other is known"
@@ -204,14 +198,11 @@ def _point(where: str, line: str, cells: list[str], marks: bool) -> tuple[float,
             raise ValueError
         x, y = float(cells[0]), float(cells[1])
     except ValueError:
-        raise AssetError(
-            "this is no point", where=where, expected=f"two numbers: {_EXPECTED}", got=_short(line)
-        ) from None
+        expected = f"two numbers: {_EXPECTED}"
+        raise AssetError("this is no point", where=where, expected=expected, got=_short(line)) from None
     if not (abs(x) < 1e15 and abs(y) < 1e15):
-        hint = "leave out plants without a position"
-        raise AssetError(
-            "this is no point", where=where, expected="finite coordinates in metres", got=_short(line), hint=hint
-        )
+        expected, hint = "finite coordinates in metres", "leave out plants without a position"
+        raise AssetError("this is no point", where=where, expected=expected, got=_short(line), hint=hint)
     return x, y
 
 
@@ -234,7 +225,7 @@ def _stated_window(comments: list[str]) -> Window | None:
     return found.pop() if len(found) == 1 else None
 
 
-def _bounding_box(path: Path, points: NDArray[np.float64]) -> Window:
+def _bounding_box(path: Path, points: Floats) -> Window:
     (x0, y0), (x1, y1) = points.min(axis=0), points.max(axis=0)
     try:
         return Window(float(x0), float(x1), float(y0), float(y1))
@@ -248,7 +239,7 @@ def _bounding_box(path: Path, points: NDArray[np.float64]) -> Window:
         ) from error
 
 
-def _check_inside(path: Path, points: NDArray[np.float64], rows: NDArray[np.int64], window: Window) -> None:
+def _check_inside(path: Path, points: Floats, rows: NDArray[np.int64], window: Window) -> None:
     outside = np.flatnonzero(window.outside(points))
     if not len(outside):
         return
@@ -263,36 +254,18 @@ def _check_inside(path: Path, points: NDArray[np.float64], rows: NDArray[np.int6
     )
 
 
-def _pairs_of_one_place(
-    points: NDArray[np.float64], rows: NDArray[np.int64]
-) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Indices of points at the place of an earlier one, second, and of the one before each in the file, first."""
+def _count_duplicates(path: Path, points: Floats, rows: NDArray[np.int64], allowed: bool) -> int:
+    """How many points lie at the place of an earlier one; `AssetError` for the first where they are not allowed."""
     order = np.lexsort((rows, points[:, 1], points[:, 0]))
     same = np.flatnonzero(np.all(points[order[1:]] == points[order[:-1]], axis=1))
-    return order[same], order[same + 1]
-
-
-def _note_on_duplicates(duplicates: int, n: int) -> str:
-    lie = "lies" if duplicates == 1 else "lie"
-    return (
-        f"{duplicates:,} of {n:,} points {lie} at the place of an earlier one: each counts as a point, 0 m from the "
-        "other; where they are copies or rounded positions, all values lean towards clustered"
-    )
-
-
-def _twice(
-    path: Path,
-    points: NDArray[np.float64],
-    rows: NDArray[np.int64],
-    first: NDArray[np.intp],
-    second: NDArray[np.intp],
-) -> AssetError:
-    one, two = first[0], second[0]
-    more = f", and {len(first) - 1:,} more" if len(first) > 1 else ""
-    return AssetError(
-        "a point occurs twice",
-        where=f"{path}:{rows[two]}",
-        expected="points that differ: no two plants stand at one place",
-        got=f"({points[one, 0]:g}, {points[one, 1]:g}), as in line {rows[one]}{more}",
-        hint="remove the copies; of rounded positions, take more digits",
-    )
+    if len(same) and not allowed:
+        one, two = order[same[0]], order[same[0] + 1]
+        more = f", and {len(same) - 1:,} more" if len(same) > 1 else ""
+        raise AssetError(
+            "a point occurs twice",
+            where=f"{path}:{rows[two]}",
+            expected="points that differ: no two plants stand at one place",
+            got=f"({points[one, 0]:g}, {points[one, 1]:g}), as in line {rows[one]}{more}",
+            hint="remove the copies; of rounded positions, take more digits",
+        )
+    return len(same)

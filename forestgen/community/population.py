@@ -1,7 +1,8 @@
-"""The contract between a community model and everything after it."""
+"""The contract between a community model and everything after it, and what there is of each species."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
@@ -11,6 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.architecture.modules import Modules
+from forestgen.core.frames import BREAST_HEIGHT_M
+
+Floats = NDArray[np.float64]
 
 
 class Status(IntEnum):
@@ -34,34 +38,29 @@ class Population:
     species_names: tuple[str, ...]  # species index -> name in the recipe
     plant_id: NDArray[np.uint32]  # (N,)
     species: NDArray[np.uint16]  # (N,) index into species_names
-    position_m: NDArray[np.float64]  # (N, 3) metres, world; z is 0 until the scene puts plants on its terrain
-    radius_m: NDArray[np.float64]  # (N,) radius of the ecological neighbourhood
-    height_m: NDArray[np.float64]  # (N,)
-    age_yr: NDArray[np.float64]  # (N,)
+    position_m: Floats  # (N, 3) metres, world; z is 0 until the scene puts plants on its terrain
+    radius_m: Floats  # (N,) radius of the ecological neighbourhood
+    height_m: Floats  # (N,)
+    age_yr: Floats  # (N,)
     status: NDArray[np.uint8]  # (N,) Status
     columns: Mapping[str, NDArray[Any]] = field(default_factory=dict)  # (N,) each, a model's own
     step: int = 0  # of the simulation
     state: Mapping[str, Any] = field(default_factory=dict)  # what a model knows besides its plants, plain as in JSON
-    maps: Mapping[str, NDArray[np.float64]] = field(
-        default_factory=dict
-    )  # (rows, cols) each, row 0 at y = 0: of the ground
+    maps: Mapping[str, Floats] = field(default_factory=dict)  # (rows, cols) each, row 0 at y = 0: of the ground
     modules: Modules | None = None  # of plants that grow by branch modules; None: a model of whole plants
 
     def __post_init__(self) -> None:
         n = len(self.plant_id)
-        shapes = {
-            "species": (n,),
-            "position_m": (n, 3),
-            "radius_m": (n,),
-            "height_m": (n,),
-            "age_yr": (n,),
-            "status": (n,),
-        }
-        for name, shape in shapes.items():
+        for name in ("species", "position_m", "radius_m", "height_m", "age_yr", "status"):
+            shape = (n, 3) if name == "position_m" else (n,)
             if getattr(self, name).shape != shape:
                 raise ValueError(f"{name} must have shape {shape}, got {getattr(self, name).shape}")
-        if n and (self.plant_id[0] == 0 or np.any(np.diff(self.plant_id.astype(np.int64)) <= 0)):
-            raise ValueError(f"plant_id must be positive, unique and sorted, got {_unsorted(self.plant_id)}")
+        before = np.concatenate([[0], self.plant_id[:-1].astype(np.int64)])
+        unsorted = np.flatnonzero(self.plant_id <= before[:n])
+        if len(unsorted):
+            row = int(unsorted[0])
+            got = f"{self.plant_id[row]} in row {row}" + (f" after {before[row]}" if row else "")
+            raise ValueError(f"plant_id must be positive, unique and sorted, got {got}")
         if self.modules is not None and self.modules.plants != n:
             raise ValueError(f"modules must be those of {n} plants, got {self.modules.plants}")
 
@@ -70,12 +69,47 @@ class Population:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the model wants people to know, as that not all plants found a place."""
+        """What the model reports to users, such as that not all plants found a place."""
         return tuple(self.state.get("notes", ()))
 
 
-def _unsorted(plant_id: NDArray[np.uint32]) -> str:
-    """The first id that is not above the one before."""
-    before = np.concatenate([[0], plant_id[:-1].astype(np.int64)])
-    row = int(np.flatnonzero(plant_id <= before)[0])
-    return f"{plant_id[row]} in row {row}" + (f" after {before[row]}" if row else "")
+def count_by_species(population: Population, above_m: float = -math.inf) -> dict[str, int]:
+    """Number of living plants of each species that are higher than `above_m`, dominated ones included."""
+    counted = population.species[(population.status != Status.DEAD) & (population.height_m > above_m)]
+    counts = np.bincount(counted, minlength=len(population.species_names))
+    return {name: int(n) for name, n in zip(population.species_names, counts, strict=True)}
+
+
+def stems_by_species(population: Population) -> dict[str, int]:
+    """Number of living plants of each species that are higher than `BREAST_HEIGHT_M`: what a forester counts."""
+    return count_by_species(population, BREAST_HEIGHT_M)
+
+
+def shares(counts: Mapping[str, float]) -> dict[str, float]:
+    """Each species' share of a sum, such as that of all plants; zeros where there is nothing to share."""
+    total = sum(counts.values())
+    return {name: n / total if total else 0.0 for name, n in counts.items()}
+
+
+def cover_by_species(population: Population, area_m2: float) -> dict[str, float]:
+    """Share of the site's area under the circles of each species' living, undominated plants.
+
+    Under the competition model of domination undominated circles never intersect, so these shares are areas of ground
+    and their sum stays below 1 on a periodic site. Under others circles overlap, and shared ground counts for each: the
+    sum may exceed 1. On a bounded site the part of a circle outside counts too. Dominated plants are left out.
+    """
+    holds = (population.status != Status.DEAD) & (population.status != Status.DOMINATED)
+    circle_m2 = np.pi * population.radius_m[holds] ** 2
+    sums = np.bincount(population.species[holds], weights=circle_m2, minlength=len(population.species_names))
+    return {name: float(a) / area_m2 for name, a in zip(population.species_names, sums, strict=True)}
+
+
+def plant_mass(population: Population) -> tuple[NDArray[np.float64], str]:
+    """(N,) mass of each plant, and its unit.
+
+    The model's own column ``mass_kg`` where it has one, else r^3 in cubic metres: plants of one shape have masses in
+    proportion to the cube of their radius (Lane 2002, section 4.3).
+    """
+    if "mass_kg" in population.columns:
+        return np.asarray(population.columns["mass_kg"], dtype=np.float64), "kg"
+    return population.radius_m**3, "m³"

@@ -1,6 +1,6 @@
 """A simulation goes on from a snapshot of its history.
 
-A history tells its origin: seed, image, model with its parameters, species and site. A recipe continues it if all of
+A history has its origin: seed, image, model with its parameters, species and site. A recipe continues it if all of
 that is the same, except the number of steps and the disturbances and changes of parameters or climate that are still to
 come: a stand may be felled or not.
 """
@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 
 from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.history import open_history
+from forestgen.community.history_tables import MODULES_NAME, readable
 from forestgen.community.model import CommunityParameters
-from forestgen.community.module_history import NAME
 from forestgen.community.plan import CommunityPlan
 from forestgen.community.population import Population
 from forestgen.community.simulation import simulation_code
@@ -106,7 +106,7 @@ def snapshot_to_resume(plan: CommunityPlan, path: Path, step: int | None) -> Pop
         raise RecipeError(
             f"{path} has no modules, from which alone its plants can go on",
             parameter="resume",
-            expected=f"a history with {NAME} beside it",
+            expected=f"a history with {MODULES_NAME} beside it",
             got="one row a plant",
             hint="simulate it again with `set='community.history_modules=true'`, and resume that",
         )
@@ -131,7 +131,7 @@ def _check_values(plan: CommunityPlan, population: Population, path: Path) -> No
 
 
 def note_of_other_code(path: Path) -> str | None:
-    """What there is to tell if the history was simulated by other code than the present; None: by the same.
+    """A note if the history was simulated by other code than the present; None: by the same.
 
     Other versions are refused. Of one version, the code may have been changed, a library, or the kind of machine.
     """
@@ -153,27 +153,20 @@ def _check_same_simulation(plan: CommunityPlan, theirs: Mapping[str, Any], step:
         raise RecipeError(f"{path} does not say what it was started with", parameter="resume", expected="that", got=got)
     parameters = type(plan.parameters)
     now = dict(_until(origin(plan), parameters, step))
-    try:
+    expected = "the origin that forestgen wrote into its metadata"
+    with readable(path, "the history does not say rightly what it was started with", expected, "simulate it again"):
         before = dict(_until(theirs, parameters, step))
-    except (KeyError, TypeError, AttributeError, ValueError, ArithmeticError) as error:
-        raise AssetError(
-            "the history does not say rightly what it was started with",
-            where=str(path),
-            expected="the origin that forestgen wrote into its metadata",
-            got=f"no {error}" if isinstance(error, KeyError) else str(error).splitlines()[0],
-            hint="simulate it again",
-        ) from error
     differ = list(differences(before, now))
     if not differ:
         return
-    told, more = differ[:_MOST_SHOWN], len(differ) - _MOST_SHOWN
+    first, more = differ[:_MOST_SHOWN], len(differ) - _MOST_SHOWN
     *others, last = parameters.timed_keys
     timed = ", ".join(others) + " and " * bool(others) + last
     raise RecipeError(
         f"{path} is the history of another simulation",
         parameter="resume",
-        expected="; ".join(f"{one.key} {shown(one.before)}" for one in told) + ", as in the history",
-        got="; ".join(f"{one.key} {shown(one.now)}" for one in told) + (f", and {more} more" if more > 0 else ""),
+        expected="; ".join(f"{one.key} {shown(one.before)}" for one in first) + ", as in the history",
+        got="; ".join(f"{one.key} {shown(one.now)}" for one in first) + (f", and {more} more" if more > 0 else ""),
         hint=f"only community.steps and later {timed} may change; leave `resume` out to start anew",
     )
 

@@ -158,7 +158,7 @@ def _content(value: Any) -> Any:
 
 
 def _content_of_section(section: BaseModel) -> Any:
-    """A section's keys. A map's file is excluded from what is dumped, for its SHA-256 tells it."""
+    """A section's keys. A map's file is excluded from what is dumped, for its SHA-256 identifies it."""
     content = {}
     for name, field in type(section).model_fields.items():
         value = getattr(section, name)

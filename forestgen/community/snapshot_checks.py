@@ -1,20 +1,20 @@
-"""Whether a snapshot read from a file can be one of a simulation: its values go into compiled loops as indices.
+"""Checks that a snapshot from a file can be one of a simulation: compiled loops use its values as indices.
 
-What holds for plants of any model is checked here; each model tells what holds for its own columns and its own state
+Here are the checks for plants of any model; each model checks its own columns and its own state
 (`CommunityModel.check_snapshot`), by `check_columns`, `check_whole` and `ImpossibleValueError`.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.community.ecology import SpeciesEcology
+from forestgen.community.ecology import Ecologies
 from forestgen.community.model import Site
 from forestgen.community.population import Population, Status
 
@@ -24,12 +24,9 @@ _DEEPEST = 20  # lists in lists of a state
 
 
 class ImpossibleValueError(ValueError):
-    """A value that no simulation gives; the file's name and the step are still to be told.
+    """A value that no simulation gives; who catches it adds the file's name and the step.
 
-    Parameters
-    ----------
-    where : column and plant, or key of the state.
-    expected, got : what a valid value looks like, and the value found.
+    `where` is a column and a plant, or a key of the state.
     """
 
     def __init__(self, where: str, expected: str, got: str) -> None:
@@ -47,7 +44,7 @@ class Limits:
     finite: bool = True
 
 
-def check_snapshot(population: Population, site: Site, species: Sequence[SpeciesEcology]) -> None:
+def check_snapshot(population: Population, site: Site, species: Ecologies) -> None:
     """Raise `ImpossibleValueError` unless a snapshot's own columns can be those of a community of any model.
 
     `plant_id` is checked by `Population` itself.
@@ -57,18 +54,15 @@ def check_snapshot(population: Population, site: Site, species: Sequence[Species
         got = ", ".join(map(str, population.species_names)) or "none"
         raise ImpossibleValueError("species_names", ", ".join(names) or "none", got)
     width_m, depth_m = site.size_m
-    rows: dict[str, tuple[NDArray[Any], Limits]] = {
-        "species": (population.species, Limits("u2", 0, len(names) - 1)),
-        "x_m": (population.position_m[:, 0], Limits("f8", 0, width_m)),
-        "y_m": (population.position_m[:, 1], Limits("f8", 0, depth_m)),
-        "z_m": (population.position_m[:, 2], Limits("f8", 0, 0)),
-        "radius_m": (population.radius_m, Limits("f8", np.nextafter(0, 1))),
-        "height_m": (population.height_m, Limits("f8", 0)),
-        "age_yr": (population.age_yr, Limits("f8", 0)),
-        "status": (population.status, Limits("u1", 0, max(Status))),
-    }
-    for name, (values, limits) in rows.items():
-        _check(name, values, limits, population)
+    x_m, y_m, z_m = population.position_m.T
+    _check("species", population.species, Limits("u2", 0, len(names) - 1), population)
+    _check("x_m", x_m, Limits("f8", 0, width_m), population)
+    _check("y_m", y_m, Limits("f8", 0, depth_m), population)
+    _check("z_m", z_m, Limits("f8", 0, 0), population)
+    _check("radius_m", population.radius_m, Limits("f8", np.nextafter(0, 1)), population)
+    _check("height_m", population.height_m, Limits("f8", 0), population)
+    _check("age_yr", population.age_yr, Limits("f8", 0), population)
+    _check("status", population.status, Limits("u1", 0, max(Status)), population)
     largest = int(population.plant_id[-1]) if len(population) else 0
     check_whole(population.state, "next_id", largest + 1, _MOST_IDS)
     notes = population.state.get("notes", [])
@@ -91,14 +85,14 @@ def check_columns(population: Population, limits: Mapping[str, Limits]) -> None:
 
 
 def arrival_limits(population: Population, step_yr: float, *, dead: bool = False) -> dict[str, Limits]:
-    """Limits of ages that tell in which step a plant arrived, and of the status in models that keep the dead or not."""
+    """Limits of ages, which give the step of arrival, and of the status in models that keep the `dead` or not."""
     return {
         "age_yr": Limits("f8", 0, (population.step + 0.5) * step_yr),
         "status": Limits("u1", 0, Status.DEAD if dead else Status.MATURE),
     }
 
 
-def check_radii(population: Population, species: Sequence[SpeciesEcology]) -> None:
+def check_radii(population: Population, species: Ecologies) -> None:
     """Raise `ImpossibleValueError` for a plant that is larger than its species can be."""
     largest = np.array([one.max_radius_m for one in species], dtype=np.float64)[population.species]
     wrong = np.flatnonzero(population.radius_m > largest * (1 + _ROUNDING))
@@ -111,15 +105,15 @@ def check_radii(population: Population, species: Sequence[SpeciesEcology]) -> No
 def check_whole(values: Mapping[str, Any], key: str, least: int, most: int) -> None:
     """Raise `ImpossibleValueError` unless a key of the state is a whole number from `least` to `most`."""
     value = values.get(key)
-    if not (isinstance(value, int) and not isinstance(value, bool) and least <= value <= most):
+    if not (type(value) is int and least <= value <= most):
         raise ImpossibleValueError(key, f"a whole number from {least} to {most}", _shown(value))
 
 
 def check_number(values: Mapping[str, Any], key: str, least: float, most: float, *, within: str = "") -> None:
     """Raise `ImpossibleValueError` unless a key of the state, or of a table `within` it, is a number of a range."""
-    value = values.get(key)
+    value: Any = values.get(key)
     key = f"{within}.{key}" if within else key
-    if not (isinstance(value, int | float) and not isinstance(value, bool) and least <= value <= most):
+    if type(value) not in (int, float) or not least <= value <= most:
         raise ImpossibleValueError(key, f"a number from {least:g} to {most:g}", _shown(value))
 
 

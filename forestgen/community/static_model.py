@@ -1,31 +1,34 @@
-"""A base class for community models that place all plants in step 0; afterwards plants only become older.
+"""Base classes for community models that place all plants in step 0; afterwards plants only become older.
 
-A model says where plants stand (`place`) and how many it places at most (`most_plants`). The class has the rest of
-`CommunityModel`: steps, snapshots, resuming, disturbances, memory. docs/tutorials/plugin.md writes one.
+A `StaticModel` says where plants stand (`place`) and how many it places at most (`most_plants`). The class has the rest
+of `CommunityModel`: steps, snapshots, resuming, disturbances, memory. docs/tutorials/plugin.md writes one.
+
+A step of Δt years makes every plant older, and nothing else: plants neither grow, compete, arrive nor die. Only
+disturbances (`community.disturbances`) add or remove plants.
 """
 
 from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Generic, TypeVar
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from forestgen.community.arrivals import heights_m, of_species
-from forestgen.community.disturbance import planted
-from forestgen.community.ecology import SpeciesEcology
+from forestgen.community.arrivals import Rows, heights_m, new_ids, of_species, on_the_ground
+from forestgen.community.disturbance import Planting, planted
+from forestgen.community.ecology import Ecologies, SpeciesEcology
 from forestgen.community.model import CommunityParameters, Site
-from forestgen.community.standing import FixedPopulation, State, first_state
+from forestgen.community.population import Floats, Population, Status
+from forestgen.community.snapshot_checks import ImpossibleValueError, Limits, check_columns, check_finite
 from forestgen.core.randomness import child_rng
 from forestgen.recipe.fields import Whole
 
-_BYTES_PER_PLANT = 400  # a state, its successor, a snapshot, what a placement holds meanwhile
-_BYTES_AT_LEAST = 4 * 1024 * 1024
+_COLUMNS = ("azimuth_deg", "first_age_yr", "first_step")  # of plants, which a snapshot has under the same names
 
 
 class StaticParameters(CommunityParameters):
@@ -55,13 +58,152 @@ class Placement:
             raise ValueError(f"species, position_m, radius_m and height_m must be of {n} plants, got shapes {found}")
 
 
-class StaticModel(FixedPopulation, ABC, Generic[P]):
+@dataclass(frozen=True)
+class Plants(Rows):
+    """One row a plant, in order of plant_id."""
+
+    x_m: Floats  # (N, 2) metres, world x and y
+    r_m: Floats  # (N,) metres
+    height_m: Floats  # (N,) metres
+    sp: NDArray[np.uint16]  # (N,) index of species
+    azimuth_deg: Floats  # (N,) turn about the vertical, clockwise from above
+    first_age_yr: Floats  # (N,) at the step of arrival
+    plant_id: NDArray[np.uint32]  # (N,)
+    first_step: NDArray[np.int32]  # (N,) step of arrival
+
+
+@dataclass(frozen=True)
+class State:
+    """Everything that the future of a simulation depends on."""
+
+    parameters: CommunityParameters
+    species: tuple[SpeciesEcology, ...]
+    seed: int
+    step: int
+    next_id: int  # the id of the next plant to arrive
+    plants: Plants
+    notes: tuple[str, ...] = ()  # for users, such as that not all plants found a place
+    found: Mapping[str, Any] = field(default_factory=dict)  # what `init` worked out for itself, plain as in JSON
+
+
+def azimuth_of(seed: int, plant_id: int) -> float:
+    """A plant's own turn about the vertical, degrees."""
+    return float(child_rng(seed, "placed azimuth", plant_id).uniform(0.0, 360.0))
+
+
+def first_state(
+    parameters: CommunityParameters,
+    species: Ecologies,
+    seed: int,
+    placed: Placement,
+    notes: Sequence[str] = (),
+    found: Mapping[str, Any] | None = None,
+) -> State:
+    """The state of step 0 of plants that have just been placed, numbered from 1 in the order given."""
+    n, height_m = len(placed.species), placed.height_m
+    plants = Plants(
+        x_m=np.ascontiguousarray(placed.position_m, dtype=np.float64),
+        r_m=np.ascontiguousarray(placed.radius_m, dtype=np.float64),
+        height_m=np.ascontiguousarray(
+            heights_m(species, placed.species, placed.radius_m) if height_m is None else height_m, dtype=np.float64
+        ),
+        sp=np.ascontiguousarray(placed.species, dtype=np.uint16),
+        azimuth_deg=child_rng(seed, "placement azimuths").uniform(0.0, 360.0, n),
+        first_age_yr=np.zeros(n),
+        plant_id=new_ids(1, n),
+        first_step=np.zeros(n, dtype=np.int32),
+    )
+    return State(parameters, tuple(species), seed, 0, 1 + n, plants, tuple(notes), dict(found or {}))
+
+
+class FixedPopulation(Generic[P]):
+    """The part of a `CommunityModel` that follows `init`, for models that place all plants there."""
+
+    Parameters: type[P]
+    state_keys: ClassVar[tuple[str, ...]] = ()  # what a snapshot's state may have of `State.found`
+
+    def step(self, state: State) -> State:
+        """All plants older by a step."""
+        return replace(state, step=state.step + 1)
+
+    def population(self, state: State) -> Population:
+        """Snapshot; z is 0. A plant of its species' largest radius is mature, any other is growing."""
+        plants, species = state.plants, state.species
+        mature = plants.r_m >= of_species(species, "max_radius_m")[plants.sp]
+        return Population(
+            time_yr=state.step * state.parameters.step_yr,
+            species_names=tuple(one.name for one in species),
+            plant_id=plants.plant_id,
+            species=plants.sp,
+            position_m=on_the_ground(plants.x_m),
+            radius_m=plants.r_m,
+            height_m=plants.height_m,
+            age_yr=plants.first_age_yr + (state.step - plants.first_step) * state.parameters.step_yr,
+            status=np.where(mature, np.uint8(Status.MATURE), np.uint8(Status.GROWING)),
+            columns={name: getattr(plants, name) for name in _COLUMNS},
+            step=state.step,
+            state={"next_id": state.next_id, "notes": list(state.notes), **state.found},
+        )
+
+    def resume(
+        self, parameters: P, site: Site, species: Sequence[SpeciesEcology], seed: int, population: Population
+    ) -> State:
+        """The state of a snapshot."""
+        plants = Plants(
+            x_m=np.ascontiguousarray(population.position_m[:, :2]),
+            r_m=population.radius_m,
+            height_m=population.height_m,
+            sp=population.species,
+            plant_id=population.plant_id,
+            **{name: population.columns[name] for name in _COLUMNS},
+        )
+        found = dict(population.state)
+        next_id, notes = int(found.pop("next_id")), tuple(found.pop("notes", ()))
+        return State(parameters, tuple(species), seed, population.step, next_id, plants, notes, found)
+
+    def check_snapshot(
+        self, parameters: P, site: Site, species: Sequence[SpeciesEcology], population: Population
+    ) -> None:
+        """Refuse turns, ages and arrivals that no plant of a snapshot has, and numbers that JSON does not know."""
+        own = {
+            "azimuth_deg": Limits("f8"),
+            "first_age_yr": Limits("f8", 0),
+            "first_step": Limits("i4", 0, population.step),
+            "status": Limits("u1", 0, Status.MATURE),
+        }
+        check_columns(population, own)
+        known = ("next_id", "notes", *self.state_keys)
+        for key, value in population.state.items():
+            if key not in known:
+                raise ImpossibleValueError(key, f"one of {', '.join(known)}", "this key")
+            check_finite(value, key)
+
+    def remove(self, state: State, plant_id: NDArray[np.uint32]) -> State:
+        """The state without these plants."""
+        return replace(state, plants=state.plants.where(~np.isin(state.plants.plant_id, plant_id)))
+
+    def plant(self, state: State, planting: Planting) -> State:
+        """The state with new plants beside the others."""
+        n = len(planting)
+        ids = new_ids(state.next_id, n)
+        new = Plants(
+            x_m=planting.position_m,
+            r_m=planting.radius_m,
+            height_m=heights_m(state.species, planting.species, planting.radius_m),
+            sp=planting.species,
+            azimuth_deg=np.array([azimuth_of(state.seed, int(one)) for one in ids], dtype=np.float64),
+            first_age_yr=np.zeros(n),
+            plant_id=ids,
+            first_step=np.full(n, state.step, dtype=np.int32),
+        )
+        return replace(state, next_id=state.next_id + n, plants=state.plants.and_then(new))
+
+
+class StaticModel(FixedPopulation[P], ABC):
     """A `CommunityModel` whose plants are placed in step 0.
 
     A subclass sets `Parameters` and has the methods `place` and `most_plants`.
     """
-
-    Parameters: type[P]
 
     @abstractmethod
     def place(
@@ -82,21 +224,10 @@ class StaticModel(FixedPopulation, ABC, Generic[P]):
         """
         placed = self.place(parameters, site, species, child_rng(seed, "community", 0))
         _check(placed, site, species)
-        height_m = placed.height_m
-        if height_m is None:
-            height_m = heights_m(species, placed.species, placed.radius_m)
-        return first_state(
-            parameters,
-            species,
-            seed,
-            sp=placed.species.astype(np.uint16),
-            x_m=placed.position_m,
-            r_m=placed.radius_m,
-            height_m=height_m,
-        )
+        return first_state(parameters, species, seed, placed)
 
     def expected_plants(self, parameters: P, site: Site, species: Sequence[SpeciesEcology]) -> float:
-        """Who is placed, and who will be planted."""
+        """Plants that are placed, and those that disturbances plant."""
         return float(self.most_plants(parameters, site, species) + planted(parameters.disturbances))
 
     def empty_reason(self, parameters: P, site: Site, species: Sequence[SpeciesEcology]) -> str | None:
@@ -104,12 +235,12 @@ class StaticModel(FixedPopulation, ABC, Generic[P]):
         return None if self.expected_plants(parameters, site, species) > 0 else "the model places no plant"
 
     def estimate_bytes(self, parameters: P, site: Site, species: Sequence[SpeciesEcology]) -> int:
-        """Bytes for all plants at once."""
-        return _BYTES_AT_LEAST + math.ceil(self.expected_plants(parameters, site, species) * _BYTES_PER_PLANT)
+        """Bytes for all plants at once: a state, its successor, a snapshot, what a placement holds meanwhile."""
+        return 4 * 1024 * 1024 + math.ceil(self.expected_plants(parameters, site, species) * 400)
 
 
-def _check(placed: Placement, site: Site, species: Sequence[SpeciesEcology]) -> None:
-    """Refuse what no later stage could use, and name the first plant of it."""
+def _check(placed: Placement, site: Site, species: Ecologies) -> None:
+    """Raise `ValueError` for the first plant that no later stage could use."""
     if not len(placed.species):
         return
     if not np.all((placed.species >= 0) & (placed.species < len(species))):

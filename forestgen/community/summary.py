@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from forestgen.community.plan import CommunityPlan
-from forestgen.community.population import Population, Status
-from forestgen.community.statistics import count_by_species, stems_by_species
+from forestgen.community.population import Population, Status, count_by_species, stems_by_species
 from forestgen.core.figures import count, seconds, table_lines
 from forestgen.core.frames import BREAST_HEIGHT_M
 

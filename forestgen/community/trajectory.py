@@ -1,14 +1,19 @@
-"""A community in time, as numbers: what is left of a snapshot that need not be kept."""
+"""A community in time, as numbers: what is kept of a snapshot, and statistics of sizes.
+
+Sizes: the log-normal size hierarchy, and the self-thinning line (Lane 2002, sections 2.2 and 2.3).
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import log_ndtr
+from scipy.stats import linregress
 
 from forestgen.community.model import Site
 from forestgen.community.point_patterns import (
@@ -19,29 +24,39 @@ from forestgen.community.point_patterns import (
     hopkins,
     measure_distances,
 )
-from forestgen.community.population import Population, Status
-from forestgen.community.size_statistics import Slope, fit_log_normal, reineke_slope, self_thinning_slope
-from forestgen.community.statistics import count_by_species, cover_by_species, plant_mass, shares, stems_by_species
+from forestgen.community.population import (
+    Floats,
+    Population,
+    Status,
+    count_by_species,
+    cover_by_species,
+    plant_mass,
+    shares,
+    stems_by_species,
+)
 from forestgen.core.randomness import child_rng
 
 ALL = "all"  # of the plants, beside each species
 _SAMPLES = 2_500  # points of the window for Hopkins' index: its error is that of the plants all the same
+_FEWEST_TO_FIT = 8  # below, Stephens' approximation of the p-value does not hold
+_FEWEST_ON_LINE = 5
+_ON_LINE = 1 / 3  # of the greatest density: by then a trajectory has turned into the line
 
 
 @dataclass(frozen=True)
 class Moment:
-    """What there is of each species at one step: (S,) arrays in the order of the species."""
+    """What there is of each species at one step: (S,) arrays in the order of the species; dead plants do not count."""
 
     step: int
     time_yr: float
     counts: NDArray[np.int64]
-    cover: NDArray[np.float64]  # share of the site
-    mass_sum: NDArray[np.float64]  # in the unit of `plant_mass`
-    square_sum_m2: NDArray[np.float64]  # of radii
+    cover: Floats  # share of the site
+    mass_sum: Floats  # in the unit of `plant_mass`
+    square_sum_m2: Floats  # of radii
 
 
 def moment(population: Population, site: Site) -> Moment:
-    """The numbers of a snapshot; dead plants do not count."""
+    """The numbers of a snapshot."""
     alive = population.status != Status.DEAD
     kinds, n = population.species[alive], len(population.species_names)
     mass, _ = plant_mass(population)
@@ -49,7 +64,7 @@ def moment(population: Population, site: Site) -> Moment:
         step=population.step,
         time_yr=population.time_yr,
         counts=np.bincount(kinds, minlength=n),
-        cover=np.array(list(cover_by_species(population, site).values())),
+        cover=np.array(list(cover_by_species(population, site.area_m2).values())),
         mass_sum=np.bincount(kinds, weights=mass[alive], minlength=n).astype(np.float64),
         square_sum_m2=np.bincount(kinds, weights=population.radius_m[alive] ** 2, minlength=n).astype(np.float64),
     )
@@ -62,11 +77,11 @@ class Trajectory:
     species_names: tuple[str, ...]
     area_m2: float
     mass_unit: str
-    time_yr: NDArray[np.float64]  # (T,)
+    time_yr: Floats  # (T,)
     counts: NDArray[np.int64]  # (T, S)
-    cover: NDArray[np.float64]  # (T, S) share of the site
-    mass_sum: NDArray[np.float64]  # (T, S)
-    square_sum_m2: NDArray[np.float64]  # (T, S)
+    cover: Floats  # (T, S) share of the site
+    mass_sum: Floats  # (T, S)
+    square_sum_m2: Floats  # (T, S)
 
     @classmethod
     def of(cls, moments: Sequence[Moment], species_names: tuple[str, ...], site: Site, mass_unit: str) -> Trajectory:
@@ -80,29 +95,29 @@ class Trajectory:
         return cls(species_names, site.area_m2, mass_unit, **columns)
 
     @property
-    def density_per_ha(self) -> NDArray[np.float64]:
+    def density_per_ha(self) -> Floats:
         """(T,) plants of all species per hectare."""
         return np.asarray(self.counts.sum(axis=1) / self.area_m2 * 1e4)
 
     @property
-    def mean_mass(self) -> NDArray[np.float64]:
+    def mean_mass(self) -> Floats:
         """(T,) mean mass of a plant; nan where none lives."""
-        return _over(self.mass_sum.sum(axis=1), self.counts.sum(axis=1))
+        return np.asarray(self.mass_sum.sum(axis=1) / self._plants)
 
     @property
-    def quadratic_mean_diameter_m(self) -> NDArray[np.float64]:
+    def quadratic_mean_diameter_m(self) -> Floats:
         """(T,) of the plants' circles, metres; nan where there is none."""
-        return np.asarray(2 * np.sqrt(_over(self.square_sum_m2.sum(axis=1), self.counts.sum(axis=1))))
+        return np.asarray(2 * np.sqrt(self.square_sum_m2.sum(axis=1) / self._plants))
+
+    @property
+    def _plants(self) -> Floats:
+        """(T,) plants of all species; nan where there is none."""
+        plants = self.counts.sum(axis=1)
+        return np.where(plants > 0, plants, math.nan)
 
     def is_even_aged(self) -> bool:
         """Whether plants only ever get fewer, as those of one sowing do."""
         return bool(np.all(np.diff(self.counts.sum(axis=1)) <= 0))
-
-
-def _over(sums: NDArray[np.float64], counts: NDArray[np.int64]) -> NDArray[np.float64]:
-    means = np.full(len(sums), math.nan)
-    np.divide(sums, counts, out=means, where=counts > 0)
-    return means
 
 
 def thinning_slope(trajectory: Trajectory) -> Slope | None:
@@ -136,6 +151,7 @@ def describe_step(population: Population, site: Site, seed: int) -> dict[str, An
     groups = {ALL: alive}
     groups.update({name: alive & (population.species == k) for k, name in enumerate(population.species_names)})
     patterns = {name: _pattern(population, pick, site, seed, name) for name, pick in groups.items()}
+    logs = {name: fit_log_normal(mass[pick & (mass > 0) & np.isfinite(mass)]) for name, pick in groups.items()}
     return {
         "step": population.step,
         "time_yr": population.time_yr,
@@ -145,11 +161,11 @@ def describe_step(population: Population, site: Site, seed: int) -> dict[str, An
         "shares": shares(counts),
         "stems_over_1_3_m": stems,
         "stems_over_1_3_m_per_ha": {name: number / site.area_m2 * 1e4 for name, number in stems.items()},
-        "cover": cover_by_species(population, site),
+        "cover": cover_by_species(population, site.area_m2),
         "mean_mass": float(mass[alive].mean()) if n else None,
         "hopkins": {name: one[0] for name, one in patterns.items()},
         "clark_evans_donnelly": {name: one[1] for name, one in patterns.items()},
-        "mass_log_normal": {name: _log_normal(mass[pick]) for name, pick in groups.items()},
+        "mass_log_normal": {name: asdict(fit) if fit else None for name, fit in logs.items()},
     }
 
 
@@ -164,14 +180,14 @@ def _pattern(
     return _estimate(hopkins(distances)), _estimate(clark_evans_donnelly(distances.from_points_m, window))
 
 
-def _distances(points_m: NDArray[np.float64], site: Site, seed: int, step: int, name: str) -> tuple[Distances, Window]:
+def _distances(points_m: Floats, site: Site, seed: int, step: int, name: str) -> tuple[Distances, Window]:
     window = Window(0.0, site.size_m[0], 0.0, site.size_m[1])
     rng = child_rng(seed, "statistics", step, name)
     return measure_distances(points_m, window, rng, samples=_SAMPLES), window
 
 
-def told_hopkins(points_m: NDArray[np.float64], site: Site, seed: int) -> float:
-    """Hopkins' index of (N, 2) plants as `describe_step` tells it of all plants of step 0; nan for fewer than two."""
+def reported_hopkins(points_m: Floats, site: Site, seed: int) -> float:
+    """Hopkins' index of (N, 2) plants as `describe_step` reports it of all plants of step 0; nan for fewer than two."""
     return hopkins(_distances(points_m, site, seed, 0, ALL)[0]).value if len(points_m) > 1 else math.nan
 
 
@@ -179,7 +195,123 @@ def _estimate(one: Estimate) -> dict[str, float | None]:
     return {name: value if math.isfinite(value) else None for name, value in one._asdict().items()}
 
 
-def _log_normal(mass: NDArray[np.float64]) -> Mapping[str, Any] | None:
-    positive = mass[(mass > 0) & np.isfinite(mass)]
-    fit = fit_log_normal(positive)
-    return asdict(fit) if fit else None
+@dataclass(frozen=True)
+class LogNormalFit:
+    """ln(size) is about normal with mean `mu` and standard deviation `sigma`."""
+
+    n: int
+    mu: float  # of ln(size), size in its own unit
+    sigma: float
+    anderson_darling: float  # A*², adjusted for the estimated mu and sigma; below 0.752 fits at the 5% level
+    p_value: float  # of sizes as far from log-normal as these, or farther, by chance
+
+
+def fit_log_normal(size: Floats) -> LogNormalFit | None:
+    """Fit a log-normal distribution to positive sizes, and test it; None for fewer than 8 sizes, or all alike.
+
+    The test is Anderson and Darling's, with Stephens' p-value for estimated parameters: Kolmogorov and Smirnov's own
+    p-value would be far too large.
+
+    References
+    ----------
+    Stephens 1986, in D'Agostino and Stephens, Goodness-of-Fit Techniques, table 4.9.
+    """
+    n = len(size)
+    if n < _FEWEST_TO_FIT:
+        return None
+    if not np.all((size > 0) & np.isfinite(size)):
+        raise ValueError("sizes must be positive and finite")
+    logs = np.sort(np.log(size))
+    mu, sigma = float(logs.mean()), float(logs.std(ddof=1))
+    if sigma <= 1e-12 * max(1.0, abs(mu)):
+        return None
+    z = (logs - mu) / sigma
+    odd = 2 * np.arange(1, n + 1) - 1
+    a2 = -n - float(np.mean(odd * (log_ndtr(z) + log_ndtr(-z[::-1]))))
+    adjusted = a2 * (1 + 0.75 / n + 2.25 / n**2)
+    return LogNormalFit(n, mu, sigma, adjusted, _stephens_p(adjusted))
+
+
+def _stephens_p(a: float) -> float:
+    if a >= 0.6:
+        # Past its least exponent the parabola would rise again: by then p is as good as nothing.
+        return math.exp(1.2937 - 5.709 * a + 0.0186 * a * a) if a < 150 else 0.0
+    if a >= 0.34:
+        return math.exp(0.9177 - 4.279 * a - 1.38 * a * a)
+    if a >= 0.2:
+        return 1 - math.exp(-8.318 + 42.796 * a - 59.938 * a * a)
+    return 1 - math.exp(-13.436 + 101.14 * a - 223.73 * a * a)
+
+
+@dataclass(frozen=True)
+class Slope:
+    """A straight line through logarithms."""
+
+    value: float
+    error: float  # standard error, as if the points were independent
+    intercept: float  # natural logarithm
+    first: int  # index of the first point fitted
+    last: int  # and of the last
+
+
+def self_thinning_slope(density: Floats, mean_mass: Floats, *, window: tuple[int, int] | None = None) -> Slope | None:
+    """Slope of log mean mass on log density along a trajectory in time: -3/2 on the self-thinning line.
+
+    Parameters
+    ----------
+    density : (T,) plants per area.
+    mean_mass : (T,) mean mass of a plant.
+    window : first and last index of the points to fit; by default those of `thinning_window`.
+
+    Returns
+    -------
+    None without a decline, or where fewer than 5 points lie in the window.
+
+    References
+    ----------
+    Yoda et al. 1963, J. Biol. Osaka City Univ. 14. Lane 2002, Figures 2.1 and 4.4.
+    """
+    return _log_slope(density, mean_mass, window or thinning_window(density, mean_mass))
+
+
+def reineke_slope(density: Floats, mean_diameter: Floats, *, window: tuple[int, int] | None = None) -> Slope | None:
+    """Slope of log density on log quadratic mean diameter along a trajectory: -1.605 in Reineke's stands.
+
+    The window is that of `self_thinning_slope`. Circles of one shape that fill a constant share of the ground give -2.
+
+    References
+    ----------
+    Reineke 1933, J. Agric. Res. 46.
+    """
+    return _log_slope(mean_diameter, density, window or thinning_window(density, mean_diameter))
+
+
+def thinning_window(density: Floats, mean_size: Floats) -> tuple[int, int] | None:
+    """First and last index of a trajectory's stretch along the self-thinning line; None where there is none.
+
+    The stretch begins where a third of the greatest density is left: before, plants grow without meeting, and the
+    trajectory turns towards the line. It ends where the mean size is greatest: mature plants grow no more, and die of
+    age.
+    """
+    density, mean_size = np.asarray(density, dtype=np.float64), np.asarray(mean_size, dtype=np.float64)
+    if not len(density):
+        return None
+    peak = int(np.argmax(density))
+    thinned = np.flatnonzero((density[peak:] <= _ON_LINE * density[peak]) & (density[peak:] > 0))
+    if not len(thinned):
+        return None
+    first = peak + int(thinned[0])
+    alive = first + int(np.argmin(np.append(density[first:], 0.0) > 0))
+    last = first + int(np.argmax(mean_size[first:alive]))
+    return (first, last) if last - first + 1 >= _FEWEST_ON_LINE else None
+
+
+def _log_slope(x: Floats, y: Floats, window: tuple[int, int] | None) -> Slope | None:
+    if window is None:
+        return None
+    first, last = window
+    log_x, log_y = np.log(x[first : last + 1]), np.log(y[first : last + 1])
+    if len(log_x) < 3 or not np.ptp(log_x) > 0:
+        return None
+    line = linregress(log_x, log_y)
+    return Slope(float(line.slope), float(line.stderr), float(line.intercept), first, last)

@@ -119,9 +119,7 @@ class Root:
 def simulate(model: AuxinModel, *, length_mm: float | None = None, duration_h: float | None = None) -> Root:
     """Grow a root to a length or for a time, whichever is first.
 
-    Raises
-    ------
-    RecipeError : too many segments or time steps, or a root that stops growing before it is long enough.
+    Raises `RecipeError`: too many segments or time steps, or a root that stops growing before it is long enough.
     """
     steps = MOST_STEPS if duration_h is None else round(duration_h / model.step_h)
     zones = model.zones if len(model.zones) == model.sectors else model.zones * model.sectors
@@ -258,9 +256,7 @@ def _elongate(
 ) -> Any:
     """One step of growth of all sides from segment `first` on, the tip's segment excepted.
 
-    Returns
-    -------
-    The first segment that may still grow; those before it lie behind the growth zone for good.
+    Returns the first segment that may still grow; those before it lie behind the growth zone for good.
     """
     n, sectors = side.shape
     step, inhibition, on_flank = number.step, number.inhibition, number.on_flank
@@ -326,9 +322,7 @@ def _grow(
 ) -> Any:
     """Time steps until the root is as long as it should be, or the steps are used up.
 
-    Returns
-    -------
-    steps done, number of segments (-1: there is no room for more, -2: it takes too long).
+    Returns steps done, number of segments (-1: there is no room for more, -2: it takes too long).
     """
     sectors, work = side.shape[1], 0.0
     share, first, frozen_mm, end = np.empty(sectors), 0, 0.0, np.empty((3, 3))

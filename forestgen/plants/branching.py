@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -196,7 +197,7 @@ class Assembly:
     def __init__(self, wood: Skeleton, axes: int) -> None:
         self.axes = axes
         self.radius_m = wood.radius_m.astype(np.float64)
-        self._columns = [(wood.parent, wood.position_m, wood.order, wood.axis)]
+        self._columns: list[tuple[NDArray[Any], ...]] = [(wood.parent, wood.position_m, wood.order, wood.axis)]
         self._mark = wood.mark
 
     def add(self, order: int, grown: Grown, shoots: Shoots, radius_m: Floats) -> Ints:

@@ -65,10 +65,7 @@ def sweep_with_collars(
 ) -> tuple[Mesh, Ints]:
     """Branches as tubes with collars, and where each tube's vertices begin; see `sweep_tubes`.
 
-    Parameters
-    ----------
-    lines : A branches from the middle of their bearers on.
-    bearer : (A,) node that bears each.
+    `lines`: A branches from the middle of their bearers on. `bearer`: (A,) node that bears each.
     """
     base = lines.radius_m[lines.offset[:-1]]
     sides = sides_for_radius(base)

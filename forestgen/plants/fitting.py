@@ -21,11 +21,8 @@ _STRETCH = (0.3, 3.0)
 def fit(skeleton: Skeleton, templates: Mapping[str, Mesh], how: Fit, height_m: float, width_m: float) -> Skeleton:
     """The plant at the size that the community asks for; `how` as in `PlantParameters.fit`.
 
-    Parameters
-    ----------
-    templates : organ shapes by name, for the organs' own extents.
-    height_m : of the topmost point.
-    width_m : mean of the extents in x and y; "stretch" alone keeps to it.
+    `templates`: organ shapes by name, for the organs' own extents. `height_m`: of the topmost point. `width_m`: mean of
+    the extents in x and y; "stretch" alone keeps to it.
     """
     match how:
         case "stretch":

@@ -74,12 +74,7 @@ class Foliage(Section):
 
 
 def place(rule: Foliage, skeleton: Skeleton, height_m: float, rng: np.random.Generator) -> OrganPlacements:
-    """Frames of all organs of one rule on a skeleton.
-
-    Raises
-    ------
-    RecipeError : more organs than memory holds.
-    """
+    """Frames of all organs of one rule on a skeleton. Raises `RecipeError`: more organs than memory holds."""
     growth = evaluate_one(rule.size_by_height, height_m)
     axes = _Axes(skeleton, rule.orders)
     spacing_m = (rule.spacing_m or 0.0) * growth * evaluate_one(rule.spacing_by_height, height_m)

@@ -28,10 +28,8 @@ def skeleton_of(drawing: Drawing, shapes: Mapping[str, str] | None = None, polyg
     of a micrometre. Where all of a plant begins with branches, the first becomes its trunk, the others further stems; a
     plant that has no wood there gets a trunk that cannot be seen.
 
-    Parameters
-    ----------
-    shapes : name of the organ shape of each surface; None: the surface's own.
-    polygons : name of the organ shape, the triangle (0, 0), (1, 0), (0, 1), that polygons are made of; None: left out.
+    `shapes`: name of the organ shape of each surface; None: the surface's own. `polygons`: name of the organ shape, the
+    triangle (0, 0), (1, 0), (0, 1), that polygons are made of; None: left out.
     """
     d = _with_trunk(_first_branch_as_trunk(drawing))
     source, is_collar = _nodes_with_collars(d)

@@ -9,9 +9,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.architecture.prototype import MOST_NODES
-from forestgen.architecture.skeletal_graph import skeletal_graph
-from forestgen.architecture.tables import Tables
+from forestgen.architecture.geometry import skeletal_graph
+from forestgen.architecture.prototypes import MOST_NODES, Tables
 from forestgen.community.population import Population, Status
 from forestgen.geometry.mesh import any_perpendicular, unit
 from forestgen.plants.skeleton import Skeleton
@@ -83,10 +82,8 @@ def wood_skeleton(
     A curve is Hermite's cubic from node to node: its tangent at a node halves the bend there, as Catmull and Rom's does
     for nodes at equal distances. A branch leaves its bearer straight.
 
-    Parameters
-    ----------
-    bearing : (N,) which segments bear twigs: they get nodes at `spacing_m`.
-    crook : standard deviation of a segment's middle from the curve, share of its length.
+    `bearing`: (N,) which segments bear twigs: they get nodes at `spacing_m`. `crook`: standard deviation of a segment's
+    middle from the curve, share of its length.
     """
     wood, bearing = _seen(wood, bearing)
     main, free = _one_main(wood), np.ones(len(wood), dtype=bool)
@@ -263,13 +260,7 @@ def wood_key(wood: ModuleWood) -> str:
 def woods_of(population: Population, tables: Tables, plants: Ints) -> list[ModuleWood]:
     """The skeletal graphs of the plants of some rows, each as its own.
 
-    Parameters
-    ----------
-    tables : of all species of the population, in their order.
-
-    Raises
-    ------
-    ValueError : a population without modules.
+    `tables`: of all species of the population, in their order. Raises `ValueError`: a population without modules.
     """
     modules = population.modules
     if modules is None:

@@ -69,9 +69,7 @@ FULL = Level()
 def level_for(pixel_m: Floats) -> Ints:
     """Index of the level for each view: 0 for all detail, k for ``PIXEL_STEPS_M[k - 1]``; any shape.
 
-    Parameters
-    ----------
-    pixel_m : what a pixel covers of the plant, metres.
+    `pixel_m`: what a pixel covers of the plant, metres.
     """
     return np.searchsorted(np.asarray(PIXEL_STEPS_M), pixel_m, side="right").astype(np.int64)
 
@@ -84,11 +82,8 @@ def level_of_index(index: int) -> Level:
 def simplified(skeleton: Skeleton, templates: Mapping[str, Mesh], level: Level, rng: np.random.Generator) -> Skeleton:
     """A skeleton with the detail that a level needs.
 
-    Parameters
-    ----------
-    skeleton : at its final size, with all organs.
-    templates : organ shapes by name.
-    rng : decides what remains; the same for all levels of a plant, so that they are nested.
+    `skeleton`: at its final size, with all organs. `templates`: organ shapes by name. `rng`: decides what remains; the
+    same for all levels of a plant, so that they are nested.
     """
     if level.pixel_m <= 0.0:
         return skeleton

@@ -37,9 +37,7 @@ def with_light_wood(
     The relief is left out: from as far as such a plant is seen it does not show. Every twig keeps four triangles, so
     that a plant of many twigs keeps more than asked for.
 
-    Parameters
-    ----------
-    textures : by the names of the pieces' surfaces; pieces of other surfaces stay.
+    `textures`: by the names of the pieces' surfaces; pieces of other surfaces stay.
     """
     wood = [piece for piece in pieces if piece.surface.name in textures]
     if not wood:

@@ -100,9 +100,7 @@ def organ_meshes(
 ) -> tuple[OrganMesh, ...]:
     """All surfaces of a plant, one mesh per part and material; empty ones are left out.
 
-    Parameters
-    ----------
-    pixel_m : what a pixel covers of the plant, metres; 0 is all detail.
+    `pixel_m`: what a pixel covers of the plant, metres; 0 is all detail.
     """
     parts: dict[tuple[Part, str], list[tuple[Mesh, NDArray[np.uint32] | None]]] = {}
     stem, limb = (Part.DEAD_WOOD, Part.DEAD_WOOD) if wood.dead else (Part.TRUNK, Part.BRANCH)
@@ -132,9 +130,7 @@ def organ_meshes(
 def branch_lines(skeleton: Skeleton, first: Ints, last: Ints) -> Polylines:
     """Axes from the middle of the axis that bears them, so that no gap shows, to their tips.
 
-    Parameters
-    ----------
-    first, last : (A,) first node of each axis, and one beyond its last.
+    `first`, `last`: (A,) first node of each axis, and one beyond its last.
     """
     offset = np.concatenate([[0], np.cumsum(last - first + 1)]).astype(np.int64)
     foot = offset[:-1]

@@ -104,9 +104,7 @@ class Generator(Protocol):
 
         Foliage rules and the fit to the exact size follow in `plants/build.py`.
 
-        Raises
-        ------
-        RecipeError : the parameters lead nowhere, or to a plant too large for memory (see `plants/budget.py`).
+        Raises `RecipeError`: the parameters lead nowhere, or to a plant too large for memory (see `plants/budget.py`).
         """
         ...
 
@@ -136,14 +134,8 @@ class ClothesModules(Protocol):
     def clothe(self, parameters: Any, wood: ModuleWood, height_m: float, rng: np.random.Generator) -> Skeleton:
         """The plant's wood with its twigs and leaves.
 
-        Parameters
-        ----------
-        wood : the plant's skeletal graph.
-        height_m : of the plant, by which rules of foliage and sizes are chosen.
-
-        Raises
-        ------
-        RecipeError : more twigs or leaves than memory holds.
+        `wood`: the plant's skeletal graph. `height_m`: of the plant, by which rules of foliage and sizes are chosen.
+        Raises `RecipeError`: more twigs or leaves than memory holds.
         """
         ...
 
@@ -165,8 +157,7 @@ class Sways(Protocol):
     ) -> Iterator[Skeleton]:
         """The plant that `plants.build.build_exemplar` makes of the same `rng`, at each time, ready to be meshed.
 
-        Raises
-        ------
-        RecipeError : the plant has a `variation`, whose bends a pose would have to carry along; or as `grow` does.
+        Raises `RecipeError`: the plant has a `variation`, whose bends a pose would have to carry along; or as `grow`
+        does.
         """
         ...

@@ -27,9 +27,7 @@ class PlantPlan:
 def plan_plants(drawn: DrawnRecipe) -> PlantPlan:
     """The plan of single plants, without a community.
 
-    Raises
-    ------
-    RecipeError, RecipeErrors : an unknown generator, or parameters that it rejects; with file, line and key.
+    Raises `RecipeError`, `RecipeErrors`: an unknown generator, or parameters that it rejects; with file, line and key.
     """
     errors = ErrorList(drawn.sources.place(()).origin)
     generators = generator_parameters(drawn, errors)
@@ -66,9 +64,7 @@ def foliage_of(
 ) -> dict[str, PlantParameters]:
     """What grows on the modules of each species that has something of the kind; empty where the model grows none.
 
-    Raises
-    ------
-    RecipeError : a `modules_plant` of another generator.
+    Raises `RecipeError`: a `modules_plant` of another generator.
     """
     found = {}
     for name, species in drawn.species.items():

@@ -26,10 +26,7 @@ _THIN_M = 1e-4
 def solid_of_revolution(height_m: Floats, radius_m: Floats) -> Mesh:
     """Closed surface about the z axis.
 
-    Parameters
-    ----------
-    height_m : (K,) ascending, at least two.
-    radius_m : (K,) at each height; the ends are capped.
+    `height_m`: (K,) ascending, at least two. `radius_m`: (K,) at each height; the ends are capped.
     """
     angle = np.arange(_SIDES) * (2.0 * np.pi / _SIDES)
     radius = np.maximum(radius_m, _THIN_M)
@@ -70,10 +67,8 @@ def measured_profile(vertices_m: Floats) -> tuple[Floats, Floats]:
 def as_solids(exemplar: Exemplar, profile: tuple[Floats, Floats] | None = None) -> Exemplar:
     """The exemplar with a solid for its crown and a frustum for its stem; area and volume stay the plant's.
 
-    Parameters
-    ----------
-    profile : (K,) heights and (K,) radii of the crown, metres; None: measured on the exemplar's leaves and flowers.
-        A plant without leaves stays as it is.
+    `profile`: (K,) heights and (K,) radii of the crown, metres; None: measured on the exemplar's leaves and flowers. A
+    plant without leaves stays as it is.
     """
     leafy = [organ for organ in exemplar.organs if organ.part in (Part.LEAF, Part.FLOWER)]
     trunk = next((organ for organ in exemplar.organs if organ.part == Part.TRUNK), None)

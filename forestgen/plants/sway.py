@@ -41,9 +41,7 @@ def sway(
 ) -> Iterator[Exemplar]:
     """The plant of `build_exemplar` at times 0, 1 / frames_per_s, ...
 
-    Parameters
-    ----------
-    seed_rng : gives the plant's random generator, anew at each call.
+    `seed_rng`: gives the plant's random generator, anew at each call.
     """
     generator: Sways = GENERATORS.load(parameters.generator)
     parameters = generator.in_wind(parameters)

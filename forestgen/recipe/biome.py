@@ -138,7 +138,8 @@ def choose_species(temperature_c: float, precipitation_mm_per_yr: float, *, wher
     Raises `RecipeError`, at the biome's place in the recipe, where none is suited; it says which came closest.
     """
     climate = (temperature_c, precipitation_mm_per_yr)
-    found = [Chosen(name, adaptation(one, *climate), one) for name, one in shipped_plant_types().items()]
+    types = {name: one for name, one in shipped_plant_types().items() if one.in_biomes}
+    found = [Chosen(name, adaptation(one, *climate), one) for name, one in types.items()]
     ranked = sorted(found, key=lambda one: (-one.adaptation, one.name))
     chosen = [one for one in ranked if one.adaptation >= ADAPTATION_MIN][:MOST_SPECIES]
     if chosen:

@@ -6,14 +6,15 @@ or holds the whole species itself. Under a shipped species' name the overrides d
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from forestgen.recipe.fields import (
     Colour,
+    Flag,
     Fraction,
     Name,
     NonNegative,
@@ -285,6 +286,14 @@ class PlantType(Section):
     precipitation_width_mm_per_yr: Positive = Field(
         default=500.0, le=10_000, description="Standard deviation about it, mm/year."
     )
+
+    in_biomes: Flag = Field(
+        default=True, description="Whether a recipe's biome chooses this species, where it is a shipped one."
+    )
+
+    @model_serializer(mode="wrap")
+    def _without_what_few_need(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        return {key: value for key, value in handler(self).items() if key != "in_biomes" or not value}
 
     @model_validator(mode="after")
     def _can_grow(self) -> Self:

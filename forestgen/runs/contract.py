@@ -1,8 +1,8 @@
-"""What the parts of a batch tell one another.
+"""Jobs, records, outcomes, and the protocols of storage backends and engines.
 
 A *job* is one scene with its cameras: an image of the recipe. Its key is the hash of all that its files depend on, so
-that done work is recognised and changed work is done again. A worker makes a job's files in a folder of its own, puts
-them into the data set's place, and writes the job's *record* last: a job is done if, and only if, its record is there.
+that done work is recognised and changed work is done again. A worker makes a job's files in a staging folder, puts them
+into the data set's storage, and writes the job's *record* last: a job is done if, and only if, its record is there.
 
 The data set's folder::
 
@@ -26,10 +26,10 @@ versions: whatever the number of workers, the engine, and the interruptions.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Literal, Protocol
 
 from forestgen.dataset.settings import DatasetSettings
@@ -110,48 +110,48 @@ Outcome = Done | Failed
 
 
 class Lock(Protocol):
-    """A context manager that keeps other runs out of a place; entering it raises `OutputError` if one works there."""
-
-    def __enter__(self) -> Lock: ...
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None: ...
+    """Keeps other runs out of a storage backend."""
 
     def check(self) -> None:
         """Raise `OutputError` if it was lost to another run; cheap."""
 
 
-class Place(Protocol):
+class StorageBackend(Protocol):
     """Where a data set lies: a folder, or an object store. Picklable; paths are relative, with forward slashes."""
 
     @property
     def name(self) -> str:
         """As the user wrote it, for messages."""
 
-    def lock(self, say: Callable[[str], None]) -> Lock:
-        """For the run that writes there; `say` takes a sentence when there is something to wait for."""
+    def lock(self, say: Callable[[str], None]) -> AbstractContextManager[Lock]:
+        """For the run that writes there; raises `OutputError` if another one does.
+
+        `say` takes a sentence when there is something to wait for.
+        """
 
     def staging(self) -> Path:
         """A new empty folder of this machine for one job's files; `put_folder` and `put_file` take from it."""
 
     def discard(self, staging: Path) -> None:
-        """Remove a staging folder; nothing happens if it is gone."""
+        """Remove a staging folder, if it is there."""
 
     def put_folder(self, source: Path, target: str) -> None:
-        """Give a staged folder its final name, replacing what has it; it appears whole (on an object store: each file
-        does, and the record, which comes last, vouches for all). A failure raises `OutputError`."""
+        """Give a staged folder its final name, replacing what has it. A failure raises `OutputError`.
+
+        It appears whole. In an object store each file does, and the record, which comes last, vouches for all.
+        """
 
     def put_file(self, source: Path, target: str) -> None:
         """The same for one file."""
 
     def write(self, target: str, content: bytes) -> None:
-        """A small file: appears whole, replaces what has the name."""
+        """Write a small file: it appears whole, and replaces what has the name."""
 
     def read(self, path: str) -> bytes | None:
         """A file's bytes; None if there is none."""
 
-    def exists(self, path: str) -> bool: ...
+    def exists(self, path: str) -> bool:
+        """Whether there is a file, or a folder with a file in it."""
 
     def size_bytes(self, path: str) -> int | None:
         """Of a file; None if there is none."""
@@ -159,8 +159,14 @@ class Place(Protocol):
     def names(self, folder: str) -> list[str]:
         """Names of what lies in a folder, sorted; empty if there is no such folder."""
 
+    def found(self, folder: str) -> Iterator[tuple[str, int, int]]:
+        """Path, size in bytes and inode, or 0, of each file below a folder."""
+
+    def clear_staging(self) -> None:
+        """Remove what jobs have left that nobody does any more."""
+
     def remove(self, path: str) -> None:
-        """Remove a file, or a folder with all in it; nothing happens if it is not there."""
+        """Remove a file, or a folder with all in it, if it is there."""
 
 
 @dataclass(frozen=True)
@@ -169,7 +175,7 @@ class Work:
 
     loaded: LoadedRecipe
     settings: DatasetSettings
-    place: Place
+    storage: StorageBackend
     versions: str  # hash of code and packages, as it is where the batch was started: runs/keys.py
     threads: int | None = None  # of the renderer in each worker; None: all cores
     memory_bytes: int | None = None  # that a worker may take; None: no bound

@@ -20,7 +20,7 @@ from forestgen.dataset.settings import DatasetSettings
 from forestgen.dataset.thumbnails import FOLDER_NAME as THUMBNAILS
 from forestgen.recipe.dataset import SplitName
 from forestgen.runs.keys import versions_hash
-from forestgen.runs.ledger import FileSum, Ledger
+from forestgen.runs.record_index import FileSum, RecordIndex
 
 MOST_IMAGES = 10_000_000  # of a recipe; a number from a stranger's file is counted up to
 DATASET_NAME = "dataset.json"
@@ -88,39 +88,39 @@ def this_version() -> dict[str, Any]:
 
 
 def describe(
-    ledger: Ledger, parts: Sequence[RecipePart], settings: DatasetSettings, made_with: Sequence[Mapping[str, Any]]
+    record_index: RecordIndex,
+    parts: Sequence[RecipePart],
+    settings: DatasetSettings,
+    made_with: Sequence[Mapping[str, Any]],
 ) -> dict[str, Any]:
     """The content of dataset.json.
 
     Parameters
     ----------
-    ledger : with all records, and the files over all images of each split.
-    made_with : `this_version` of all machines that made images, each once.
+    record_index : with all records, and the files over all images of each split.
+    made_with : `this_version` of each machine that made images, without repetition.
     """
-    splits = _in_order(ledger.splits, parts)
+    named = list(dict.fromkeys(name for part in parts for name in part.splits))  # in the recipe's order
+    splits = sorted(record_index.splits, key=lambda name: (named.index(name) if name in named else len(named), name))
+    counts = {split: record_index.counts(split) for split in splits}
+    digest = hashlib.sha256()
+    for seed in record_index.seeds():
+        digest.update(b"%d\n" % seed)
     licence = {"name": settings.licence_name, "url": settings.licence_url}
     return {
         "schema": SCHEMA,
         "description": settings.description,
         "contributor": settings.contributor,
         "licence": licence if settings.licence_name else None,
-        "recipes": [_recipe(part, number, ledger.images()) for number, part in enumerate(parts, start=1)],
-        "images": sum(ledger.image_count(split) for split in splits),
-        "frames": sum(ledger.frame_count(split) for split in splits),
-        "splits": {
-            split: {"images": ledger.image_count(split), "frames": ledger.frame_count(split)} for split in splits
-        },
-        "image_seeds_sha256": _digest(ledger.seeds()),
+        "recipes": [_recipe(part, number, record_index) for number, part in enumerate(parts, start=1)],
+        "images": sum(one["images"] for one in counts.values()),
+        "frames": sum(one["frames"] for one in counts.values()),
+        "splits": counts,
+        "image_seeds_sha256": digest.hexdigest(),
         "settings": asdict(settings),
         "made_with": [dict(one) for one in made_with],
-        "files": file_groups(ledger.files()),
+        "files": file_groups(record_index.files()),
     }
-
-
-def _in_order(splits: Sequence[str], parts: Sequence[RecipePart]) -> list[str]:
-    """Splits as the recipes name them, such as train, val, test."""
-    named = list(dict.fromkeys(name for part in parts for name in part.splits))
-    return sorted(splits, key=lambda split: (named.index(split) if split in named else len(named), split))
 
 
 def recipe_file(number: int) -> str:
@@ -128,7 +128,8 @@ def recipe_file(number: int) -> str:
     return "recipe.yaml" if number == 1 else f"recipe-{number}.yaml"
 
 
-def _recipe(part: RecipePart, number: int, made: Iterator[int]) -> dict[str, Any]:
+def _recipe(part: RecipePart, number: int, record_index: RecordIndex) -> dict[str, Any]:
+    made = set(record_index.images())
     return {
         "file": recipe_file(number),
         "hash": part.hash,
@@ -136,28 +137,10 @@ def _recipe(part: RecipePart, number: int, made: Iterator[int]) -> dict[str, Any
         "first_image": part.asked[0][0] if part.asked else 0,
         "images": sum(last - first + 1 for first, last in part.asked),
         "asked": [list(one) for one in part.asked],
-        "missing": [list(one) for one in ranges_of(_without(numbers_in(part.asked), made))],
+        "missing": [list(one) for one in ranges_of(number for number in numbers_in(part.asked) if number not in made)],
         "splits": dict(part.splits),
         "draws": dict(part.draws),
     }
-
-
-def _without(numbers: Iterable[int], others: Iterator[int]) -> Iterator[int]:
-    """Rising numbers that are not among others, rising as well."""
-    other = next(others, None)
-    for number in numbers:
-        while other is not None and other < number:
-            other = next(others, None)
-        if other != number:
-            yield number
-
-
-def _digest(numbers: Iterable[int]) -> str:
-    """SHA-256 of numbers, a line each."""
-    digest = hashlib.sha256()
-    for number in numbers:
-        digest.update(b"%d\n" % number)
-    return digest.hexdigest()
 
 
 def file_groups(files: Iterable[FileSum]) -> dict[str, dict[str, int]]:
@@ -186,21 +169,16 @@ def dataset_bytes(description: Mapping[str, Any]) -> bytes:
 
 
 def read_description(content: bytes | None, where: str) -> dict[str, Any]:
-    """dataset.json's content.
-
-    Raises
-    ------
-    DatasetError : there is none, or it is damaged.
-    """
+    """dataset.json's content. Raises `DatasetError`: there is none, or it is damaged."""
     hint = "the command that made the data set writes it at its end; with `resume=True` it goes on"
     if content is None:
         raise DatasetError("this is no finished data set", where=where, expected=DATASET_NAME, got="none", hint=hint)
     try:
         data = load_json(content)
-        said = _Description.model_validate(data)
-        if said.schema_ != SCHEMA:
-            raise ValueError(f"schema {said.schema_!r:.40}")
-        for one in said.recipes:
+        checked = _Description.model_validate(data)
+        if checked.schema_ != SCHEMA:
+            raise ValueError(f"schema {checked.schema_!r:.40}")
+        for one in checked.recipes:
             if any(not 0 <= first <= last for first, last in one.asked):
                 raise ValueError("a range of images ends before it begins")
             if sum(last - first + 1 for first, last in one.asked) > MOST_IMAGES:
@@ -221,17 +199,17 @@ class _Part(BaseModel):
     model_config = ConfigDict(strict=True)
 
 
-class _SplitSaid(_Part):
+class _SplitCounts(_Part):
     images: Count
     frames: Count
 
 
-class _GroupSaid(_Part):
+class _FileGroup(_Part):
     files: Count
     bytes: Count
 
 
-class _RecipeSaid(_Part):
+class _RecipeEntry(_Part):
     file: Annotated[str, Field(pattern=r"^recipe(-[0-9]+)?\.yaml$")]
     hash: str
     root_seed: int
@@ -240,37 +218,37 @@ class _RecipeSaid(_Part):
     draws: dict[str, Any]
 
 
-class _PlatformSaid(_Part):
+class _Platform(_Part):
     system: str
     machine: str
 
 
-class _MachineSaid(_Part):
+class _Versions(_Part):
     versions_hash: str
     packages: dict[str, str | None]
     python: str
-    platform: _PlatformSaid
+    platform: _Platform
 
 
 class _Description(_Part):
     schema_: str = Field(alias="schema")
-    recipes: Annotated[list[_RecipeSaid], Field(min_length=1)]
+    recipes: Annotated[list[_RecipeEntry], Field(min_length=1)]
     images: Count
     frames: Count
-    splits: dict[SplitName, _SplitSaid]
+    splits: dict[SplitName, _SplitCounts]
     image_seeds_sha256: str
     settings: dict[str, Any]
-    made_with: Annotated[list[_MachineSaid], Field(min_length=1)]
-    files: dict[str, _GroupSaid]
+    made_with: Annotated[list[_Versions], Field(min_length=1)]
+    files: dict[str, _FileGroup]
 
 
 _SETTINGS: dict[str, Any] = {name: (kind, ...) for name, kind in get_type_hints(DatasetSettings).items()}
-_SettingsSaid = create_model("_SettingsSaid", __base__=_Part, **_SETTINGS)
+_Settings = create_model("_Settings", __base__=_Part, **_SETTINGS)
 
 
 def _check_settings(settings: DatasetSettings) -> None:
     """Refuse settings of wrong types, or that contradict each other, with a `ValueError`."""
-    _SettingsSaid.model_validate(asdict(settings))
+    _Settings.model_validate(asdict(settings))
     if len(settings.species_category) != len(settings.species_names):
         raise ValueError("settings: not a category a species")
     if not all(0 <= number < len(settings.category_names) for number in settings.species_category):
@@ -289,6 +267,6 @@ def _first_error(error: Exception) -> str:
 
 def settings_of(description: Mapping[str, Any]) -> DatasetSettings:
     """The data set's settings, from dataset.json."""
-    said = {key: tuple(one) if isinstance(one, list) else one for key, one in description["settings"].items()}
-    known: dict[str, Any] = {one.name: said[one.name] for one in fields(DatasetSettings)}
+    stored = {key: tuple(one) if isinstance(one, list) else one for key, one in description["settings"].items()}
+    known: dict[str, Any] = {one.name: stored[one.name] for one in fields(DatasetSettings)}
     return DatasetSettings(**known)

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import math
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import fmean, stdev
 
 from forestgen.core.errors import OutputError, ResourceError
-from forestgen.core.figures import show_bytes
+from forestgen.core.figures import count as counted
+from forestgen.core.figures import show_bytes, three_digits
 from forestgen.core.processes import free_bytes
 from forestgen.core.progress import Progress
 from forestgen.core.threads import cores
@@ -22,9 +23,9 @@ from forestgen.dataset.settings import DatasetSettings
 from forestgen.dataset.writer import frame_bytes
 from forestgen.plants.growing import SHARED_BYTES
 from forestgen.recipe.load import DrawnRecipe, LoadedRecipe
-from forestgen.runs.contract import Place
-from forestgen.runs.places import LocalPlace
-from forestgen.runs.probes import Probe, Probed, probe_images
+from forestgen.runs.calibration_runs import CalibrationRun, CalibrationRuns, probe_images
+from forestgen.runs.contract import StorageBackend
+from forestgen.runs.storage import LocalStorage
 from forestgen.scene.plan import estimate_bytes
 from forestgen.scene.planning import make_plan
 
@@ -36,6 +37,7 @@ _NINETIETH = 1.2816  # of a normal distribution, in standard deviations
 _LEAST_SPREAD, _UNKNOWN_SPREAD, _MEMORY_SPREAD = 0.05, 0.4, 0.15  # of a logarithm: of several images; of one
 _SIZES_OF_ALL = 2.0  # sizes of plants in a batch, by those in an image: measured on recipes/mixed_stand.yaml
 _MOST_CHANNELS = 13  # of a sensor, at a guess
+_MOST_STAGES, _WIDTH = 6, 16  # of the text
 _ROOM_BYTES = 50_000_000  # of a disk that is nearly full
 _COUNTED_KEYS = (("render", "samples"), ("cameras", "size_px"), ("cameras", "path"), ("cameras", "rig"))
 
@@ -62,13 +64,13 @@ class Counts:
 
 @dataclass(frozen=True)
 class Estimate:
-    """What a batch will take, and how that is known; `estimate_text.lines` tells it to people."""
+    """What a batch will take, and how that is known."""
 
     counts: Counts
     workers: int
     wanted: int | None  # workers that the user asked for
     threads: int  # of each worker
-    probed: Probed
+    probed: CalibrationRuns
     image_s: Range | None  # of a worker; None: not measured
     start_s: float  # of a worker, once
     stages: Mapping[str, float]  # share of an image's time, the largest first
@@ -100,6 +102,13 @@ class Estimate:
     def total_disk_bytes(self) -> int:
         return round(self.counts.images * self.disk_bytes.mean)
 
+    def lines(self) -> Iterator[str]:
+        """For people: what the batch takes, how that is known, and where the time goes."""
+        for name, text in _rows(self):
+            yield f"{name:<{_WIDTH}}{text}"
+        for note in self.probed.notes:
+            yield f"note: {note}"
+
 
 def estimate(
     loaded: LoadedRecipe,
@@ -121,7 +130,7 @@ def estimate(
     probe : whether to make images of a small batch too, which takes about as long as the batch itself.
     budget_s : of the probes, about; at least one is made.
     """
-    counts, probed = count_images(loaded, count), Probed(())
+    counts, probed = count_images(loaded, count), CalibrationRuns(())
     here = threads or max(1, cores() // (workers or cores()))
     if count and (probe or count >= LEAST_IMAGES):
         probed = probe_images(loaded, settings, count=count, threads=here, budget_s=budget_s, progress=progress)
@@ -131,9 +140,9 @@ def estimate(
     memory = (
         _range([one.memory_bytes + kept for one in measured], _MEMORY_SPREAD)
         if measured
-        else _guess(_plan_bytes(drawn) + kept)
+        else _guess(sum(estimate_bytes(make_plan(drawn)).values()) + kept)
     )
-    disk = _range([one.disk_bytes for one in measured]) if measured else _guess(_most_disk_bytes(drawn))
+    disk = _range([one.disk_bytes for one in measured]) if measured else _guess(most_disk_bytes(drawn))
     image_s, start_s, stages = _times(measured, drawn, count)
     chosen = workers or min(_chosen_workers(here, memory), max(1, count))
     return Estimate(
@@ -151,7 +160,7 @@ def estimate(
     )
 
 
-def check_fits(expected: Estimate, place: Place, *, workers_here: bool = True) -> None:
+def check_fits(expected: Estimate, storage: StorageBackend, *, workers_here: bool = True) -> None:
     """Refuse a batch that cannot fit.
 
     Parameters
@@ -165,12 +174,7 @@ def check_fits(expected: Estimate, place: Place, *, workers_here: bool = True) -
     """
     if workers_here:
         _check_memory(expected)
-    _check_disk(place, expected.counts.images, expected.disk_bytes.mean)
-
-
-def check_disk(loaded: LoadedRecipe, place: Place, count: int) -> None:
-    """Refuse `count` images of which the disk might not hold all, by an upper estimate."""
-    _check_disk(place, count, _most_disk_bytes(loaded.draw(0)))
+    check_disk(storage, expected.counts.images, expected.disk_bytes.mean)
 
 
 def count_images(loaded: LoadedRecipe, count: int) -> Counts:
@@ -188,12 +192,8 @@ def count_images(loaded: LoadedRecipe, count: int) -> Counts:
     return Counts(count, frames * each, pixels * each, paths * each, number if varies else 0)
 
 
-def _plan_bytes(drawn: DrawnRecipe) -> float:
-    return float(sum(estimate_bytes(make_plan(drawn)).values()))
-
-
-def _most_disk_bytes(drawn: DrawnRecipe) -> float:
-    """An upper estimate: nothing is compressed."""
+def most_disk_bytes(drawn: DrawnRecipe) -> float:
+    """Of an image, an upper estimate: nothing is compressed."""
     recipe = drawn.recipe
     sizes = [
         camera.frames * frame_bytes(camera.size_px, 0, recipe.dataset.formats, _MOST_CHANNELS if camera.bands else 3)
@@ -217,7 +217,9 @@ def _range(values: Sequence[float], of_one: float = _UNKNOWN_SPREAD) -> Range:
     return Range(min(middle / factor, mean), mean, max(middle * factor, mean))
 
 
-def _times(probes: Sequence[Probe], drawn: DrawnRecipe, count: int) -> tuple[Range | None, float, dict[str, float]]:
+def _times(
+    probes: Sequence[CalibrationRun], drawn: DrawnRecipe, count: int
+) -> tuple[Range | None, float, dict[str, float]]:
     """Seconds of an image, of a worker's start, and the stages' shares of an image's time.
 
     The first probe of a worker loads and compiles what the next ones find: its seconds beyond theirs are the start's.
@@ -236,7 +238,7 @@ def _times(probes: Sequence[Probe], drawn: DrawnRecipe, count: int) -> tuple[Ran
     return seconds, start, shares
 
 
-def _without_shared(probe: Probe, drawn: DrawnRecipe, count: int) -> dict[str, float]:
+def _without_shared(probe: CalibrationRun, drawn: DrawnRecipe, count: int) -> dict[str, float]:
     """Seconds by stage, `other` among them; of a library, each image's part of what grows once."""
     stages = dict(probe.stages_s)
     stages["other"] = max(0.0, probe.seconds - sum(stages.values()))
@@ -272,10 +274,11 @@ def _check_memory(expected: Estimate) -> None:
         )
 
 
-def _check_disk(place: Place, images: int, image_bytes: float) -> None:
-    if not (isinstance(place, LocalPlace) and images):
+def check_disk(storage: StorageBackend, images: int, image_bytes: float) -> None:
+    """Refuse images of which the disk might not hold all. Raises `OutputError`."""
+    if not (isinstance(storage, LocalStorage) and images):
         return
-    folder = place.root.absolute()
+    folder = storage.root.absolute()
     while not folder.exists() and folder != folder.parent:
         folder = folder.parent
     free, need = shutil.disk_usage(folder).free, round(images * image_bytes)
@@ -283,8 +286,75 @@ def _check_disk(place: Place, images: int, image_bytes: float) -> None:
         fits = max(0, int((free - _ROOM_BYTES) / max(image_bytes, 1.0)))
         raise OutputError(
             "the data set would be larger than what is free on the disk",
-            where=place.name,
+            where=storage.name,
             expected=f"at most {show_bytes(max(0, free - _ROOM_BYTES))}",
             got=f"about {show_bytes(need)} for {images:,} images",
             hint=f"another disk, or `count={fits}`" if fits else "another disk",
         )
+
+
+def _rows(expected: Estimate) -> Iterator[tuple[str, str]]:
+    counts = expected.counts
+    about = "" if not counts.drawn else f" (drawn: the mean of {counts.drawn} images)"
+    yield (
+        "images",
+        f"{counts.images:,}; {counted(round(counts.frames), 'frame')}, {_large(counts.pixels)} pixels, "
+        f"{_large(counts.paths)} light paths{about}",
+    )
+    probes = expected.probed.probes
+    if probes:
+        plants, exemplars, triangles = (
+            fmean([float(getattr(one, name)) for one in probes]) for name in ("plants", "exemplars", "triangles")
+        )
+        yield "in each", f"{plants:,.0f} plants, {exemplars:,.0f} models of {_large(triangles)} triangles"
+    yield "workers", f"{expected.workers}, of {counted(expected.threads, 'thread')} each"
+    yield from _time(expected)
+    memory, disk = expected.memory_bytes, expected.disk_bytes
+    yield "memory", f"{_between(memory, show_bytes)} a worker, {show_bytes(expected.workers * memory.high)} in all"
+    yield "disk", f"{show_bytes(expected.total_disk_bytes)}; {_between(disk, show_bytes)} an image"
+    yield "known from", _source(expected)
+
+
+def _time(expected: Estimate) -> Iterator[tuple[str, str]]:
+    total, each = expected.seconds, expected.image_s
+    if total is None or each is None or expected.images_per_hour is None:
+        yield "time", "not measured"
+        return
+    yield "time", f"{_between(total, _span)}; {_between(each, _span)} an image and worker"
+    yield "images an hour", three_digits(expected.images_per_hour)
+    shares = list(expected.stages.items())[:_MOST_STAGES]
+    yield "time goes to", ", ".join(f"{name} {100 * share:.0f} %" for name, share in shares)
+
+
+def _source(expected: Estimate) -> str:
+    probes, reduced = expected.probed.probes, expected.probed.reduced
+    if not probes:
+        small = "" if expected.probed.notes else f" was made, as for batches below {LEAST_IMAGES} images"
+        return f"no image{small}; memory and disk are upper bounds"
+    names = ", ".join(f"{one.image}" for one in probes)
+    pixels = f" of 1/{three_digits(reduced.pixels)} of the pixels" if reduced.pixels > 1 else ""
+    samples = f" with 1/{three_digits(reduced.samples)} of the light paths" if reduced.samples > 1 else ""
+    made = f", made{pixels}{samples}" if samples or pixels else ""
+    first = "" if any(not one.is_first for one in probes) else ", with the start of a worker in its time"
+    return f"{'image' if len(probes) == 1 else 'images'} {names}{made}{first}"
+
+
+def _between(value: Range, show: Callable[[float], str]) -> str:
+    if value.low <= 0:
+        return f"at most {show(value.high)}"
+    return f"{show(value.mean)} ({show(value.low)} to {show(value.high)})"
+
+
+def _span(seconds: float) -> str:
+    """Such as 3.5 h."""
+    for unit, size in (("days", 86400.0), ("h", 3600.0), ("min", 60.0)):
+        if seconds >= 2 * size:
+            return f"{three_digits(seconds / size)} {unit}"
+    return f"{three_digits(seconds)} s"
+
+
+def _large(count: float) -> str:
+    for unit, size in (("billion", 1e9), ("million", 1e6)):
+        if count >= size:
+            return f"{three_digits(count / size)} {unit}"
+    return f"{count:,.0f}"

@@ -8,10 +8,7 @@ from __future__ import annotations
 
 import copy
 import hashlib
-import os
-import shutil
-import stat
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,7 +30,7 @@ from forestgen.recipe.assets import MAPS
 from forestgen.recipe.load import LoadedRecipe
 from forestgen.recipe.map_files import is_map_file, recipe_hash
 from forestgen.recipe.sources import dotted, yaml_text
-from forestgen.runs.contract import Job, JobRecord, Place
+from forestgen.runs.contract import Job, JobRecord, StorageBackend
 from forestgen.runs.description import (
     DATASET_NAME,
     Range,
@@ -47,9 +44,10 @@ from forestgen.runs.description import (
     this_version,
 )
 from forestgen.runs.folder import note_written
-from forestgen.runs.ledger import FileSum, Ledger
+from forestgen.runs.record_index import FileSum, RecordIndex
 from forestgen.runs.records import JOBS, record_path
 from forestgen.runs.split_files import write_split
+from forestgen.runs.storage import LocalStorage
 
 
 @dataclass(frozen=True)
@@ -63,7 +61,7 @@ class Finished:
 
 
 def finish(
-    place: Place,
+    storage: StorageBackend,
     loaded: LoadedRecipe,
     settings: DatasetSettings,
     jobs: Sequence[Job],
@@ -85,62 +83,62 @@ def finish(
     part = recipe_part(loaded, ranges_of(sorted(job.image for job in jobs)))
     wanted = {job.key for job in jobs}
     splits = {job.split for job in jobs}
-    with TemporaryDirectory(prefix="forestgen-finish-") as scratch, Ledger(Path(scratch)) as ledger:
+    with TemporaryDirectory(prefix="forestgen-finish-") as scratch, RecordIndex(Path(scratch)) as record_index:
         for record in records:
             if record.key in wanted:
-                ledger.add(record)
-        return write_data_set(place, ledger, [part], settings, [this_version()], splits, Path(scratch))
+                record_index.add(record)
+        return write_data_set(storage, record_index, [part], settings, [this_version()], splits)
 
 
 @disk_errors()
 def write_data_set(
-    place: Place,
-    ledger: Ledger,
+    storage: StorageBackend,
+    record_index: RecordIndex,
     parts: Sequence[RecipePart],
     settings: DatasetSettings,
     made_with: Sequence[Mapping[str, Any]],
     splits: Iterable[str],
-    scratch: Path,
 ) -> Finished:
     """Write all that is not an image's own.
 
     Parameters
     ----------
-    ledger : with the records of the images.
+    record_index : with the records of the images.
     parts, made_with : see `describe`.
     splits : whose folders may hold what no record vouches for.
-    scratch : an empty folder.
     """
-    folders = sorted({*splits, *ledger.splits, *_splits_before(place), THUMBNAILS, MAPS})
-    _look(place, folders, ledger)
-    notes = _drop_absent(place, ledger)
-    for split in ledger.splits:
-        write_split(place, split, ledger, settings, parts, dict(made_with[0]))
+    folders = sorted({*splits, *record_index.splits, *_splits_before(storage), THUMBNAILS, MAPS})
+    for folder in folders:
+        record_index.note_found(storage.found(folder))
+    notes = []
+    for image, key, path in record_index.drop_absent():  # without its record, the next run makes the image again
+        notes.append(f"image {image} counts as missing: {path} is not as it was written; a resumed run makes it again")
+        storage.remove(record_path(key))
+    for split in record_index.splits:
+        write_split(storage, split, record_index, settings, parts, dict(made_with[0]))
     kept = {path: content for number, part in enumerate(parts, start=1) for path, content in part.kept_as(number)}
     for one in load_formats(settings.formats):
-        kept |= one.split_files(list(ledger.splits), settings)
+        kept |= one.split_files(list(record_index.splits), settings)
     known = {path for one in known_formats() for path in one.split_file_names}
     for path in known - kept.keys():
-        place.remove(path)
+        storage.remove(path)
     for path, content in kept.items():
-        _enter(ledger, path, content)
-    _remove_strangers(place, folders, ledger)
-    description = describe(ledger, parts, settings, made_with)
-    _write_whole(place, ledger, kept, description, scratch)
+        _enter(record_index, path, content)
+    _remove_unlisted(storage, folders, record_index)
+    description = describe(record_index, parts, settings, made_with)
+    _write_whole(storage, record_index, kept, description)
     missing = tuple(image for one in description["recipes"] for image in numbers_in(one["missing"]))
     if missing:
         are = "image is" if len(missing) == 1 else "images are"
         notes.append(f"{len(missing)} {are} missing: {_named(missing)}")
-    total = sum(file.bytes for file in ledger.files())
+    total = sum(file.bytes for file in record_index.files())
     return Finished(int(description["frames"]), total, missing, tuple(notes))
 
 
 def recipe_part(loaded: LoadedRecipe, asked: Sequence[Range]) -> RecipePart:
     """A recipe with its maps, as the data set keeps it.
 
-    Raises
-    ------
-    AssetError : a map has changed since the recipe was loaded.
+    Raises `AssetError`: a map has changed since the recipe was loaded.
     """
     data, home = copy.deepcopy(loaded.complete), loaded.path.parent
     identity = recipe_hash({key: value for key, value in data.items() if key not in ("images", "first_image")})
@@ -169,131 +167,78 @@ def _store_maps(value: Any, home: Path, folder: Path) -> None:
             _store_maps(item, home, folder)
 
 
-def _splits_before(place: Place) -> set[str]:
+def _splits_before(storage: StorageBackend) -> set[str]:
     """The splits that the data set had when it was last finished: another recipe may have had others."""
     try:
-        return set(read_description(place.read(DATASET_NAME), place.name)["splits"])
+        return set(read_description(storage.read(DATASET_NAME), storage.name)["splits"])
     except DatasetError:
         return set()
 
 
-def _look(place: Place, folders: Sequence[str], ledger: Ledger) -> None:
-    """Enter what lies in the folders."""
-    root: Path | None = getattr(place, "root", None)
-    remote: Any = place
-    for folder in folders:
-        if root is not None:
-            ledger.note_found(files_below(root, folder))
-        else:
-            ledger.note_found((path, size, 0) for path, size in remote.files(folder).items())
-
-
-def files_below(root: Path, folder: str = "") -> Iterator[tuple[str, int, int]]:
-    """Path relative to `root`, size in bytes and inode of each file below a folder of it."""
-    waiting = [folder] if not folder or SafePath(root, folder).is_folder() else []
-    while waiting:
-        inside = waiting.pop()
-        with suppress(FileNotFoundError, NotADirectoryError), os.scandir(root / inside) as entries:
-            for entry in entries:  # a link is no file of the data set, whatever it leads to: its size is none
-                path = f"{inside}/{entry.name}" if inside else entry.name
-                if entry.is_dir(follow_symlinks=False):
-                    waiting.append(path)
-                else:
-                    status = entry.stat(follow_symlinks=False)
-                    yield path, status.st_size if stat.S_ISREG(status.st_mode) else -1, status.st_ino
-
-
-def _drop_absent(place: Place, ledger: Ledger) -> list[str]:
-    """Forget images that have lost a file, and their records, so that the next run makes them again."""
-    notes = []
-    for image, path in ledger.absent():
-        notes.append(f"image {image} counts as missing: {path} is not as it was written; a resumed run makes it again")
-        place.remove(record_path(ledger.key_of(image)))
-        ledger.drop_image(image)
-    return notes
-
-
-def _remove_strangers(place: Place, folders: Sequence[str], ledger: Ledger) -> None:
+def _remove_unlisted(storage: StorageBackend, folders: Sequence[str], record_index: RecordIndex) -> None:
     """Remove what no record vouches for: records of other jobs, then files; a whole folder where all of it goes.
 
     Files that other tools have added stay in folders that stay.
     """
-    for name in place.names(JOBS):
-        if not ledger.has_key(name.removesuffix(".json")):
-            place.remove(f"{JOBS}/{name}")
+    for name in storage.names(JOBS):
+        if not record_index.has_key(name.removesuffix(".json")):
+            storage.remove(f"{JOBS}/{name}")
     removed = ""
-    for path in ledger.strangers():
+    for path in record_index.unlisted():
         if removed and path.startswith(f"{removed}/"):
             continue
         parts = path.split("/")
         above = ("/".join(parts[:depth]) for depth in range(1, len(parts)))
-        gone = next((folder for folder in above if not ledger.has_below(folder)), path)
+        gone = next((folder for folder in above if not record_index.has_below(folder)), path)
         if tool_of(path) is not None and (gone == path or not is_frame(gone.rpartition("/")[2])):
             continue
         removed = gone
-        place.remove(removed)
-    root: Path | None = getattr(place, "root", None)
-    if root is not None:
-        _remove_empty_folders(root, folders)
+        storage.remove(removed)
+    if isinstance(storage, LocalStorage):
+        _remove_empty_folders(storage.root, folders)
 
 
 def _remove_empty_folders(root: Path, folders: Sequence[str]) -> None:
     """Of frames that never came to a file, and of splits that have no images any more."""
     for folder in filter(lambda name: SafePath(root, name).is_folder(), folders):
-        with suppress(FileNotFoundError, NotADirectoryError), os.scandir(root / folder) as entries:
-            for entry in entries:
-                if tool_of(entry.name) is None:
-                    with suppress(OSError):  # it is a file, or not empty
-                        Path(entry.path).rmdir()
+        for name in SafePath(root, folder).names():
+            if tool_of(name) is None:
+                with suppress(OSError):  # it is a file, or not empty
+                    (root / folder / name).rmdir()
         with suppress(OSError):
             (root / folder).rmdir()
 
 
 def _write_whole(
-    place: Place, ledger: Ledger, kept: Mapping[str, bytes], description: dict[str, Any], scratch: Path
+    storage: StorageBackend, record_index: RecordIndex, kept: Mapping[str, bytes], description: dict[str, Any]
 ) -> None:
     """The files of the whole data set; dataset.json comes last, and says that all others are there."""
-    note_written(place, kept)
+    note_written(storage, kept)
     for path, content in kept.items():
-        place.write(path, content)
-    counts = _write_index(place, ledger, scratch)
-    for name, content in (
-        (CARD_NAME, card_text(description, counts, settings_of(description)).encode()),
-        (DATASET_NAME, dataset_bytes(description)),
-    ):
-        _enter(ledger, name, content)
-        if name != DATASET_NAME:
-            place.write(name, content)
-    write_sums(scratch / SUMS_NAME, ((file.path, file.sha256) for file in ledger.files()))
-    _put(place, scratch / SUMS_NAME, SUMS_NAME)
-    place.write(DATASET_NAME, dataset_bytes(description))
-
-
-def _write_index(place: Place, ledger: Ledger, scratch: Path) -> CardCounts:
-    """Write index.parquet; what the data card tells of its rows."""
-    types, counts = DrawTypes(), CardCounts()
-    for row in ledger.rows():
-        types.add(row)
-        counts.add(row)
-    path = scratch / INDEX_NAME
-    write_index(path, ledger.rows(), types.columns)
-    ledger.add_file(FileSum(INDEX_NAME, path.stat().st_size, file_sum(path)))
-    _put(place, path, INDEX_NAME)
-    return counts
-
-
-def _put(place: Place, path: Path, target: str) -> None:
-    """Put a file of this machine's temporary folder into place, by way of the place's own staging."""
-    staging = place.staging()
+        storage.write(path, content)
+    staging = storage.staging()
     try:
-        shutil.copyfile(path, staging / path.name)
-        place.put_file(staging / path.name, target)
+        types, counts = DrawTypes(), CardCounts()
+        for row in record_index.rows():
+            types.add(row)
+            counts.add(row)
+        index, sums = staging / INDEX_NAME, staging / SUMS_NAME
+        write_index(index, record_index.rows(), types.columns)
+        record_index.add_file(FileSum(INDEX_NAME, index.stat().st_size, file_sum(index)))
+        storage.put_file(index, INDEX_NAME)
+        card = card_text(description, counts, settings_of(description)).encode()
+        _enter(record_index, CARD_NAME, card)
+        storage.write(CARD_NAME, card)
+        _enter(record_index, DATASET_NAME, dataset_bytes(description))
+        write_sums(sums, ((file.path, file.sha256) for file in record_index.files()))
+        storage.put_file(sums, SUMS_NAME)
     finally:
-        place.discard(staging)
+        storage.discard(staging)
+    storage.write(DATASET_NAME, dataset_bytes(description))
 
 
-def _enter(ledger: Ledger, path: str, content: bytes) -> None:
-    ledger.add_file(FileSum(path, len(content), hashlib.sha256(content).hexdigest()))
+def _enter(record_index: RecordIndex, path: str, content: bytes) -> None:
+    record_index.add_file(FileSum(path, len(content), hashlib.sha256(content).hexdigest()))
 
 
 def _named(numbers: Sequence[int]) -> str:

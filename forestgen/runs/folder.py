@@ -14,29 +14,22 @@ from forestgen.dataset.thumbnails import FOLDER_NAME as THUMBNAILS
 from forestgen.recipe.assets import MAPS
 from forestgen.recipe.load import LoadedRecipe
 from forestgen.recipe.map_files import recipe_hash
-from forestgen.runs.contract import HIDDEN, RUN, JobRecord, Place
-from forestgen.runs.places import STAGING, LocalPlace
+from forestgen.runs.contract import HIDDEN, RUN, JobRecord, StorageBackend
 from forestgen.runs.records import JOBS, read_record, record_path, records_of
+from forestgen.runs.storage import STAGING, LocalStorage
 
 BATCH = f"{HIDDEN}/batch.json"
 PREVIOUS, MOVING, BEGUN = (f"{HIDDEN}/{name}" for name in ("previous", "moving", "begun"))  # see runs/replace.py
 _WRITTEN = f"{HIDDEN}/written.json"
 TAKEN = ("maps", "run", "thumbnails")  # names in the data set's folder that no split can have
 _SCHEMA = "forestgen-batch/1"
-_FOLDERS = (
-    HIDDEN,
-    JOBS,
-    STAGING,
-    RUN,
-    PREVIOUS,
-    MOVING,
-    BEGUN,
-)  # without them a run would take finished images for unfinished ones
+# Without these folders a run would take finished images for unfinished ones.
+_FOLDERS = (HIDDEN, JOBS, STAGING, RUN, PREVIOUS, MOVING, BEGUN)
 _WHOLE = ("dataset.json", "SHA256SUMS")  # they say that the data set is complete: while a run works, it is not
 
 
 @dataclass
-class Known:
+class FinishedImages:
     """Images whose records are there."""
 
     keys: dict[int, str]  # image -> key
@@ -54,74 +47,69 @@ def fingerprint(loaded: LoadedRecipe, versions: str) -> str:
     return hashlib.sha256(repr((versions, whole, ends)).encode()).hexdigest()
 
 
-def check_ours(place: Place) -> None:
-    """Refuse a place that holds something else: nothing in it is touched.
-
-    Raises
-    ------
-    OutputError
-    """
-    names = place.names("")
-    if isinstance(place, LocalPlace) and place.root.is_file():
-        raise OutputError("the output is a file", where=place.name, expected="a folder", hint="choose another name")
-    if names and names != [HIDDEN] and not _is_batch(place):
+def check_ours(storage: StorageBackend) -> None:
+    """Refuse storage that holds something else: nothing in it is touched. Raises `OutputError`."""
+    names = storage.names("")
+    if isinstance(storage, LocalStorage) and storage.root.is_file():
+        raise OutputError("the output is a file", where=storage.name, expected="a folder", hint="choose another name")
+    if names and names != [HIDDEN] and not _is_batch(storage):
         raise OutputError(
             "the folder is not empty and holds no forestgen data set",
-            where=place.name,
+            where=storage.name,
             expected="a new or empty folder, or a previous data set",
             got=", ".join(names[:4]) + (", ..." if len(names) > 4 else ""),
             hint="choose another folder",
         )
-    if not isinstance(place, LocalPlace):
+    if not isinstance(storage, LocalStorage):
         return
-    linked = [name for name in names if (place.root / name).is_symlink()]
+    linked = [name for name in names if (storage.root / name).is_symlink()]
     if linked:
         raise OutputError(
             "a part of the data set is a link to elsewhere: what a run removes and replaces must lie here",
-            where=f"{place.name}/{linked[0]}",
+            where=f"{storage.name}/{linked[0]}",
             hint="move it here; the whole folder may be a link",
         )
     for name in _FOLDERS:
-        if os.path.lexists(place.root / name) and not SafePath(place.root, name).is_folder():
+        if os.path.lexists(storage.root / name) and not SafePath(storage.root, name).is_folder():
             raise OutputError(
                 "a part of the data set is no folder",
-                where=f"{place.name}/{name}",
+                where=f"{storage.name}/{name}",
                 expected="a folder of its own, and no link",
                 hint="move it away",
             )
 
 
-def check_resume(place: Place, *, resume: bool) -> None:
+def check_resume(storage: StorageBackend, *, resume: bool) -> None:
     """Refuse to go on in a data set unasked. Raises `OutputError`."""
-    if not resume and _is_batch(place):
+    if not resume and _is_batch(storage):
         raise OutputError(
             "the folder already holds a forestgen data set",
-            where=place.name,
+            where=storage.name,
             hint="`resume=True` goes on with it: images that are done stay, if the recipe still makes them; "
             "`overwrite=True` replaces it; or choose another folder",
         )
 
 
-def is_made_from(place: Place, mark: str) -> bool:
+def is_made_from(storage: StorageBackend, mark: str) -> bool:
     """Whether all finished images were made from the recipe and by the versions of this `fingerprint`."""
-    return (_state(place) or {}).get("fingerprint") == mark
+    return (_state(storage) or {}).get("fingerprint") == mark
 
 
-def images_in_frames(place: Place, splits: Iterable[str]) -> set[int]:
+def images_in_frames(storage: StorageBackend, splits: Iterable[str]) -> set[int]:
     """Numbers of the images that have a frame's folder in these splits, or in those that the batch was begun with."""
-    folders = {*splits, *splits_before(place)}
-    return {int(name.partition("-")[0]) for folder in folders for name in place.names(folder) if is_frame(name)}
+    folders = {*splits, *splits_before(storage)}
+    return {int(name.partition("-")[0]) for folder in folders for name in storage.names(folder) if is_frame(name)}
 
 
 def open_batch(
-    place: Place,
+    storage: StorageBackend,
     images: range,
     splits: Iterable[str],
     mark: str,
     note: Callable[[str], None],
     stale: frozenset[int] = frozenset(),
     damaged: Collection[int] = (),
-) -> Known:
+) -> FinishedImages:
     """Which images are done; removes what does not belong, and what killed runs have left.
 
     Parameters
@@ -133,54 +121,52 @@ def open_batch(
     stale : finished images that would be made otherwise now; they stay until their turn comes.
     damaged : finished images that have lost a file or its content: what is left of them is removed.
     """
-    splits = tuple(splits)
-    before = splits_before(place)
-    listed = {split: set(place.names(split)) for split in {*splits, *before}}
+    splits, before = tuple(splits), splits_before(storage)
+    listed = {split: set(storage.names(split)) for split in {*splits, *before}}
     for name in _WHOLE:  # before the first frame goes
-        place.remove(name)
+        storage.remove(name)
     keys: dict[int, str] = {}
     vouched: set[str] = set()
-    for record in records_of(place, note):
+    for record in records_of(storage, note):
         frames = _frames(record)
-        whole = record.image in images and record.image not in keys and record.split in splits
-        whole = whole and record.image not in damaged
-        if whole and all(frame in listed[record.split] for frame in frames):
+        is_wanted = record.image in images and record.split in splits
+        is_wanted = is_wanted and record.image not in keys and record.image not in damaged
+        if is_wanted and listed[record.split].issuperset(frames):
             keys[record.image] = record.key
             vouched.update(f"{record.split}/{frame}" for frame in frames)
             vouched.update(f"{THUMBNAILS}/{frame}.jpg" for frame in frames)
         else:
-            forget(place, record)
+            forget(storage, record)
             if record.image in keys:  # two records of one image: the frames were those of either, and are gone
-                place.remove(record_path(keys.pop(record.image)))
-    _remove_unvouched(place, listed, vouched)
+                storage.remove(record_path(keys.pop(record.image)))
+    _remove_unvouched(storage, listed, vouched)
     for split in set(before) - set(splits):
-        place.remove(split)
-    stale = stale & keys.keys()
-    settle_batch(place, splits, "" if stale else mark)
-    return Known(keys, stale)
+        storage.remove(split)
+    settle_batch(storage, splits, "" if stale & keys.keys() else mark)
+    return FinishedImages(keys, stale & keys.keys())
 
 
-def settle_batch(place: Place, splits: Iterable[str], mark: str) -> None:
+def settle_batch(storage: StorageBackend, splits: Iterable[str], mark: str) -> None:
     """Write down what all records were made from; "" while some may be of another recipe."""
     content = {"schema": _SCHEMA, "fingerprint": mark, "splits": list(splits)}
-    place.write(BATCH, (json.dumps(content) + "\n").encode())
+    storage.write(BATCH, (json.dumps(content) + "\n").encode())
 
 
-def forget_key(place: Place, key: str) -> None:
+def forget_key(storage: StorageBackend, key: str) -> None:
     """Remove a record and its frames."""
-    content = place.read(record_path(key))
+    path = record_path(key)
     try:
-        forget(place, read_record(content or b"", record_path(key)))
+        forget(storage, read_record(storage.read(path) or b"", path))
     except DatasetError:
-        place.remove(record_path(key))  # its frames are found at the end: nothing vouches for them
+        storage.remove(path)  # its frames are found at the end: nothing vouches for them
 
 
-def forget(place: Place, record: JobRecord) -> None:
+def forget(storage: StorageBackend, record: JobRecord) -> None:
     """Remove a record, then what it vouched for: never a record without its files."""
-    place.remove(record_path(record.key))
+    storage.remove(record_path(record.key))
     for frame in _frames(record):
-        place.remove(f"{record.split}/{frame}")
-        place.remove(f"{THUMBNAILS}/{frame}.jpg")
+        storage.remove(f"{record.split}/{frame}")
+        storage.remove(f"{THUMBNAILS}/{frame}.jpg")
 
 
 def _frames(record: JobRecord) -> list[str]:
@@ -189,45 +175,45 @@ def _frames(record: JobRecord) -> list[str]:
     return sorted({parts[1] for parts in inside if len(parts) > 2 and parts[1] != MAPS})
 
 
-def _remove_unvouched(place: Place, listed: dict[str, set[str]], vouched: set[str]) -> None:
+def _remove_unvouched(storage: StorageBackend, listed: dict[str, set[str]], vouched: set[str]) -> None:
     """Frames and thumbnails of jobs that never came to their records."""
-    for folder, names in {**listed, THUMBNAILS: set(place.names(THUMBNAILS))}.items():
+    for folder, names in {**listed, THUMBNAILS: set(storage.names(THUMBNAILS))}.items():
         for name in sorted(names):
             if is_frame(name.removesuffix(".jpg")) and f"{folder}/{name}" not in vouched:
-                place.remove(f"{folder}/{name}")
+                storage.remove(f"{folder}/{name}")
 
 
-def _is_batch(place: Place) -> bool:
+def _is_batch(storage: StorageBackend) -> bool:
     """Whether a batch's file is there or, if a disk has damaged it, images' records; or a data set to be put back."""
-    if _state(place) is not None or place.names(JOBS):
+    if _state(storage) is not None or storage.names(JOBS):
         return True
-    return any(f"{HIDDEN}/{name}" in (PREVIOUS, MOVING, BEGUN) for name in place.names(HIDDEN))
+    return any(f"{HIDDEN}/{name}" in (PREVIOUS, MOVING, BEGUN) for name in storage.names(HIDDEN))
 
 
-def note_written(place: Place, paths: Iterable[str]) -> None:
+def note_written(storage: StorageBackend, paths: Iterable[str]) -> None:
     """Write down that forestgen makes these files or folders over all images, before they get their names."""
-    place.write(_WRITTEN, json.dumps(sorted({*paths, *written_paths(place)})).encode())
+    storage.write(_WRITTEN, json.dumps(sorted({*paths, *written_paths(storage)})).encode())
 
 
-def written_paths(place: Place) -> list[str]:
+def written_paths(storage: StorageBackend) -> list[str]:
     """What `note_written` was told."""
     try:
-        listing = load_json(place.read(_WRITTEN) or b"")
+        listing = load_json(storage.read(_WRITTEN) or b"")
     except ValueError:
         return []
     return [path for path in listing if is_inside(path)] if isinstance(listing, list) else []
 
 
-def splits_before(place: Place) -> list[str]:
+def splits_before(storage: StorageBackend) -> list[str]:
     """The splits that the batch was begun with."""
-    listing = (_state(place) or {}).get("splits")
+    listing = (_state(storage) or {}).get("splits")
     names = listing if isinstance(listing, list) else []
     return [name for name in names if is_split(name) and name not in TAKEN]
 
 
-def _state(place: Place) -> dict[str, object] | None:
+def _state(storage: StorageBackend) -> dict[str, object] | None:
     """What batch.json says; None if there is none of ours."""
-    content = place.read(BATCH)
+    content = storage.read(BATCH)
     try:
         state = load_json(content or b"")
     except ValueError:

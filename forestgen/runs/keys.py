@@ -16,7 +16,7 @@ _SOURCES = (
 )  # fmt: skip
 # Of these, what only reads frames, writes the files over all of them, or checks and shows what people give and see.
 _WITHOUT = (
-    "community/fitting/fit_text.py", "community/point_statistics.py", "core/streams.py",
+    "community/fitting/report.py", "community/point_statistics.py", "core/streams.py",
     "dataset/balance.py", "dataset/card.py", "dataset/check", "dataset/checksums.py", "dataset/exr_chunks.py",
     "dataset/frame.py", "dataset/index.py", "dataset/index_values.py", "dataset/pack", "dataset/report",
     "community/summary.py",

@@ -12,7 +12,7 @@ import heapq
 import json
 import os
 import shutil
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 from pathlib import Path
@@ -21,7 +21,7 @@ from typing import Any
 
 from forestgen.core.errors import DatasetError, OutputError, RecipeError
 from forestgen.core.progress import Progress, Silent
-from forestgen.dataset.files import output_error
+from forestgen.dataset.files import make_folder, output_error
 from forestgen.dataset.folder import NO_OUTPUT, OURS, OutputFolder
 from forestgen.dataset.manifest import is_run_folder
 from forestgen.dataset.safe_path import SafePath, unreadable
@@ -32,9 +32,9 @@ from forestgen.runs.contract import HIDDEN, JobRecord
 from forestgen.runs.description import DATASET_NAME, MOST_IMAGES, RecipePart, settings_of, union_of
 from forestgen.runs.finish import Finished, write_data_set
 from forestgen.runs.folder import settle_batch
-from forestgen.runs.ledger import Ledger
-from forestgen.runs.places import LocalPlace
+from forestgen.runs.record_index import RecordIndex
 from forestgen.runs.records import JOBS, record_bytes, record_path, records_of
+from forestgen.runs.storage import LocalStorage
 from forestgen.runs.verify import open_data_set, refuse_address
 
 _BLOCK_BYTES = 1 << 20
@@ -45,15 +45,15 @@ class Piece:
     """A data set to merge."""
 
     root: Path
-    said: dict[str, Any]  # its dataset.json
+    description: dict[str, Any]  # its dataset.json
 
     @property
-    def place(self) -> LocalPlace:
-        return LocalPlace(self.root)
+    def storage(self) -> LocalStorage:
+        return LocalStorage(self.root)
 
     @property
     def settings(self) -> DatasetSettings:
-        return settings_of(self.said)
+        return settings_of(self.description)
 
 
 def merge(sources: Sequence[Path], target: Path, *, link: bool = False, progress: Progress | None = None) -> Finished:
@@ -76,25 +76,27 @@ def merge(sources: Sequence[Path], target: Path, *, link: bool = False, progress
     pieces = [_piece(root) for root in sources]
     _check_settings(pieces)
     parts = _parts(pieces)
-    made_with = sorted(_unique(one for piece in pieces for one in piece.said["made_with"]), key=_text)
-    needed = 0 if link else sum(_size(piece) for piece in pieces)
-    total = sum(int(piece.said["images"]) for piece in pieces)
+    by_text = {json.dumps(one, sort_keys=True): one for piece in pieces for one in piece.description["made_with"]}
+    made_with = [by_text[text] for text in sorted(by_text)]
+    groups = [group for piece in pieces for group in piece.description["files"].values()]
+    needed = 0 if link else sum(int(group["bytes"]) for group in groups)
+    total = sum(int(piece.description["images"]) for piece in pieces)
     with (
         OutputFolder(target, required_bytes=needed) as folder,
         TemporaryDirectory(prefix="forestgen-merge-") as scratch,
     ):
-        place = LocalPlace(folder, str(target))
-        with Ledger(Path(scratch)) as ledger:
+        storage = LocalStorage(folder, str(target))
+        with RecordIndex(Path(scratch)) as record_index:
             with (progress or Silent()).stage("images", total) as advance:
                 for piece, record in _records(pieces):
                     advance(1)
                     if piece is not None:
-                        _take(piece, record, place, link)
-                        ledger.add(record)
-            _check_seeds(ledger)
-            done = write_data_set(place, ledger, parts, pieces[0].settings, made_with, ledger.splits, Path(scratch))
-            settle_batch(place, ledger.splits, "")
-        place.clear_staging()
+                        _take(piece, record, storage, link)
+                        record_index.add(record)
+            _check_seeds(record_index)
+            done = write_data_set(storage, record_index, parts, pieces[0].settings, made_with, record_index.splits)
+            settle_batch(storage, record_index.splits, "")
+        storage.clear_staging()
     if len(made_with) > 1:
         done = replace(done, notes=(*done.notes, f"{len(made_with)} versions have made its images: see dataset.json"))
     return done
@@ -105,7 +107,11 @@ def _check_target(target: Path, sources: Sequence[Path]) -> None:
         raise RecipeError("no data set is named", expected="at least one to merge")
     refuse_address(target)
     if target.exists() and (not target.is_dir() or any(target.iterdir())):
-        raise OutputError(_in_the_way(target), where=str(target), expected="a new or empty folder")
+        problem = "the output is a file"
+        if target.is_dir():  # in the words of `OutputFolder`, which can replace some of it
+            is_ours = (target / HIDDEN).is_dir() or (target / DATASET_NAME).exists() or is_run_folder(target)
+            problem = OURS if is_ours else NO_OUTPUT
+        raise OutputError(problem, where=str(target), expected="a new or empty folder")
     inside = [source for source in sources if target.resolve().is_relative_to(source.resolve())]
     if inside:
         raise OutputError("the output lies in a data set that is merged", where=str(target), got=str(inside[0]))
@@ -113,24 +119,16 @@ def _check_target(target: Path, sources: Sequence[Path]) -> None:
         raise RecipeError("a data set is named twice", got=", ".join(map(str, sources)))
 
 
-def _in_the_way(target: Path) -> str:
-    """What lies where the merged data set shall; in the words of `OutputFolder`, which can replace some of it."""
-    if not target.is_dir():
-        return "the output is a file"
-    is_ours = (target / HIDDEN).is_dir() or (target / DATASET_NAME).exists() or is_run_folder(target)
-    return OURS if is_ours else NO_OUTPUT
-
-
 def _piece(root: Path) -> Piece:
-    said = open_data_set(root)
-    if said["images"] and not SafePath(root, JOBS).is_folder():
+    description = open_data_set(root)
+    if description["images"] and not SafePath(root, JOBS).is_folder():
         raise RecipeError(
             "this copy of a data set has no records, by which images are merged",
             where=str(root),
             expected=f"a folder {JOBS}",
             hint="copy the whole folder, with what is hidden in it",
         )
-    return Piece(root, said)
+    return Piece(root, description)
 
 
 def _check_settings(pieces: Sequence[Piece]) -> None:
@@ -176,8 +174,8 @@ def _parts(pieces: Sequence[Piece]) -> list[RecipePart]:
     """The recipes, each once, by their first image."""
     by_hash: dict[str, RecipePart] = {}
     for piece in pieces:
-        for said in piece.said["recipes"]:
-            part = _part(piece, said)
+        for recipe in piece.description["recipes"]:
+            part = _part(piece, recipe)
             known = by_hash.get(part.hash)
             if known is not None:
                 part = replace(known, asked=union_of(known.asked, part.asked), maps={**known.maps, **part.maps})
@@ -196,17 +194,17 @@ def _parts(pieces: Sequence[Piece]) -> list[RecipePart]:
     return parts
 
 
-def _part(piece: Piece, said: dict[str, Any]) -> RecipePart:
-    yaml = piece.place.read(said["file"])
+def _part(piece: Piece, recipe: dict[str, Any]) -> RecipePart:
+    yaml = piece.storage.read(recipe["file"])
     if yaml is None:
-        raise DatasetError("the data set has lost its recipe", where=str(piece.root / said["file"]))
-    maps = {f"{MAPS}/{name}": piece.place.read(f"{MAPS}/{name}") or b"" for name in piece.place.names(MAPS)}
-    asked = tuple((int(first), int(last)) for first, last in said["asked"])
+        raise DatasetError("the data set has lost its recipe", where=str(piece.root / recipe["file"]))
+    maps = {f"{MAPS}/{name}": piece.storage.read(f"{MAPS}/{name}") or b"" for name in piece.storage.names(MAPS)}
+    asked = tuple((int(first), int(last)) for first, last in recipe["asked"])
     try:
         text = yaml.decode()
     except UnicodeDecodeError as error:
-        raise unreadable(SafePath(piece.root, said["file"]), error) from error
-    return RecipePart(said["hash"], int(said["root_seed"]), asked, said["splits"], said["draws"], text, maps)
+        raise unreadable(SafePath(piece.root, recipe["file"]), error) from error
+    return RecipePart(recipe["hash"], int(recipe["root_seed"]), asked, recipe["splits"], recipe["draws"], text, maps)
 
 
 def _check_numbers(parts: Sequence[RecipePart], pieces: Sequence[Piece]) -> None:
@@ -226,12 +224,15 @@ def _check_numbers(parts: Sequence[RecipePart], pieces: Sequence[Piece]) -> None
 def _records(pieces: Sequence[Piece]) -> Iterator[tuple[Piece | None, JobRecord]]:
     """Records by image with the piece to take them from; None for one that an earlier piece has as well.
 
-    Raises
-    ------
-    DatasetError : two pieces have different images of one number, or a record is damaged.
+    Raises `DatasetError`: two pieces have different images of one number, or a record is damaged.
     """
     notes: list[str] = []
-    streams = [_numbered(number, piece, notes) for number, piece in enumerate(pieces)]
+
+    def numbered(number: int) -> Iterator[tuple[int, int, JobRecord]]:
+        for record in records_of(pieces[number].storage, notes.append):
+            yield record.image, number, record
+
+    streams = map(numbered, range(len(pieces)))
     before: tuple[Piece, JobRecord] | None = None
     counts = [0] * len(pieces)
     for _, number, record in heapq.merge(*streams, key=lambda one: one[:2]):
@@ -243,19 +244,14 @@ def _records(pieces: Sequence[Piece]) -> Iterator[tuple[Piece | None, JobRecord]
         before = pieces[number], record
         yield before
     for piece, count in zip(pieces, counts, strict=True):
-        if count != piece.said["images"]:
+        if count != piece.description["images"]:
             raise DatasetError(
                 "the data set has not a record for each image",
                 where=str(piece.root / JOBS),
-                expected=f"{piece.said['images']} records",
+                expected=f"{piece.description['images']} records",
                 got=f"{count}" + (f"; {notes[0]}" if notes else ""),
                 hint=f"forestgen verify {piece.root}; the command that made it, with `resume=True`, makes images again",
             )
-
-
-def _numbered(number: int, piece: Piece, notes: list[str]) -> Iterator[tuple[int, int, JobRecord]]:
-    for record in records_of(piece.place, notes.append):
-        yield record.image, number, record
 
 
 def _check_same(one: tuple[Piece, JobRecord], other: tuple[Piece, JobRecord]) -> None:
@@ -273,64 +269,57 @@ def _check_same(one: tuple[Piece, JobRecord], other: tuple[Piece, JobRecord]) ->
     )
 
 
-def _check_seeds(ledger: Ledger) -> None:
+def _check_seeds(record_index: RecordIndex) -> None:
     """No stand may be in two splits: pieces of ``same_stand`` recipes may each be sound, and not together."""
-    seed = next(ledger.shared_seeds(), None)
-    if seed is not None:
-        images = ledger.images_of_seed(seed)
-        first = images[0]
-        other = next(one for one in images if one[1] != first[1])
+    shared = record_index.shared_seed()
+    if shared:
+        seed, first, first_split = shared[0]
+        other, other_split = next((image, split) for _, image, split in shared if split != first_split)
         raise RecipeError(
-            "two splits would show one stand: what is tested would have been learned",
+            "two splits would show one stand: train and test would share it (data leakage)",
             expected="another seed of the recipe in each, or one split",
-            got=f"image {first[0]} ({first[1]}) and image {other[0]} ({other[1]}) of the seed {seed}",
+            got=f"image {first} ({first_split}) and image {other} ({other_split}) of the seed {seed}",
         )
 
 
-def _take(piece: Piece, record: JobRecord, place: LocalPlace, link: bool) -> None:
+def _take(piece: Piece, record: JobRecord, storage: LocalStorage, link: bool) -> None:
     """Copy or link an image's files, then write its record."""
-    for path, said in record.files.items():
-        source, target = SafePath(piece.root, path), place.root / path
-        if target.exists():  # a map that images share; the ledger compares its sums
+    for path, entry in record.files.items():
+        source, target = SafePath(piece.root, path), storage.root / path
+        if target.exists():  # a map that images share; the record index compares its sums
             continue
+        make_folder(target.parent)
         try:
-            target.parent.mkdir(parents=True, exist_ok=True)
+            if link and source.size_bytes() >= 0 and _linked(source, target):
+                digest, size = entry["sha256"], target.stat().st_size  # a link is not read
+            else:
+                digest, size = _copied(source, target, int(entry["bytes"]))
         except OSError as error:
-            raise output_error(error, target) from error
-        found = _linked(source, target) if link else None
-        digest, size = found if found is not None else _copied(source, target, int(said["bytes"]))
-        if size != said["bytes"] or digest not in ("", said["sha256"]):
+            raise unreadable(source, error, "forestgen verify names all such files") from error
+        if size != entry["bytes"] or digest != entry["sha256"]:
             raise DatasetError(
                 "the file has changed since it was made",
                 where=str(source),
-                expected=f"{said['bytes']} bytes, sha256 {said['sha256']}",
-                got=f"{size} bytes" + (f", sha256 {digest}" if digest else ""),
+                expected=f"{entry['bytes']} bytes, sha256 {entry['sha256']}",
+                got=f"{size} bytes, sha256 {digest}" if size == entry["bytes"] else f"{size} bytes",
                 hint=f"forestgen verify {piece.root} names all such files",
             )
-    place.write(record_path(record.key), record_bytes(record))
+    storage.write(record_path(record.key), record_bytes(record))
 
 
-def _linked(source: SafePath, target: Path) -> tuple[str, int] | None:
-    """No sum, and size in bytes, of a file that has a second name now; None where it cannot have one."""
-    try:
-        source.size_bytes()
-    except OSError as error:
-        raise _lost(source, error) from error
+def _linked(source: SafePath, target: Path) -> bool:
+    """Whether a file has a second name now: another file system has none, nor has one without links."""
     try:
         os.link(source.located(), target)
-    except OSError:  # another file system, or one without links
-        return None
-    return "", target.stat().st_size
+    except OSError:
+        return False
+    return True
 
 
 def _copied(source: SafePath, target: Path, most_bytes: int) -> tuple[str, int]:
     """SHA-256 and size of what was copied: of a file that is longer than `most_bytes` not all."""
     digest, size = hashlib.sha256(), 0
-    try:
-        stream = source.open()
-    except OSError as error:
-        raise _lost(source, error) from error
-    with stream:
+    with source.open() as stream:
         try:
             with target.open("wb") as copy:
                 while size <= most_bytes and (block := stream.read(_BLOCK_BYTES)):
@@ -341,20 +330,3 @@ def _copied(source: SafePath, target: Path, most_bytes: int) -> tuple[str, int]:
             raise output_error(error, target) from error
     shutil.copystat(source.located(), target)
     return digest.hexdigest(), size
-
-
-def _lost(path: SafePath, error: OSError) -> DatasetError:
-    return unreadable(path, error, "forestgen verify names all such files")
-
-
-def _size(piece: Piece) -> int:
-    return sum(int(group["bytes"]) for group in piece.said["files"].values())
-
-
-def _unique(items: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Each once, in their first order."""
-    return list({_text(one): one for one in items}.values())
-
-
-def _text(one: dict[str, Any]) -> str:
-    return json.dumps(one, sort_keys=True)

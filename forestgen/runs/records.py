@@ -5,17 +5,20 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
-from typing import Any
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from typing import Any, TypeVar
 
 from forestgen.core.errors import DatasetError
 from forestgen.dataset.safe_path import is_frame, is_inside, is_split, load_json
-from forestgen.runs.contract import HIDDEN, JobRecord, Place
+from forestgen.runs.contract import HIDDEN, JobRecord, StorageBackend
 from forestgen.runs.keys import image_of_key
-from forestgen.runs.parallel import in_order
 
+TaskT = TypeVar("TaskT")
+ResultT = TypeVar("ResultT")
 JOBS = f"{HIDDEN}/jobs"
+_TASKS_AHEAD = 64
 _SCHEMA = "forestgen-job/1"
 _ENDING = ".json"
 _SUM = b',"sha256":"'
@@ -54,11 +57,17 @@ def read_record(content: bytes, where: str) -> JobRecord:
         if hashlib.sha256(content.rpartition(_SUM)[0]).hexdigest() != data["sha256"]:
             raise ValueError("its content has not its own SHA-256")
         if data["schema"] != _SCHEMA:
-            raise _of_another_version(data["schema"], where)
+            raise DatasetError(
+                "this record of a finished image is of another version of forestgen",
+                where=where,
+                expected=_SCHEMA,
+                got=f"{data['schema']!r:.40}",
+                hint=_AGAIN + "; or take the version that made it",
+            )
         record = JobRecord(
             key=_text(data["key"]),
             image=_number(data["image"]),
-            split=_split(data["split"]),
+            split=str(_kept_if(is_split(data["split"]), data["split"], "split's name")),
             image_seed=_number(data["image_seed"]),
             recipe_hash=_text(data["recipe_hash"]),
             rows=tuple(_row(row) for row in data["rows"]),
@@ -79,94 +88,83 @@ def read_record(content: bytes, where: str) -> JobRecord:
         ) from error
 
 
-def _of_another_version(schema: Any, where: str) -> DatasetError:
-    """What is told of a record that is whole, and not of this format."""
-    return DatasetError(
-        "this record of a finished image is of another version of forestgen",
-        where=where,
-        expected=_SCHEMA,
-        got=f"{schema!r:.40}",
-        hint=_AGAIN + "; or take the version that made it",
-    )
+def _kept_if(holds: bool, value: Any, what: str) -> Any:
+    """A value that a record may have; `ValueError` for another."""
+    if not holds:
+        raise ValueError(f"{value!r:.80} is no {what}")
+    return value
 
 
 def _text(value: Any) -> str:
-    if not isinstance(value, str):
-        raise TypeError(f"{value!r:.40} is no text")
-    return value
+    return str(_kept_if(isinstance(value, str), value, "text"))
 
 
 def _number(value: Any) -> int:
-    if type(value) is not int or not 0 <= value < 2**63:
-        raise ValueError(f"{value!r:.40} is no number of 63 bits")
-    return value
+    return int(_kept_if(type(value) is int and 0 <= value < 2**63, value, "number of 63 bits"))
 
 
 def _row(value: Any) -> dict[str, Any]:
     """A frame's row of the index; its name becomes a path too."""
     row = dict(value)
-    if not is_frame(row["frame"]):
-        raise ValueError(f"{row['frame']!r:.60} is no frame's name")
+    _kept_if(is_frame(row["frame"]), row["frame"], "frame's name")
     return row
 
 
 def _path(value: Any) -> str:
     """A file's path below the data set's folder."""
-    if not is_inside(value) or value.partition("/")[0] == HIDDEN:
-        raise ValueError(f"{value!r:.80} is no path of an image's file")
-    return str(value)
+    is_file = is_inside(value) and value.partition("/")[0] != HIDDEN
+    return str(_kept_if(is_file, value, "path of an image's file"))
 
 
 def _file(value: Any) -> dict[str, Any]:
-    said = dict(value)
-    if not _SHA256.fullmatch(_text(said["sha256"])):
-        raise ValueError(f"{value!r:.80} is no SHA-256")
-    return {"bytes": _number(said["bytes"]), "sha256": said["sha256"]}
+    digest = _text(value["sha256"])
+    return {
+        "bytes": _number(value["bytes"]),
+        "sha256": _kept_if(_SHA256.fullmatch(digest) is not None, digest, "SHA-256"),
+    }
 
 
-def _split(value: Any) -> str:
-    if not is_split(value):
-        raise ValueError(f"{value!r:.40} is no split's name")
-    return str(value)
-
-
-def done_keys(place: Place) -> set[str]:
+def done_keys(storage: StorageBackend) -> set[str]:
     """Keys of the jobs whose records are there."""
-    return set(_keys(place))
+    return set(_keys(storage))
 
 
-def records_of(place: Place, note: Callable[[str], None] | None = None) -> Iterator[JobRecord]:
+def records_of(storage: StorageBackend, note: Callable[[str], None] | None = None) -> Iterator[JobRecord]:
     """All records, by image; one at a time in memory, or nearly.
 
-    Parameters
-    ----------
-    note : told of each damaged record, which is left out.
+    `note`: told of each damaged record, which is left out.
     """
-    keys = sorted(_keys(place), key=lambda key: (image_of_key(key), key))
+    keys = sorted(_keys(storage), key=lambda key: (image_of_key(key), key))
 
-    def read(path: str) -> tuple[str, bytes | None]:
-        return path, place.read(path)
+    def read(path: str) -> tuple[str, bytes]:
+        return path, storage.read(path) or b""
 
     with ThreadPoolExecutor(_READERS, "records") as readers:  # an object store answers slowly, but many at a time
         for path, content in in_order(readers, read, map(record_path, keys)):
-            record = _read_or_note(path, content, note)
-            if record is not None:
+            try:
+                record = read_record(content, path)
+            except DatasetError as error:
+                if note is not None:
+                    note(f"{path}: {error.problem}; it does not count")
+                continue
+            if record_path(record.key) == path:  # a copy under another name vouches for nothing
                 yield record
 
 
-def _read_or_note(path: str, content: bytes | None, note: Callable[[str], None] | None) -> JobRecord | None:
-    try:
-        record = read_record(content if content is not None else b"", path)
-    except DatasetError as error:
-        if note is not None:
-            note(f"{path}: {error.problem}; it does not count")
-        return None
-    return record if record_path(record.key) == path else None  # a copy under another name vouches for nothing
+def in_order(pool: Executor, work: Callable[[TaskT], ResultT], tasks: Iterable[TaskT]) -> Iterator[ResultT]:
+    """Results of `work` for each task, in the tasks' order; no more than a few are waiting."""
+    waiting: deque[Future[ResultT]] = deque()
+    for task in tasks:
+        waiting.append(pool.submit(work, task))
+        if len(waiting) >= _TASKS_AHEAD:
+            yield waiting.popleft().result()
+    while waiting:
+        yield waiting.popleft().result()
 
 
-def _keys(place: Place) -> Iterator[str]:
+def _keys(storage: StorageBackend) -> Iterator[str]:
     """Keys by the records' names; other files that lie there are no records."""
-    for name in place.names(JOBS):
+    for name in storage.names(JOBS):
         key = name.removesuffix(_ENDING)
         if key != name and image_of_key(key) >= 0:
             yield key

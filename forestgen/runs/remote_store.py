@@ -59,10 +59,7 @@ def check_url(url: str) -> str:
 def file_system(scheme: str) -> Any:
     """fsspec's file system of a scheme; one a process, which its threads share.
 
-    Raises
-    ------
-    OutputError
-        When the package for it is not installed.
+    Raises `OutputError` when the package for it is not installed.
     """
     return _opened(scheme, os.getpid())
 
@@ -169,10 +166,7 @@ def persistently(task: Callable[[], T], where: str) -> T:
 def put_checked(store: Any, source: Path | bytes, target: str, where: str) -> None:
     """Upload a file, or bytes, and compare its size there; tried a few times.
 
-    Raises
-    ------
-    OutputError
-        When it did not arrive whole.
+    Raises `OutputError` when it did not arrive whole.
     """
     size = len(source) if isinstance(source, bytes) else source.stat().st_size
 

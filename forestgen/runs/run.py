@@ -3,29 +3,47 @@
 from __future__ import annotations
 
 import time
-from collections import Counter
-from collections.abc import Callable, Mapping
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 
 from forestgen.core.errors import DatasetError, ForestgenError, OutputError, RecipeError
 from forestgen.dataset.data_set import check_one_data_set, check_splits, check_stands, data_set_of
 from forestgen.dataset.settings import DatasetSettings
-from forestgen.recipe.dataset import used_splits
+from forestgen.recipe.dataset import split_of, used_splits
 from forestgen.recipe.load import LoadedRecipe
-from forestgen.runs.contract import TRANSIENT, Done, Engine, Failed, JobRecord, Lock, Notice, Outcome, Place, Work
-from forestgen.runs.damage import damaged_images
-from forestgen.runs.discards import check_discards, resume_diff
+from forestgen.runs.contract import (
+    TRANSIENT,
+    Done,
+    Engine,
+    Failed,
+    Job,
+    JobRecord,
+    Lock,
+    Notice,
+    Outcome,
+    StorageBackend,
+    Work,
+)
 from forestgen.runs.finish import Finished, finish
-from forestgen.runs.folder import TAKEN, check_ours, check_resume, fingerprint, open_batch, settle_batch
-from forestgen.runs.jobs import JobQueue
-from forestgen.runs.keys import versions_hash
-from forestgen.runs.log import Log, done_fields, failed_fields
-from forestgen.runs.meter import Listener, Meter, SilentListener
-from forestgen.runs.places import LocalPlace, place_of
+from forestgen.runs.folder import (
+    TAKEN,
+    FinishedImages,
+    check_ours,
+    check_resume,
+    fingerprint,
+    forget_key,
+    open_batch,
+    settle_batch,
+)
+from forestgen.runs.keys import job_key, versions_hash
 from forestgen.runs.records import done_keys, records_of
-from forestgen.runs.replace import recover, replacing
-from forestgen.runs.summary import RunSummary, write_jobs_table, write_summary
+from forestgen.runs.replace import check_replaceable, recover, replacing
+from forestgen.runs.stale_outputs import ResumeDiff, check_stale_outputs, damaged_images, resume_diff
+from forestgen.runs.storage import LocalStorage, storage_of
+from forestgen.runs.summary import Log, RunSummary, done_fields, failed_fields, write_jobs_table, write_summary
+from forestgen.runs.tracker import Display, ProgressTracker, SilentDisplay
 from forestgen.scene.planning import check_plan
 
 _AHEAD = 2  # jobs that are drawn and handed on, for each worker; one by one where the first failure ends the run
@@ -42,11 +60,11 @@ class _Run:
     work: Work
     lock: Lock
     log: Log
-    meter: Meter
     queue: JobQueue
-    listener: Listener
+    display: Display
     retries: int
     strict: bool
+    tracker: ProgressTracker = field(init=False)
     submitted: set[str] = field(default_factory=set)  # keys of all jobs handed out
     failed: list[Failed] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)  # on the images made
@@ -54,10 +72,13 @@ class _Run:
     peak_memory_bytes: int = 0
     logged_s: float = 0.0
 
+    def __post_init__(self) -> None:
+        self.tracker = ProgressTracker(len(self.queue.images), already=self.queue.done)
+
     def notice(self, event: str, fields: Mapping[str, str]) -> None:
         """What an engine tells of its workers."""
         self.log.event(event, **fields)
-        self.listener.say(fields["message"])
+        self.display.say(fields["message"])
 
 
 def run_batch(
@@ -66,6 +87,7 @@ def run_batch(
     *,
     count: int,
     engine: Callable[[Work, Notice], Engine],
+    prepare: Callable[[Work, int], Work] = lambda work, left: work,
     resume: bool = False,
     discard: bool = False,
     overwrite: bool = False,
@@ -73,7 +95,7 @@ def run_batch(
     strict: bool = False,
     threads: int | None = None,
     memory_bytes: int | None = None,
-    listener: Listener | None = None,
+    display: Display | None = None,
 ) -> RunSummary:
     """Make the first `count` images of a recipe into a data set: all of them, or those that it lacks.
 
@@ -81,48 +103,58 @@ def run_batch(
     ----------
     target : a folder, or the address of an object store.
     engine : makes what does the jobs, given what they need, and whom to tell which workers come and go.
-    resume : go on in a data set that is there; without it, one that is there is refused. Finished images of which a
-        file is missing or damaged are made again.
+    prepare : given the work and the number of images that are to be made, before anything is changed: refuses what
+        cannot fit, and returns the work with the threads of each worker.
+    resume : go on in a data set that is there, and make its damaged images again; without it, it is refused.
     discard : whether finished images may be thrown away that are too many, or that would be made otherwise now.
     overwrite : replace a data set that is there, which comes back if no image of the new one is finished.
     retries : attempts after the first, of jobs whose failure may pass.
     strict : an image that cannot be drawn ends the run with its own error; the others before it are made. A run that
         ends before an image is finished leaves nothing; so does one with `overwrite`.
     threads, memory_bytes : of each worker; None: no bound.
-    listener : told how it goes.
 
     Raises
     ------
-    RecipeError, ResourceError : see `check_recipe` and `check_discards`.
-    OutputError : the place cannot be used, or storage fails for good; what is done stays.
-    DatasetError : the first images all fail.
+    RecipeError, ResourceError : see `check_recipe`, `check_stale_outputs` and `prepare`.
+    OutputError, DatasetError : the storage fails for good, or the first images all fail; what is done stays.
     """
-    listener = listener or SilentListener()
-    images = images_of(loaded, count)
+    display = display or SilentDisplay()
+    storage, images = storage_of(target), images_of(loaded, count)
+    check_ours(storage)
+    check_resume(storage, resume=resume or overwrite)
     settings, splits = check_recipe(loaded, images)
-    work = Work(loaded, settings, place_of(target), versions_hash(), threads, memory_bytes)
-    check_ours(work.place)
-    with work.place.lock(listener.say) as lock:
-        check_resume(work.place, resume=resume or overwrite)
-        recover(work.place, listener.say)
-        with replacing(work.place, splits, listener.say, overwrite=overwrite, keep_begun=not strict):
-            mark = fingerprint(loaded, work.versions)
-            before = resume_diff(work.place, loaded, images, mark, work.versions, listener.say)
-            check_discards(before, work.place.name, agreed=discard)
-            _clear_staging(work.place)
+    work = Work(loaded, settings, storage, versions_hash(), threads, memory_bytes)
+    with storage.lock(display.say) as lock:
+        check_resume(storage, resume=resume or overwrite)  # another run may have begun meanwhile
+        recover(storage, display.say)
+        mark = fingerprint(loaded, work.versions)
+        before = finished_images(work, images, splits, mark, display.say, overwrite=overwrite)
+        check_stale_outputs(before, storage.name, agreed=discard)
+        work = prepare(work, count - before.kept)
+        with replacing(storage, splits, display.say, overwrite=overwrite, keep_begun=not strict):
+            storage.clear_staging()
             used = used_splits(splits, images)
-            damaged = damaged_images(work.place, loaded, images, before.stale, listener.say)
-            with Log(work.place) as log:
-                work.place.discard(work.place.staging())  # what cannot be written is told before anything is removed
-                known = open_batch(work.place, images, used, mark, listener.say, before.stale, damaged)
-                queue = JobQueue(work, images, splits, known)
-                run = _Run(work, lock, log, Meter(count, already=queue.done), queue, listener, retries, strict)
+            damaged = damaged_images(storage, loaded, images, before.stale, display.say)
+            with Log(storage) as log:
+                storage.discard(storage.staging())  # what cannot be written is told before anything is removed
+                known = open_batch(storage, images, used, mark, display.say, before.stale, damaged)
+                run = _Run(work, lock, log, JobQueue(work, images, splits, known), display, retries, strict)
                 _log_start(run, target, damaged)
                 return _make_and_finish(run, engine, images, used, mark)
 
 
+def finished_images(
+    work: Work, images: range, splits: Mapping[str, float], mark: str, say: Callable[[str], None], *, overwrite: bool
+) -> ResumeDiff:
+    """The finished images that a run finds; with `overwrite`, none of a data set that can be replaced."""
+    if not overwrite:
+        return resume_diff(work.storage, work.loaded, images, mark, work.versions, say)
+    check_replaceable(work.storage, splits)
+    return ResumeDiff(0, 0, frozenset())
+
+
 def _log_start(run: _Run, target: str, damaged: Mapping[int, str]) -> None:
-    loaded, images = run.work.loaded, run.meter.total
+    loaded, images = run.work.loaded, run.tracker.total
     run.log.event(
         "start", target=target, recipe=str(loaded.path), images=images, done=run.queue.done, threads=run.work.threads
     )
@@ -137,14 +169,14 @@ def _make_and_finish(
     work = run.work
     try:
         _make_all(run, engine(work, run.notice))
-        settle_batch(work.place, splits, mark)
+        settle_batch(work.storage, splits, mark)
         return _finish(run, images)
     except BaseException as error:
         _count_made(run)
         _log_stop(run, error)
         raise
     finally:
-        _clear_staging(work.place)
+        work.storage.clear_staging()
 
 
 def images_of(loaded: LoadedRecipe, count: int) -> range:
@@ -187,7 +219,7 @@ def check_recipe(loaded: LoadedRecipe, images: range) -> tuple[DatasetSettings, 
 def _make_all(run: _Run, engine: Engine) -> None:
     """Hand out jobs, a few ahead of the workers, until each is done or given up."""
     in_flight = 0
-    run.listener.show(run.meter)
+    run.display.show(run.tracker)
     with engine:
         while True:
             in_flight += _hand_out(run, engine, in_flight)
@@ -203,11 +235,11 @@ def _make_all(run: _Run, engine: Engine) -> None:
 def _hand_out(run: _Run, engine: Engine, in_flight: int) -> int:
     """How many jobs were submitted."""
     handed = 0
-    run.meter.workers = engine.workers
+    run.tracker.workers = engine.workers
     ahead = 1 if run.strict else _AHEAD * max(1, engine.workers)
     while in_flight + handed < ahead:
         task = run.queue.next()
-        run.meter.already = run.queue.done
+        run.tracker.already = run.queue.done
         if task is None:
             break
         if isinstance(task, Failed):
@@ -221,7 +253,7 @@ def _hand_out(run: _Run, engine: Engine, in_flight: int) -> int:
 
 def _account(run: _Run, outcome: Outcome) -> None:
     if isinstance(outcome, Done):
-        run.meter.count(outcome.run.timings_s)
+        run.tracker.count(outcome.run.timings_s)
         run.last = outcome.record
         run.notes += outcome.record.notes
         run.peak_memory_bytes = max(run.peak_memory_bytes, outcome.run.peak_memory_bytes)
@@ -232,7 +264,7 @@ def _account(run: _Run, outcome: Outcome) -> None:
     if outcome.kind not in TRANSIENT or outcome.attempt > run.retries:
         _give_up(run, outcome)
         return
-    run.meter.retried += 1
+    run.tracker.retried += 1
     run.log.event("job_failed", **failed_fields(outcome), will_retry=True)
     run.queue.again(outcome.job, outcome.attempt + 1)
 
@@ -240,81 +272,81 @@ def _account(run: _Run, outcome: Outcome) -> None:
 def _give_up(run: _Run, failed: Failed) -> None:
     """An image that will not be made; the run goes on, unless the others would fail alike."""
     run.failed.append(failed)
-    run.meter.failed += 1
+    run.tracker.failed += 1
     run.log.event("job_failed", **failed_fields(failed), will_retry=False)
     if run.strict and failed.error is not None:
         raise failed.error
     if failed.kind == "output":
         raise OutputError(
             f"the run has stopped: results cannot be written\n{failed.message}",
-            where=run.work.place.name,
+            where=run.work.storage.name,
             hint="when that is mended, the same command with `resume=True` goes on",
         )
-    if run.meter.failed >= _HOPELESS and not run.meter.done:
+    if run.tracker.failed >= _HOPELESS and not run.tracker.done:
         kinds = Counter(one.message for one in run.failed)
         message, times = kinds.most_common(1)[0]
         raise DatasetError(
-            f"the run has stopped: the first {run.meter.failed} images all failed, {times} of them with\n{message}",
-            where=run.work.place.name,
+            f"the run has stopped: the first {run.tracker.failed} images all failed, {times} of them with\n{message}",
+            where=run.work.storage.name,
             hint="the same command with `resume=True` tries them again",
         )
 
 
 def _tell(run: _Run) -> None:
-    run.listener.show(run.meter)
+    run.display.show(run.tracker)
     now = time.monotonic()
     if now - run.logged_s > _PROGRESS_EVERY_S:
         run.logged_s = now
-        run.log.event("progress", **run.meter.as_event())
+        run.log.event("progress", **run.tracker.as_event())
 
 
 def _finish(run: _Run, images: range) -> RunSummary:
     """The files over all images, the report, and the counts."""
-    place, meter = run.work.place, run.meter
-    run.listener.say("writing the files over all images")
-    records = records_of(place, run.listener.say)
-    whole = finish(place, run.work.loaded, run.work.settings, run.queue.all_jobs(), records)
-    run.log.event("progress", **meter.as_event())
-    run.log.event("finish", images=meter.total, frames=whole.frames, bytes=whole.bytes, missing=list(whole.missing))
+    storage, tracker = run.work.storage, run.tracker
+    run.display.say("writing the files over all images")
+    records = records_of(storage, run.display.say)
+    whole = finish(storage, run.work.loaded, run.work.settings, run.queue.all_jobs(), records)
+    run.log.event("progress", **tracker.as_event())
+    run.log.event("finish", images=tracker.total, frames=whole.frames, bytes=whole.bytes, missing=list(whole.missing))
     run.log.upload()
-    write_jobs_table(place, run.log.lines(), images)
-    report, why = _write_report(place)
+    write_jobs_table(storage, run.log.lines(), images)
+    report, why = _write_report(storage)
     summary = _summary(run, whole, report, (*whole.notes, *why))
-    write_summary(place, summary)
+    write_summary(storage, summary)
     return summary
 
 
-def _write_report(place: Place) -> tuple[str | None, list[str]]:
+def _write_report(storage: StorageBackend) -> tuple[str | None, list[str]]:
     """Path of report.html, of a data set in a folder. Its failure is a note, as nothing depends on it."""
     from forestgen.dataset.report.page import write_report  # loads the template engine
 
-    if not isinstance(place, LocalPlace):
+    if not isinstance(storage, LocalStorage):
         return None, ["no report was written: `forestgen report` makes it of a copy in a folder"]
     try:
-        staging = place.staging()  # a run that is killed leaves no half of it beside the data set
-        write_report(place.root, staging / _REPORT)
-        place.put_file(staging / _REPORT, _REPORT)
-        place.discard(staging)
+        staging = storage.staging()  # a run that is killed leaves no half of it beside the data set
+        write_report(storage.root, staging / _REPORT)
+        storage.put_file(staging / _REPORT, _REPORT)
+        storage.discard(staging)
     except ForestgenError as error:
         return None, [f"no report was written: {error}"]
-    return f"{place.name}/{_REPORT}", []
+    return f"{storage.name}/{_REPORT}", []
 
 
 def _summary(run: _Run, whole: Finished, report: str | None, notes: tuple[str, ...]) -> RunSummary:
-    meter = run.meter
+    tracker = run.tracker
     return RunSummary(
-        target=run.work.place.name,
-        images=meter.total,
-        already=meter.already,
-        made=meter.made,
+        target=run.work.storage.name,
+        images=tracker.total,
+        already=tracker.already,
+        made=tracker.made,
         failed=tuple(sorted(run.failed, key=lambda failed: failed.job.image)),
         missing=whole.missing,
         frames=whole.frames,
         bytes=whole.bytes,
         report=report,
-        seconds=time.monotonic() - meter.started_s,
-        images_per_hour=meter.images_per_hour,
-        stages_s=dict(sorted(meter.stages_s.items(), key=lambda stage: -stage[1])),
+        seconds=time.monotonic() - tracker.started_s,
+        images_per_hour=tracker.images_per_hour,
+        stages_s=tracker.longest_stages_s,
         peak_memory_bytes=run.peak_memory_bytes,
         notes=notes,
         image_notes=tuple(run.notes),
@@ -326,7 +358,7 @@ def _count_made(run: _Run) -> None:
     """Count the images by their records: a run that is stopped may not have heard of the last ones."""
     if run.submitted:
         with suppress(ForestgenError):  # what has stopped the run matters more
-            run.meter.made = len(run.submitted & done_keys(run.work.place))
+            run.tracker.made = len(run.submitted & done_keys(run.work.storage))
 
 
 def _log_stop(run: _Run, error: BaseException) -> None:
@@ -336,13 +368,63 @@ def _log_stop(run: _Run, error: BaseException) -> None:
     else:
         reason = f"{type(error).__name__}: {error}" if isinstance(error, Exception) else "interrupted"
     try:
-        run.log.event("stop", reason=reason, **run.meter.as_event())
+        run.log.event("stop", reason=reason, **run.tracker.as_event())
         run.log.upload()
     except ForestgenError:
         return
 
 
-def _clear_staging(place: Place) -> None:
-    """What lies there is of jobs that nobody does any more."""
-    if isinstance(place, LocalPlace):
-        place.clear_staging()
+class JobQueue:
+    """Jobs with their attempts; those that are tried again come first.
+
+    Parameters
+    ----------
+    images : numbers of the images that are wanted.
+    splits : name -> share.
+    known : the images whose records are there. A stale one is forgotten when its turn comes.
+    """
+
+    def __init__(self, work: Work, images: range, splits: Mapping[str, float], known: FinishedImages) -> None:
+        self._loaded, self._versions = work.loaded, work.versions
+        self._storage = work.storage
+        self.images, self._splits, self._known = images, splits, known
+        self._again: deque[tuple[Job, int]] = deque()
+        self._fresh = self._draw_all()
+        self.done = len(known.keys) - len(known.stale)
+        self.keys: dict[int, str] = {}  # image -> key, of all images that have had their turn
+
+    def next(self) -> tuple[Job, int] | Failed | None:
+        """A job and its attempt; an image that cannot be drawn; None if there is nothing to hand out now."""
+        if self._again:
+            return self._again.popleft()
+        return next(self._fresh, None)
+
+    def again(self, job: Job, attempt: int) -> None:
+        """Try a job again, before all others."""
+        self._again.append((job, attempt))
+
+    def all_jobs(self) -> list[Job]:
+        """Of every image that was handed out or known, by image."""
+        return [self._job(image, self.keys[image]) for image in self.images]
+
+    def _draw_all(self) -> Iterator[tuple[Job, int] | Failed]:
+        for image in self.images:
+            known = self._known.keys.get(image)
+            if known is not None and image not in self._known.stale:
+                self.keys[image] = known
+                continue
+            if known is not None:
+                forget_key(self._storage, known)
+            drawn = self._draw(image)
+            self.keys[image] = "" if isinstance(drawn, Failed) else drawn.key
+            yield drawn if isinstance(drawn, Failed) else (drawn, 1)
+
+    def _draw(self, image: int) -> Job | Failed:
+        try:
+            drawn = self._loaded.draw(image - self.images.start)
+        except ForestgenError as error:  # a drawn value that the schema rejects
+            return Failed(self._job(image, ""), 1, "recipe", str(error), error=error)
+        return self._job(image, job_key(drawn, self._versions))
+
+    def _job(self, image: int, key: str) -> Job:
+        return Job(image - self.images.start, image, split_of(self._splits, image), key)

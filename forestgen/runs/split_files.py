@@ -22,56 +22,54 @@ from forestgen.dataset.manifest import MANIFEST_NAME
 from forestgen.dataset.manifest import SCHEMA as MANIFEST_SCHEMA
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.dataset.writer import write_dataset
-from forestgen.runs.contract import Place
+from forestgen.runs.contract import StorageBackend
 from forestgen.runs.description import RecipePart
 from forestgen.runs.folder import note_written
-from forestgen.runs.ledger import FileSum, Ledger
+from forestgen.runs.record_index import FileSum, RecordIndex
+from forestgen.runs.storage import LocalStorage
 
 _READ = (".json", ".txt")  # endings of what merging reads of a frame; it only places the rest
 
 
 def write_split(
-    place: Place,
+    storage: StorageBackend,
     split: str,
-    ledger: Ledger,
+    record_index: RecordIndex,
     settings: DatasetSettings,
     parts: Sequence[RecipePart],
     version: dict[str, Any],
 ) -> None:
-    """Merge the formats of a split's frames and write its manifest; the ledger takes their sums.
+    """Merge the formats of a split's frames and write its manifest; the index takes their sums.
 
-    Raises
-    ------
-    OutputError : a frame lacks a file or it is damaged, or one cannot be written.
+    Raises `OutputError`: a frame lacks a file or it is damaged, or one cannot be written.
     """
-    staging = place.staging()
+    staging = storage.staging()
     try:
         root = staging / split
         root.mkdir()
-        _show_frames(place, split, root, ledger)
-        write_dataset(root, ledger.frames(split), settings)
-        _hide_frames(root, ledger.frames(split))
-        placed = list(_enter_merged(root, split, ledger))
-        _write_manifest(root / MANIFEST_NAME, split, ledger, parts, version)
-        ledger.add_file(_sum(root, MANIFEST_NAME, split))
-        _publish(place, split, root, placed)
+        _show_frames(storage, split, root, record_index)
+        write_dataset(root, record_index.frames(split), settings)
+        _hide_frames(root, record_index.frames(split))
+        placed = list(_enter_merged(root, split, record_index))
+        _write_manifest(root / MANIFEST_NAME, split, record_index, parts, version)
+        record_index.add_file(_sum(root, MANIFEST_NAME, split))
+        _publish(storage, split, root, placed)
     finally:
-        place.discard(staging)
+        storage.discard(staging)
 
 
-def _show_frames(place: Place, split: str, root: Path, ledger: Ledger) -> None:
+def _show_frames(storage: StorageBackend, split: str, root: Path, record_index: RecordIndex) -> None:
     """Make the frames' folders appear in `root`."""
-    home: Path | None = getattr(place, "root", None)  # of a folder of this machine
-    if home is not None:
-        for frame in ledger.frames(split):
-            _link_folder(home / split / frame, root / frame)
+    if isinstance(storage, LocalStorage):
+        for frame in record_index.frames(split):
+            _link_folder(storage.root / split / frame, root / frame)
         return
-    remote: Any = place
-    names = (file.path for frame in ledger.frames(split) for file in ledger.files(f"{split}/{frame}"))
+    remote: Any = storage
+    names = (file.path for frame in record_index.frames(split) for file in record_index.files(f"{split}/{frame}"))
     read = (path for path in names if path.endswith(_READ))
     remote.fetch(read, root.parent)
-    for frame in list(ledger.frames(split)):
-        ledger.note_found(_touched(file, root.parent) for file in list(ledger.files(f"{split}/{frame}")))
+    for frame in list(record_index.frames(split)):
+        record_index.note_found(_touched(file, root.parent) for file in list(record_index.files(f"{split}/{frame}")))
 
 
 def _link_folder(source: Path, target: Path) -> None:
@@ -89,7 +87,7 @@ def _link_file(source: str, target: str) -> None:
 
 
 def _touched(file: FileSum, folder: Path) -> tuple[str, int, int]:
-    """What `Ledger.note_found` takes of a file; an empty one stands for what was not fetched."""
+    """What `RecordIndex.note_found` takes of a file; an empty one stands for what was not fetched."""
     path = folder / file.path
     path.parent.mkdir(parents=True, exist_ok=True)
     path.touch()
@@ -106,35 +104,34 @@ def _hide_frames(root: Path, frames: Iterable[str]) -> None:
             shutil.rmtree(path)
 
 
-def _enter_merged(root: Path, split: str, ledger: Ledger) -> Iterator[tuple[str, str]]:
+def _enter_merged(root: Path, split: str, record_index: RecordIndex) -> Iterator[tuple[str, str]]:
     """Enter the merged files; the frames' files among them, with their new places."""
     for path in _files_below(root):
         name = path.relative_to(root).as_posix()
         status = path.stat()
-        source = ledger.file_of_inode(status.st_ino, split)
+        source = record_index.file_of_inode(status.st_ino, split)
         if source is None:
-            ledger.add_file(_sum(root, name, split))
+            record_index.add_file(_sum(root, name, split))
             continue
-        ledger.add_file(FileSum(f"{split}/{name}", source.bytes, source.sha256))
+        record_index.add_file(FileSum(f"{split}/{name}", source.bytes, source.sha256))
         yield source.path, f"{split}/{name}"
 
 
-def _publish(place: Place, split: str, root: Path, placed: Sequence[tuple[str, str]]) -> None:
-    if getattr(place, "root", None) is None:
-        remote: Any = place
+def _publish(storage: StorageBackend, split: str, root: Path, placed: Sequence[tuple[str, str]]) -> None:
+    if not isinstance(storage, LocalStorage):
+        remote: Any = storage
         for _, target in placed:
             (root.parent / target).unlink()
         remote.link(placed)
         remote.upload(root, split)
         return
-    home: Any = place
-    note_written(place, (f"{split}/{path.name}" for path in root.iterdir()))
+    note_written(storage, (f"{split}/{path.name}" for path in root.iterdir()))
     for path in sorted(root.iterdir()):
         if path.is_dir():
-            _keep_foreign(home.root / split / path.name, path)
-            place.put_folder(path, f"{split}/{path.name}")
+            _keep_foreign(storage.root / split / path.name, path)
+            storage.put_folder(path, f"{split}/{path.name}")
         else:
-            place.put_file(path, f"{split}/{path.name}")
+            storage.put_file(path, f"{split}/{path.name}")
 
 
 def _keep_foreign(before: Path, staged: Path) -> None:
@@ -150,12 +147,12 @@ def _keep_foreign(before: Path, staged: Path) -> None:
 
 
 def _write_manifest(
-    path: Path, split: str, ledger: Ledger, parts: Sequence[RecipePart], version: dict[str, Any]
+    path: Path, split: str, record_index: RecordIndex, parts: Sequence[RecipePart], version: dict[str, Any]
 ) -> None:
     """A split's manifest.json; piece by piece, since it names every file."""
     with whole_file(path) as stream:
         stream.write("{\n")
-        _write_list(stream, "image_seeds", map(json_text, ledger.seeds(split)))
+        _write_list(stream, "image_seeds", map(json_text, record_index.seeds(split)))
         for key in ("packages", "platform", "python"):
             name = "versions" if key == "packages" else key
             stream.write(f"{json.dumps(name)}: {json_text(version[key])},\n")
@@ -164,10 +161,10 @@ def _write_manifest(
             stream.write(f'"recipe_hash": {json_text(parts[0].hash)},\n"root_seed": {parts[0].root_seed},\n')
         stream.write(f'"recipes": {json_text(recipes)},\n"schema": {json_text(MANIFEST_SCHEMA)},\n')
         stream.write(f'"split": {json_text(split)},\n"run": {{\n')
-        _write_list(stream, "images", map(json_text, ledger.reports(split)))
-        _write_list(stream, "notes", map(json_text, ledger.notes(split)), end="},\n")
+        _write_list(stream, "images", map(json_text, record_index.reports(split)))
+        _write_list(stream, "notes", map(json_text, record_index.notes(split)), end="},\n")
         stream.write('"files": {')
-        for number, file in enumerate(ledger.files(split)):
+        for number, file in enumerate(record_index.files(split)):
             name = json_text(file.path.removeprefix(f"{split}/"))
             sums = json_text({"bytes": file.bytes, "sha256": file.sha256})
             stream.write(("\n" if number == 0 else ",\n") + f"{name}: {sums}")

@@ -6,30 +6,25 @@ import math
 import re
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
-from typing import Any, Protocol
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 from forestgen.core.arguments import flag_of, shown, whole_of
 from forestgen.core.errors import DatasetError, RecipeError
 from forestgen.core.figures import count, parse_bytes, seconds
-from forestgen.core.progress import Progress
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.recipe.load import LoadedRecipe
-from forestgen.runs.contract import TRANSIENT, Engine, Failed, Notice, Place, Work
-from forestgen.runs.discards import ResumeDiff, check_discards, resume_diff
-from forestgen.runs.engines.in_process import InProcessEngine
+from forestgen.runs.contract import TRANSIENT, Engine, Failed, Notice, Work
 from forestgen.runs.engines.local import LocalEngine
-from forestgen.runs.estimate import BUDGET_S, LEAST_IMAGES, Estimate, check_disk, check_fits, estimate
-from forestgen.runs.estimate_text import lines
-from forestgen.runs.folder import check_ours, check_resume, fingerprint
-from forestgen.runs.foreign_files import check_replaceable
+from forestgen.runs.estimate import BUDGET_S, LEAST_IMAGES, Estimate, check_disk, check_fits, estimate, most_disk_bytes
+from forestgen.runs.folder import check_ours, fingerprint
 from forestgen.runs.keys import versions_hash
-from forestgen.runs.meter import Listener
-from forestgen.runs.places import LocalPlace, place_of
-from forestgen.runs.replace import previous_note, recover
-from forestgen.runs.run import check_recipe, images_of, run_batch
+from forestgen.runs.replace import previous_note
+from forestgen.runs.run import check_recipe, finished_images, images_of, run_batch
+from forestgen.runs.storage import LocalStorage, storage_of
 from forestgen.runs.summary import RunSummary
-from forestgen.runs.work import make_job
+from forestgen.runs.tracker import Display
+from forestgen.runs.work import InProcessEngine, make_job
 
 ENGINES = ("local", "dask")
 DEVICES = ("llvm", "cuda")
@@ -37,13 +32,9 @@ _LEAST_BYTES = 10**8  # less is a mistake, such as a number without its unit: Py
 _MOST_FAILURES = 5  # that an error names
 
 
-class Display(Progress, Listener, Protocol):
-    """What shows a run: stages of the image in work, counts, and lines that stay."""
-
-
 @dataclass(frozen=True)
 class RunOptions:
-    """What `render` and `batch` may be asked for besides the recipe and the folder."""
+    """What `render` and `batch` may be asked for besides the recipe and the folder; they take checked ones."""
 
     count: int | None = None  # images of the data set, in all; None: as many as the recipe says
     resume: bool = False  # go on in a data set that is there
@@ -56,15 +47,18 @@ class RunOptions:
     retries: int = 2  # further attempts at an image whose failure may pass
     engine: str = "local"  # or dask
     scheduler: str | None = None  # address of a Dask scheduler
-    resources: Mapping[str, float] = field(default_factory=dict)  # that each image takes of a Dask worker
+    resources: Mapping[str, float] | None = None  # that each image takes of a Dask worker
     device: str | None = None  # what traces rays, llvm or cuda; None: what FORESTGEN_TRACING says
+
+    @classmethod
+    def of(cls, arguments: Mapping[str, Any]) -> RunOptions:
+        """The options among the arguments of a call, checked."""
+        return cls(**{one.name: arguments[one.name] for one in fields(cls) if one.name in arguments}).check()
 
     def check(self) -> RunOptions:
         """The same with Python's own numbers.
 
-        Raises
-        ------
-        RecipeError : values that are none, or options that exclude one another.
+        Raises `RecipeError`: values that are none, or options that exclude one another.
         """
         numbers: dict[str, Any] = {"retries": whole_of(self.retries, "retries", 0, 100)}
         for name, most in (("count", 10**8), ("threads", 4096), ("workers", 1024)):
@@ -72,43 +66,32 @@ class RunOptions:
                 numbers[name] = whole_of(getattr(self, name), name, 1, most)
         for name in ("resume", "discard", "overwrite"):
             flag_of(getattr(self, name), name)
-        if self.device is not None and self.device not in DEVICES:
-            raise RecipeError(
-                "no such device", parameter="device", expected=" or ".join(DEVICES), got=shown(self.device)
-            )
-        if self.engine not in ENGINES:
-            raise RecipeError(
-                "no such engine", parameter="engine", expected=" or ".join(ENGINES), got=shown(self.engine)
-            )
-        for wrong, option, why in (
-            (self.discard and not self.resume, "discard", "it belongs to `resume`"),
-            (self.resume and self.overwrite, "overwrite", "it replaces the data set, which `resume` goes on with"),
-            (
-                self.engine == "local" and (self.scheduler is not None or bool(self.resources)),
-                "engine",
-                "`scheduler` and `resources` belong to `engine='dask'`",
-            ),
-            (self.engine == "dask" and self.workers is not None, "workers", "the cluster has its own workers"),
-            (
-                self.engine == "dask" and self.timeout is not None,
-                "timeout",
-                "only workers of this machine can be stopped",
-            ),
-            (
-                self.engine == "dask" and self.device is not None,
-                "device",
-                "set FORESTGEN_TRACING where the workers start",
-            ),
-        ):
-            if wrong:
-                raise RecipeError(f"this option cannot be used here: {why}", parameter=option)
-        amounts = self.resources.items() if isinstance(self.resources, Mapping) else [(None, self.resources)]
-        for name, amount in amounts:
-            if not (isinstance(name, str) and isinstance(amount, int | float) and 0 < amount < math.inf):
+        for name, value, known in (("device", self.device or "llvm", DEVICES), ("engine", self.engine, ENGINES)):
+            if value not in known:
+                raise RecipeError(f"no such {name}", parameter=name, expected=" or ".join(known), got=shown(value))
+        self._check_together()
+        resources: Any = self.resources or {}
+        for key, amount in resources.items() if isinstance(resources, Mapping) else [(None, resources)]:
+            if not (isinstance(key, str) and isinstance(amount, int | float) and 0 < amount < math.inf):
                 expected, got = "a mapping such as {'GPU': 1}", shown(self.resources)
                 raise RecipeError("these are no resources", parameter="resources", expected=expected, got=got)
         _ = self.memory_bytes, self.timeout_s  # which refuse texts that are no size and no duration
         return replace(self, **numbers)
+
+    def _check_together(self) -> None:
+        """Refuse options that exclude one another."""
+        is_dask = self.engine == "dask"
+        of_dask = self.scheduler is not None or bool(self.resources)
+        for wrong, option, why in (
+            (self.discard and not self.resume, "discard", "it belongs to `resume`"),
+            (self.resume and self.overwrite, "overwrite", "it replaces the data set, which `resume` goes on with"),
+            (of_dask and not is_dask, "engine", "`scheduler` and `resources` belong to `engine='dask'`"),
+            (is_dask and self.workers is not None, "workers", "the cluster has its own workers"),
+            (is_dask and self.timeout is not None, "timeout", "only workers of this machine can be stopped"),
+            (is_dask and self.device is not None, "device", "set FORESTGEN_TRACING where the workers start"),
+        ):
+            if wrong:
+                raise RecipeError(f"this option cannot be used here: {why}", parameter=option)
 
     @property
     def memory_bytes(self) -> int | None:
@@ -137,24 +120,12 @@ def render(loaded: LoadedRecipe, target: str, options: RunOptions, display: Disp
     RecipeError, AssetError, ResourceError, OutputError, RenderError : what an image or the folder does not allow.
     DatasetError : images are missing at the end.
     """
-    options = options.check()
-    run = _prepared(loaded, target, options, display)
-    check_disk(loaded, run.place, run.count - run.before.kept)
-    summary = run_batch(
-        loaded,
-        target,
-        count=run.count,
-        engine=lambda work, _: InProcessEngine(work, display),
-        resume=options.resume,
-        discard=options.discard,
-        overwrite=options.overwrite,
-        retries=0,
-        strict=True,
-        threads=options.threads,
-        listener=display,
-    )
-    _check_complete(summary)
-    return summary
+
+    def prepare(work: Work, left: int) -> Work:
+        check_disk(work.storage, left, most_disk_bytes(loaded.draw(0)))
+        return work
+
+    return _run(loaded, target, options, display, lambda work, _: InProcessEngine(work, display), prepare, strict=True)
 
 
 def batch(loaded: LoadedRecipe, target: str, options: RunOptions, display: Display) -> RunSummary:
@@ -165,27 +136,71 @@ def batch(loaded: LoadedRecipe, target: str, options: RunOptions, display: Displ
     RecipeError, ResourceError, OutputError : see `forestgen.runs.run.run_batch`.
     DatasetError : images failed, or are missing at the end.
     """
-    options = options.check()
-    run = _prepared(loaded, target, options, display)
-    expected = _expected(loaded, run, options, display, probe=False)
-    check_fits(expected, run.place, workers_here=options.engine == "local")
-    for text in lines(expected):
-        display.say(text)
+    workers = _Workers(options, display)
+    return _run(loaded, target, options, display, workers.engine, workers.prepare)
+
+
+def _run(
+    loaded: LoadedRecipe,
+    target: str,
+    options: RunOptions,
+    display: Display,
+    engine: Callable[[Work, Notice], Engine],
+    prepare: Callable[[Work, int], Work],
+    *,
+    strict: bool = False,
+) -> RunSummary:
     summary = run_batch(
         loaded,
         target,
-        count=run.count,
-        engine=_engine(options, expected),
+        count=options.count or loaded.images,
+        engine=engine,
+        prepare=prepare,
         resume=options.resume,
         discard=options.discard,
         overwrite=options.overwrite,
-        retries=options.retries,
-        threads=options.threads if options.engine == "dask" else expected.threads,  # a Dask worker has its own
+        retries=0 if strict else options.retries,
+        strict=strict,
+        threads=options.threads,
         memory_bytes=options.memory_bytes,
-        listener=display,
+        display=display,
     )
     _check_complete(summary)
     return summary
+
+
+class _Workers:
+    """The workers of a batch: as many as its estimate says, or those of a cluster."""
+
+    def __init__(self, options: RunOptions, display: Display) -> None:
+        self._options, self._display = options, display
+        self._expected: Estimate
+
+    def prepare(self, work: Work, left: int) -> Work:
+        """See `run_batch`."""
+        is_local = self._options.engine == "local"
+        expected = _estimate(work.loaded, work.settings, left, self._options, self._display)
+        check_fits(expected, work.storage, workers_here=is_local)
+        for text in expected.lines():
+            self._display.say(text)
+        self._expected = expected
+        return replace(work, threads=expected.threads) if is_local else work  # a Dask worker has its own
+
+    def engine(self, work: Work, notice: Notice) -> Engine:
+        """See `run_batch`."""
+        options = self._options
+        if options.engine == "local":
+            return LocalEngine(work, self._expected.workers, make_job, timeout_s=options.timeout_s)
+        from forestgen.runs.engines.dask import DaskEngine  # loads Dask
+
+        return DaskEngine(
+            work,
+            options.scheduler,
+            make=make_job,
+            resources=options.resources,
+            job_memory_bytes=int(self._expected.memory_bytes.mean),
+            notice=notice,
+        )
 
 
 @dataclass(frozen=True, repr=False)
@@ -206,7 +221,7 @@ class DryRun:
 
     def lines(self) -> Iterator[str]:
         """For people."""
-        yield from lines(self.estimate)
+        yield from self.estimate.lines()
         if self.discarded:
             number = count(self.discarded, "finished image")
             yield f"resuming with discard would remove {number}: {self.reasons}"
@@ -214,81 +229,40 @@ class DryRun:
 
 
 def dry_run(loaded: LoadedRecipe, target: str, options: RunOptions, display: Display) -> DryRun:
-    """Check a batch and estimate its time, memory and disk; nothing is made."""
-    options = options.check()
-    run = _prepared(loaded, target, options, display, dry=True)
-    expected = _expected(loaded, run, options, display, probe=True)
-    check_fits(expected, run.place, workers_here=options.engine == "local")
-    return DryRun(expected, run.before.discarded, run.before.reasons())
-
-
-@dataclass(frozen=True)
-class _Prepared:
-    """A run whose recipe and folder have passed all checks."""
-
-    place: Place
-    count: int
-    settings: DatasetSettings
-    before: ResumeDiff  # finished images that are there
-
-
-def _prepared(
-    loaded: LoadedRecipe, target: str, options: RunOptions, display: Display, *, dry: bool = False
-) -> _Prepared:
-    """Check folder and recipe; before finished images are counted, finish what a run that was killed began.
-
-    Parameters
-    ----------
-    dry : change nothing, and take it that finished images may be kept or discarded.
-    """
-    place, count = place_of(target), options.count or loaded.images
-    check_ours(place)
-    if not options.overwrite and not dry:
-        check_resume(place, resume=options.resume)
-    images = images_of(loaded, count)
+    """Check a batch and estimate its time, memory and disk; nothing is made or changed."""
+    storage, images = storage_of(target), images_of(loaded, options.count or loaded.images)
+    check_ours(storage)
     settings, splits = check_recipe(loaded, images)
-    note = previous_note(place.root) if isinstance(place, LocalPlace) else None
-    if note is not None and dry:
+    if isinstance(storage, LocalStorage) and (note := previous_note(storage.root)):
         display.say(note)
-    elif note is not None:
-        with place.lock(display.say):
-            recover(place, display.say)
-    if options.overwrite:
-        check_replaceable(place, splits)
-        return _Prepared(place, count, settings, ResumeDiff(0, 0, frozenset()))
-    versions = versions_hash()
-    before = resume_diff(place, loaded, images, fingerprint(loaded, versions), versions, display.say)
-    check_discards(before, place.name, agreed=options.discard or dry)
-    return _Prepared(place, count, settings, before)
+    work = Work(loaded, settings, storage, versions_hash())
+    mark = fingerprint(loaded, work.versions)
+    before = finished_images(work, images, splits, mark, display.say, overwrite=options.overwrite)
+    expected = _estimate(loaded, settings, len(images) - before.kept, options, display, probe=True)
+    check_fits(expected, storage, workers_here=options.engine == "local")
+    return DryRun(expected, before.discarded, before.reasons())
 
 
-def _expected(loaded: LoadedRecipe, run: _Prepared, options: RunOptions, display: Display, *, probe: bool) -> Estimate:
+def _estimate(
+    loaded: LoadedRecipe,
+    settings: DatasetSettings,
+    left: int,
+    options: RunOptions,
+    display: Display,
+    *,
+    probe: bool = False,
+) -> Estimate:
     """What the images that are not made yet will take, with as many workers as cores and memory allow."""
-    left = run.count - run.before.kept
     if left and (probe or left >= LEAST_IMAGES):
         display.say(f"making some images to measure them: about {BUDGET_S:.0f} s, and longer for large ones")
     return estimate(
         loaded,
-        run.settings,
+        settings,
         count=left,
         workers=options.workers,
         threads=options.threads,
         progress=display,
         probe=probe,
-    )
-
-
-def _engine(options: RunOptions, expected: Estimate) -> Callable[[Work, Notice], Engine]:
-    if options.engine == "local":
-        return lambda work, _: LocalEngine(work, expected.workers, make_job, timeout_s=options.timeout_s)
-    from forestgen.runs.engines.dask import DaskEngine  # loads Dask
-
-    return lambda work, notice: DaskEngine(
-        work,
-        options.scheduler,
-        resources=options.resources,
-        job_memory_bytes=int(expected.memory_bytes.mean),
-        notice=notice,
     )
 
 

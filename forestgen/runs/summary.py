@@ -1,26 +1,38 @@
-"""What a run made: for people, run/summary.json and run/jobs.parquet."""
+"""What a run tells of itself: to people, and in run/log.jsonl, run/summary.json and run/jobs.parquet.
+
+The log has one JSON object a line, each on the disk when it has happened. Every line has `time` (ISO 8601, UTC) and
+`event`: start, image_damaged, job_done, job_failed, worker_lost, progress, finish, stop; of a cluster also
+worker_joined, worker_refused, waiting. A run that resumes appends to the log of those before it.
+"""
 
 from __future__ import annotations
 
 import io
 import json
 import math
+import os
+import tempfile
+import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import Any
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import IO, Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from forestgen.core.figures import count, seconds, table_lines
-from forestgen.runs.contract import RUN, Failed, JobRecord, Place
+from forestgen.dataset.files import make_folder, output_error
+from forestgen.dataset.safe_path import load_json
+from forestgen.runs.contract import RUN, Done, Failed, JobRecord, StorageBackend
+from forestgen.runs.storage import LocalStorage
 
+LOG = f"{RUN}/log.jsonl"
 JOBS_TABLE = f"{RUN}/jobs.parquet"
 SUMMARY = f"{RUN}/summary.json"
+_UPLOAD_EVERY_S = 120.0  # to an object store, which appends to nothing
 _MOST_NOTES, _MOST_STAGES = 5, 5
-_COLUMNS = {"image": "int64", "split": "string", "attempt": "int64", "worker": "string", "seconds": "float64"}
-_TYPES: dict[str, Any] = {  # of a job_done's fields; a log that a disk or a hand has damaged may hold anything
-    **dict.fromkeys(("image", "attempt", "peak_memory_bytes", "frames"), int),
-    **dict.fromkeys(("split", "worker", "time"), str),
-    **{"seconds": (int, float), "timings_s": dict},
-}
 
 
 @dataclass(frozen=True, repr=False)
@@ -110,7 +122,7 @@ def _size_errors(errors: Sequence[Mapping[str, Any]]) -> list[str]:
     return table_lines(rows)
 
 
-def write_summary(place: Place, summary: RunSummary) -> None:
+def write_summary(storage: StorageBackend, summary: RunSummary) -> None:
     """Write run/summary.json."""
     plain = {
         "images": summary.images,
@@ -125,11 +137,127 @@ def write_summary(place: Place, summary: RunSummary) -> None:
         "peak_memory_bytes": summary.peak_memory_bytes,
         "notes": list(summary.notes),
     }
-    place.write(SUMMARY, (json.dumps(plain, indent=1) + "\n").encode())
+    storage.write(SUMMARY, (json.dumps(plain, indent=1) + "\n").encode())
 
 
-def write_jobs_table(place: Place, lines: Iterable[Mapping[str, Any]], images: range) -> None:
-    """Write run/jobs.parquet: a row an image, what the log's last `job_done` says of it.
+class Log:
+    """run/log.jsonl; elsewhere than in a folder a copy of it, which is put there anew every two minutes."""
+
+    def __init__(self, storage: StorageBackend) -> None:
+        self._storage = storage
+        self._local = isinstance(storage, LocalStorage)
+        self._file: IO[bytes] | None = None
+        self._path = Path()
+        self._uploaded_s = time.monotonic()
+
+    def __enter__(self) -> Log:
+        before = b"" if self._local else self._storage.read(LOG) or b""
+        if isinstance(self._storage, LocalStorage):
+            self._path = self._storage.root / LOG
+            make_folder(self._path.parent)
+        else:
+            self._path = Path(tempfile.mkdtemp(prefix="forestgen-log-")) / "log.jsonl"
+        try:
+            # To append to what a link in a stranger's data set points at would change a file elsewhere.
+            flags = os.O_RDWR | os.O_CREAT | os.O_APPEND | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
+            self._file = os.fdopen(os.open(self._path, flags, 0o666), "ab+")
+            self._file.write(before)
+            if self._file.seek(0, os.SEEK_END) > 0:
+                self._file.seek(-1, os.SEEK_END)
+                if self._file.read(1) != b"\n":  # a run that was killed has left half a line
+                    self._file.write(b"\n")
+                    self._file.flush()
+        except OSError as error:
+            raise output_error(error, self._path) from error
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._file is not None:
+            with suppress(OSError):  # of a full disk: the line that it has no room for was told when it was written
+                self._file.close()
+        if not self._local:
+            self._path.unlink(missing_ok=True)
+            self._path.parent.rmdir()
+
+    def event(self, name: str, **fields: Any) -> None:
+        """Append a line. Raises `OutputError` when it cannot be written."""
+        assert self._file is not None
+        line = {"time": datetime.now(UTC).isoformat(timespec="milliseconds"), "event": name, **fields}
+        try:
+            self._file.write((json.dumps(line, ensure_ascii=False) + "\n").encode())
+            self._file.flush()
+        except OSError as error:
+            raise output_error(error, self._path) from error
+        if not self._local and time.monotonic() - self._uploaded_s > _UPLOAD_EVERY_S:
+            self.upload()
+
+    def upload(self) -> None:
+        """Put the log where the data set is, if that is no folder of this machine."""
+        if not self._local:
+            self._uploaded_s = time.monotonic()
+            self._storage.write(LOG, self._path.read_bytes())
+
+    def lines(self) -> Iterator[dict[str, Any]]:
+        """All events so far, those of earlier runs too; a line that a killed run left half-written is passed over."""
+        with self._path.open("rb") as stream:
+            for text in stream:
+                try:
+                    line = load_json(text)
+                except ValueError:
+                    continue
+                if isinstance(line, dict):
+                    yield line
+
+
+def done_fields(done: Done) -> dict[str, Any]:
+    """The fields of a `job_done`."""
+    run = done.run
+    return {
+        "image": done.job.image,
+        "split": done.job.split,
+        "attempt": run.attempt,
+        "seconds": round(run.seconds, 4),
+        "timings_s": {name: round(seconds, 4) for name, seconds in run.timings_s.items()},
+        "peak_memory_bytes": run.peak_memory_bytes,
+        "worker": run.worker,
+        "frames": len(done.record.rows),
+    }
+
+
+def failed_fields(failed: Failed) -> dict[str, Any]:
+    """The fields of a `job_failed`, but `will_retry`."""
+    return {
+        "image": failed.job.image,
+        "split": failed.job.split,
+        "attempt": failed.attempt,
+        "kind": failed.kind,
+        "message": failed.message,
+        "seconds": round(failed.seconds, 4),
+        "worker": failed.worker,
+    }
+
+
+Count = Annotated[int, Field(ge=0, lt=2**63)]
+
+
+class _JobDone(BaseModel):
+    """A `job_done` of the log, in the order of the table's columns; the disk or a hand may have damaged one."""
+
+    model_config = ConfigDict(strict=True)
+
+    image: Count
+    split: str
+    attempt: Count
+    worker: str
+    seconds: float
+    peak_memory_bytes: Count
+    frames: Count
+    timings_s: dict[str, float]
+    time: str
+
+
+def write_jobs_table(storage: StorageBackend, lines: Iterable[Mapping[str, Any]], images: range) -> None:
+    """Write run/jobs.parquet: a row an image, what the log's last sound `job_done` says of it.
 
     Parameters
     ----------
@@ -139,25 +267,18 @@ def write_jobs_table(place: Place, lines: Iterable[Mapping[str, Any]], images: r
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    done = (line for line in lines if line.get("event") == "job_done" and _is_sound(line))
-    last = {line["image"]: line for line in done if line["image"] in images}
-    rows = [last[image] for image in sorted(last)]
-    columns: dict[str, Any] = {name: pa.array([row[name] for row in rows], kind) for name, kind in _COLUMNS.items()}
-    columns["peak_memory_bytes"] = pa.array([row["peak_memory_bytes"] for row in rows], "int64")
-    columns["frames"] = pa.array([row["frames"] for row in rows], "int64")
-    times = pa.map_(pa.string(), pa.float64())
-    columns["timings_s"] = pa.array([list(row["timings_s"].items()) for row in rows], times)
-    columns["finished"] = pa.array([row["time"] for row in rows], "string")
+    last: dict[int, dict[str, Any]] = {}
+    for line in lines:
+        with suppress(ValidationError):
+            if line.get("event") == "job_done" and (one := _JobDone.model_validate(line)).image in images:
+                row = one.model_dump(exclude={"time"})
+                last[one.image] = {**row, "timings_s": list(one.timings_s.items()), "finished": one.time}
+    kinds: dict[str, Any] = {
+        **{name: pa.int64() for name in ("image", "attempt", "peak_memory_bytes", "frames")},
+        **{"seconds": pa.float64(), "timings_s": pa.map_(pa.string(), pa.float64())},
+    }
+    names = [*_JobDone.model_fields, "finished"]
+    columns = pa.schema([(name, kinds.get(name, pa.string())) for name in names if name != "time"])
     buffer = io.BytesIO()
-    pq.write_table(pa.table(columns), buffer)
-    place.write(JOBS_TABLE, buffer.getvalue())
-
-
-def _is_sound(line: Mapping[str, Any]) -> bool:
-    """Whether a `job_done` of the log has all of its fields, in their types."""
-    sizes = (line.get("image"), line.get("attempt"), line.get("peak_memory_bytes"), line.get("frames"))
-    return (
-        all(isinstance(line.get(name), kind) for name, kind in _TYPES.items())
-        and all(isinstance(size, int) and 0 <= size < 2**63 for size in sizes)
-        and all(isinstance(seconds, int | float) for seconds in line["timings_s"].values())
-    )
+    pq.write_table(pa.Table.from_pylist([last[image] for image in sorted(last)], columns), buffer)
+    storage.write(JOBS_TABLE, buffer.getvalue())

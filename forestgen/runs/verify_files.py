@@ -19,11 +19,9 @@ from forestgen.dataset.foreign import tool_of
 from forestgen.dataset.manifest import MANIFEST_NAME
 from forestgen.dataset.safe_path import SafePath
 from forestgen.runs.contract import RUN_DEPENDENT
-from forestgen.runs.finish import files_below
-from forestgen.runs.ledger import FileSum, Ledger
-from forestgen.runs.parallel import in_order
-from forestgen.runs.places import LocalPlace
-from forestgen.runs.records import records_of
+from forestgen.runs.record_index import FileSum, RecordIndex
+from forestgen.runs.records import in_order, records_of
+from forestgen.runs.storage import LocalStorage, files_below
 
 _MOST_IN_A_NOTE = 20
 
@@ -39,7 +37,7 @@ def found(root: Path) -> Iterator[tuple[str, int, int]]:
             yield name, (root / name).lstat().st_size, 0
 
 
-def enter_sums(root: Path, ledger: Ledger, refused: list[Finding]) -> bool:
+def enter_sums(root: Path, record_index: RecordIndex, refused: list[Finding]) -> bool:
     """Enter the lines of SHA256SUMS, and in `refused` what is wrong with it; whether all of it could be read."""
 
     def refuse(error: DatasetError) -> None:
@@ -49,7 +47,7 @@ def enter_sums(root: Path, ledger: Ledger, refused: list[Finding]) -> bool:
     try:
         for path, digest in read_sums(root / SUMS_NAME, refuse):
             try:
-                ledger.add_file(FileSum(path, 0, digest))
+                record_index.add_file(FileSum(path, 0, digest))
             except DatasetError:
                 refused.append(Finding(SUMS_NAME, f"{path} is listed twice, with different sums"))
     except DatasetError as error:
@@ -58,29 +56,37 @@ def enter_sums(root: Path, ledger: Ledger, refused: list[Finding]) -> bool:
     return True
 
 
-def enter_other_sums(root: Path, ledger: Ledger, splits: Iterable[str]) -> None:
+def enter_records(root: Path, record_index: RecordIndex) -> set[str]:
+    """Enter the sums of the images' records; the splits that have images."""
+    splits = set()
+    for record in records_of(LocalStorage(root)):
+        splits.add(record.split)
+        for path, entry in record.files.items():
+            with suppress(DatasetError):  # two records, or a record and SHA256SUMS, disagree: a check names it
+                record_index.add_file(FileSum(path, 0, str(entry["sha256"])))
+    return splits
+
+
+def enter_other_sums(root: Path, record_index: RecordIndex, splits: Iterable[str]) -> None:
     """Where SHA256SUMS cannot be read: enter the sums of the records and of the splits' manifests."""
-    for record in records_of(LocalPlace(root)):
-        for path, said in record.files.items():
-            with suppress(DatasetError):  # two records disagree: their own check names it
-                ledger.add_file(FileSum(path, 0, str(said["sha256"])))
+    enter_records(root, record_index)
     for split in splits:
         with suppress(UnreadableError, KeyError, TypeError, AttributeError, DatasetError):
-            for path, said in read_json(root, f"{split}/{MANIFEST_NAME}")["files"].items():
-                ledger.add_file(FileSum(f"{split}/{path}", 0, str(said["sha256"])))
+            for path, entry in read_json(root, f"{split}/{MANIFEST_NAME}")["files"].items():
+                record_index.add_file(FileSum(f"{split}/{path}", 0, str(entry["sha256"])))
 
 
-def lost(ledger: Ledger) -> Iterator[Finding]:
+def lost(record_index: RecordIndex) -> Iterator[Finding]:
     """Listed files that are not there."""
-    for path in ledger.lost():
+    for path in record_index.lost():
         yield Finding(path, "the file is missing", "a file, as SHA256SUMS lists it", "none")
 
 
-def changed(root: Path, ledger: Ledger, threads: int | None, progress: Progress) -> Iterator[Finding]:
+def changed(root: Path, record_index: RecordIndex, threads: int | None, progress: Progress) -> Iterator[Finding]:
     """Listed files that are there with another sum."""
-    count = sum(1 for _ in ledger.present())
+    count = sum(1 for _ in record_index.present())
     with ThreadPoolExecutor(threads) as pool, progress.stage("sums", count) as advance:
-        for finding in in_order(pool, partial(_sum_finding, root), ledger.present()):
+        for finding in in_order(pool, partial(_sum_finding, root), record_index.present()):
             advance(1)
             if finding is not None:
                 yield finding
@@ -96,11 +102,11 @@ def _sum_finding(root: Path, file: FileSum) -> Finding | None:
     return Finding(file.path, "the file has changed since it was made", f"sha256 {file.sha256}", f"sha256 {digest}")
 
 
-def strangers(ledger: Ledger, note: Callable[[str], None]) -> Iterator[Finding]:
+def unlisted(record_index: RecordIndex, note: Callable[[str], None]) -> Iterator[Finding]:
     """Files that SHA256SUMS does not list; those of other tools are a note."""
     foreign: list[str] = []
     count = 0
-    for path in ledger.strangers():
+    for path in record_index.unlisted():
         tool = tool_of(path)
         if tool is None:
             yield Finding(path, "SHA256SUMS does not list this file", "nothing")

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import platform
 import time
 import traceback
-from collections.abc import Iterable
+from collections import deque
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, cast
@@ -23,17 +22,18 @@ from forestgen.core.errors import (
 )
 from forestgen.core.processes import whole_bytes
 from forestgen.core.progress import Progress, Silent, Timings
-from forestgen.core.threads import limit_cores
+from forestgen.core.threads import cores, limit_cores
+from forestgen.dataset.checksums import file_sum
 from forestgen.dataset.data_set import check_one_data_set
 from forestgen.dataset.files import STORAGE_ERRNOS, output_error
 from forestgen.dataset.manifest import peak_memory_bytes
 from forestgen.dataset.thumbnails import thumbnail_name, write_thumbnail
-from forestgen.pipeline import WrittenImage, assemble_image, write_image
+from forestgen.pipeline import assemble_image, write_image
 from forestgen.recipe.assets import MAPS
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.map_files import recipe_hash
 from forestgen.render.variant import mitsuba
-from forestgen.runs.contract import Done, Failed, FailureKind, Job, JobRecord, JobRun, Outcome, Place, Work
+from forestgen.runs.contract import Done, Failed, FailureKind, Job, JobRecord, JobRun, Outcome, StorageBackend, Work
 from forestgen.runs.keys import job_key
 from forestgen.runs.records import record_bytes, record_path
 from forestgen.scene.plan import check_memory
@@ -42,7 +42,7 @@ from forestgen.scene.planning import make_plan
 _FRAMES = "frames"  # of a staging folder: what belongs into the split's folder
 
 
-class _NotPlacedError(Exception):
+class _StorageFailedError(Exception):
     """The data set's place has failed; the cause tells how."""
 
 
@@ -63,7 +63,7 @@ def make_here(work: Work, job: Job, attempt: int, progress: Progress) -> Done:
     timings = Timings()
     try:
         return done(job, attempt, complete(work, job, progress, timings), timings)
-    except _NotPlacedError as error:
+    except _StorageFailedError as error:
         cause = error.__cause__
         if not isinstance(cause, OutputError):
             raise output_error(cast(OSError, cause)) from cause
@@ -71,7 +71,47 @@ def make_here(work: Work, job: Job, attempt: int, progress: Progress) -> Done:
     except OSError as error:
         if error.errno not in STORAGE_ERRNOS:
             raise
-        raise output_error(error, None if error.filename else Path(work.place.name)) from error
+        raise output_error(error, None if error.filename else Path(work.storage.name)) from error
+
+
+class InProcessEngine:
+    """The engine of `render`: images made one after another in this process; see `contract.Engine`.
+
+    An image that fails brings its error, which the run raises; finished images stay. `progress` shows the stages of
+    each.
+    """
+
+    def __init__(self, work: Work, progress: Progress) -> None:
+        self._work, self._progress = work, progress
+        self._queue: deque[tuple[Job, int]] = deque()
+
+    def __enter__(self) -> InProcessEngine:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._queue.clear()
+        if self._work.threads is not None:
+            limit_cores(None)
+            mitsuba(cores())
+
+    @property
+    def workers(self) -> int:
+        return 1
+
+    def submit(self, job: Job, attempt: int) -> None:
+        self._queue.append((job, attempt))
+
+    def wait(self, timeout_s: float) -> list[Outcome]:
+        """Make one image, however long it takes."""
+        if not self._queue:
+            return []
+        job, attempt = self._queue.popleft()
+        began_s = time.perf_counter()
+        try:
+            return [make_here(self._work, job, attempt, self._progress)]
+        except Exception as error:  # noqa: BLE001 - the run logs it, and raises it
+            seconds = time.perf_counter() - began_s
+            return [Failed(job, attempt, failure_kind(error), explained(error), seconds, worker_name(), error)]
 
 
 def done(job: Job, attempt: int, record: JobRecord, timings: Timings) -> Done:
@@ -99,7 +139,7 @@ def failure_kind(error: BaseException) -> FailureKind:
 def _storage_failed(error: BaseException | None) -> bool:
     """Whether a disk, a quota or a network is behind an error."""
     while error is not None:
-        if isinstance(error, _NotPlacedError) or (isinstance(error, OutputError) and error.__cause__ is not None):
+        if isinstance(error, _StorageFailedError) or (isinstance(error, OutputError) and error.__cause__ is not None):
             return True  # an `OutputError` without a cause tells of what a format cannot hold
         if isinstance(error, OSError) and (error.errno in STORAGE_ERRNOS or isinstance(error, ConnectionError)):
             return True
@@ -109,7 +149,7 @@ def _storage_failed(error: BaseException | None) -> bool:
 
 def explained(error: BaseException) -> str:
     """An error for people; of a bug also the place in the code."""
-    if isinstance(error, _NotPlacedError) and error.__cause__ is not None:
+    if isinstance(error, _StorageFailedError) and error.__cause__ is not None:
         return explained(error.__cause__)
     if isinstance(error, ForestgenError):
         return str(error)
@@ -129,34 +169,40 @@ def complete(
 
     `memory_budget_bytes` is the memory that the image may take; None: what is free now.
     """
-    _settle(work, timings)
+    if work.threads is not None:
+        limit_cores(work.threads)
+    with timings("load Mitsuba"):  # at once from the second job on
+        mitsuba(work.threads)
     with timings("recipe"):
         drawn = work.loaded.draw(job.index)
         _check_unchanged(drawn, job, work)
         check_one_data_set(drawn, work.settings)
         plan = make_plan(drawn)
         check_memory(plan, memory_budget_bytes=memory_budget_bytes)
-    staging = work.place.staging()
+    staging = work.storage.staging()
     try:
         frames = staging / _FRAMES
         frames.mkdir()
         scene = assemble_image(plan, progress, timings, memory_budget_bytes=memory_budget_bytes)
         image = write_image(scene, work.settings, frames, progress, timings)
         with timings("write"):
-            _add_thumbnails(staging, image.folders)
-            record = _record_of(job, drawn, image, _staged_files(staging, job.split))
-            _put_into_place(work.place, staging, job, record)
+            for folder in image.folders:
+                write_thumbnail(folder, staging / thumbnail_name(folder.name))
+            record = JobRecord(
+                key=job.key,
+                image=job.image,
+                split=job.split,
+                image_seed=drawn.image_seed,
+                recipe_hash=recipe_hash(drawn.data),
+                rows=image.rows,
+                files=_staged_files(staging, job.split),
+                report=image.report,
+                notes=image.notes,
+            )
+            _put_into_place(work.storage, staging, job, record)
     finally:
-        work.place.discard(staging)
+        work.storage.discard(staging)
     return record
-
-
-def _settle(work: Work, timings: Timings) -> None:
-    """Load the renderer with the work's threads; at once from the second job on."""
-    if work.threads is not None:
-        limit_cores(work.threads)
-    with timings("load Mitsuba"):
-        mitsuba(work.threads)
 
 
 def _check_unchanged(drawn: DrawnRecipe, job: Job, work: Work) -> None:
@@ -169,11 +215,6 @@ def _check_unchanged(drawn: DrawnRecipe, job: Job, work: Work) -> None:
         )
 
 
-def _add_thumbnails(staging: Path, folders: Iterable[Path]) -> None:
-    for folder in folders:
-        write_thumbnail(folder, staging / thumbnail_name(folder.name))
-
-
 def _staged_files(staging: Path, split: str) -> dict[str, dict[str, Any]]:
     """Path in the data set's folder -> size and SHA-256, of all staged files."""
     files = {}
@@ -181,52 +222,32 @@ def _staged_files(staging: Path, split: str) -> dict[str, dict[str, Any]]:
         relative = path.relative_to(staging)
         inside = relative.relative_to(_FRAMES) if relative.parts[0] == _FRAMES else None
         name = relative.as_posix() if inside is None else f"{split}/{inside.as_posix()}"
-        with path.open("rb") as stream:
-            digest = hashlib.file_digest(stream, "sha256").hexdigest()
-        files[name] = {"bytes": path.stat().st_size, "sha256": digest}
+        files[name] = {"bytes": path.stat().st_size, "sha256": file_sum(path)}
     return dict(sorted(files.items()))
 
 
-def _record_of(job: Job, drawn: DrawnRecipe, image: WrittenImage, files: dict[str, dict[str, Any]]) -> JobRecord:
-    return JobRecord(
-        key=job.key,
-        image=job.image,
-        split=job.split,
-        image_seed=drawn.image_seed,
-        recipe_hash=recipe_hash(drawn.data),
-        rows=image.rows,
-        files=files,
-        report=image.report,
-        notes=image.notes,
-    )
-
-
-def _put_into_place(place: Place, staging: Path, job: Job, record: JobRecord) -> None:
+def _put_into_place(storage: StorageBackend, staging: Path, job: Job, record: JobRecord) -> None:
     """Maps, frames, thumbnails, and last the record: with it, the image is done. Before, a failure leaves no frame."""
     frames = sorted(path for path in (staging / _FRAMES).iterdir() if path.name != MAPS)
     maps = sorted((staging / _FRAMES / MAPS).glob("*"))
     try:
         for path in maps:
             target = f"{job.split}/{MAPS}/{path.name}"
-            if place.size_bytes(target) != path.stat().st_size:  # named by content: other jobs bring the same
-                place.put_file(path, target)
+            if storage.size_bytes(target) != path.stat().st_size:  # named by content: other jobs bring the same
+                storage.put_file(path, target)
         for folder in frames:
-            place.put_folder(folder, f"{job.split}/{folder.name}")
+            storage.put_folder(folder, f"{job.split}/{folder.name}")
         for name in (thumbnail_name(folder.name) for folder in frames):
-            place.put_file(staging / name, name)
-        place.write(record_path(job.key), record_bytes(record))
+            storage.put_file(staging / name, name)
+        storage.write(record_path(job.key), record_bytes(record))
     except BaseException as error:
-        if not isinstance(error, Exception) and _has_record(place, job):
-            raise  # stopped just after the image was done
+        if not isinstance(error, Exception):
+            with suppress(ForestgenError, OSError):
+                if storage.exists(record_path(job.key)):
+                    raise  # stopped just after the image was done
         for name in (record_path(job.key), *(f"{job.split}/{folder.name}" for folder in frames)):
             with suppress(ForestgenError, OSError):
-                place.remove(name)
+                storage.remove(name)
         if isinstance(error, OutputError | OSError):
-            raise _NotPlacedError from error
+            raise _StorageFailedError from error
         raise
-
-
-def _has_record(place: Place, job: Job) -> bool:
-    with suppress(ForestgenError, OSError):
-        return place.exists(record_path(job.key))
-    return False

@@ -69,9 +69,7 @@ def _own_materials(building: Building) -> dict[str, str]:
 def plan_buildings(buildings: Mapping[int, Building], population: Population) -> dict[int, ExemplarPlan]:
     """Exemplars of each kind, by its index among the population's species: one for equal buildings.
 
-    Parameters
-    ----------
-    buildings : by row of the population.
+    `buildings`: by row of the population.
     """
     plans = {}
     for index in np.unique(population.species[list(buildings)]) if buildings else ():

@@ -31,10 +31,7 @@ def expand(
     Points of a path are counted as the camera's own: where z is a height above ground, each frame's position and
     look-at point are lifted by the ground under them, so that a camera walks over a hill and not through it.
 
-    Parameters
-    ----------
-    trunks : that walks go around; without them they go straight.
-    bands : of the sensors that cameras name.
+    `trunks`: that walks go around; without them they go straight. `bands`: of the sensors that cameras name.
     """
     rig = section.rig_part
     poses: Poses = path_poses(section, height) if rig is None else rig.poses(section, height, trunks)

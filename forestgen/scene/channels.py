@@ -60,10 +60,8 @@ class Channels:
         the whole texture is reduced about its mean: clipping alone would lose light (12% of a log's sawn face at 1300
         nm). Bark and wood have less contrast in the infrared than in colour anyway.
 
-        Parameters
-        ----------
-        image : (H, W, 3) linear Rec. 709 reflectance, whose mean is `colour`.
-        most : largest value of a texel, (H, W) or one for all.
+        `image`: (H, W, 3) linear Rec. 709 reflectance, whose mean is `colour`. `most`: largest value of a texel, (H, W)
+        or one for all.
         """
         out = np.asarray(image @ self.of_texture(colour, spectrum).T.astype(np.float32), dtype=np.float32)
         least = float(np.min(most))

@@ -15,7 +15,15 @@ So a data set of any length grows as many plants as its ladder has rungs and eac
 depends on the recipe's own seed, the split, its species and size, and not on the image. No split shows a plant of
 another one's, so that validation and testing see plants that training never saw.
 
-Plants that their community grew branch by branch: see scene/own_exemplars.py.
+Plants that their community grew branch by branch
+-------------------------------------------------
+Near plants are unique: each is meshed with its own branches, and stands as it grew. The others of a species are grouped
+by k-means over the logarithms of height, crown radius, number of modules and trunk diameter, and the plant nearest to a
+cluster's centre stands for it, scaled to each plant's height and turned by each plant's own angle. The dead are grouped
+by themselves.
+
+Which plants are unique is decided by their size in pixels, the largest first: those at least `LEAST_PIXELS` high, as
+long as `MOST_TRIANGLES` allow. Both are fixed, so that images do not depend on the machine.
 
 References
 ----------
@@ -26,14 +34,14 @@ Deussen, O. et al. (1998). Realistic modeling and rendering of plant ecosystems.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.community.population import Population
+from forestgen.community.population import Population, Status
 from forestgen.core.errors import RecipeError
 from forestgen.core.randomness import child_rng, child_seed
 from forestgen.recipe.load import DrawnRecipe
@@ -41,11 +49,16 @@ from forestgen.recipe.species import Species
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
 
 TRAIT_WEIGHT = 0.5  # of a trait against the radius
 LEAST_SPREAD = 0.1  # standard deviation of the radius' logarithm at least, where traits are weighed against it
 SIZE_STEP = 1.25  # of radii: a plant is at most 12% from its rung
 SLENDERNESS_STEP = 1.15  # of the scale of the heights' allometry, which a recipe may draw for each image
+LEAST_PIXELS = 24.0  # height of a unique plant in the image that shows it largest
+MOST_TRIANGLES = 10_000_000  # of all unique plants
+_WEIGHTS = {"height_m": 1.0, "radius_m": 0.7, "modules": 0.5, "trunk_diameter_m": 0.5}
+_LEAST = 1e-3  # metres, below which a size's logarithm tells nothing
 _OWN_TRAITS = ("age_yr", "height_m")  # columns that every population has, beside the radius
 
 
@@ -123,9 +136,7 @@ class SizeError:
 def check_traits(traits: Sequence[str], population: Population, where: str) -> None:
     """Refuse a trait that is no numeric column of the population.
 
-    Raises
-    ------
-    RecipeError : with the columns that there are.
+    Raises `RecipeError`: with the columns that there are.
     """
     known = [*_OWN_TRAITS, *(name for name, column in population.columns.items() if _is_numeric(column))]
     for trait in traits:
@@ -160,7 +171,7 @@ def plan_exemplars(
     ----------
     traits : columns of the population that count beside the radius, see `check_traits`.
     variants : exemplars of each size. A plant's is its own, whatever else grows.
-    given : plans of species that have one, by their index, see scene/own_exemplars.py; `exemplar_of_plant` of those
+    given : plans of species that have one, by their index, see `plan_own`; `exemplar_of_plant` of those
         has a species' plants alone.
     library : sizes and variants are those that all images share, instead of clusters; `variants` of each.
     """
@@ -241,10 +252,8 @@ def size_errors(
 ) -> list[SizeError]:
     """Error of the approximation for each species that has plants.
 
-    Parameters
-    ----------
-    exemplar_height_m, exemplar_width_m : (E,) measured on the geometry.
-    plant_width_m : (N,) crown width that each plant should have by its species' allometry; NaN where it has no crown.
+    `exemplar_height_m`, `exemplar_width_m`: (E,) measured on the geometry. `plant_width_m`: (N,) crown width that each
+    plant should have by its species' allometry; NaN where it has no crown.
     """
     errors = []
     for index, name in enumerate(population.species_names):
@@ -276,9 +285,7 @@ def rung_of(value: float, step: float) -> int:
 def rungs_of(radius_m: Floats, most: int) -> Ints:
     """(N,) rung that stands for each plant: its own, or where there are more than `most`, one of those evenly between.
 
-    Parameters
-    ----------
-    radius_m : (N,) of a species' plants, at least one.
+    `radius_m`: (N,) of a species' plants, at least one.
     """
     own: Ints = np.rint(np.log(radius_m) / np.log(SIZE_STEP)).astype(np.int64)
     if len(np.unique(own)) <= most:
@@ -342,3 +349,74 @@ def origin_of(drawn: DrawnRecipe, name: str, rank: int, variant: int) -> tuple[i
         return drawn.image_seed, ("exemplar", name, rank, variant) if variant else ("exemplar", name, rank)
     slenderness = rung_of(drawn.species[name].allometry.height_m.scale, SLENDERNESS_STEP)
     return drawn.recipe.seed, ("library", drawn.split, name, slenderness, rank, variant)
+
+
+def unique_plants(
+    population: Population, species: Bools, pixel_m: Floats, triangles: Callable[[], Floats], wanted: str | int
+) -> Bools:
+    """(N,) which plants are meshed as themselves.
+
+    Parameters
+    ----------
+    species : (N,) plants of species that are clothed by modules.
+    pixel_m : (N,) what a pixel covers of each plant, see `scene.growth.pixel_size_m`.
+    triangles : (N,) of each plant, estimated; asked for where it matters.
+    wanted : auto, all, none, or the number of plants.
+    """
+    chosen = np.zeros(len(population), dtype=np.bool_)
+    if wanted == "all":
+        return species.copy()
+    pixels = population.height_m / np.maximum(pixel_m, 1e-9)
+    rows = np.flatnonzero(species)
+    rows = rows[np.argsort(-pixels[rows], kind="stable")]
+    if isinstance(wanted, int):
+        chosen[rows[:wanted]] = True
+    elif wanted == "auto":
+        rows = rows[pixels[rows] >= LEAST_PIXELS]
+        if len(rows):
+            chosen[rows[np.cumsum(triangles()[rows]) <= MOST_TRIANGLES]] = True
+    return chosen
+
+
+def plan_own(population: Population, index: int, is_unique: Bools, per_species: int, seed: int) -> ExemplarPlan:
+    """The plan of one species whose plants have branches of their own.
+
+    `index`: of the species. `is_unique`: (N,) see `unique_plants`. `per_species`: exemplars of the plants that are not
+    unique, at most; of the dead among them as many again.
+    """
+    rows = np.flatnonzero(population.species == index)
+    unique, others = rows[is_unique[rows]], rows[~is_unique[rows]]
+    dead = population.status[others] == Status.DEAD
+    stand_in, label = _stand_ins(population, others[~dead], per_species, child_seed(seed, "k-means", "own", index))
+    if dead.any():
+        theirs = _stand_ins(population, others[dead], per_species, child_seed(seed, "k-means", "dead", index))
+        living, label = label, np.empty(len(others), dtype=np.int64)
+        label[~dead], label[dead] = living, len(stand_in) + theirs[1]
+        stand_in = np.concatenate([stand_in, theirs[0]])
+    plant = np.concatenate([unique, stand_in])
+    of_plant = np.empty(len(rows), dtype=np.uint32)
+    of_plant[is_unique[rows]] = np.arange(len(unique))
+    of_plant[~is_unique[rows]] = len(unique) + label
+    return ExemplarPlan.of_species(
+        index, population.radius_m[plant], of_plant, plant=plant.astype(np.int64), unique=len(unique)
+    )
+
+
+def _stand_ins(population: Population, rows: Ints, clusters: int, seed: int) -> tuple[Ints, Ints]:
+    """The plants that stand for others, and (R,) which of them stands for each row."""
+    if not len(rows):
+        return rows, rows
+    columns = {"height_m": population.height_m, "radius_m": population.radius_m, **population.columns}
+    features = np.stack(
+        [
+            weight * np.log(np.maximum(np.asarray(columns[name], dtype=np.float64)[rows], _LEAST))
+            for name, weight in _WEIGHTS.items()
+            if name in columns
+        ],
+        axis=1,
+    )
+    centres, label = cluster(features, clusters, seed)
+    away = np.sum((features - centres[label]) ** 2, axis=1)
+    order = np.lexsort((rows, away, label))
+    nearest = order[np.unique(label[order], return_index=True)[1]]
+    return rows[nearest], np.unique(label, return_inverse=True)[1].reshape(-1)

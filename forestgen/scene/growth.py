@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.architecture.tables import Tables
+from forestgen.architecture.prototypes import Tables
 from forestgen.community.capabilities import OwnSkeletons, capability
 from forestgen.community.population import Population, Status
 from forestgen.core.progress import Progress
@@ -41,9 +41,10 @@ from forestgen.scene.exemplars import (
     modelled_species,
     origin_of,
     plan_exemplars,
+    plan_own,
     size_errors,
+    unique_plants,
 )
-from forestgen.scene.own_exemplars import plan_own, unique_plants
 from forestgen.scene.plan import Plan, check_own_triangles
 from forestgen.scene.projection import projection_of
 from forestgen.scene.spec import Camera

@@ -28,13 +28,7 @@ _BLOCK_ROWS = 256
 
 
 def k_means(rows: Floats, clusters: int, seed: int) -> tuple[Floats, Ints]:
-    """Centres (K, F) and the index of each row's centre (N,).
-
-    Parameters
-    ----------
-    rows : (N, F) finite, N >= K.
-    clusters : K.
-    """
+    """Centres (K, F) and the index of each row's centre (N,). `rows`: (N, F) finite, N >= K. `clusters`: K."""
     rows = np.ascontiguousarray(rows)
     with threadpool_limits(1):  # partial sums must not depend on the number of threads
         tolerance, mean = float(np.mean(np.var(rows, axis=0))) * _TOLERANCE, rows.mean(axis=0)

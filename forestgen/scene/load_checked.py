@@ -22,10 +22,8 @@ def load_checked(source: Path | str | Mapping[str, Any], overrides: Sequence[str
     Of a recipe that `load_recipe` takes, the name of the community model is checked, and the rest left to `check_plan`,
     which raises all of the latter.
 
-    Parameters
-    ----------
-    source : a file, or the content of one, as a mapping or a text of several lines; paths in that are relative to the
-        working folder.
+    `source`: a file, or the content of one, as a mapping or a text of several lines; paths in that are relative to the
+    working folder.
     """
     if isinstance(source, Mapping):
         loading = read_recipe_data(source, "recipe", overrides=overrides)

@@ -27,10 +27,8 @@ from forestgen.scene.views import Views
 def make_plan(drawn: DrawnRecipe) -> Plan:
     """Find and check the community model and the plant generators that a drawn recipe names.
 
-    Raises
-    ------
-    RecipeError : an unknown model or generator, or parameters that it rejects; with file, line and key.
-    RecipeErrors : several of these.
+    Raises `RecipeError`: an unknown model or generator, or parameters that it rejects; with file, line and key. Raises
+    `RecipeErrors`: several of these.
     """
     errors = ErrorList(drawn.sources.place(()).origin)
     plan = collect_plan(drawn, errors)
@@ -42,9 +40,7 @@ def make_plan(drawn: DrawnRecipe) -> Plan:
 def collect_plan(drawn: DrawnRecipe, errors: ErrorList, stand_ins: frozenset[str] = frozenset()) -> Plan | None:
     """The plan of a drawn recipe, or None if `errors` has some now.
 
-    Parameters
-    ----------
-    stand_ins : sections that are not the recipe's own: what depends on them is not checked.
+    `stand_ins`: sections that are not the recipe's own: what depends on them is not checked.
     """
     had = len(errors.found)
     generators = generator_parameters(drawn, errors)
@@ -101,10 +97,8 @@ def _check_community(plan: CommunityPlan, errors: ErrorList, stand_ins: frozense
 def check_plan(loaded: LoadedRecipe, *, simulate_only: bool = False) -> Plan:
     """Check a recipe at the ends of all of its distributions; the plan of its first image.
 
-    Raises
-    ------
-    RecipeError : see `make_plan`.
-    ResourceError : more memory than this machine has free would be needed.
+    Raises `RecipeError`: see `make_plan`. Raises `ResourceError`: more memory than this machine has free would be
+    needed.
     """
     errors = ErrorList(loaded.sources.place(()).origin)
     plans = [collect_plan(drawn, errors) for drawn in loaded.probes()]

@@ -291,9 +291,7 @@ def read_k(values: Mapping[str, Any]) -> tuple[tuple[float, float], tuple[float,
 def load_projection(name: str, *, where: str | None = None) -> Projection:
     """The projection of a name.
 
-    Raises
-    ------
-    RecipeError : there is none, or what is registered under the name is no projection of this name.
+    Raises `RecipeError`: there is none, or what is registered under the name is no projection of this name.
     """
     found = PROJECTIONS.load(name, where=where)
     if not isinstance(found, Projection) or getattr(found, "name", None) != name:
@@ -369,9 +367,7 @@ def lens_points(column: NDArray[np.integer], row: NDArray[np.integer], number: N
     in whole steps of 2^-32; then r = sqrt(a), phi = 2 pi b. Neighbouring pixels differ in their shift. The tracer has
     the same a and b, and the rest in single precision.
 
-    Parameters
-    ----------
-    column, row, number : (*S,) pixel and number of the sample in it.
+    `column`, `row`, `number`: (*S,) pixel and number of the sample in it.
     """
     count = np.asarray(number, dtype=np.uint32)
     with np.errstate(over="ignore"):

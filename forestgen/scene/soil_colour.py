@@ -64,10 +64,7 @@ def wet_spectrum(dry: Spectrum) -> Spectrum:
 def wet_share(saturation: Floats, dry: float, wet: float) -> Floats:
     """Share of wet ground, 0 to 1, in soil whose pores are filled to `saturation`.
 
-    Parameters
-    ----------
-    saturation : of any shape, 0 to 1.
-    dry, wet : luminances of the ground, dry and under a film: 1 > dry > wet > 0.
+    `saturation`: of any shape, 0 to 1. `dry`, `wet`: luminances of the ground, dry and under a film: 1 > dry > wet > 0.
     """
     of_dry, of_wet = ((1.0 - one) ** 2 / (2.0 * one) for one in (dry, wet))
     transformed = of_dry + saturation * (of_wet - of_dry)
@@ -104,9 +101,7 @@ def _between(place: Floats, count: int) -> tuple[NDArray[np.intp], Floats]:
 def wet_ground(dry: Spectrum, saturation: Floats) -> WetGround | None:
     """What a ground of a spectrum becomes where its soil is wet; None: all of it is dry.
 
-    Parameters
-    ----------
-    saturation : (V,) at the terrain's vertices.
+    `saturation`: (V,) at the terrain's vertices.
     """
     if not saturation.any():
         return None

@@ -17,12 +17,7 @@ TABLES_END_NM = 2400.0  # what tables of measured spectra reach to; the little b
 
 
 def materials_of(species: Mapping[str, Species], season: Season = "summer") -> dict[tuple[str, str], Material]:
-    """Materials of all species by (species, material).
-
-    Parameters
-    ----------
-    season : of the spectra whose material names none.
-    """
+    """Materials of all species by (species, material). `season`: of the spectra whose material names none."""
     return {
         (name, key): surface_of(material, season, f"{name}/{key}")
         for name, one in species.items()

@@ -167,10 +167,7 @@ def build_terrain(
 ) -> Terrain:
     """Ground of a site: `ground` on it and around it, woods and meadows beyond; colours are those of the spectra.
 
-    Parameters
-    ----------
-    ground : name of a ground cover.
-    wetness : of the site's soil, which darkens it; None: as the spectrum is.
+    `ground`: name of a ground cover. `wetness`: of the site's soil, which darkens it; None: as the spectrum is.
     """
     mesh = terrain_mesh(height)
     x, y = mesh.vertices_m[:, 0].astype(np.float64), mesh.vertices_m[:, 1].astype(np.float64)

@@ -41,9 +41,7 @@ class BlockedError(ValueError):
 def way_around(waypoints_m: Floats, middles_m: Floats, radii_m: Floats, clearance_m: float) -> Floats:
     """(P, 2) polyline from the first to the last of (K, 2) waypoints that leaves (T,) circles a clearance.
 
-    Raises
-    ------
-    BlockedError : trunks stand too close together.
+    Raises `BlockedError`: trunks stand too close together.
     """
     clearance = max(clearance_m, LEAST_CLEARANCE_M)
     while True:

@@ -81,10 +81,7 @@ def sway_in(
 ) -> Sway:
     """The movement of a scene's plants; O(plants).
 
-    Parameters
-    ----------
-    from_deg : where the wind comes from, degrees clockwise from north.
-    seed : the image's.
+    `from_deg`: where the wind comes from, degrees clockwise from north. `seed`: the image's.
     """
     height, area_per_kg, diameter = _mechanics(instances, exemplars)
     unit = np.array([child_rng(seed, "wind", int(i)).random(4) for i in instances.plant_id]).reshape(-1, 4)

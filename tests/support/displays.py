@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from forestgen.runs.meter import Meter
+from forestgen.runs.tracker import ProgressTracker
 
 
 class RecordingDisplay:
@@ -22,5 +22,5 @@ class RecordingDisplay:
     def say(self, text: str) -> None:
         self.said.append(text)
 
-    def show(self, meter: Meter) -> None:
+    def show(self, meter: ProgressTracker) -> None:
         pass

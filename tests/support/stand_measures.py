@@ -24,9 +24,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.community.point_patterns import Window
-from forestgen.community.ripley import Correction, pair_correlation
-from forestgen.community.size_statistics import thinning_window
+from forestgen.community.point_patterns import Correction, Window, pair_correlation
+from forestgen.community.trajectory import thinning_window
 
 _FEWEST = 4  # points for three parameters
 _FITS = 20_000  # evaluations of the logistic curve at most

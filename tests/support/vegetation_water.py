@@ -18,12 +18,28 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from forestgen.community.soil_water.ground import Floats, Ground, checked_map
-from forestgen.community.soil_water.model import SUBSTEP_DAYS, Fields, Map, SoilWater, Water
-from forestgen.community.soil_water.parameters import PlantParameters, SoilWaterParameters
-from forestgen.community.soil_water.transport import Transport
+from forestgen.community.soil_water import (
+    SUBSTEP_DAYS,
+    Fields,
+    Floats,
+    Ground,
+    Map,
+    SoilWater,
+    SoilWaterParameters,
+    Transport,
+    Water,
+)
 
 _NONE_G_PER_M2 = 1e-30
+
+
+@dataclass(frozen=True)
+class PlantParameters:
+    """How plants as a density grow by the water that they take up, die and spread. All are 0 or more."""
+
+    growth_g_per_mm_m2: float = 10.0  # c: of plants for a millimetre of water
+    mortality_per_day: float = 0.25  # d
+    diffusion_m2_per_day: float = 0.1  # D_P: seeds and runners
 
 
 @dataclass(frozen=True)
@@ -91,20 +107,10 @@ class VegetationWater:
     def advance(
         self, state: Vegetation, days: float, *, rain_mm_per_day: Map, step_days: float = SUBSTEP_DAYS
     ) -> Vegetation:
-        """The state after a time of steady rain, in equal steps of at most `step_days`.
-
-        Raises
-        ------
-        ValueError : a map of another shape, or with a value that is negative or not finite; a time that is not above 0.
-        """
-        for name, value in (("days", days), ("step_days", step_days)):
-            if not (math.isfinite(value) and value > 0):
-                raise ValueError(f"{name}: expected a finite number above 0, got {value!r}")
+        """The state after a time of steady rain, in equal steps of at most `step_days`."""
         shape, p = self.ground.shape, self.plants
-        density = checked_map("plants_g_per_m2", state.plants_g_per_m2, shape)
-        soil = checked_map("soil_mm", state.water.soil_mm, shape)
-        surface = checked_map("surface_mm", state.water.surface_mm, shape)
-        rain = checked_map("rain_mm_per_day", rain_mm_per_day, shape)
+        maps = (state.plants_g_per_m2, state.water.soil_mm, state.water.surface_mm, rain_mm_per_day)
+        density, soil, surface, rain = (np.array(np.broadcast_to(one, shape), dtype=np.float64) for one in maps)
         count = math.ceil(days / step_days * (1 - 1e-12))
         step = days / count
         dies = p.mortality_per_day * step

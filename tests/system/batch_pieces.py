@@ -15,8 +15,8 @@ from forestgen.recipe.load import LoadedRecipe, load_recipe
 from forestgen.runs.contract import Job, JobRecord, Work
 from forestgen.runs.finish import Finished, finish
 from forestgen.runs.keys import job_key, versions_hash
-from forestgen.runs.places import LocalPlace
 from forestgen.runs.records import record_bytes, record_path, records_of
+from forestgen.runs.storage import LocalStorage
 from forestgen.runs.work import make_job
 
 RECIPE = """\
@@ -58,7 +58,7 @@ def jobs_of(loaded: LoadedRecipe, images: Iterable[int]) -> list[Job]:
 
 def make(loaded: LoadedRecipe, jobs: Sequence[Job], root: Path) -> None:
     """Do the jobs, as a worker does them."""
-    work = Work(loaded, data_set_of(loaded.draw(0)), LocalPlace(root), versions_hash())
+    work = Work(loaded, data_set_of(loaded.draw(0)), LocalStorage(root), versions_hash())
     for job in jobs:
         outcome = make_job(work, job, 1)
         assert not hasattr(outcome, "message"), outcome
@@ -67,7 +67,7 @@ def make(loaded: LoadedRecipe, jobs: Sequence[Job], root: Path) -> None:
 def finished(
     loaded: LoadedRecipe, jobs: Sequence[Job], root: Path, records: Iterable[JobRecord] | None = None
 ) -> Finished:
-    place = LocalPlace(root)
+    place = LocalStorage(root)
     return finish(place, loaded, data_set_of(loaded.draw(0)), jobs, records_of(place) if records is None else records)
 
 
@@ -89,8 +89,8 @@ def copied(source: Path, target: Path, images: Iterable[int] | None = None) -> P
     if images is None:
         shutil.copytree(source, target)
         return target
-    place, wanted = LocalPlace(target), set(images)
-    for record in records_of(LocalPlace(source)):
+    place, wanted = LocalStorage(target), set(images)
+    for record in records_of(LocalStorage(source)):
         if record.image in wanted:
             for path in record.files:
                 (target / path).parent.mkdir(parents=True, exist_ok=True)

@@ -10,9 +10,9 @@ from pathlib import Path
 from forestgen.recipe.load import load_recipe
 from forestgen.runs.contract import Job, Outcome, Work
 from forestgen.runs.engines.local import LocalEngine
-from forestgen.runs.places import LocalPlace
 from forestgen.runs.records import records_of
 from forestgen.runs.run import run_batch
+from forestgen.runs.storage import LocalStorage
 from forestgen.runs.summary import RunSummary
 
 Make = Callable[[Work, Job, int], Outcome]
@@ -150,7 +150,7 @@ def assert_same(one: Path, other: Path) -> None:
 def assert_records_hold(root: Path) -> set[int]:
     """Each record's files are there, whole; the images that are done."""
     done = []
-    for record in records_of(LocalPlace(root)):
+    for record in records_of(LocalStorage(root)):
         assert record.files
         for path, said in record.files.items():
             content = (root / path).read_bytes()

@@ -19,18 +19,18 @@ POISON = 666  # an image that kills every worker
 
 def make(work: Work, job: Job, attempt: int) -> Outcome:
     """A small folder and a record whose bytes depend on the key alone; in between it may die."""
-    staging = work.place.staging()
+    staging = work.storage.staging()
     frame = staging / f"{job.image:06d}"
     frame.mkdir()
     for name in ("image.bin", "mask.bin"):
         (frame / name).write_bytes(hashlib.sha256(f"{job.key} {name}".encode()).digest() * 100)
     time.sleep(0.05)
-    work.place.put_folder(frame, f"{job.split}/{job.image:06d}")
+    work.storage.put_folder(frame, f"{job.split}/{job.image:06d}")
     _die_if_doomed(job)
     files = {f"{job.split}/{job.image:06d}/{name}": {"bytes": 3200} for name in ("image.bin", "mask.bin")}
     record = JobRecord(job.key, job.image, job.split, 0, "", (), files)
-    work.place.write(record_path(job.key), record_bytes(record))
-    work.place.discard(staging)
+    work.storage.write(record_path(job.key), record_bytes(record))
+    work.storage.discard(staging)
     return Done(job, record, JobRun(job.image, attempt, str(os.getpid()), 0.0, {"threads": float(work.threads or 0)}))
 
 

@@ -16,7 +16,7 @@ from PIL import Image
 
 from forestgen.dataset.index import read_index, write_index
 from forestgen.runs.description import file_groups
-from forestgen.runs.ledger import FileSum
+from forestgen.runs.record_index import FileSum
 from forestgen.runs.records import read_record, record_bytes
 
 Harm = Callable[[Path], object]

@@ -29,7 +29,7 @@ def make(work: Work, job: Job, attempt: int) -> Outcome:
     if (faults / f"fail-{job.image}").exists():
         kind, _, message = (faults / f"fail-{job.image}").read_text().partition(" ")
         return Failed(job, attempt, kind, message, 0.0, str(os.getpid()))  # type: ignore[arg-type]
-    staging = work.place.staging()
+    staging = work.storage.staging()
     files, rows = {}, []
     for camera in TWO_CAMERAS:
         frame = f"{job.image:06d}-{camera}"
@@ -44,12 +44,12 @@ def make(work: Work, job: Job, attempt: int) -> Outcome:
         rows.append({**place, "width_px": 8, "height_px": 8, "channels": ["R", "G", "B"], "plants_in_view": 0})
     for camera in TWO_CAMERAS:
         frame = f"{job.image:06d}-{camera}"
-        work.place.put_folder(staging / frame, f"{job.split}/{frame}")
+        work.storage.put_folder(staging / frame, f"{job.split}/{frame}")
         time.sleep(_number(faults / "seconds") / 4)  # a moment to die in
     report = {"image": job.image, "seed": 0, "counts": {}}
     record = JobRecord(job.key, job.image, job.split, 0, "0" * 64, tuple(rows), files, report)
-    work.place.write(record_path(job.key), record_bytes(record))
-    work.place.discard(staging)
+    work.storage.write(record_path(job.key), record_bytes(record))
+    work.storage.discard(staging)
     return Done(job, record, JobRun(job.image, attempt, str(os.getpid()), 0.01, {"sleep": 0.01}, 1))
 
 

@@ -25,8 +25,8 @@ from pretend_jobs import FAULTS, begun, make
 from forestgen.core.errors import DatasetError, OutputError, RecipeError
 from forestgen.recipe.load import load_recipe
 from forestgen.runs.contract import Job, Notice, Outcome, Work
-from forestgen.runs.meter import SilentListener
 from forestgen.runs.run import run_batch
+from forestgen.runs.tracker import SilentDisplay
 from forestgen.runs.work import make_job
 
 
@@ -280,7 +280,7 @@ def test_splits_are_told_in_the_recipes_order(tmp_path: Path, faults: Path) -> N
 
 
 def test_what_an_engine_tells_of_its_workers_is_in_the_log(tmp_path: Path, faults: Path) -> None:
-    target, told = tmp_path / "data", SilentListener()
+    target, told = tmp_path / "data", SilentDisplay()
     said: list[str] = []
     told.say = said.append  # type: ignore[method-assign]
 
@@ -288,7 +288,7 @@ def test_what_an_engine_tells_of_its_workers_is_in_the_log(tmp_path: Path, fault
         notice("worker_refused", {"worker": "far", "message": "worker far is refused: other versions"})
         return SerialEngine(work, make)
 
-    run_batch(load_recipe(recipe(tmp_path)), str(target), count=1, engine=engine, listener=told)
+    run_batch(load_recipe(recipe(tmp_path)), str(target), count=1, engine=engine, display=told)
     assert any("far is refused" in text for text in said)
     events = [json.loads(line) for line in (target / "run/log.jsonl").read_text().splitlines()]
     refused = next(event for event in events if event["event"] == "worker_refused")
@@ -399,9 +399,9 @@ def test_the_map_of_a_resumed_recipe_may_have_changed_meanwhile(tmp_path: Path, 
     loaded = load_recipe(path)
     from forestgen.dataset.data_set import data_set_of
     from forestgen.runs.contract import Job, Work
-    from forestgen.runs.places import LocalPlace
+    from forestgen.runs.storage import LocalStorage
 
-    work = Work(loaded, data_set_of(loaded.draw(0)), LocalPlace(tmp_path / "data"), "versions")
+    work = Work(loaded, data_set_of(loaded.draw(0)), LocalStorage(tmp_path / "data"), "versions")
     failed = make_job(work, Job(0, 0, "train", "000000-" + "0" * 40), 1)
     assert failed.kind == "recipe"  # type: ignore[union-attr]
     assert "changed since the batch was started" in failed.message  # type: ignore[union-attr]

@@ -24,8 +24,8 @@ from pretend_jobs import FAULTS, begun, make
 
 from forestgen.core.errors import OutputError
 from forestgen.pipeline import WrittenImage
-from forestgen.runs.places import LocalPlace
 from forestgen.runs.records import done_keys
+from forestgen.runs.storage import LocalStorage
 from forestgen.runs.work import make_job
 from forestgen.scene.build import BuiltScene
 
@@ -53,7 +53,7 @@ def _run(faults: str, path: str, target: str, count: str) -> None:
 
 
 def done_images(target: Path) -> set[int]:
-    return {int(key.partition("-")[0]) for key in done_keys(LocalPlace(target))}
+    return {int(key.partition("-")[0]) for key in done_keys(LocalStorage(target))}
 
 
 def wait_until(condition: Any, process: BaseProcess, within_s: float = 60.0) -> None:
@@ -84,7 +84,7 @@ def survive_kills(folder: Path, faults: Path, kills: int, seed: int) -> None:
         assert done <= assert_records_hold(target)
         assert not done & set(begun(faults)[before:]), "an image that was done was made again"
         if len(done_images(target)) >= IMAGES - 1:  # start over: kills of a finished batch are less of a test
-            for key in sorted(done_keys(LocalPlace(target)))[rng.randrange(IMAGES) :]:
+            for key in sorted(done_keys(LocalStorage(target)))[rng.randrange(IMAGES) :]:
                 (target / ".forestgen/jobs" / f"{key}.json").unlink()
     (faults / "seconds").write_text("0")
     local(str(path), str(target), IMAGES, make)
@@ -253,7 +253,7 @@ def test_a_disk_that_fills_while_frames_are_placed(
         left = works
         with pytest.raises(OutputError, match="No space left on device"):
             serial(path, target, 1, make_job, resume=True, retries=0)
-        assert done_keys(LocalPlace(target)) == set()
+        assert done_keys(LocalStorage(target)) == set()
         assert not list((target / "train").glob("0*"))
     left = 1000
     assert serial(path, target, 1, make_job, resume=True).frames == 2

@@ -12,7 +12,7 @@ from command_line import TINY, run
 
 from forestgen.atmosphere.grid import CloudGrid
 from forestgen.atmosphere.netcdf_file import write_netcdf
-from forestgen.cli.light import join_points
+from forestgen.cli.parsing import join_numbers
 from forestgen.core.errors import RecipeError
 from forestgen.core.parts import Part
 from forestgen.core.progress import Silent
@@ -202,10 +202,10 @@ def test_light_in_fog_is_refused(tmp_path, command) -> None:
 
 
 def test_three_numbers_make_a_point() -> None:
-    assert join_points(["r", "--at", "-3", "2", "1", "--at", "4", "5", "6", "-o", "x"]) == [
+    assert join_numbers(["r", "--at", "-3", "2", "1", "--at", "4", "5", "6", "-o", "x"], "--at", 3) == [
         "r", "--at=-3,2,1", "--at=4,5,6", "-o", "x"
     ]  # fmt: skip
-    assert join_points(["--at", "1", "--set", "a=1"]) == ["--at=1", "--set", "a=1"]
+    assert join_numbers(["--at", "1", "--set", "a=1"], "--at", 3) == ["--at=1", "--set", "a=1"]
 
 
 @pytest.mark.parametrize(

@@ -22,11 +22,11 @@ from forestgen.core.errors import DatasetError, OutputError
 from forestgen.dataset.png import write_grey
 from forestgen.recipe.load import load_recipe
 from forestgen.runs.contract import Job, JobRecord, Outcome, Work
-from forestgen.runs.damage import damaged_images
-from forestgen.runs.places import LocalPlace
 from forestgen.runs.records import record_bytes, record_path
 from forestgen.runs.run import run_batch
+from forestgen.runs.stale_outputs import damaged_images
 from forestgen.runs.start import _check_complete
+from forestgen.runs.storage import LocalStorage
 from forestgen.runs.work import make_job
 
 Harm = Callable[[Path], object]
@@ -126,7 +126,7 @@ def test_a_file_that_must_not_be_read_stops_the_run(tmp_path: Path, faults: Path
         raise PermissionError(13, "Permission denied", str(path))
 
     with monkeypatch.context() as patched:
-        patched.setattr("forestgen.runs.damage.file_sum", refuse)
+        patched.setattr("forestgen.runs.stale_outputs.file_sum", refuse)
         with pytest.raises(OutputError, match="Permission denied"):
             serial(path, target, 2, make, resume=True)
     assert shown(target) == before
@@ -182,7 +182,7 @@ def test_a_damaged_map_is_restored_from_the_recipe(tmp_path: Path) -> None:
     write_grey(home / "hill.png", np.arange(30, dtype=np.uint8).reshape(5, 6))
     loaded = recipe_of_pieces(home, ("terrain: flat", "terrain: {kind: map, map: hill.png, lowest_m: 0, highest_m: 1}"))
     content = (home / "hill.png").read_bytes()
-    place, path = LocalPlace(tmp_path / "set"), "train/maps/0123456789abcdef.png"
+    place, path = LocalStorage(tmp_path / "set"), "train/maps/0123456789abcdef.png"
     listed = {"bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}
     for image in (0, 1):
         key = f"{image:06d}-{'0' * 40}"

@@ -23,7 +23,7 @@ from forestgen.dataset.data_set import data_set_of
 from forestgen.runs.contract import Done, Failed, Job, Outcome, Work
 from forestgen.runs.engines.dask import DaskEngine
 from forestgen.runs.keys import versions_hash
-from forestgen.runs.places import LocalPlace
+from forestgen.runs.storage import LocalStorage
 
 _BOUND_S = 240.0  # of anything here
 _STRANGE_PYTHON = "import platform\nplatform.python_version = lambda: '3.10.99'\n"
@@ -110,7 +110,7 @@ def crowd(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
 def work_in(folder: Path) -> Work:
     """A batch whose jobs write into a folder."""
     loaded = batch_pieces.recipe(folder.parent / "recipe")
-    return Work(loaded, data_set_of(loaded.draw(0)), LocalPlace(folder), versions_hash())
+    return Work(loaded, data_set_of(loaded.draw(0)), LocalStorage(folder), versions_hash())
 
 
 def jobs(count: int, first: int = 0) -> list[Job]:
@@ -379,8 +379,8 @@ def test_rendered_images_have_the_bytes_of_a_local_run(cluster: Cluster, tmp_pat
         end = time.monotonic() + 500.0
         while len(outcomes) < len(todo) and time.monotonic() < end:
             outcomes += engine.wait(0.2)
-            if not killed and work.place.names(".forestgen/staging"):  # someone is in the middle
-                writer = next(one for one in work.place.names(".forestgen/staging")).split("-")[1]
+            if not killed and work.storage.names(".forestgen/staging"):  # someone is in the middle
+                writer = next(one for one in work.storage.names(".forestgen/staging")).split("-")[1]
                 os.kill(int(writer), signal.SIGKILL)
                 killed = True
     assert killed

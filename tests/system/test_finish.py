@@ -24,11 +24,11 @@ from forestgen.dataset.manifest import is_run_folder
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.recipe.load import load_recipe
 from forestgen.recipe.map_files import recipe_hash
-from forestgen.runs import ledger
+from forestgen.runs import record_index
 from forestgen.runs.contract import Job, JobRecord
 from forestgen.runs.finish import finish
-from forestgen.runs.places import LocalPlace
 from forestgen.runs.records import record_bytes, record_path, records_of
+from forestgen.runs.storage import LocalStorage
 
 
 @pytest.fixture
@@ -38,13 +38,13 @@ def loaded(whole):
 
 def known_jobs(root: Path, loaded) -> list[Job]:
     """The jobs of the records that are there."""
-    return [Job(one.image, one.image, one.split, one.key) for one in records_of(LocalPlace(root))]
+    return [Job(one.image, one.image, one.split, one.key) for one in records_of(LocalStorage(root))]
 
 
 def test_twice_is_once_in_any_order_of_records(whole, loaded, tmp_path):
     expected = shown(whole)
     root = copied(whole, tmp_path / "again")
-    jobs, records = known_jobs(root, loaded), list(records_of(LocalPlace(root)))
+    jobs, records = known_jobs(root, loaded), list(records_of(LocalStorage(root)))
     random.Random(1).shuffle(records)
     done = finished(loaded, jobs[::-1], root, records)
     assert (done.frames, done.missing, done.notes) == (8, (), ())
@@ -74,7 +74,7 @@ def test_each_split_is_a_data_set(whole):
 def test_the_kept_recipe_draws_the_same_images(whole):
     again = load_recipe(whole / "recipe.yaml")
     assert again.images == 4
-    for record in records_of(LocalPlace(whole)):
+    for record in records_of(LocalStorage(whole)):
         assert recipe_hash(again.draw(record.image).data) == record.recipe_hash
 
 
@@ -121,7 +121,7 @@ def test_trainers_find_each_split_in_one_file(whole, loaded, tmp_path):
     root = copied(whole, tmp_path / "set")
     settings = data_set_of(loaded.draw(0))
     bare = replace(settings, formats=("coco",))
-    finish(LocalPlace(root), loaded, bare, known_jobs(root, loaded), list(records_of(LocalPlace(root))))
+    finish(LocalStorage(root), loaded, bare, known_jobs(root, loaded), list(records_of(LocalStorage(root))))
     assert not list(root.glob("yolo*"))
 
 
@@ -152,7 +152,7 @@ def test_fewer_images_and_a_split_less(whole, loaded, tmp_path):
     assert finished(loaded, jobs, alone) == done
     assert shown(root) == shown(alone)
     assert not (root / "val").exists()
-    assert [one.image for one in records_of(LocalPlace(root))] == [0, 2]
+    assert [one.image for one in records_of(LocalStorage(root))] == [0, 2]
 
 
 def test_an_image_that_lost_a_file_counts_as_missing(whole, loaded, tmp_path):
@@ -163,7 +163,7 @@ def test_an_image_that_lost_a_file_counts_as_missing(whole, loaded, tmp_path):
     done = finished(loaded, jobs, root)
     assert done.missing == (1,)
     assert "val/000001-near/plants.parquet" in done.notes[0]
-    assert [one.image for one in records_of(LocalPlace(root))] == [0, 2, 3]
+    assert [one.image for one in records_of(LocalStorage(root))] == [0, 2, 3]
     assert not list(root.glob("*/000001-*"))
     said = json.loads((root / "dataset.json").read_text())
     assert said["recipes"][0]["missing"] == [[1, 1]]
@@ -187,11 +187,11 @@ def test_a_disk_that_fills_meanwhile_is_told(whole, loaded, tmp_path, monkeypatc
     root = copied(whole, tmp_path / "set")
     full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "/tmp/SHA256SUMS", None, str(root / "SHA256SUMS"))
 
-    def copyfile(source, target):
+    def write_sums(path, sums):
         raise full
 
     with monkeypatch.context() as patched:
-        patched.setattr("forestgen.runs.finish.shutil.copyfile", copyfile)
+        patched.setattr("forestgen.runs.finish.write_sums", write_sums)
         with pytest.raises(OutputError, match=r"set/SHA256SUMS: cannot write[\s\S]*free some space"):
             finished(loaded, known_jobs(root, loaded), root)
     assert not (root / "dataset.json").exists() or shown(root) == shown(whole)
@@ -201,7 +201,7 @@ def test_a_disk_that_fills_meanwhile_is_told(whole, loaded, tmp_path, monkeypatc
 
 def test_a_full_temporary_folder_is_told(whole, loaded, tmp_path, monkeypatch):
     """By the table of all files, which SQLite keeps there."""
-    monkeypatch.setattr("forestgen.runs.ledger._TABLES", ledger._TABLES + "PRAGMA max_page_count = 12;")
+    monkeypatch.setattr("forestgen.runs.record_index._TABLES", record_index._TABLES + "PRAGMA max_page_count = 12;")
     with pytest.raises(OutputError, match=r"forestgen-finish-[\s\S]*full[\s\S]*TMPDIR"):
         finished(loaded, known_jobs(whole, loaded), copied(whole, tmp_path / "set"))
 
@@ -255,7 +255,7 @@ def peak_bytes(loaded, root: Path, images: int) -> int:
     jobs = [Job(image, image, "train", f"{image:06d}-{image:040x}") for image in range(images)]
     settings = DatasetSettings(("fireweed",), ("nothing", "ground", "fireweed"), ("fireweed",), (0,), formats=())
     write_synthetic(root, images)
-    place = LocalPlace(root)
+    place = LocalStorage(root)
     tracemalloc.start()
     done = finish(place, loaded, settings, jobs, records_of(place))
     peak = tracemalloc.get_traced_memory()[1]
@@ -275,7 +275,7 @@ class Store:
     """An object store's place, as `finish` knows it by what it offers, in a folder: no root, and staging elsewhere."""
 
     def __init__(self, home: Path, elsewhere: Path) -> None:
-        self._home, self._elsewhere, self._local = home, elsewhere, LocalPlace(home)
+        self._home, self._elsewhere, self._local = home, elsewhere, LocalStorage(home)
         for name in ("write", "read", "names", "remove"):
             setattr(self, name, getattr(self._local, name))
         self.name = "store://bucket"
@@ -291,9 +291,9 @@ class Store:
     def put_file(self, source: Path, target: str) -> None:
         self._local.write(target, source.read_bytes())
 
-    def files(self, folder: str) -> dict[str, int]:
+    def found(self, folder: str) -> list[tuple[str, int, int]]:
         paths = [path for path in (self._home / folder).rglob("*") if path.is_file()]
-        return {path.relative_to(self._home).as_posix(): path.stat().st_size for path in paths}
+        return [(path.relative_to(self._home).as_posix(), path.stat().st_size, 0) for path in paths]
 
     def fetch(self, paths, folder: Path) -> None:
         for path in paths:
@@ -316,7 +316,7 @@ def test_an_object_store_gets_the_same_bytes(whole, loaded, tmp_path):
     (home / "train/yolo/boxes/labels").mkdir(parents=True)
     (home / "train/yolo/boxes/labels/000009-near.txt").write_text("left over")
     store = Store(home, tmp_path / "staging")
-    done = finish(store, loaded, data_set_of(loaded.draw(0)), known_jobs(home, loaded), records_of(LocalPlace(home)))
+    done = finish(store, loaded, data_set_of(loaded.draw(0)), known_jobs(home, loaded), records_of(LocalStorage(home)))
     assert (done.frames, done.missing) == (8, ())
     assert shown(home) == shown(whole)
     assert {Path(path).suffix for path in store.fetched} == {".json", ".txt"}

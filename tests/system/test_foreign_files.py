@@ -15,9 +15,9 @@ from forestgen.dataset.foreign import tool_of
 from forestgen.recipe.load import load_recipe
 from forestgen.runs.contract import Job, Outcome, Work
 from forestgen.runs.finish import finish
-from forestgen.runs.places import LocalPlace
 from forestgen.runs.records import records_of
 from forestgen.runs.run import run_batch
+from forestgen.runs.storage import LocalStorage
 from forestgen.runs.verify import verify
 
 FOREIGN = {
@@ -96,7 +96,7 @@ def test_a_frame_that_goes_takes_them_with_it(whole: Path, used: Path) -> None:
     """A folder of a frame that is none would be taken for a damaged one."""
     (used / "train/000009-near").mkdir()
     (used / "train/000009-near/.DS_Store").touch()
-    place = LocalPlace(used)
+    place = LocalStorage(used)
     loaded = load_recipe(whole.parent / "fireweed.yaml")
     jobs = [Job(one.image, one.image, one.split, one.key) for one in records_of(place)]
     finish(place, loaded, data_set_of(loaded.draw(0)), jobs, records_of(place))

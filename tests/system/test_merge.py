@@ -15,8 +15,8 @@ from forestgen.core.errors import DatasetError, OutputError, RecipeError
 from forestgen.recipe.load import load_recipe
 from forestgen.runs.contract import Job
 from forestgen.runs.merge import merge
-from forestgen.runs.places import LocalPlace
 from forestgen.runs.records import read_record, record_bytes, records_of
+from forestgen.runs.storage import LocalStorage
 from forestgen.runs.verify import verify
 
 
@@ -24,7 +24,7 @@ def piece(whole: Path, target: Path, *images: int) -> Path:
     """A data set of these images alone, as a machine made it with --first and --count."""
     loaded = load_recipe(whole.parent / "fireweed.yaml", [f"first_image={min(images)}"])
     root = copied(whole, target, images)
-    known = {one.image: one for one in records_of(LocalPlace(root))}
+    known = {one.image: one for one in records_of(LocalStorage(root))}
     span = range(min(images), max(images) + 1)
     jobs = [
         Job(image - min(images), image, known[image].split if image in known else "train", known[image].key)
@@ -79,7 +79,7 @@ def test_images_that_differ_are_refused_by_name(whole, tmp_path):
 def test_pieces_that_would_show_one_stand_in_two_splits_are_refused(whole, tmp_path):
     """Each piece is sound: it is of one split, as ``same_stand: true`` asks for."""
     one, other = piece(whole, tmp_path / "a", 0), piece(whole, tmp_path / "b", 1)
-    seed = next(records_of(LocalPlace(one))).image_seed
+    seed = next(records_of(LocalStorage(one))).image_seed
     path = next((other / ".forestgen/jobs").glob("000001-*"))
     path.write_bytes(record_bytes(replace(read_record(path.read_bytes(), ""), image_seed=seed)))
     with pytest.raises(RecipeError, match=r"one stand(.|\n)*image 0 \(train\) and image 1 \(val\)"):

@@ -10,7 +10,7 @@ import pytest
 from command_line import run
 from label_breaks import exr
 
-from forestgen.architecture.prototype import MOST_NODES
+from forestgen.architecture.prototypes import MOST_NODES
 from forestgen.dataset.check import branches, check_dataset
 from forestgen.dataset.check.files import read_exr
 

@@ -14,13 +14,12 @@ import pytest
 
 from forestgen.core.errors import ForestgenError, OutputError
 from forestgen.recipe.load import load_recipe
-from forestgen.runs import remote_lock, remote_store
-from forestgen.runs.contract import Done, Job, JobRun, Notice, Outcome, Place, Work
-from forestgen.runs.places import LocalPlace, place_of
+from forestgen.runs import remote_storage, remote_store
+from forestgen.runs.contract import Done, Job, JobRun, Notice, Outcome, StorageBackend, Work
 from forestgen.runs.records import records_of
-from forestgen.runs.remote_lock import RemoteLock
-from forestgen.runs.remote_place import RemotePlace
+from forestgen.runs.remote_storage import RemoteLock, RemoteStorage
 from forestgen.runs.run import run_batch
+from forestgen.runs.storage import LocalStorage, storage_of
 from forestgen.runs.work import failure_kind, make_job
 
 _SECRET = "vErYsEcReTkEy"
@@ -91,7 +90,7 @@ def folder_of(root: Path, files: dict[str, bytes]) -> Path:
     return root
 
 
-def visible(place: Place) -> list[str]:
+def visible(place: StorageBackend) -> list[str]:
     """Names in the data set's folder, but that of work in progress."""
     return [name for name in place.names("") if name != ".forestgen"]
 
@@ -99,7 +98,7 @@ def visible(place: Place) -> list[str]:
 @pytest.mark.parametrize("kind", ["local", "s3"])
 def test_both_places_do_the_same(kind: str, bucket: str, tmp_path: Path) -> None:
     """One series of calls, the same answers from a folder and from S3."""
-    place: Place = LocalPlace(tmp_path / "set") if kind == "local" else RemotePlace(f"{bucket}/same")
+    place: StorageBackend = LocalStorage(tmp_path / "set") if kind == "local" else RemoteStorage(f"{bucket}/same")
     assert (place.names(""), place.names("x"), place.read("x"), place.size_bytes("x")) == ([], [], None, None)
     assert not place.exists("x")
     place.write("train/000000/a.json", b"{}")
@@ -132,9 +131,10 @@ def test_both_places_do_the_same(kind: str, bucket: str, tmp_path: Path) -> None
 
 def test_many_files_go_and_come_with_few_requests(bucket: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """To know all names, or all sizes, or to remove all, takes a request each; files come back as they went."""
-    place = RemotePlace(f"{bucket}/many")
+    place = RemoteStorage(f"{bucket}/many")
     files = {f"jobs/{number:06d}.json": str(number).encode() for number in range(40)}
-    place.upload(folder_of(tmp_path / "up", files), skip=["jobs/000007.json"])
+    wanted = [name for name in files if name != "jobs/000007.json"]
+    place.upload(folder_of(tmp_path / "up", {name: files[name] for name in wanted}))
     store, requests = remote_store.file_system("s3"), []
     real = store._call_s3
 
@@ -148,7 +148,6 @@ def test_many_files_go_and_come_with_few_requests(bucket: str, tmp_path: Path, m
     assert len(listed) == len(sizes) == 39
     assert requests == ["list_objects_v2"] * 2
     assert sizes["jobs/000012.json"] == 2
-    wanted = [name for name in files if name != "jobs/000007.json"]
     place.fetch(wanted, tmp_path / "down")
     assert all((tmp_path / "down" / name).read_bytes() == files[name] for name in wanted)
     with pytest.raises(OutputError):
@@ -164,7 +163,7 @@ def test_many_files_go_and_come_with_few_requests(bucket: str, tmp_path: Path, m
 
 
 def test_a_place_takes_no_credentials_along(bucket: str) -> None:
-    place = place_of(f"{bucket}/anywhere")
+    place = storage_of(f"{bucket}/anywhere")
     assert _SECRET.encode() not in pickle.dumps(place)
     assert pickle.loads(pickle.dumps(place)) == place
 
@@ -172,7 +171,7 @@ def test_a_place_takes_no_credentials_along(bucket: str) -> None:
 @pytest.mark.usefixtures("_quick")
 def test_uploads_are_tried_again_and_checked(bucket: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A store that loses the end of a file twice is asked a third time; one that always does is an error."""
-    place, store = RemotePlace(f"{bucket}/torn"), remote_store.file_system("s3")
+    place, store = RemoteStorage(f"{bucket}/torn"), remote_store.file_system("s3")
     source = folder_of(tmp_path, {"image.png": b"0123456789"}) / "image.png"
     real: Callable[..., Any] = store.put_file
     tries = []
@@ -209,14 +208,14 @@ def test_uploads_are_tried_again_and_checked(bucket: str, tmp_path: Path, monkey
 )
 def test_addresses_that_cannot_be(address: str, expected: str) -> None:
     with pytest.raises(OutputError, match=expected) as refusal:
-        RemotePlace(address)
+        RemoteStorage(address)
     assert _SECRET not in str(refusal.value)
 
 
 @pytest.mark.usefixtures("_quick")
 def test_stores_that_refuse(bucket: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """No bucket, no permission, nobody there: named as such, soon, whatever is asked first."""
-    nowhere = RemotePlace("s3://no-such-bucket/a")
+    nowhere = RemoteStorage("s3://no-such-bucket/a")
     for ask in (nowhere.names, nowhere.read, nowhere.size_bytes, nowhere.files, lambda path: nowhere.write(path, b"")):
         with pytest.raises(OutputError, match="s3://no-such-bucket: there is no such bucket"):
             ask("x")
@@ -229,7 +228,7 @@ def test_stores_that_refuse(bucket: str, monkeypatch: pytest.MonkeyPatch) -> Non
     with monkeypatch.context() as patch:
         patch.setattr(remote_store.file_system("s3"), "pipe_file", refuse)
         with pytest.raises(OutputError, match="the store refused access") as refusal:
-            RemotePlace(f"{bucket}/a").write("x", b"")
+            RemoteStorage(f"{bucket}/a").write("x", b"")
         assert failure_kind(refusal.value) == "output"
 
 
@@ -240,7 +239,7 @@ def test_an_endpoint_that_nobody_answers(monkeypatch: pytest.MonkeyPatch) -> Non
     start = time.monotonic()
     try:
         with pytest.raises(OutputError, match="the store does not answer"):
-            RemotePlace("s3://forests/a").names("")
+            RemoteStorage("s3://forests/a").names("")
     finally:
         remote_store._opened.cache_clear()
     assert time.monotonic() - start < 60.0
@@ -249,7 +248,7 @@ def test_an_endpoint_that_nobody_answers(monkeypatch: pytest.MonkeyPatch) -> Non
 @pytest.mark.usefixtures("_quick")
 def test_two_runs_at_one_address(bucket: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """The second is refused while the first lives; a dead one's lock is taken over; one that lost it is told."""
-    place, said = RemotePlace(f"{bucket}/locked"), []
+    place, said = RemoteStorage(f"{bucket}/locked"), []
     with place.lock() as first:
         with (
             pytest.raises(OutputError, match=r"another run writes there\n.*process \d+, since"),
@@ -279,7 +278,7 @@ def test_of_runs_that_start_together_one_stays(conditional: bool, monkeypatch: p
     from threading import Barrier
 
     monkeypatch.setattr(RemoteLock, "settle_s", 0.3)
-    place = RemotePlace(f"memory://together-{conditional}/a")
+    place = RemoteStorage(f"memory://together-{conditional}/a")
     together, begin = Barrier(5), Barrier(5)
     store = remote_store.file_system("memory")
     real: Callable[..., None] = store.pipe_file
@@ -307,8 +306,8 @@ def test_of_runs_that_start_together_one_stays(conditional: bool, monkeypatch: p
 
 def test_the_lock_is_patient_enough() -> None:
     """A living owner beats several times before another may take its lock."""
-    assert remote_lock.PATIENCE_S >= 4 * remote_lock.BEAT_S
-    assert remote_lock.SETTLE_S < remote_lock.BEAT_S
+    assert remote_storage.PATIENCE_S >= 4 * remote_storage.BEAT_S
+    assert remote_storage.SETTLE_S < remote_storage.BEAT_S
 
 
 @pytest.mark.usefixtures("_quick")
@@ -323,8 +322,8 @@ def test_a_batch_in_s3_has_the_bytes_of_one_in_a_folder(whole: Path, bucket: str
         if job.image == 3:
             return make_job(work, job, attempt)
         folder = batch_pieces.copied(whole, tmp_path / f"{job.image}", [job.image])
-        RemotePlace(target).upload(folder)
-        (record,) = records_of(LocalPlace(folder))
+        RemoteStorage(target).upload(folder)
+        (record,) = records_of(LocalStorage(folder))
         assert record.key == job.key
         return Done(job, record, JobRun(job.image, attempt, "here", 0.0))
 
@@ -340,7 +339,7 @@ def test_a_batch_in_s3_has_the_bytes_of_one_in_a_folder(whole: Path, bucket: str
     run_batch(loaded, target, count=4, engine=resumed, resume=True)
     assert engines[0].images == [3], "what was done is not done again"
 
-    place = RemotePlace(target)
+    place = RemoteStorage(target)
     place.fetch(place.files(), tmp_path / "fetched")
     fetched = [path for path in (tmp_path / "fetched").rglob("*") if path.is_file()]
     assert batch_pieces.shown(tmp_path / "fetched") == batch_pieces.shown(whole)

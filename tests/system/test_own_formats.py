@@ -11,7 +11,7 @@ from batch_runs import RECIPE, recipe
 import forestgen as fg
 from forestgen.dataset.check import check_dataset
 from forestgen.recipe.registries import DATASET_FORMATS
-from forestgen.runs.foreign_files import foreign_files
+from forestgen.runs.replace import foreign_files
 
 OWN = RECIPE.replace("formats: []", "formats: [coco, sizes]").replace("train: 2", "train: 1")
 

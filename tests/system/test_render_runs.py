@@ -22,8 +22,7 @@ from forestgen.core.progress import Progress
 from forestgen.recipe.load import DrawnRecipe, LoadedRecipe
 from forestgen.runs import work as work_module
 from forestgen.runs.contract import Done, Job, Work
-from forestgen.runs.engines import in_process
-from forestgen.runs.places import LocalPlace
+from forestgen.runs.storage import LocalStorage
 
 Failures = dict[int, BaseException]  # by image
 
@@ -37,13 +36,13 @@ def failures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Failures:
 
     def pretend(work: Work, job: Job, attempt: int, progress: Progress) -> Done:
         if job.image in errors:
-            work.place.staging()  # something is there already
+            work.storage.staging()  # something is there already
             raise errors[job.image]
         done = pretend_jobs.make(work, job, attempt)
         assert isinstance(done, Done)
         return done
 
-    monkeypatch.setattr(in_process, "make_here", pretend)
+    monkeypatch.setattr(work_module, "make_here", pretend)
     return errors
 
 
@@ -129,7 +128,7 @@ def test_overwrite_replaces_a_data_set_once_an_image_is_made(failures: Failures,
     run(*render, "--set", "seed=4").refused(5)
     failures[0] = KeyboardInterrupt()
     answer = run(*render, "--set", "seed=4")
-    assert (answer.code, answer.err) == (130, "interrupted: nothing was written\n")
+    assert (answer.code, answer.err) == (130, "interrupted: nothing was written; a previous data set is as it was\n")
     assert tree(tmp_path) == before
     failures.clear()
     failures[1] = RenderError("no")
@@ -194,14 +193,14 @@ def test_storage_that_fails_in_the_middle_of_an_image_is_named(
 
 def _complete_badly(work: Work, *_: object) -> None:
     """An image is made, and its frames cannot be moved into the data set."""
-    cause = OutputError("cannot write: No space left on device", where=f"{work.place.name}/x", hint="free some space")
-    raise work_module._NotPlacedError from cause
+    cause = OutputError("cannot write: No space left on device", where=f"{work.storage.name}/x", hint="free some space")
+    raise work_module._StorageFailedError from cause
 
 
 def test_an_image_that_was_just_finished_counts_when_the_run_is_interrupted(
     failures: Failures, recipe: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    make = in_process.make_here
+    make = work_module.make_here
 
     def interrupted(work: Work, job: Job, attempt: int, progress: Progress) -> Done:
         done = make(work, job, attempt, progress)
@@ -209,7 +208,7 @@ def test_an_image_that_was_just_finished_counts_when_the_run_is_interrupted(
             raise KeyboardInterrupt  # the record is written, and the run has not heard of it
         return done
 
-    monkeypatch.setattr(in_process, "make_here", interrupted)
+    monkeypatch.setattr(work_module, "make_here", interrupted)
     for number in (0, 2):
         answer = run("render", recipe, "-o", tmp_path / str(number), "--count", "5")
         assert answer.code == 130
@@ -221,16 +220,16 @@ def test_an_image_that_was_just_finished_counts_when_the_run_is_interrupted(
 def test_a_stop_just_after_the_record_was_written_keeps_the_image(
     failures: Failures, recipe: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    write = LocalPlace.write
+    write = LocalStorage.write
 
-    def stopped(place: LocalPlace, target: str, content: bytes) -> None:
+    def stopped(place: LocalStorage, target: str, content: bytes) -> None:
         write(place, target, content)
         if "/jobs/" in target:
             raise KeyboardInterrupt
 
     out = tmp_path / "out"
     with monkeypatch.context() as patched:
-        patched.setattr(LocalPlace, "write", stopped)
+        patched.setattr(LocalStorage, "write", stopped)
         answer = run("render", recipe, "-o", out, "--count", "5")
     assert answer.code == 130
     assert len(frames(out)) == 2

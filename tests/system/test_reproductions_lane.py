@@ -12,10 +12,10 @@ import pytest
 from numpy.typing import NDArray
 from scipy import stats
 
-from forestgen.community.population import Population
+from forestgen.community.point_patterns import hopkins_index
+from forestgen.community.population import Population, cover_by_species
 from forestgen.community.simulation import snapshots
-from forestgen.community.size_statistics import self_thinning_slope
-from forestgen.community.statistics import cover_by_species, hopkins_index
+from forestgen.community.trajectory import self_thinning_slope
 from forestgen.core.progress import Silent
 from forestgen.recipe.assets import find_asset
 from forestgen.recipe.load import load_recipe
@@ -81,7 +81,9 @@ def test_succession() -> None:
     runs = stages("succession", steps)
     counts = np.array([[len(one) for one in run] for run in runs], float)
     indices = np.array([[hopkins(one, (105.0, 105.0)) for one in run] for run in runs])
-    cover = np.array([[list(cover_by_species(one, plan.community.site).values()) for one in run] for run in runs])
+    cover = np.array(
+        [[list(cover_by_species(one, plan.community.site.area_m2).values()) for one in run] for run in runs]
+    )
     show("plants at steps 20, 150, 300, 1000 (thesis: 2688, 1593, 1409, 834)", counts)
     show("Hopkins index (thesis: 0.6, 0.7, 0.7, 0.6)", indices)
     for step, rows in zip(steps, cover.transpose(1, 0, 2), strict=True):
@@ -138,8 +140,8 @@ def test_one_seed_of_each() -> None:
     young = {one.step: one for one in islice(snapshots(plan.community, Silent()), 151) if one.step in (20, 150)}
     assert len(young[20]) == pytest.approx(2688, rel=0.2)
     assert len(young[150]) == pytest.approx(1593, rel=0.2)
-    assert np.argmax(list(cover_by_species(young[20], plan.community.site).values())) == 0
-    assert np.argmax(list(cover_by_species(young[150], plan.community.site).values())) == 1
+    assert np.argmax(list(cover_by_species(young[20], plan.community.site.area_m2).values())) == 0
+    assert np.argmax(list(cover_by_species(young[150], plan.community.site.area_m2).values())) == 1
     (early,) = [one for one in islice(snapshots(plan_of("propagation", 3).community, Silent()), 21) if one.step == 20]
     assert hopkins(early, (105.0, 105.0), 0) == pytest.approx(1.1, abs=0.15)
     *_, last = snapshots(plan_of("size_hierarchy", 3).community, Silent())

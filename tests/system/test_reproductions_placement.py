@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from forestgen.community.placement.densities import species_density
-from forestgen.community.population import Population
+from forestgen.community.point_patterns import hopkins_index
+from forestgen.community.population import Population, count_by_species
 from forestgen.community.simulation import final_population
-from forestgen.community.statistics import count_by_species, hopkins_index
 from forestgen.core.progress import Silent
 from forestgen.recipe.assets import find_asset
 from forestgen.recipe.load import load_recipe

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from command_line import run, tiny
 
-from forestgen.community.history import read_history
+from forestgen.community.history import open_history
 
 DISTURBED = (
     "steps: 12, disturbances: [{at_step: 4, fell: {share: 0.5}}, {at_step: 9, plant: {species: fireweed, count: 5}}]"
@@ -26,13 +26,15 @@ def test_a_resumed_history_is_the_end_of_the_whole_one(recipe: Path, tmp_path: P
     assert answer.code == 0, answer.err
     assert (tmp_path / "end" / "map-000007.png").exists()
     end = tmp_path / "end" / "history.parquet"
-    assert [(p.step, p.plant_id.tobytes(), p.radius_m.tobytes(), p.status.tobytes()) for p in read_history(end)] == [
-        (p.step, p.plant_id.tobytes(), p.radius_m.tobytes(), p.status.tobytes()) for p in read_history(whole)[5:]
+    assert [
+        (p.step, p.plant_id.tobytes(), p.radius_m.tobytes(), p.status.tobytes()) for p in list(open_history(end))
+    ] == [
+        (p.step, p.plant_id.tobytes(), p.radius_m.tobytes(), p.status.tobytes()) for p in list(open_history(whole))[5:]
     ]
     # A resumed history is resumed as well, in its own place too.
     more = ("--set", "community.steps=14")
     assert run("simulate", recipe, "-o", tmp_path / "end", "--resume", end, "--overwrite", *more).code == 0
-    assert [p.step for p in read_history(end)] == [12, 13, 14]
+    assert [p.step for p in open_history(end)] == [12, 13, 14]
 
 
 def test_what_cannot_be_resumed(recipe: Path, tmp_path: Path) -> None:

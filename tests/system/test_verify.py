@@ -16,8 +16,7 @@ from dataset_breaks import edit, flip, sum_again
 
 from forestgen.dataset.index import read_index, write_index
 from forestgen.runs.records import read_record, record_bytes
-from forestgen.runs.verify import verify
-from forestgen.runs.verify_report import VerificationReport
+from forestgen.runs.verify import VerificationReport, verify
 
 
 @pytest.fixture

@@ -28,8 +28,7 @@ from dataset_breaks import (
 )
 
 from forestgen.dataset.check import MOST_NAMED
-from forestgen.runs.verify import verify
-from forestgen.runs.verify_report import VerificationReport
+from forestgen.runs.verify import VerificationReport, verify
 
 
 class Damage(NamedTuple):

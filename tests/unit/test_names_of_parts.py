@@ -12,7 +12,9 @@ from forestgen.community.registry import COMMUNITY_MODELS, COMPETITION_MODELS
 from forestgen.core.cache import PACKAGE
 from forestgen.core.registry import Registry
 from forestgen.geometry.export import MESH_EXPORTERS
+from forestgen.plants.registry import GENERATORS
 from forestgen.recipe.registries import (
+    BUILDINGS,
     CLOUD_SOURCES,
     DATASET_FORMATS,
     GROUND_COVERS,
@@ -37,14 +39,16 @@ REGISTRIES = (
     PROJECTIONS,
     RIGS,
     INSTRUMENTS,
+    GENERATORS,
+    BUILDINGS,
 )
 # Where names of a kind are looked for, if they are common words.
 FOLDERS = {"label channel": ("labels/", "dataset/", "instruments/", "pipeline.py")}
-REGISTRY_FILES = {"recipe/registries.py", "community/registry.py"}
+REGISTRY_FILES = {"recipe/registries.py", "community/registry.py", "plants/registry.py"}
 OTHER_MEANINGS = {  # file -> names that are no part's in it, or a default
     "instruments/instrument.py": {"points"},  # what a list holds, for its error
     "api/points.py": {"points"},  # a parameter
-    "community/fitting/recipe_text.py": {"points"},  # a key of community model strauss
+    "community/fitting/report.py": {"points"},  # a key of community model strauss
     "dataset/check/branches.py": {"module"},  # a part of frame.exr
     "dataset/check/coverage.py": {"coverage"},  # the same
     "dataset/check/frame_data.py": {"coverage"},  # the same
@@ -82,12 +86,12 @@ def trees() -> dict[str, ast.Module]:
 
 MODEL_REGISTRY = "community/registry.py"
 MODEL_FOLDERS = ("models", "branch_modules", "ecoclimate")  # of the models' own code, in community/
-MODEL_FILES = ("community/multiset_parameters.py", "community/multiset_state.py")
+MODEL_FILES = ("community/multiset_program.py",)
 OTHER_THAN_MODELS = {  # file -> names that are no community model's in it, or are one's example
     "cli/__init__.py": {"multiset_lsystem"},  # an example of a command
-    "cli/suggestions.py": {"multiset_lsystem"},  # an example of a setting
-    "community/fitting/recipe_text.py": {"deformation_kernel"},  # the model that is fitted
-    "community/placement/asked_and_placed.py": {"placed"},  # a key of the statistics
+    "cli/parsing.py": {"multiset_lsystem"},  # an example of a setting
+    "community/fitting/report.py": {"deformation_kernel"},  # the model that is fitted
+    "community/placement/model.py": {"placed"},  # a key of the statistics
     "plants/generators/branch_modules.py": {"branch_modules"},  # the plant generator
     "plants/registry.py": {"branch_modules"},  # the same
     "plants/variation/model.py": {"uniform"},  # a distribution
@@ -186,3 +190,11 @@ def test_only_a_mesh_exporters_own_module_names_it(name: str) -> None:
     found = {file for file, literals in texts().items() if name in literals}
     own = {"geometry/export.py", own_module(MESH_EXPORTERS, name)}
     assert found - own == clouds, "ask forestgen.geometry.export for the exporter"
+
+
+@pytest.mark.parametrize(("registry", "folder"), [(GENERATORS, "plants/generators/"), (BUILDINGS, "scene/buildings/")])
+def test_only_its_own_module_knows_the_class_of_a_plant_or_building(registry: Registry, folder: str) -> None:
+    classes = {type(registry.load(name)).__name__ for name in registry}
+    for file in trees().keys() - {own_module(registry, name) for name in registry}:
+        words = set(re.findall(r"\w+", (PACKAGE / file).read_text(encoding="utf-8")))
+        assert words.isdisjoint(classes), f"{file} knows a part in {folder} by its class"

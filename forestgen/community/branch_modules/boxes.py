@@ -28,11 +28,6 @@ class Boxes:
     size_m: Floats  # (B, 3) width, depth, height; width along world x where the azimuth is 0
     azimuth_rad: Floats  # (B,) anticlockwise, seen from above
 
-    def __post_init__(self) -> None:
-        n = len(self.azimuth_rad)
-        if self.base_m.shape != (n, 3) or self.size_m.shape != (n, 3):
-            raise ValueError(f"{n} boxes need base_m and size_m of shape ({n}, 3)")
-
     def __len__(self) -> int:
         return len(self.azimuth_rad)
 

@@ -2,20 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any, TypeVar
 
-from forestgen.architecture.prototypes import load_prototypes
-from forestgen.architecture.tables import Tables, tables_of
-from forestgen.community.branch_modules.changes import check_changes, parameters_at
-from forestgen.community.branch_modules.parameters import BranchModulesParameters
-from forestgen.community.branch_modules.traits import STAND_IN
-from forestgen.community.branch_modules.unknown_names import no_prototype
+from pydantic import BaseModel
+
+from forestgen.architecture.prototypes import Tables, load_prototypes, tables_of
+from forestgen.community.branch_modules.parameters import (
+    BranchModulesParameters,
+    changes_in_order,
+    parameters_at,
+    values_of,
+)
+from forestgen.community.branch_modules.state import STAND_IN, no_prototype
 from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.population import Population
 from forestgen.core.errors import RecipeError, ResourceError
 from forestgen.plants.parameters import Lifeless
 from forestgen.plants.registry import GENERATORS
 from forestgen.recipe.load import DrawnRecipe
+from forestgen.recipe.species import PlantType
+
+M = TypeVar("M", bound=BaseModel)
 
 
 class ModuleCapabilities:
@@ -37,7 +45,7 @@ class ModuleCapabilities:
                 where = drawn.where("species", name)
                 raise without_modules(name, where, GENERATORS.load(one.plant.generator))
         _check_plantings(drawn, parameters)
-        check_changes(parameters, types, names, drawn.parse, lambda *keys: drawn.where("community", *keys))
+        check_changes(drawn, parameters, types, names)
 
     def skeleton_tables(
         self, parameters: BranchModulesParameters, species: Sequence[SpeciesEcology], population: Population
@@ -93,3 +101,52 @@ def _check_plantings(drawn: DrawnRecipe, parameters: BranchModulesParameters) ->
                 got=f"{one.plant.number:,}",
                 hint="plant fewer, or raise most_modules",
             )
+
+
+def _not_growing(name: str, growing: Collection[str], where: str) -> RecipeError:
+    """The error of a species that is named among those that grow by branch modules."""
+    expected = "one of " + (", ".join(growing) or "none: no species has a section modules")
+    return RecipeError(f"{name} does not grow by branch modules", where=where, expected=expected, got=name)
+
+
+def check_changes(
+    drawn: DrawnRecipe, parameters: BranchModulesParameters, types: Mapping[str, PlantType], prototypes: Sequence[str]
+) -> None:
+    """Refuse, before anything is simulated, changes that could not be made.
+
+    Errors are worded as if the value stood in the recipe itself, at the change's place.
+    """
+    changed, kinds = parameters, dict(types)
+    for index, one in changes_in_order(parameters):
+        place = ("community", "changes", index, "set")
+        own, of_species = one.split()
+        if own:
+            places = {key: drawn.where(*place, key) for key in own}
+            changed = _parsed(drawn, type(parameters), {**values_of(changed), **own}, places)
+            for keys, name in changed.named_species():
+                if keys[0] in own and name not in kinds:
+                    raise _not_growing(name, kinds, places[str(keys[0])])
+        for name, values in of_species.items():
+            places = {key: drawn.where(*place, f"species.{name}.{key}") for key in values}
+            if name not in kinds:
+                raise _not_growing(name, kinds, next(iter(places.values())))
+            kinds[name] = _parsed(drawn, PlantType, {**values_of(kinds[name]), **values}, places)
+            unknown = [one for one in kinds[name].prototypes if one not in prototypes]
+            if "prototypes" in values and unknown:
+                raise no_prototype(unknown[0], prototypes, places["prototypes"])
+
+
+def _parsed(drawn: DrawnRecipe, model: type[M], data: dict[str, Any], places: Mapping[str, str]) -> M:
+    """The model of the values; an error names the place of the new value that caused it."""
+    try:
+        return drawn.parse(model, data, ())
+    except RecipeError as cause:
+        # The parser names the key in the recipe's own section, whose value may be right.
+        own = [place for key, place in places.items() if (cause.where or "").endswith(key)]
+        raise RecipeError(
+            cause.problem,
+            where=(own or list(places.values()))[0],
+            expected=cause.expected,
+            got=cause.got,
+            hint=cause.hint,
+        ) from cause

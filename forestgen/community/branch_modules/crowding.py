@@ -1,9 +1,8 @@
 """Crowding: how much the bounding spheres of branch modules intersect.
 
-Reference: M. Makowski et al., Synthetic Silviculture, 2019, in the form of the book of 2023, Eq. 1 and section 2.8. ::
+Reference: M. Makowski et al., Synthetic Silviculture, 2019, in the form of the book of 2023, Eq. 1. ::
 
     f(u) = sum over w of V(B_u and B_w) / V(B_u)                 own light Q = exp(-f)
-    ratio = sum over pairs of V(B_u and B_w) / sum over u of V(B_u)                      Figure 18 (a)
 
 Decided where the print is silent: the sum is divided by the module's own volume, since the exponent must be a pure
 number. Pairs that share a joint (a module and the one that bears it) touch by construction and are left out. Boxes
@@ -138,7 +137,7 @@ def runs(x, y, z, radius, cells, out):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _sum_overlaps(first, end, cells, parent, joints, boxes, total):  # type: ignore[no-untyped-def]
+def _sum_overlaps(first, end, cells, parent, boxes, total):  # type: ignore[no-untyped-def]
     """Set `total` of the spheres `first` to `end` of the grid to the sum of their common volumes with others, m3."""
     cells, parent, total, boxes = borrowed(cells), borrowed(parent), borrowed(total), borrowed(boxes)
     sphere, rows, width, height = cells.sphere, cells.row, cells.width, cells.height
@@ -160,7 +159,7 @@ def _sum_overlaps(first, end, cells, parent, joints, boxes, total):  # type: ign
                 d2 = dx * dx + dy * dy + dz * dz
                 if d2 < reach * reach and j != i:
                     other = rows[j]
-                    if joints or (other != bearer and parent[other] != own):
+                    if other != bearer and parent[other] != own:
                         volume += lens(d2, r, sphere[j, 3])
         if len(boxes) > 0:
             volume += volume_in_boxes(x, y, z, r, boxes, width, height)
@@ -309,23 +308,14 @@ class SphereGrid:
         radius_m: NDArray[np.floating],
         period_m: tuple[float, float] | None = None,
     ) -> SphereGrid:
-        """The grid of spheres.
-
-        Parameters
-        ----------
-        centre_world_m : (M, 3) metres, world frame; float64 is taken without a copy.
-        radius_m : (M,) metres, at least 0.
-        period_m : width and height of a periodic site; None: the plane.
+        """The grid of spheres: centres (M, 3), metres, world frame, and radii (M,), metres, at least 0.
 
         Raises
         ------
-        ValueError
-            Numbers that are not finite, or radii below 0.
+        ValueError : numbers that are not finite, or radii below 0.
         """
         centre = np.ascontiguousarray(centre_world_m, dtype=np.float64)
         radius = np.ascontiguousarray(radius_m, dtype=np.float64)
-        if centre.shape != (len(radius), 3):
-            raise ValueError(f"{len(radius)} radii need centres of shape ({len(radius)}, 3), got {centre.shape}")
         if not (np.isfinite(centre).all() and np.isfinite(radius).all() and radius.min(initial=0.0) >= 0.0):
             raise ValueError("spheres need finite centres and finite radii of at least 0")
         radius = np.maximum(radius, LEAST_RADIUS_M)
@@ -340,42 +330,20 @@ class SphereGrid:
         return 4.0 / 3.0 * np.pi * self.radius_m**3
 
 
-def overlap_volumes(
-    grid: SphereGrid, parent_row: NDArray[np.integer], boxes: Boxes = NO_BOXES, *, joints: bool = False
-) -> Floats:
+def overlap_volumes(grid: SphereGrid, parent_row: NDArray[np.integer], boxes: Boxes = NO_BOXES) -> Floats:
     """(M,) float64, m3: sum of each sphere's common volumes with all others and boxes; see `overlap`."""
     total = np.empty(len(grid))
     parent = np.ascontiguousarray(parent_row, dtype=np.int64)
     if len(grid):
         cells, rows = grid.cells, boxes.rows
-        over_ranges(len(grid), lambda first, end: _sum_overlaps(first, end, cells, parent, joints, rows, total))
+        over_ranges(len(grid), lambda first, end: _sum_overlaps(first, end, cells, parent, rows, total))
     return total
 
 
-def overlap(
-    grid: SphereGrid, parent_row: NDArray[np.integer], boxes: Boxes = NO_BOXES, *, joints: bool = False
-) -> NDArray[np.float32]:
-    """Crowding of each module (Eq. 1 over the module's own volume).
+def overlap(grid: SphereGrid, parent_row: NDArray[np.integer], boxes: Boxes = NO_BOXES) -> NDArray[np.float32]:
+    """(M,) crowding f(u) of each module, in units of its own volume (Eq. 1).
 
-    Parameters
-    ----------
-    grid : of all modules.
-    parent_row : (M,) row of the module that bears each, -1 for roots (`Modules.parent_row`).
-    boxes : obstacles.
-    joints : count pairs that share a joint too.
-
-    Returns
-    -------
-    (M,) float32: f(u), in units of the module's own volume.
+    `parent_row` (M,) is the row of the module that bears each, -1 for roots (`Modules.parent_row`): pairs that share a
+    joint do not count.
     """
-    return (overlap_volumes(grid, parent_row, boxes, joints=joints) / grid.volume_m3).astype(np.float32)
-
-
-def intersection_ratio(grid: SphereGrid, parent_row: NDArray[np.integer], *, joints: bool = False) -> float:
-    """Sum of the common volumes of all pairs over the sum of all volumes (section 2.8, Figure 18 a); 0 without modules.
-
-    Pairs that share a joint count only with `joints`.
-    """
-    if not len(grid):
-        return 0.0
-    return float(0.5 * overlap_volumes(grid, parent_row, joints=joints).sum() / grid.volume_m3.sum())
+    return (overlap_volumes(grid, parent_row, boxes) / grid.volume_m3).astype(np.float32)

@@ -1,17 +1,46 @@
-"""Growth of modules (Makowski 2023, Eqs. 7 and 8), and the rows of those that are shed and those that begin."""
+"""Growth of modules (Makowski 2023, Eqs. 7 and 8), shedding, the rows of those that begin, and standing dead trees.
+
+A module falls whose vigour, over its size (vigour.Stature), is below vigour_min; and one that is stunted: that in twice
+the time in which full vigour makes a module grow up has not come to a thirtieth of that.
+
+By the pipe model (Makowski 2023, Eq. 10) squared diameters add at a fork. Without the pipes of shed modules a trunk
+would shrink; so the module that bore one keeps them as `disused_m2`, as Shinozaki et al. (1964) found in stems. With
+all of them kept for good, a trunk that bears the same crown for long would thicken without end. So of the pipes that
+grow anew the share ``1 - disused_share`` takes the place of disused ones, in the first module below that has some on
+its way, and only the rest thickens the wood: no node gets thinner, and in a crown that sheds as much as it grows the
+share `disused_share` of what is shed stays.
+
+A tree that dies back sheds its modules over years, the top of its stem too, and would be a stub before it dies of the
+last one. `dieback_share` calls it dead once it has died back to less than this share of its greatest height. What
+stands then, a snag, is the wood that it had before the step's shedding: a stem with the branches that were left to it.
+A snag takes no light, water or place, casts no shade and bears no seeds. It falls after years t of its own, drawn by
+its identity, of median `standing_dead_yr` and survival
+
+    S(t) = 2^-(t / standing_dead_yr)^2
+
+so that few fall at first and more later, as Keen (1955) found of pines. The form is ours: he gives no equation.
+
+Reference: Keen, F. P. (1955). The rate of natural falling of beetle-killed ponderosa pine snags. J. Forestry 53.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.architecture.geometry import over_plants
+from forestgen.architecture.geometry import diameters, over_plants, plant_sizes
 from forestgen.architecture.modules import Modules
-from forestgen.architecture.prototype import MOST_NODES
-from forestgen.community.branch_modules.traits import Traits
+from forestgen.architecture.prototypes import MOST_NODES, Tables
+from forestgen.community.branch_modules.state import Plants, Snags, State, StepParameters, Traits, uniform
 from forestgen.core.compiled import compiled
+from forestgen.core.frames import BREAST_HEIGHT_M
+
+STUNTED = 1 / 30  # share of the mature age that a module must have reached
+PATIENCE = 2.0  # within so many times the years that one of full vigour needs to grow up
+_NO_MODULE = 2**32 - 1  # number of the draw: no plant has so many modules
 
 
 @compiled
@@ -31,10 +60,7 @@ def grow(
 ) -> NDArray[np.float32]:
     """(M,) physiological ages one step later: the growth rate rises smoothly from 0 at vigour_min to that of the type.
 
-    Parameters
-    ----------
-    vigour : (M,) of each module, over its size.
-    species : (P,) of each plant.
+    `vigour` (M,) is that of each module, over its size; `species` (P,) that of each plant.
     """
     age = modules.age.copy()
     numbers = traits.mature_age, traits.vigour_min, traits.vigour_max, traits.growth_rate_per_yr
@@ -43,7 +69,7 @@ def grow(
 
 
 @dataclass(frozen=True)
-class Rows:
+class NextRows:
     """Rows of the modules after shedding and sprouting: of each plant those that stay, then those that begin."""
 
     first: NDArray[np.int64]  # (P + 1,) as in Modules
@@ -99,34 +125,21 @@ def _fill(start, end, modules, keep, sprouts, next_number, most_nodes, out):  # 
 
 
 def rows_after(
-    modules: Modules,
-    keep: NDArray[np.bool_],
-    sprouts: NDArray[np.uint32],
-    next_number: NDArray[np.uint32],
-) -> Rows:
+    modules: Modules, keep: NDArray[np.bool_], sprouts: NDArray[np.uint32], next_number: NDArray[np.uint32]
+) -> NextRows:
     """Rows of the modules that stay and of those that begin; plants that keep nothing have none.
 
-    Parameters
-    ----------
-    keep : (M,) which stay; whoever stays has a bearer that stays.
-    sprouts : (M,) bit k: a module begins at terminal node k, if this module stays.
-    next_number : (P,) number of each plant's next module.
+    `keep` (M,) is of modules whose bearers stay too. Bit k of `sprouts` (M,): a module begins at terminal node k, if
+    this module stays. `next_number` (P,) is the number of each plant's next module.
     """
     first = np.zeros(modules.plants + 1, dtype=np.int64)
     over_plants(modules, lambda start, end: _count(start, end, modules.first, keep, sprouts, first))
     np.cumsum(first, out=first)
     n, following = int(first[-1]), next_number.copy()
-    out = (
-        first,
-        np.empty(n, np.int64),
-        np.empty(n, np.bool_),
-        np.empty(n, np.int32),
-        np.empty(n, np.int16),
-        np.empty(n, np.uint32),
-    )
+    out: Any = (first, *(np.empty(n, kind) for kind in (np.int64, np.bool_, np.int32, np.int16, np.uint32)))
     columns = modules.first, modules.parent, modules.node, modules.number
     over_plants(modules, lambda start, end: _fill(start, end, columns, keep, sprouts, following, MOST_NODES, out))
-    return Rows(*out, next_number=following)
+    return NextRows(*(*out, following))
 
 
 @compiled
@@ -144,3 +157,148 @@ def on_axis(modules: Modules, is_main: NDArray[np.bool_]) -> NDArray[np.bool_]:
     columns = modules.first, modules.parent, modules.node, modules.prototype
     over_plants(modules, lambda start, end: _on_axis(start, end, *columns, is_main, out))
     return out
+
+
+@compiled
+def _shed(start, end, modules, species, vigour, numbers, pipes, keep, disused):  # type: ignore[no-untyped-def]
+    first, parent, age, age_yr = modules
+    vigour_min, stunted_age, patience_yr = numbers
+    for p in range(start, end):
+        a, sp = first[p], species[p]
+        for i in range(a, first[p + 1]):
+            borne = parent[i] < 0 or keep[a + parent[i]]
+            stunted = age_yr[i] >= patience_yr[sp] and age[i] < stunted_age[sp]
+            keep[i] = borne and vigour[i] >= vigour_min[sp] and not stunted
+            if borne and not keep[i] and parent[i] >= 0:
+                disused[a + parent[i]] += pipes[i]
+
+
+@compiled
+def _overgrow(start, end, modules, species, before, shapes, numbers, squared, disused):  # type: ignore[no-untyped-def]
+    """Set `squared` (M,) from what it is by growth alone, and `disused`, to what they are by the rule of the page."""
+    first, parent, node, prototype = modules
+    fork_parent, disused_node, thickness = shapes
+    thickening, disused_share = numbers
+    longest = 0
+    for p in range(start, end):
+        longest = max(longest, first[p + 1] - first[p])
+    # Of each module: new pipes that may take a place, by way of its main axis's end and by others; what its joints
+    # grew by; and how much less than that they are thicker now.
+    through, beside, joints, less = np.empty(longest), np.empty(longest), np.empty(longest), np.empty(longest)
+    for p in range(start, end):
+        a, n, sp = first[p], first[p + 1] - first[p], species[p]
+        for i in range(n):
+            through[i] = beside[i] = joints[i] = less[i] = 0.0
+        for i in range(n - 1, -1, -1):
+            row = a + i
+            was, grown = np.float64(before[row]), squared[row]
+            own = (1.0 - disused_share[sp]) * max(0.0, grown - was - joints[i])
+            use = min(through[i], np.float64(disused[row]))
+            disused[row] = max(0.0, disused[row] - use)
+            squared[row] = grown - less[i] - use
+            if parent[row] < 0:
+                continue
+            u, k = parent[row], node[row]
+            s = prototype[a + u]
+            bare = (thickening[sp] * thickness[s, k]) ** 2
+            passed = max(bare, squared[row]) - max(bare, was)
+            joints[u] += max(bare, grown) - max(bare, was)
+            less[u] += max(bare, grown) - max(bare, squared[row])
+            left = max(0.0, min(own + through[i] - use + beside[i], passed))
+            while k > disused_node[s]:
+                k = fork_parent[s, k]
+            if k == disused_node[s]:
+                through[u] += left
+            else:
+                beside[u] += left
+
+
+def overgrown(
+    before: Modules, after: Modules, species: NDArray[np.uint16], tables: Tables, traits: Traits
+) -> tuple[Modules, NDArray[np.float32]]:
+    """`after`, where new pipes have taken the place of disused ones; and (M,) diameters of root nodes, metres.
+
+    `before` and `after` are the same modules before and after they grew, with the same disused pipes.
+    """
+    was = diameters(tables, before, species).astype(np.float64) ** 2
+    squared = diameters(tables, after, species).astype(np.float64) ** 2
+    disused = after.disused_m2.copy()
+    columns = after.first, after.parent, after.node, after.prototype
+    shapes = tables.parent, tables.disused_node, tables.thickness
+    numbers = tables.thickening_m, traits.disused_share
+    arguments = columns, species, was, shapes, numbers, squared, disused
+    over_plants(after, lambda start, end: _overgrow(start, end, *arguments))
+    return replace(after, disused_m2=disused), np.sqrt(squared).astype(np.float32)
+
+
+def _lost_pipes(
+    modules: Modules, diameter_m: NDArray[np.float32], species: NDArray[np.uint16], tables: Tables
+) -> NDArray[np.float32]:
+    """(M,) squared diameter that a module adds to the one that bears it, m2: its own less that of the bare terminal."""
+    bearer = np.maximum(modules.parent_row(), 0)
+    kind = np.repeat(species, np.diff(modules.first))
+    bare_m = tables.thickening_m[kind] * tables.thickness[modules.prototype[bearer], np.maximum(modules.node, 0)]
+    return np.maximum(diameter_m.astype(np.float64) ** 2 - bare_m**2, 0.0).astype(np.float32)
+
+
+def shed(
+    modules: Modules,
+    vigour: NDArray[np.float32],
+    diameter_m: NDArray[np.float32],
+    species: NDArray[np.uint16],
+    tables: Tables,
+    traits: Traits,
+    step_yr: float,
+) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
+    """(M,) which modules stay, and (M,) their disused pipes, m2, with those of the modules that do not.
+
+    Those stay of at least vigour_min that have begun to grow in time, and whose bearers stay too. `vigour` (M,) is that
+    of each module over its size, `diameter_m` (M,) that of its root node.
+    """
+    keep, disused = np.empty(len(modules), dtype=np.bool_), modules.disused_m2.copy()
+    pipes = _lost_pipes(modules, diameter_m, species, tables)
+    columns = modules.first, modules.parent, modules.age, modules.age_yr
+    patience_yr = PATIENCE * traits.mature_age / traits.growth_rate_per_yr + step_yr
+    numbers = traits.vigour_min, STUNTED * traits.mature_age, patience_yr
+    over_plants(modules, lambda start, end: _shed(start, end, columns, species, vigour, numbers, pipes, keep, disused))
+    return keep, disused
+
+
+def died_back(plants: Plants, modules: Modules, now: StepParameters) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
+    """(P,) which plants are dead of having died back, and (P,) the greatest height of each so far, metres.
+
+    None, and the heights as they were, where no dieback is asked for. Plants that never were over 1.3 m sprout again.
+    """
+    share = now.parameters.dieback_share
+    if share == 0:
+        return np.zeros(len(plants), dtype=np.bool_), plants.tallest_m
+    height_m = plant_sizes(now.tables, modules, plants.species).height_m
+    tallest_m = np.maximum(plants.tallest_m, height_m)
+    return (tallest_m > BREAST_HEIGHT_M) & (height_m < np.float32(share) * tallest_m), tallest_m
+
+
+def snags_after(state: State, now: StepParameters, plants: Plants, wood: Modules, alive: NDArray[np.bool_]) -> Snags:
+    """The snags one step later: those of before and the dead over 1.3 m, without those that have fallen.
+
+    `plants` and `wood` are all that lived, and their modules before the step's shedding; `alive` (P,) says which still
+    live.
+    """
+    parameters, snags, step = now.parameters, state.snags, state.step + 1
+    if parameters.standing_dead_yr == 0:
+        return snags
+    if not alive.all():
+        dead, remains = plants.where(~alive), wood.of_plants(~alive)
+        tall = plant_sizes(now.tables, remains, dead.species).height_m > BREAST_HEIGHT_M
+        snags = Snags(
+            plants=snags.plants.and_then(dead.where(tall)),
+            modules=snags.modules.and_then(remains.of_plants(tall)),
+            died=np.concatenate([snags.died, np.full(tall.sum(), step, dtype=np.int32)]),
+        )
+    dead_yr = (step - snags.died) * parameters.step_yr
+    return snags.where(dead_yr < stands_yr(state.seed, snags.plants.plant_id, parameters.standing_dead_yr))
+
+
+def stands_yr(seed: int, plant_id: NDArray[np.uint32], median_yr: float) -> NDArray[np.float64]:
+    """(N,) years after its death in which each snag falls."""
+    share = uniform(seed, plant_id, np.full(len(plant_id), _NO_MODULE, dtype=np.uint64))
+    return np.asarray(median_yr * np.sqrt(-np.log2(1.0 - share)))

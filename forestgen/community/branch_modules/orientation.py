@@ -232,27 +232,12 @@ def _turn(first, end, parity, angle, table, rows, fixed, moving, boxes, at, rota
 
 
 def orient(
-    grid: SphereGrid,
-    turning: Turning,
-    *,
-    steps: int = 3,
-    angle_rad: float = 0.35,
-    boxes: Boxes = NO_BOXES,
+    grid: SphereGrid, turning: Turning, *, steps: int = 3, angle_rad: float = 0.35, boxes: Boxes = NO_BOXES
 ) -> NDArray[np.float32]:
-    """Turn young modules, `steps` times.
+    """(N, 4) float32 unit quaternions of young modules after `steps` turns.
 
-    Parameters
-    ----------
-    grid : spheres of all modules. Those that turn are taken out by their rows; for them count the spheres that they
-        will have when grown.
-    turning : the modules that may turn, the newborn ones too, in the order of rows.
-    steps : of the optimisation; 0 leaves all as they are.
-    angle_rad : alpha of the first step.
-    boxes : obstacles.
-
-    Returns
-    -------
-    (N, 4) float32 unit quaternions.
+    `grid` holds the spheres of all modules. Those that turn are taken out by their rows; their spheres count as they
+    will be when grown. They come in the order of rows, newborn ones too. `angle_rad` is alpha of the first step.
     """
     n = len(turning)
     rotation = np.array(turning.rotation, dtype=np.float64).reshape(n, 4)
@@ -270,20 +255,19 @@ def orient(
     turns[rows[rows[:, 0] >= 0, 0]] = True
     fixed, boxes_rows = without(grid.cells, turns), boxes.rows
     new_rotation, new_at = rotation.copy(), at.copy()
+
+    def turn_half(parity: int, angle: float, moving: Cells) -> None:
+        others = fixed, moving, boxes_rows
+        places = at, rotation, new_at, new_rotation
+        over_ranges(n, lambda first, end: _turn(first, end, parity, angle, table, rows, *others, *places))
+        at[:], rotation[:] = new_at, new_rotation
+
     for step in range(steps):
         angle = angle_rad * SHRINKING**step
         if step:  # where they are now, with room for what they may turn in this step
             moving = cells_of(at[:, :3], table[:, _R] + angle * table[:, _ARM], grid.period_m)
         for parity in (0, 1):
-
-            def work(first: int, end: int, moving: Cells = moving, parity: int = parity, angle: float = angle) -> None:
-                _turn(
-                    first, end, parity, angle, table, rows, fixed, moving, boxes_rows,
-                    at, rotation, new_at, new_rotation,
-                )  # fmt: skip
-
-            over_ranges(n, work)
-            at[:], rotation[:] = new_at, new_rotation
+            turn_half(parity, angle, moving)
     out = np.empty((n, 4), dtype=np.float32)
     out[order] = rotation
     return out
@@ -291,13 +275,11 @@ def orient(
 
 def _table(turning: Turning) -> tuple[Floats, NDArray[np.int64]]:
     """(N, 12) what `_turn` needs of each module; (N, 3) its row, that of its bearer, and which half it is in."""
-    n = len(turning)
-    table, rows = np.empty((n, 12)), np.empty((n, 3), dtype=np.int64)
-    table[:, _X : _Z + 1], table[:, _CX : _CZ + 1] = turning.base_world_m, turning.centre_m
-    table[:, _R] = np.maximum(turning.radius_m, LEAST_RADIUS_M)
-    table[:, _ARM] = np.sqrt((table[:, _CX : _CZ + 1] ** 2).sum(axis=1))
-    table[:, _COS] = np.cos(np.asarray(turning.tropism_angle_rad, dtype=np.float64))
-    table[:, _TROPISM], table[:, _COLLISION] = turning.tropism_weight, turning.collision_weight
-    table[:, _GROUND] = -np.inf if turning.ground_m is None else turning.ground_m
-    rows[:, 0], rows[:, 1], rows[:, 2] = turning.row, turning.parent_row, np.arange(n) % 2
-    return table, rows
+    n, centre = len(turning), np.asarray(turning.centre_m, dtype=np.float64)
+    radius, arm = np.maximum(turning.radius_m, LEAST_RADIUS_M), np.sqrt((centre**2).sum(axis=1))
+    cosine = np.cos(np.asarray(turning.tropism_angle_rad, dtype=np.float64))
+    ground = np.full(n, -np.inf) if turning.ground_m is None else turning.ground_m
+    weights = turning.tropism_weight, turning.collision_weight
+    table = np.column_stack([turning.base_world_m, centre, radius, arm, cosine, *weights, ground])
+    rows = np.column_stack([turning.row, turning.parent_row, np.arange(n) % 2])
+    return table.astype(np.float64), rows.astype(np.int64)

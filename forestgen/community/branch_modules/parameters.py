@@ -1,61 +1,139 @@
-"""What a recipe says about the model of branch modules besides its species (Makowski 2023, section 2.6)."""
+"""What a recipe says about the model of branch modules besides its species (Makowski 2023, section 2.6).
+
+Some values may change on the way::
+
+    community:
+      changes:
+        - {at_yr: 50, set: {temperature_c: 9, species.pine.shade_tolerance: 0.2}}
+
+A change is made at the end of the step that reaches its time, as a disturbance is: what happens from then on goes by
+the new values. So the step from k to k + 1 goes by `parameters_at(parameters, types, k)`, which depends on k alone: a
+simulation that resumes there goes by the same. Changes of one step are made in the order of the list.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, BeforeValidator, Field, WithJsonSchema, model_validator
-from pydantic_core import PydanticCustomError
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    Field,
+    TypeAdapter,
+    ValidationError,
+    WithJsonSchema,
+    model_validator,
+)
 
-from forestgen.community.branch_modules.change import Change, species_key
+from forestgen.community.disturbance import KINDS
 from forestgen.community.model import CommunityParameters
 from forestgen.community.placement.density_map import DensityMap
 from forestgen.recipe.biome import COLDEST_C, DRIEST_MM, WARMEST_C, WETTEST_MM
-from forestgen.recipe.fields import (
-    Flag,
-    Fraction,
-    NonNegative,
-    Number,
-    Positive,
-    Section,
-    Text,
-    Whole,
-    mistake,
-)
+from forestgen.recipe.fields import Flag, Fraction, NonNegative, Number, Positive, Section, Text, Whole, mistake
 from forestgen.recipe.messages import show
 from forestgen.recipe.sources import Keys
+from forestgen.recipe.species import PlantType
+from forestgen.recipe.suggestions import nearest
 
 BLOCKED_ABOVE = 0.5  # a soil map's values above this bar plants
 MOST_PLANTS = 1_000_000  # at the start
+#: Keys of the section that a simulation starts with, and cannot change on its way.
+FIXED = (
+    "steps", "step_yr", "periodic", "disturbances", "initial_plants", "biome", "soil", "changes",
+    "standing_dead_yr", "dieback_share", "most_modules", "history_modules",
+)  # fmt: skip
 
 
-def _temperature(value: float) -> float:
-    if not COLDEST_C <= value <= WARMEST_C:
-        raise mistake(f"{COLDEST_C:g} to {WARMEST_C:g} deg C", problem="no such climate", got=f"{value:g} deg C")
-    return value
+class Change(Section):
+    """Other values of some parameters."""
+
+    at_yr: NonNegative = Field(le=1e6, description="Time from which they hold, years.")
+    set: dict[str, Any] = Field(
+        min_length=1, description="New values by key: of this section, or species.NAME.KEY of a species' modules."
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _is_no_disturbance(cls, data: Any) -> Any:
+        for key in data if isinstance(data, Mapping) else ():
+            kind = None if key in cls.model_fields else nearest(str(key), KINDS)
+            if kind is not None:
+                raise mistake(
+                    "at_yr and set",
+                    problem=f"unknown key {str(key)!r}",
+                    hint=f"a change sets numbers; write disturbances: [{{at_yr: ..., {kind}: ...}}] beside changes",
+                    at=(str(key),),
+                )
+        return data
+
+    @model_validator(mode="after")
+    def _can_be_changed(self) -> Self:
+        for key in self.set:
+            if key in FIXED:
+                raise mistake(
+                    "a key that may change with time",
+                    problem=f"{key} holds for the whole simulation",
+                    got=show(self.set[key]),
+                    at=("set", key),
+                )
+            if key.startswith("species") and species_key(key) is None:
+                raise mistake(
+                    "species.NAME.KEY, such as species.pine.shade_tolerance",
+                    problem="this names no key of a species",
+                    got=repr(key),
+                    at=("set", key),
+                )
+        return self
+
+    def step(self, step_yr: float) -> int:
+        """The step at whose end it is made."""
+        # Whole numbers of steps, such as 0.3 years in steps of 0.1, must not be missed by a rounding error.
+        return math.ceil(self.at_yr / step_yr * (1 - 1e-9))
+
+    def split(self) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
+        """The new values of the section, and those of each species' modules."""
+        own: dict[str, Any] = {}
+        of_species: dict[str, dict[str, Any]] = {}
+        for key, value in self.set.items():
+            parts = species_key(key)
+            if parts is None:
+                own[key] = value
+            else:
+                of_species.setdefault(parts[0], {})[parts[1]] = value
+        return own, of_species
 
 
-def _precipitation(value: float) -> float:
-    if not DRIEST_MM <= value <= WETTEST_MM:
-        raise mistake(
-            f"{DRIEST_MM:g} to {WETTEST_MM:g} mm a year",
-            problem="no such climate",
-            got=f"{value:g} mm a year",
-        )
-    return value
+def species_key(key: str) -> tuple[str, str] | None:
+    """Name and key of ``species.NAME.KEY``; None: a key of the section itself."""
+    parts = key.split(".")
+    return (parts[1], parts[2]) if len(parts) == 3 and parts[0] == "species" else None
+
+
+def _within(low: float, high: float, unit: str) -> AfterValidator:
+    def check(value: float) -> float:
+        if not low <= value <= high:
+            raise mistake(f"{low:g} to {high:g} {unit}", problem="no such climate", got=f"{value:g} {unit}")
+        return value
+
+    return AfterValidator(check)
 
 
 Temperature = Annotated[
-    Number, AfterValidator(_temperature), Field(json_schema_extra={"minimum": COLDEST_C, "maximum": WARMEST_C})
+    Number,
+    _within(COLDEST_C, WARMEST_C, "deg C"),
+    Field(json_schema_extra={"minimum": COLDEST_C, "maximum": WARMEST_C}),
 ]
 Precipitation = Annotated[
     Number,
-    AfterValidator(_precipitation),
+    _within(DRIEST_MM, WETTEST_MM, "mm a year"),
     Field(json_schema_extra={"minimum": DRIEST_MM, "maximum": WETTEST_MM}),
 ]
+_CLIMATE = {"temperature_c": TypeAdapter(Temperature), "precipitation_mm_per_yr": TypeAdapter(Precipitation)}
 
 
 class Biome(Section):
@@ -194,21 +272,19 @@ class BranchModulesParameters(CommunityParameters):
         if not isinstance(biome, Mapping | Biome):
             return data
         numbers = biome if isinstance(biome, Mapping) else biome.model_dump()
-        checks = {"temperature_c": _temperature, "precipitation_mm_per_yr": _precipitation}
         taken = {}
-        for key, check in checks.items():
+        for key, kind in _CLIMATE.items():
             try:
-                taken[key] = check(numbers[key]) if data.get(key) is None else data[key]
-            except (KeyError, TypeError, ValueError, PydanticCustomError):
+                taken[key] = kind.validate_python(numbers[key]) if data.get(key) is None else data[key]
+            except (KeyError, ValidationError):
                 continue  # the biome's own check says what is wrong
         return {**data, **taken}
 
     @model_validator(mode="after")
     def _whole_climate(self) -> Self:
-        keys = ("temperature_c", "precipitation_mm_per_yr")
-        missing = [key for key in keys if getattr(self, key) is None]
+        missing = [key for key in _CLIMATE if getattr(self, key) is None]
         if len(missing) == 1:
-            given = next(key for key in keys if key not in missing)
+            given = next(key for key in _CLIMATE if key not in missing)
             raise mistake(missing[0], problem="half a climate", got=f"{given} alone", at=(given,))
         if missing and self.biome is not None:
             raise mistake(
@@ -256,12 +332,58 @@ class BranchModulesParameters(CommunityParameters):
 
 
 def is_blocked(
-    blocked: NDArray[np.bool_] | None, x_m: NDArray[np.float64], y_m: NDArray[np.float64], size_m: tuple[float, float]
+    blocked: NDArray[np.bool_] | None, position_m: NDArray[np.float64], size_m: tuple[float, float]
 ) -> NDArray[np.bool_]:
-    """(N,) whether the soil at points on the site is barred; `blocked` is that of `blocked_soil`."""
+    """(N,) whether the soil at (N, 2) points on the site is barred; `blocked` is that of `blocked_soil`."""
     if blocked is None:
-        return np.zeros(len(x_m), dtype=bool)
-    rows, cols = blocked.shape
-    col = np.clip((x_m / size_m[0] * cols).astype(np.int64), 0, cols - 1)
-    row = np.clip((y_m / size_m[1] * rows).astype(np.int64), 0, rows - 1)
-    return np.asarray(blocked[row, col])
+        return np.zeros(len(position_m), dtype=bool)
+    return np.asarray(blocked[cells_at(position_m, size_m, blocked.shape)])
+
+
+def cells_at(
+    position_m: NDArray[np.float64], size_m: tuple[float, float], shape: tuple[int, ...]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Rows and columns, (N,) each, of the cells of a grid over the site in which (N, 2) points lie."""
+    (width, height), (rows, cols) = size_m, shape
+    row = np.clip((position_m[:, 1] / height * rows).astype(np.int64), 0, rows - 1)
+    col = np.clip((position_m[:, 0] / width * cols).astype(np.int64), 0, cols - 1)
+    return row, col
+
+
+def parameters_at(
+    parameters: BranchModulesParameters, types: Mapping[str, PlantType], step: int
+) -> tuple[BranchModulesParameters, dict[str, PlantType]]:
+    """The parameters, and the plant types by the names of the species that grow, with all changes up to a step."""
+    changed, kinds = parameters, dict(types)
+    for _, one in changes_in_order(parameters):
+        if one.step(parameters.step_yr) > step:
+            break
+        own, of_species = one.split()
+        if own:
+            changed = type(parameters).model_validate({**values_of(changed), **own})
+        for name, values in of_species.items():
+            kinds[name] = PlantType.model_validate({**values_of(kinds[name]), **values})
+    return changed, kinds
+
+
+def changes_in_order(parameters: BranchModulesParameters) -> list[tuple[int, Change]]:
+    """The changes in the order in which they are made, each with its place in the list."""
+    return sorted(enumerate(parameters.changes), key=lambda one: one[1].step(parameters.step_yr))
+
+
+def values_of(model: BaseModel) -> dict[str, Any]:
+    """A model's values as they are: maps stay read."""
+    return {name: getattr(model, name) for name in type(model).model_fields}
+
+
+def values_in_time(parameters: BranchModulesParameters, key: str) -> list[tuple[str, Any]]:
+    """Place and value of a key at the start and in every change."""
+    changed = [
+        (f"changes.{index}.set.{key}", one.set[key]) for index, one in enumerate(parameters.changes) if key in one.set
+    ]
+    return [(key, getattr(parameters, key)), *changed]
+
+
+def numbers_in_time(parameters: BranchModulesParameters, key: str) -> list[float]:
+    """The values alone of a key whose values are numbers."""
+    return [float(value) for _, value in values_in_time(parameters, key)]

@@ -1,31 +1,85 @@
-"""Seeds: how many fall, where, which of them germinate, and what a plant begins with (Makowski 2023, 2.6.3, 2.6.4)."""
+"""How plants begin: the first ones at random places, and seeds (Makowski 2023, 2.6.3, 2.6.4).
+
+Seeds: how many fall, where, which of them germinate, and what a plant begins with.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from math import floor
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.architecture.modules import Modules
-from forestgen.architecture.prototypes import choose_prototype
+from forestgen.architecture.prototypes import choose_prototype, load_prototypes
 from forestgen.community.arrivals import new_ids
-from forestgen.community.branch_modules.climate import LocalClimate, adaptation
-from forestgen.community.branch_modules.identity import along, uniform
-from forestgen.community.branch_modules.parameters import is_blocked
-from forestgen.community.branch_modules.state import Plants, State, refuse_more_seeds, seedling_modules
-from forestgen.community.branch_modules.surroundings import ground_at
+from forestgen.community.branch_modules.parameters import BranchModulesParameters, is_blocked
+from forestgen.community.branch_modules.state import (
+    Plants,
+    State,
+    StepParameters,
+    no_modules,
+    no_snags,
+    orientation_along,
+    refuse_more_modules,
+    refuse_more_seeds,
+    seedling_modules,
+    step_parameters,
+    uniform,
+)
+from forestgen.community.branch_modules.surroundings import LocalClimate, Surroundings, adaptation, boxes_of, ground_at
+from forestgen.community.ecology import SpeciesEcology
+from forestgen.community.model import Site
 from forestgen.core.compiled import compiled
-
-if TYPE_CHECKING:
-    from forestgen.community.branch_modules.kinds import Kinds
-    from forestgen.community.branch_modules.surroundings import Surroundings
+from forestgen.core.randomness import child_rng
 
 Floats = NDArray[np.float64]
+_ROUNDS = 200  # of draws for places on open ground
 _MOST_CELLS = 4_000_000
 _LEAST_SPACING_M = 0.01  # no two plants stand at one place
+
+
+def initial_state(
+    parameters: BranchModulesParameters, site: Site, species: Sequence[SpeciesEcology], seed: int
+) -> State:
+    """State of step 0: buildings come first, then the plants at random places, species by species."""
+    names = [one.name for one in species]
+    kind = np.array([names.index(one.kind) for one in site.buildings], dtype=np.uint16)
+    place = np.array([one.position_m for one in site.buildings], dtype=np.float64).reshape(len(kind), 2)
+    plants = _new_plants(1, kind, place, site, step=0, modules=0)
+    modules = no_modules(len(plants))
+    state = State(parameters, site, tuple(species), seed, 0, 1 + len(plants), plants, modules, no_snags(plants))
+    growing = [index for index, one in enumerate(species) if one.modules is not None]
+    wanted = parameters.counts([names[index] for index in growing]) if growing else np.zeros(0, np.int64)
+    refuse_more_modules(int(wanted.sum()), parameters.most_modules)
+    sp = np.repeat(np.array(growing, dtype=np.uint16), wanted)
+    place = _open_places(len(sp), parameters, site, child_rng(seed, "community", 0))
+    notes = () if len(place) == len(sp) else (f"only {len(place)} of {len(sp)} plants found open ground",)
+    new, roots = new_seedlings(place, sp[: len(place)], state, step_parameters(state), 0)
+    plants, modules, next_id = plants.and_then(new), modules.and_then(roots), state.next_id + len(new)
+    return replace(state, next_id=next_id, plants=plants, modules=modules, notes=notes)
+
+
+def _open_places(count: int, parameters: BranchModulesParameters, site: Site, rng: np.random.Generator) -> Floats:
+    """(N, 2) uniform places, metres, where nothing bars plants; fewer than `count` if hardly any ground is open."""
+    found, missing = [np.empty((0, 2))], count
+    for _ in range(_ROUNDS):
+        if missing == 0:
+            break
+        place = rng.random((missing, 2)) * site.size_m
+        found.append(place[_is_open(place, parameters, site)])
+        missing -= len(found[-1])
+    return np.concatenate(found)
+
+
+def _is_open(place: Floats, parameters: BranchModulesParameters, site: Site) -> NDArray[np.bool_]:
+    """(N,) whether neither soil nor buildings bar places on the site."""
+    is_open = ~is_blocked(parameters.blocked_soil(), place, site.size_m)
+    if site.buildings:
+        is_open &= ~boxes_of(site).cover(place, site.size_m if parameters.periodic else None)
+    return is_open
 
 
 @dataclass(frozen=True)
@@ -35,7 +89,7 @@ class Standing:
     plants: Plants
     adapted: Floats  # (P,) how well the climate suits them
     trunk_m: Floats  # (P,) diameters of their stems at the foot, metres
-    alive: NDArray[np.bool_]  # (P,) who stays, and takes room
+    alive: NDArray[np.bool_]  # (P,) which stay, and take room
 
 
 @dataclass(frozen=True)
@@ -47,12 +101,12 @@ class Arriving:
     needed: Floats  # (N,) o (Eq. 38) from which on each germinates, 0 to 1
 
 
-NOBODY = Arriving(np.empty((0, 2)), np.empty(0, np.uint16), np.empty(0))
+NO_SEEDS = Arriving(np.empty((0, 2)), np.empty(0, np.uint16), np.empty(0))
 
 
 def seedlings(
     state: State,
-    kinds: Kinds,
+    now: StepParameters,
     around: Surroundings,
     standing: Standing,
     climate: LocalClimate | None,
@@ -60,7 +114,7 @@ def seedlings(
     rng: np.random.Generator,
 ) -> tuple[Plants, Modules]:
     """The plants that germinate in a step: first of the seeds that fall, then of those that arrive."""
-    traits, parameters, plants = kinds.traits, kinds.parameters, standing.plants
+    traits, parameters, plants = now.traits, now.parameters, standing.plants
     sp = plants.species
     mean = np.where(plants.flowering, traits.seeds_per_yr[sp] * standing.adapted * parameters.step_yr, 0.0)
     refuse_more_seeds(float(mean.sum()) + len(arriving.species))
@@ -73,15 +127,16 @@ def seedlings(
         place[place >= size] = 0.0
     place, species = np.concatenate([place, arriving.position_m]), np.concatenate([sp[mother], arriving.species])
     needed = np.concatenate([np.zeros(len(mother)), arriving.needed])
-    fit = _germinates(place, species, needed, state, kinds, around, climate)
+    fit = _germinates(place, species, needed, state, now, around, climate)
     place, species = place[fit], species[fit]
     alive = standing.alive
     own = int(fit[: len(mother)].sum())
     # By chance, not by mothers' rows, which go by species; and those of the stand as if no others arrived.
     order = np.concatenate([rng.permutation(own), own + rng.permutation(len(place) - own)])
     room = np.empty(len(place), dtype=np.bool_)
-    room[order] = _with_room(place[order], plants.position_m[alive], 0.5 * standing.trunk_m[alive], state, kinds)
-    return begun(place[room], species[room], state, kinds, state.step + 1)
+    trunk_m = 0.5 * standing.trunk_m[alive]
+    room[order] = _with_room(place[order], plants.position_m[alive], trunk_m, parameters, state.site.size_m)
+    return new_seedlings(place[room], species[room], state, now, state.step + 1)
 
 
 def _germinates(
@@ -89,18 +144,15 @@ def _germinates(
     species: NDArray[np.uint16],
     needed: Floats,
     state: State,
-    kinds: Kinds,
+    now: StepParameters,
     around: Surroundings,
     climate: LocalClimate | None,
 ) -> NDArray[np.bool_]:
     """(N,) whether ground, climate and light let a seed germinate, which needs so much of o."""
-    size, traits, parameters = state.site.size_m, kinds.traits, kinds.parameters
-    fit: NDArray[np.bool_] = np.all((place >= 0) & (place <= size), axis=1)
+    traits, parameters = now.traits, now.parameters
+    fit: NDArray[np.bool_] = np.all((place >= 0) & (place <= state.site.size_m), axis=1)
     at = np.flatnonzero(fit)
-    open_soil = ~is_blocked(parameters.blocked_soil(), place[at, 0], place[at, 1], size)
-    if len(around.boxes):
-        open_soil &= ~around.boxes.cover(place[at], size if parameters.periodic else None)
-    fit[at] = open_soil
+    fit[at] = _is_open(place[at], parameters, state.site)
     at = np.flatnonzero(fit)
     ground = ground_at(state.site, place[at])
     adapted, leaf_share = adaptation(parameters, traits, species[at], place[at], ground, around, climate)
@@ -113,16 +165,17 @@ def _germinates(
     return fit
 
 
-def _with_room(place: Floats, taken: Floats, trunk_m: Floats, state: State, kinds: Kinds) -> NDArray[np.bool_]:
+def _with_room(
+    place: Floats, taken: Floats, trunk_m: Floats, parameters: BranchModulesParameters, size_m: tuple[float, float]
+) -> NDArray[np.bool_]:
     """(N,) which seeds, in their order, lie far enough from plants and from the seeds before them."""
     keep = np.zeros(len(place), dtype=np.bool_)
     if not len(place):
         return keep
-    spacing = max(kinds.parameters.seedling_spacing_m, _LEAST_SPACING_M)
-    width, height = state.site.size_m
+    spacing, (width, height) = max(parameters.seedling_spacing_m, _LEAST_SPACING_M), size_m
     side = max(spacing + float(trunk_m.max(initial=0.0)), (width * height / _MOST_CELLS) ** 0.5)
     cells = max(1, floor(width / side)), max(1, floor(height / side))
-    _settle(place, taken, trunk_m, spacing, width, height, cells, kinds.parameters.periodic, keep)
+    _settle(place, taken, trunk_m, spacing, width, height, cells, parameters.periodic, keep)
     return keep
 
 
@@ -167,25 +220,33 @@ def _settle(place, taken, trunk, spacing, width, height, cells, periodic, keep):
             head[b * nx + a] = n + k
 
 
-def begun(place: Floats, species: NDArray[np.uint16], state: State, kinds: Kinds, step: int) -> tuple[Plants, Modules]:
+def new_seedlings(
+    place: Floats, species: NDArray[np.uint16], state: State, now: StepParameters, step: int
+) -> tuple[Plants, Modules]:
     """Plants that begin, numbered from the state's next id: upright root modules, and seeds of no age."""
+    plants = _new_plants(state.next_id, species, place, state.site, step=step, modules=1)
+    traits, n = now.traits, len(plants)
+    prototype = choose_prototype(
+        load_prototypes(), traits.apical_control[species], traits.determinacy[species], allowed=now.allowed[species]
+    )
+    up = np.broadcast_to(np.array([0.0, 0.0, 1.0]), (n, 3))
+    roll_rad = 2 * np.pi * uniform(state.seed, plants.plant_id, np.zeros(n, dtype=np.uint32))
+    return plants, seedling_modules(prototype, orientation_along(up, roll_rad))
+
+
+def _new_plants(
+    first_id: int, species: NDArray[np.uint16], place: Floats, site: Site, *, step: int, modules: int
+) -> Plants:
+    """Plants that arrive in a step, of no size, with so many modules each."""
     n = len(place)
-    ids = new_ids(state.next_id, n)
-    zeros = np.zeros(n, dtype=np.uint32)
-    plants = Plants(
-        plant_id=ids,
+    return Plants(
+        plant_id=new_ids(first_id, n),
         species=species,
         position_m=np.ascontiguousarray(place),
-        ground_m=ground_at(state.site, place),
+        ground_m=ground_at(site, place),
         born=np.full(n, step, dtype=np.int32),
         flowering=np.zeros(n, dtype=np.bool_),
-        next_number=zeros + np.uint32(1),
+        next_number=np.full(n, modules, dtype=np.uint32),
         adaptation=np.ones(n, dtype=np.float32),
         tallest_m=np.zeros(n, dtype=np.float32),
     )
-    traits = kinds.traits
-    prototype = choose_prototype(
-        state.prototypes, traits.apical_control[species], traits.determinacy[species], allowed=kinds.allowed[species]
-    )
-    up = np.broadcast_to(np.array([0.0, 0.0, 1.0]), (n, 3))
-    return plants, seedling_modules(prototype, along(up, 2 * np.pi * uniform(state.seed, ids, zeros)))

@@ -24,6 +24,7 @@ memory a few cells a column.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from math import exp, floor, pi, sqrt
 
@@ -52,10 +53,6 @@ class ShadowGrid:
     spread: float = 0.25  # s, 0 to 0.5: share that moves to each side for each layer down
     periodic: bool = False
 
-    def __post_init__(self) -> None:
-        if not (min(self.size_m) > 0 and self.cell_m > 0 and self.layer_m > 0 and 0 <= self.spread <= 0.5):
-            raise ValueError(f"a shadow grid needs lengths above 0 and a spread of 0 to 0.5, got {self!r}")
-
     @property
     def cells(self) -> tuple[int, int]:
         """Number of cells along x and y."""
@@ -83,8 +80,7 @@ class Shade:
         if self.grid.periodic:
             column, line = column % nx, line % ny
         at = np.clip(line, 0, ny - 1), np.clip(column, 0, nx - 1)
-        answer: Floats = self.ground_share[at] * np.exp(-self.ground_depth[at])
-        return answer
+        return np.asarray(self.ground_share[at] * np.exp(-self.ground_depth[at]))
 
 
 @compiled
@@ -152,15 +148,13 @@ def _spread(above, plane, s, periodic, out):  # type: ignore[no-untyped-def]
             filled[slot] = b + step
             for a in range(nx):
                 left, right = _place(a - 1, nx, periodic), _place(a + 1, nx, periodic)
-                line[slot, a] = (1.0 - 2.0 * s) * (above[source, a] + plane[source, a] / UNITS) + s * (
-                    above[source, left]
-                    + plane[source, left] / UNITS
-                    + above[source, right]
-                    + plane[source, right] / UNITS
-                )
-        before, here, after = (b - 1) % 3, b % 3, (b + 1) % 3
+                beside = above[source, left] + plane[source, left] / UNITS
+                beside = beside + above[source, right] + plane[source, right] / UNITS
+                here = above[source, a] + plane[source, a] / UNITS
+                line[slot, a] = (1.0 - 2.0 * s) * here + s * beside
+        before, own, after = (b - 1) % 3, b % 3, (b + 1) % 3
         for a in range(nx):
-            out[b, a] = (1.0 - 2.0 * s) * line[here, a] + s * (line[before, a] + line[after, a])
+            out[b, a] = (1.0 - 2.0 * s) * line[own, a] + s * (line[before, a] + line[after, a])
 
 
 @compiled
@@ -176,23 +170,13 @@ def _by_layer(height, layer_m, layers, start, order):  # type: ignore[no-untyped
         start[k] += 1
 
 
-class _Covers:
-    """What boxes take of a layer's cells, for layers from the highest to the ground; one plane, however many boxes."""
-
-    def __init__(self, boxes: Boxes, grid: ShadowGrid) -> None:
-        self.layers = np.ceil(boxes.size_m[:, 2] / grid.layer_m - 1e-9).astype(np.int64)  # (B,) of each box
-        self._boxes, self._grid = boxes, grid
-        self._waiting = np.argsort(self.layers, kind="stable").tolist()  # the highest last
-        self._taken = np.zeros(grid.cells[::-1])
-
-    def open_share(self, layer: int) -> Floats:
-        """(ny, nx) share of each cell of a layer that no box takes: more light than that cannot be in it.
-
-        To be asked for from layer to layer downwards.
-        """
-        while self._waiting and layer < self.layers[self._waiting[-1]]:
-            _add_cover(self._boxes, self._waiting.pop(), self._grid, self._taken)
-        return np.asarray(np.maximum(1.0 - self._taken, 0.0))
+def _open_shares(boxes: Boxes, box_layers: NDArray[np.int64], grid: ShadowGrid, top: int) -> Iterator[Floats]:
+    """(ny, nx) share of each cell that no box takes, which bounds its light: of layer top - 1 down to the ground."""
+    waiting, taken = np.argsort(box_layers, kind="stable").tolist(), np.zeros(grid.cells[::-1])  # the highest last
+    for layer in range(top - 1, -1, -1):
+        while waiting and layer < box_layers[waiting[-1]]:
+            _add_cover(boxes, waiting.pop(), grid, taken)
+        yield np.asarray(np.maximum(1.0 - taken, 0.0))
 
 
 def _add_cover(boxes: Boxes, k: int, grid: ShadowGrid, taken: Floats) -> None:
@@ -232,19 +216,7 @@ def _near(at: Floats, middle: float, reach: float, grid: ShadowGrid, axis: int) 
     offset = at - middle
     if grid.periodic:
         offset -= np.round(offset / grid.size_m[axis]) * grid.size_m[axis]
-    near: NDArray[np.bool_] = np.abs(offset) <= reach
-    return near
-
-
-def _check_layers(top: int, grid: ShadowGrid, height: Floats) -> None:
-    if top > _MOST_LAYERS:
-        raise ResourceError(
-            "the trees are too tall for layers of light so thin",
-            where="community.cell_m",
-            expected=f"at most {_MOST_LAYERS:,} layers of {grid.layer_m:g} m",
-            got=f"modules {height.max():,.0f} m above the ground",
-            hint="make cell_m larger",
-        )
+    return np.asarray(np.abs(offset) <= reach)
 
 
 def shade(
@@ -257,20 +229,10 @@ def shade(
 ) -> Shade:
     """The light that reaches each module.
 
-    Parameters
-    ----------
-    position_m : (M, 2) or (M, 3) centre of each module's sphere, world x and y, metres; beyond the site: at its edge,
-        or around the torus.
-    height_m : (M,) of the centre above the local ground, metres; below it: the lowest layer.
-    radius_m : (M,) of the spheres, metres.
-    depth : (M,) optical depth of each module over its sphere's disc: opacity x share that is grown.
-    grid : extent.
-    boxes : obstacles, each from the local ground up.
-
-    Raises
-    ------
-    ResourceError : more than 2000 layers.
-    ValueError : positions that are not finite.
+    `position_m`, (M, 2) or (M, 3), are the centres of the modules' spheres, world x and y; beyond the site they count
+    at its edge, or around the torus. `height_m` (M,) are their heights above the local ground, below which they count
+    in the lowest layer. `depth` (M,) is the optical depth of each module over its sphere's disc: opacity x share that
+    is grown. Boxes stand on the local ground. More than 2000 layers are a ResourceError.
     """
     position, height = np.array(position_m[:, :2], dtype=np.float64), np.ascontiguousarray(height_m, dtype=np.float64)
     radius = np.maximum(np.ascontiguousarray(radius_m, dtype=np.float64), 1e-6)
@@ -282,9 +244,17 @@ def shade(
         np.clip(position, 0.0, np.array(grid.size_m) * (1 - 1e-12), out=position)
     if not (np.isfinite(position).all() and np.isfinite(height).all()):
         raise ValueError("modules need finite positions")
-    covers = _Covers(boxes, grid)
-    top = max(int(max(height.max(initial=0.0), 0.0) // grid.layer_m) + 1, int(covers.layers.max(initial=0)))
-    _check_layers(top, grid, height)
+    box_layers = np.ceil(boxes.size_m[:, 2] / grid.layer_m - 1e-9).astype(np.int64)  # (B,)
+    top = max(int(max(height.max(initial=0.0), 0.0) // grid.layer_m) + 1, int(box_layers.max(initial=0)))
+    if top > _MOST_LAYERS:
+        raise ResourceError(
+            "the trees are too tall for layers of light so thin",
+            where="community.cell_m",
+            expected=f"at most {_MOST_LAYERS:,} layers of {grid.layer_m:g} m",
+            got=f"modules {height.max():,.0f} m above the ground",
+            hint="make cell_m larger",
+        )
+    open_shares = _open_shares(boxes, box_layers, grid, top)
     start, order = np.zeros(top + 2, dtype=np.int64), np.empty(len(height), dtype=np.int64)
     _by_layer(height, grid.layer_m, top, start, order)
     light = np.empty(len(height), dtype=np.float32)
@@ -293,7 +263,7 @@ def shade(
     for k in range(top - 1, -1, -1):
         rows = order[start[k] : start[k + 1]]
         if len(boxes):
-            np.minimum(share, covers.open_share(k), out=share)
+            np.minimum(share, next(open_shares), out=share)
         plane[:] = 0
         _deposit(rows, position, radius, opaque, per_x, per_y, grid.periodic, plane)
         _read(rows, position, radius, opaque, per_x, per_y, grid.periodic, plane, above, share, light)

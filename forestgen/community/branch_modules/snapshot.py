@@ -7,12 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.architecture.geometry import plant_sizes
 from forestgen.architecture.modules import Modules
-from forestgen.architecture.prototypes import load_prototypes
-from forestgen.architecture.sizes import plant_sizes
-from forestgen.community.branch_modules.kinds import kinds_at
+from forestgen.community.arrivals import on_the_ground
 from forestgen.community.branch_modules.parameters import BranchModulesParameters
-from forestgen.community.branch_modules.state import Plants, Snags, State, appended, reordered, rows_of_plants
+from forestgen.community.branch_modules.state import Plants, Snags, State, step_parameters
 from forestgen.community.branch_modules.surroundings import ground_at
 from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.model import Site
@@ -21,15 +20,16 @@ from forestgen.community.snapshot_checks import ImpossibleValueError, Limits, ar
 from forestgen.core.errors import RecipeError
 
 LEAST_SIZE_M = 0.01  # of a seed, which has no length yet
+_ALIVE = np.iinfo(np.int32).max  # step of death of living plants
 DOMINATED_BELOW = 0.5  # mean light of a plant's modules
 
 
 def population_of(state: State) -> Population:
     """Snapshot, the standing dead among the living; z is 0."""
     plants, modules, died = _with_snags(state)
-    kinds, step_yr = kinds_at(state), state.parameters.step_yr
+    tables, step_yr = step_parameters(state).tables, state.parameters.step_yr
     dead = died <= state.step
-    sizes = plant_sizes(kinds.tables, modules, plants.species)
+    sizes = plant_sizes(tables, modules, plants.species)
     light, vigour = np.where(dead, 0.0, _mean(modules, modules.light)), np.zeros(len(plants))
     rooted = (np.diff(modules.first) > 0) & ~dead
     vigour[rooted] = modules.vigour[modules.first[:-1][rooted]]
@@ -40,14 +40,17 @@ def population_of(state: State) -> Population:
     radius_m, height_m = (one.astype(np.float64) for one in (sizes.crown_radius_m, sizes.height_m))
     for row, obstacle in enumerate(state.site.buildings):  # they are the first plants of all
         radius_m[row], height_m[row] = 0.5 * float(np.hypot(*obstacle.size_m[:2])), obstacle.size_m[2]
-    position_m = np.zeros((len(plants), 3))
-    position_m[:, :2] = plants.position_m
+    on_request = {}
+    if state.parameters.standing_dead_yr > 0:
+        on_request["dead_yr"] = (np.maximum(state.step - died.astype(np.int64), 0) * step_yr).astype(np.float32)
+    if state.parameters.dieback_share > 0:
+        on_request["tallest_m"] = plants.tallest_m
     return Population(
         time_yr=state.step * step_yr,
         species_names=tuple(one.name for one in state.species),
         plant_id=plants.plant_id,
         species=plants.species,
-        position_m=position_m,
+        position_m=on_the_ground(plants.position_m),
         radius_m=np.maximum(radius_m, LEAST_SIZE_M),
         height_m=np.maximum(height_m, LEAST_SIZE_M),
         age_yr=age_yr.astype(np.float64),
@@ -63,15 +66,12 @@ def population_of(state: State) -> Population:
             "flowering": plants.flowering.astype(np.uint8),
             "next_module": plants.next_number,
             "adaptation": plants.adaptation,
-            **_on_request(state, plants, died),
+            **on_request,
         },
         step=state.step,
         state={"next_id": state.next_id, **({"notes": list(state.notes)} if state.notes else {})},
         modules=modules,
     )
-
-
-_ALIVE = np.iinfo(np.int32).max  # step of death of who lives
 
 
 def _with_snags(state: State) -> tuple[Plants, Modules, NDArray[np.int32]]:
@@ -81,18 +81,7 @@ def _with_snags(state: State) -> tuple[Plants, Modules, NDArray[np.int32]]:
         return state.plants, state.modules, died
     plants, died = state.plants.and_then(snags.plants), np.concatenate([died, snags.died])
     order = np.argsort(plants.plant_id).astype(np.int64)
-    return plants.where(order), reordered(appended(state.modules, snags.modules), order), died[order]
-
-
-def _on_request(state: State, plants: Plants, died: NDArray[np.int32]) -> dict[str, NDArray[np.float32]]:
-    """Columns of a recipe's own wishes."""
-    parameters, columns = state.parameters, {}
-    if parameters.standing_dead_yr > 0:
-        dead_yr = np.maximum(state.step - died.astype(np.int64), 0) * parameters.step_yr
-        columns["dead_yr"] = dead_yr.astype(np.float32)
-    if parameters.dieback_share > 0:
-        columns["tallest_m"] = plants.tallest_m
-    return columns
+    return plants.where(order), state.modules.and_then(snags.modules).of_plants(order), died[order]
 
 
 def _mean(modules: Modules, values: NDArray[np.float32]) -> NDArray[np.float64]:
@@ -137,19 +126,10 @@ def state_of(
         adaptation=columns.get("adaptation", np.ones(len(population), dtype=np.float32)),
         tallest_m=columns.get("tallest_m", zeros),
     )
-    return State(
-        parameters,
-        site,
-        tuple(species),
-        seed,
-        population.step,
-        int(population.state["next_id"]),
-        load_prototypes(),
-        plants.where(~dead),
-        rows_of_plants(population.modules, ~dead),
-        Snags(plants.where(dead), rows_of_plants(population.modules, dead), died[dead]),
-        tuple(population.notes),
-    )
+    modules, notes, next_id = population.modules, tuple(population.notes), int(population.state["next_id"])
+    snags = Snags(plants.where(dead), modules.of_plants(dead), died[dead])
+    living = plants.where(~dead), modules.of_plants(~dead)
+    return State(parameters, site, tuple(species), seed, population.step, next_id, *living, snags, notes)
 
 
 def check_resumable(

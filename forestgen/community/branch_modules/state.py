@@ -1,20 +1,29 @@
-"""The state of a simulation: its plants, their modules, and everything else that the future depends on."""
+"""The state of a simulation, and what one step goes by.
+
+The state is its plants, their modules, and everything else that the future depends on. A step goes by the parameters,
+and by plant types and prototypes as arrays, with all changes up to then. Random numbers and orientations of modules
+follow from their identity: other plants do not change them.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.architecture.modules import Modules
-from forestgen.architecture.plant_type import PlantType
-from forestgen.architecture.prototype import Prototype
+from forestgen.architecture.prototypes import Tables, load_prototypes, tables_of
 from forestgen.community.arrivals import Rows
-from forestgen.community.branch_modules.parameters import BranchModulesParameters
+from forestgen.community.branch_modules.parameters import BranchModulesParameters, parameters_at
 from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.model import Site
-from forestgen.core.errors import ResourceError
+from forestgen.core.errors import RecipeError, ResourceError
+from forestgen.recipe.species import PlantType
+from forestgen.recipe.suggestions import did_you_mean
 
 MOST_SEEDS = 20_000_000  # of one step: a gigabyte
 
@@ -45,7 +54,7 @@ class Snags:
     def where(self, keep: NDArray[np.bool_]) -> Snags:
         if keep.all():
             return self
-        return Snags(self.plants.where(keep), rows_of_plants(self.modules, keep), self.died[keep])
+        return Snags(self.plants.where(keep), self.modules.of_plants(keep), self.died[keep])
 
 
 @dataclass(frozen=True)
@@ -58,7 +67,6 @@ class State:
     seed: int
     step: int
     next_id: int  # the id of the next plant to arrive
-    prototypes: tuple[Prototype, ...]
     plants: Plants  # those that live
     modules: Modules
     snags: Snags
@@ -70,33 +78,33 @@ class State:
         return {one.name: one.modules for one in self.species if one.modules is not None}
 
 
-def rows_of_plants(modules: Modules, keep: NDArray[np.bool_]) -> Modules:
-    """The modules of those plants that are kept, (P,) each."""
-    counts = np.diff(modules.first)
-    rows = np.repeat(keep, counts)
-    first = np.concatenate([[0], np.cumsum(counts[keep])]).astype(np.int64)
-    columns = {name: values[rows] for name, values in vars(modules).items() if name != "first"}
-    return Modules(first=first, **columns)
+def _mixed(bits: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    """The finaliser of SplitMix64 (Steele et al. 2014)."""
+    bits = (bits ^ (bits >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    bits = (bits ^ (bits >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return np.asarray(bits ^ (bits >> np.uint64(31)))
 
 
-def reordered(modules: Modules, plant: NDArray[np.int64]) -> Modules:
-    """The modules of plants in another order: `plant` (Q,) is the row of each."""
-    counts = np.diff(modules.first)[plant]
-    first = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-    rows = np.arange(first[-1]) + np.repeat(modules.first[plant] - first[:-1], counts)
-    columns = {name: values[rows] for name, values in vars(modules).items() if name != "first"}
-    return Modules(first=first, **columns)
+def uniform(seed: int, plant_id: NDArray[Any], number: NDArray[Any]) -> NDArray[np.float64]:
+    """(N,) in [0, 1): one random number of each module, by its plant's id and its own number."""
+    bits = np.full(len(plant_id), seed % 2**64, dtype=np.uint64)
+    for identity in (plant_id, number):
+        bits = _mixed(bits + np.uint64(0x9E3779B97F4A7C15) + identity.astype(np.uint64))
+    return (bits >> np.uint64(11)).astype(np.float64) * 2.0**-53
 
 
-def appended(modules: Modules, others: Modules) -> Modules:
-    """The modules of plants and of further plants behind them."""
-    first = np.concatenate([modules.first, modules.first[-1] + others.first[1:]])
-    columns = {
-        name: np.concatenate([values, getattr(others, name)])
-        for name, values in vars(modules).items()
-        if name != "first"
-    }
-    return Modules(first=first, **columns)
+def orientation_along(direction: NDArray[Any], roll_rad: NDArray[np.float64]) -> NDArray[np.float32]:
+    """(N, 4) unit quaternions w, x, y, z that take z to unit vectors (N, 3), rolled about z by these angles before."""
+    x, y, z = direction.astype(np.float64).T
+    # The least rotation from z, of axis (-y, x, 0); straight down any axis will do.
+    down = z < -1 + 1e-9
+    w = np.sqrt(np.maximum(0.5 * (1.0 + z), 0.0))
+    scale = 0.5 / np.where(down, 1.0, w)
+    a, b = np.where(down, 1.0, -y * scale), np.where(down, 0.0, x * scale)
+    w = np.where(down, 0.0, w)
+    cosine, sine = np.cos(0.5 * roll_rad), np.sin(0.5 * roll_rad)
+    turned = np.stack([w * cosine, a * cosine + b * sine, b * cosine - a * sine, w * sine], axis=-1)
+    return np.asarray(turned / np.linalg.norm(turned, axis=-1, keepdims=True), dtype=np.float32)
 
 
 def seedling_modules(prototype: NDArray[np.uint8], rotation: NDArray[np.float32]) -> Modules:
@@ -119,14 +127,10 @@ def seedling_modules(prototype: NDArray[np.uint8], rotation: NDArray[np.float32]
     )
 
 
-def without_modules(modules: Modules, plants: int) -> Modules:
-    """The same with so many plants that have no module behind."""
-    return replace(modules, first=np.concatenate([modules.first, np.full(plants, modules.first[-1])]))
-
-
-def no_modules() -> Modules:
-    """Of no plant at all."""
-    return seedling_modules(np.zeros(0, dtype=np.uint8), np.zeros((0, 4), dtype=np.float32))
+def no_modules(plants: int = 0) -> Modules:
+    """Those of so many plants that have none."""
+    none = seedling_modules(np.zeros(0, dtype=np.uint8), np.zeros((0, 4), dtype=np.float32))
+    return replace(none, first=np.zeros(plants + 1, dtype=np.int64))
 
 
 def no_snags(plants: Plants) -> Snags:
@@ -157,3 +161,116 @@ def refuse_more_seeds(seeds: float, where: str = "community.step_yr") -> None:
             hint="lower species' modules.seeds_per_yr, or seeds_per_ha of global_seeding; make steps shorter, or the "
             "site smaller",
         )
+
+
+#: What stands in the arrays for a species that does not grow, such as a building.
+STAND_IN = PlantType(life_span_yr=1.0, root_vigour_max=1.0, growth_rate_per_yr=1.0, apical_control=0.5, determinacy=0.5)
+
+
+@dataclass(frozen=True)
+class Traits:
+    """Every number of the plant types; arrays (T,) in the order of the species. Fields as in `PlantType`."""
+
+    grows: NDArray[np.bool_]  # whether it is a plant at all; a building's kind never grows
+    life_span_yr: NDArray[np.float64]
+    root_vigour_max: NDArray[np.float64]
+    growth_rate_per_yr: NDArray[np.float64]
+    apical_control: NDArray[np.float64]
+    determinacy: NDArray[np.float64]
+    apical_control_mature: NDArray[np.float64]
+    determinacy_mature: NDArray[np.float64]
+    flowering_age_yr: NDArray[np.float64]
+    flowering_delay_max: NDArray[np.float64]
+    tropism_angle_rad: NDArray[np.float64]
+    tropism_weight: NDArray[np.float64]
+    collision_weight: NDArray[np.float64]
+    mature_age: NDArray[np.float64]
+    vigour_min: NDArray[np.float64]
+    vigour_max: NDArray[np.float64]
+    sprouting: NDArray[np.float64]
+    disused_share: NDArray[np.float64]
+    upkeep: NDArray[np.float64]
+    reach_m: NDArray[np.float64]
+    compensation: NDArray[np.float64]
+    opacity: NDArray[np.float64]
+    shade_tolerance: NDArray[np.float64]
+    seeds_per_yr: NDArray[np.float64]
+    seeding_radius_m: NDArray[np.float64]
+    temperature_c: NDArray[np.float64]
+    temperature_width_c: NDArray[np.float64]
+    precipitation_mm_per_yr: NDArray[np.float64]
+    precipitation_width_mm_per_yr: NDArray[np.float64]
+
+
+def _traits_of(types: Sequence[PlantType | None]) -> Traits:
+    """The arrays of plant types in the order of the species; None: a species that does not grow."""
+    columns = {}
+    for name in (one.name for one in fields(Traits) if one.name != "grows"):
+        values = []
+        for one in types:
+            plant_type = STAND_IN if one is None else one
+            value = getattr(plant_type, name)
+            values.append(getattr(plant_type, name.removesuffix("_mature")) if value is None else value)
+        columns[name] = np.array(values, dtype=np.float64)
+    angle_rad = columns["tropism_angle_rad"]  # below 0: below the horizontal
+    columns["tropism_angle_rad"] = np.where(angle_rad < 0.0, 0.5 * np.pi - angle_rad, angle_rad)
+    # As ages are kept: a limit that float32 cannot hold would never be reached.
+    columns["mature_age"] = columns["mature_age"].astype(np.float32).astype(np.float64)
+    return Traits(grows=np.array([one is not None for one in types], dtype=np.bool_), **columns)
+
+
+def _allowed_prototypes(names: Sequence[str], types: Sequence[PlantType | None]) -> NDArray[np.bool_]:
+    """(T, S) which of the prototypes each type may have; a type that names none may have all."""
+    out = np.ones((len(types), len(names)), dtype=np.bool_)
+    for row, one in enumerate(types):
+        if one is None or not one.prototypes:
+            continue
+        for name in one.prototypes:
+            if name not in names:
+                raise no_prototype(name, names)
+        out[row] = [name in one.prototypes for name in names]
+    return out
+
+
+def main_path(tables: Tables) -> NDArray[np.bool_]:
+    """(S, N) whether the way from a prototype's root to a node takes main children only."""
+    out = np.zeros(tables.parent.shape, dtype=np.bool_)
+    for s, children in enumerate(tables.first_child):
+        node = 0
+        while node >= 0:
+            out[s, node] = True
+            node = int(children[node])
+    return out
+
+
+def no_prototype(name: str, known: Collection[str], where: str | None = None) -> RecipeError:
+    """The error of a prototype that there is not."""
+    expected, hint = "one of " + ", ".join(known), did_you_mean(name, known)
+    return RecipeError("no such prototype of a module", where=where, expected=expected, got=name, hint=hint)
+
+
+@dataclass(frozen=True)
+class StepParameters:
+    """Parameters, types and prototypes of one step."""
+
+    parameters: BranchModulesParameters
+    traits: Traits
+    tables: Tables
+    main_path: NDArray[np.bool_]  # (S, N) of `main_path`
+    allowed: NDArray[np.bool_]  # (T, S) of `_allowed_prototypes`
+
+
+def step_parameters(state: State) -> StepParameters:
+    """What the step after a state goes by."""
+    parameters, types = parameters_at(state.parameters, state.types, state.step)
+    return StepParameters(
+        parameters, *_arrays(tuple(types.get(one.name) for one in state.species), parameters.sphere_scale)
+    )
+
+
+@lru_cache(maxsize=16)
+def _arrays(
+    types: tuple[PlantType | None, ...], sphere_scale: float
+) -> tuple[Traits, Tables, NDArray[np.bool_], NDArray[np.bool_]]:
+    tables = tables_of(load_prototypes(), [one or STAND_IN for one in types], sphere_scale=sphere_scale)
+    return _traits_of(types), tables, main_path(tables), _allowed_prototypes(tables.names, types)

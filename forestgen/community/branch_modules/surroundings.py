@@ -1,4 +1,9 @@
-"""What the modules of a state see of one another: their spheres, the light that is left, and where there is room."""
+"""What the modules of a state see: their spheres, the light that is left, where there is room, and the climate.
+
+How well a climate suits a species (Makowski 2023, Eq. 13) is a Gaussian of temperature times one of precipitation. The
+climate is one for the whole site, colder with elevation; or it differs by place (`LocalClimate`, Eq. 38). Then it
+bounds what leaves gain, too.
+"""
 
 from __future__ import annotations
 
@@ -8,15 +13,81 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.architecture.geometry import spheres
-from forestgen.architecture.modules import Modules
-from forestgen.architecture.tables import Tables
 from forestgen.community.branch_modules.boxes import NO_BOXES, Boxes
 from forestgen.community.branch_modules.crowding import SphereGrid, overlap
-from forestgen.community.branch_modules.kinds import Kinds
-from forestgen.community.branch_modules.orientation import Turning, orient
+from forestgen.community.branch_modules.parameters import BranchModulesParameters, cells_at
 from forestgen.community.branch_modules.shade import Shade, ShadowGrid, shade
-from forestgen.community.branch_modules.state import State
+from forestgen.community.branch_modules.state import State, StepParameters, Traits
 from forestgen.community.model import Site
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class LocalClimate:
+    """The climate by place: maps over the site, row 0 at y = 0."""
+
+    size_m: tuple[float, float]
+    temperature_c: Floats  # (rows, cols) mean at the ground in the open; elevation is in it
+    precipitation_mm_per_yr: Floats  # (rows, cols) rain that would keep the soil as wet as it is
+    shade_cooling_k: float = 0.0  # by which complete shade is cooler
+    even_shade: bool = False  # whether shade counts by its mean over the site
+
+    def light_at(self, position_m: Floats, around: Surroundings) -> Floats:
+        """(N,) the light at (N, 2) world x and y on the site by which shade cools, 0 to 1."""
+        if not self.shade_cooling_k:
+            return np.ones(len(position_m))
+        if not self.even_shade:
+            return around.light_at(position_m)
+        rows, cols = self.temperature_c.shape
+        x, y = ((np.arange(n) + 0.5) / n * side for n, side in zip((cols, rows), self.size_m, strict=True))
+        middles = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+        return np.full(len(position_m), around.light_at(middles).mean())
+
+    def at(self, position_m: Floats, light: Floats) -> tuple[Floats, Floats]:
+        """(N,) temperature and precipitation at (N, 2) world x and y on the site, in so much light, 0 to 1."""
+        cell = cells_at(position_m, self.size_m, self.temperature_c.shape)
+        return self.temperature_c[cell] - self.shade_cooling_k * (1.0 - light), self.precipitation_mm_per_yr[cell]
+
+
+def adaptation(
+    parameters: BranchModulesParameters,
+    traits: Traits,
+    species: NDArray[np.integer],
+    position_m: Floats,
+    elevation_m: Floats,
+    around: Surroundings,
+    climate: LocalClimate | None,
+) -> tuple[Floats, Floats]:
+    """(N,) o of Eq. 13, or of Eq. 38 in a local climate, and (N,) the share of its light that a leaf can use.
+
+    Both are 1 where no climate is given, for plants of these species. The share is 1 without a local climate. In one it
+    is o, but for rain above the optimum, which counts as the optimum: water in plenty takes nothing from leaves. What a
+    module needs itself does not become less, so that a drought takes the darkest leaves first (docs/adr/0012).
+    `position_m` (N, 2) are their feet, `elevation_m` (N,) the ground's height there.
+    """
+    unhindered = np.ones(len(species))
+    if climate is not None:
+        temperature_c, rain = climate.at(position_m, climate.light_at(position_m, around))
+        enough = np.minimum(rain, traits.precipitation_mm_per_yr[species])
+        return suited(traits, species, temperature_c, rain), suited(traits, species, temperature_c, enough)
+    if parameters.temperature_c is None or parameters.precipitation_mm_per_yr is None:
+        return unhindered, unhindered
+    warmth = parameters.temperature_c + parameters.lapse_rate_k_per_km * elevation_m / 1000.0
+    return suited(traits, species, warmth, parameters.precipitation_mm_per_yr), unhindered
+
+
+def suited(
+    traits: Traits, species: NDArray[np.integer], temperature_c: Floats, precipitation_mm_per_yr: Floats | float
+) -> Floats:
+    """(N,) o of species where it is so warm and so wet.
+
+    The ratio of the densities at the climate and at the optimum: 1 at the optimum, whatever the widths.
+    """
+    warm = (temperature_c - traits.temperature_c[species]) / traits.temperature_width_c[species]
+    excess = precipitation_mm_per_yr - traits.precipitation_mm_per_yr[species]
+    wet = excess / traits.precipitation_width_mm_per_yr[species]
+    return np.asarray(np.exp(-0.5 * (warm**2 + wet**2)))
 
 
 @dataclass(frozen=True)
@@ -50,11 +121,11 @@ def ground_at(site: Site, position_m: NDArray[np.float64]) -> NDArray[np.float64
     return np.asarray(site.height(position_m[:, 0], position_m[:, 1]), dtype=np.float64)
 
 
-def surroundings_of(state: State, kinds: Kinds, leaves: NDArray[np.float32]) -> Surroundings:
+def surroundings_of(state: State, now: StepParameters, leaves: NDArray[np.float32]) -> Surroundings:
     """Spheres, crowding (Eq. 1) and global shadow of a state's modules; `leaves` (M,) of a whole module's foliage."""
-    parameters, modules, plants = kinds.parameters, state.modules, state.plants
+    parameters, modules, plants = now.parameters, state.modules, state.plants
     counts = np.diff(modules.first)
-    centre, radius = spheres(kinds.tables, modules, plants.species)
+    centre, radius = spheres(now.tables, modules, plants.species)
     position = np.repeat(plants.position_m, counts, axis=0)
     position += centre[:, :2]
     ground = np.repeat(plants.ground_m, counts)
@@ -68,52 +139,8 @@ def surroundings_of(state: State, kinds: Kinds, leaves: NDArray[np.float32]) -> 
     if parameters.global_shade:
         # The ground below a branch is that at the plant's foot: on a slope a crown keeps its height above its own foot.
         kind = np.repeat(plants.species, counts)
-        depth = kinds.traits.opacity[kind] * leaves
+        depth = now.traits.opacity[kind] * leaves
         shadows = ShadowGrid(state.site.size_m, cell_m=parameters.cell_m, layer_m=parameters.cell_m, periodic=periodic)
         seen = shade(world, centre[:, 2], radius, depth, shadows, boxes)
         light *= seen.light
     return Surroundings(grid, seen, boxes, light)
-
-
-def turned(
-    around: Surroundings,
-    kinds: Kinds,
-    after: Modules,
-    chosen: NDArray[np.int64],
-    state: State,
-    former: tuple[NDArray[np.int64], NDArray[np.int64]],
-    is_axis: NDArray[np.bool_],
-    steps: int,
-) -> NDArray[np.float32]:
-    """(N, 4) attitudes of the modules in rows `chosen` of `after`, a few steps nearer to their best.
-
-    Parameters
-    ----------
-    state : at the step's beginning, whose spheres they are turned among.
-    former : (N,) each, rows of the modules themselves (-1: just born) and of those that bear them, in that state.
-    is_axis : (N,) whether they continue the plant's main axis.
-    """
-    traits, tables, plants = kinds.traits, kinds.tables, state.plants
-    plant = np.searchsorted(after.first, chosen, side="right") - 1
-    kind, prototype = plants.species[plant], after.prototype[chosen]
-    base = np.column_stack([plants.position_m[plant], plants.ground_m[plant]]) + after.base_m[chosen]
-    # The leader goes up: an angle from the vertical is what its branches have.
-    angle = np.where(is_axis & (traits.apical_control[kind] > 0.5), 0.0, traits.tropism_angle_rad[kind])
-    turning = Turning(
-        base_world_m=base,
-        rotation=after.rotation[chosen],
-        centre_m=_grown(tables)[0][kind, prototype],
-        radius_m=_grown(tables)[1][kind, prototype],
-        row=former[0],
-        parent_row=former[1],
-        tropism_angle_rad=angle,
-        tropism_weight=traits.tropism_weight[kind],
-        collision_weight=traits.collision_weight[kind],
-        ground_m=plants.ground_m[plant],
-    )
-    return orient(around.grid, turning, steps=steps, angle_rad=kinds.parameters.turn_rad, boxes=around.boxes)
-
-
-def _grown(tables: Tables) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Centres (T, S, 3) and radii (T, S) of grown modules' spheres, module's frame."""
-    return tables.sphere_centre_m[:, :, -1], tables.sphere_radius_m[:, :, -1]

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from forestgen.architecture.geometry import over_plants
 from forestgen.architecture.modules import Modules
-from forestgen.architecture.tables import Tables
-from forestgen.community.branch_modules.traits import Traits, main_path
+from forestgen.architecture.prototypes import Tables
+from forestgen.community.branch_modules.state import Traits, main_path
 from forestgen.core.compiled import compiled
 
 
@@ -35,7 +35,7 @@ class Flow:
 
 
 @compiled
-def share(k, main, beside, light, apical_control, vigour):  # type: ignore[no-untyped-def]
+def _share(k, main, beside, light, apical_control, vigour):  # type: ignore[no-untyped-def]
     """Hand the vigour of node `k` on to its children; arrays over the nodes of one module."""
     m = main[k]
     lateral = 0.0
@@ -104,12 +104,12 @@ def _distribute(start, end, modules, species, most, control, forks, traits, flow
                 j = following[j]
             for k in range(count[s] - 1, 0, -1):
                 q[fork_parent[s, k]] += q[k]
-            v[0] = kept(way[i], axis[sp, s], upkeep[sp], reach[sp]) * vigour[a + i]
+            v[0] = _kept(way[i], axis[sp, s], upkeep[sp], reach[sp]) * vigour[a + i]
             least = sprouting[sp] / terminals[s]
             found = np.uint32(0)
             for k in range(count[s]):
                 if main[s, k] >= 0:
-                    share(k, main[s], beside[s], q, control[p], v)
+                    _share(k, main[s], beside[s], q, control[p], v)
                 elif v[k] > least:
                     found |= np.uint32(1) << np.uint32(k)
             j = head[i]
@@ -129,7 +129,7 @@ def axis_lengths_m(tables: Tables, traits: Traits) -> NDArray[np.float64]:
 
 
 @compiled
-def kept(way, axis, upkeep, reach):  # type: ignore[no-untyped-def]
+def _kept(way, axis, upkeep, reach):  # type: ignore[no-untyped-def]
     """Share of the vigour at the foot of a module, `way` metres from the root, that is left at its end."""
     return (1.0 - upkeep) ** axis * np.exp((way / reach) ** 3 - ((way + axis) / reach) ** 3)
 
@@ -162,13 +162,7 @@ def stature_of(modules: Modules, species: NDArray[np.uint16], tables: Tables, tr
 def net_gain(
     light: NDArray[np.float32], species: NDArray[np.uint16], first: NDArray[np.int64], traits: Traits
 ) -> NDArray[np.float32]:
-    """(M,) 1 in full light, 0 at the type's compensation point, and less below it: then others must feed the module.
-
-    Parameters
-    ----------
-    light : (M,) effective light exposure.
-    species, first : (P,) and (P + 1,) of the plants and their modules.
-    """
+    """(M,) 1 in full light, 0 at the type's compensation point, and less below it: then others must feed the module."""
     point = np.repeat(traits.compensation[species].astype(np.float32), np.diff(first))
     return np.asarray((light - point) / (1 - point))
 
@@ -185,29 +179,17 @@ def distribute(
 ) -> Flow:
     """Light towards the root and vigour away from it.
 
-    Parameters
-    ----------
-    gain : (M,) light that each module takes in beyond what it needs itself, of all its leaves; see `net_gain`.
-    stature : how many of its leaves it has.
-    species : (P,) of each plant.
-    root_vigour_max : (P,) most vigour of the root module: the type's, by climate and senescence.
-    apical_control : (P,) lambda of each plant, by whether it flowers.
+    `gain` (M,) is the light that each module takes in beyond what it needs itself, of all its leaves; see `net_gain`.
+    `root_vigour_max` (P,) is the most vigour of the root module, by climate and senescence; `apical_control` (P,) is
+    lambda of each plant, by whether it flowers.
     """
     m = len(modules)
     flow = np.empty(m), np.empty(m, np.float32), np.empty(m, np.uint32)
     columns = modules.first, modules.parent, modules.node, modules.prototype, modules.age, gain
     whole = *columns, stature.grown, stature.leaves
     forks = tables.nodes, tables.terminals, tables.parent, tables.first_child, tables.next_sibling
-    numbers = (
-        traits.mature_age,
-        traits.upkeep,
-        traits.reach_m,
-        axis_lengths_m(tables, traits),
-        traits.sprouting * traits.vigour_min,
-    )
-
-    def work(start: int, end: int) -> None:
-        _distribute(start, end, whole, species, root_vigour_max, apical_control, forks, numbers, flow)
-
-    over_plants(modules, work)
+    axis_m, sprouting = axis_lengths_m(tables, traits), traits.sprouting * traits.vigour_min
+    numbers = traits.mature_age, traits.upkeep, traits.reach_m, axis_m, sprouting
+    arguments = whole, species, root_vigour_max, apical_control, forks, numbers, flow
+    over_plants(modules, lambda start, end: _distribute(start, end, *arguments))
     return Flow(*flow)

@@ -31,15 +31,14 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from forestgen.community.competition.contract import Circles
+from forestgen.recipe.fields import Section
 
 
-class AikmanWatkinsonParameters(BaseModel):
+class AikmanWatkinsonParameters(Section):
     """How unequal the shares are, and how suddenly they shrink."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     asymmetry: float = Field(1.0, ge=0, le=10, description="a: 0 divides the plot in proportion to area")
     sharpness: float = Field(2.0, ge=0.1, le=100, description="s: how suddenly competition sets in as the plot fills")

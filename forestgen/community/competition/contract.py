@@ -1,4 +1,4 @@
-"""What every competition model offers, and what it is told about the circles."""
+"""What every competition model offers, and what it knows of the circles."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel
+
+from forestgen.community.population import Floats
 
 P = TypeVar("P", bound=BaseModel)
 
@@ -22,21 +24,16 @@ class Circles:
     ecological neighbourhood is a circle.
     """
 
-    position_m: NDArray[np.float64]  # (N, 2) metres, world x and y
-    radius_m: NDArray[np.float64]  # (N,) metres, > 0
-    height_m: NDArray[np.float64]  # (N,) metres, > 0; the radius where heights are unknown
+    position_m: Floats  # (N, 2) metres, world x and y
+    radius_m: Floats  # (N,) metres, > 0
+    height_m: Floats  # (N,) metres, > 0; the radius where heights are unknown
     plant_id: NDArray[np.uint32]  # (N,) the earlier born has the lower
     species: NDArray[Any]  # (N,) any integer type: index of species
 
     def __post_init__(self) -> None:
         n = len(self.radius_m)
-        for name, shape in (
-            ("position_m", (n, 2)),
-            ("radius_m", (n,)),
-            ("height_m", (n,)),
-            ("plant_id", (n,)),
-            ("species", (n,)),
-        ):
+        for name in ("position_m", "radius_m", "height_m", "plant_id", "species"):
+            shape = (n, 2) if name == "position_m" else (n,)
             if getattr(self, name).shape != shape:
                 raise ValueError(f"{name} must have shape {shape}, got {getattr(self, name).shape}")
         for name, least in (("position_m", -np.inf), ("radius_m", 0.0), ("height_m", 0.0)):
@@ -60,21 +57,12 @@ class CompetitionModel(Protocol[P]):
     needs_heights: bool  # whether its answer depends on `Circles.height_m`
     bytes_per_circle: int  # peak memory of `answer`, its result counted, a circle; in large ordinary stands
 
-    def answer(
-        self, parameters: P, circles: Circles, size_m: tuple[float, float], *, periodic: bool
-    ) -> NDArray[np.float64]:
-        """c of every circle's ?E(c): 1 is a plant without rivals, 0 one that gets nothing.
+    def answer(self, parameters: P, circles: Circles, size_m: tuple[float, float], *, periodic: bool) -> Floats:
+        """(N,) c of every circle's ?E(c), in [0, 1]: 1 is a plant without rivals, 0 one that gets nothing.
 
         Parameters
         ----------
-        parameters : the competition model's own.
-        circles : the plants.
         size_m : width and height of the site.
         periodic : the site is a torus: its left edge continues at its right, its lower at its upper. Otherwise it lies
             in the plane, and a circle that reaches beyond the edge keeps what it has there.
-
-        Returns
-        -------
-        (N,) float64 in [0, 1]
         """
-        ...

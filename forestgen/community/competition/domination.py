@@ -23,23 +23,20 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict
 
 from forestgen.community.competition import grid
 from forestgen.community.competition.contract import Circles
+from forestgen.community.population import Floats
 from forestgen.core.compiled import compiled
 from forestgen.core.threads import over_ranges
+from forestgen.recipe.fields import Section
 
-# Bytes that `dominated` and `answer` hold at their peak for each circle, all arrays counted (tests measure it).
-BYTES_PER_CIRCLE = 60
 _CROWD = 64  # members
 _CHAMPIONS = 8
 
 
-class DominationParameters(BaseModel):
+class DominationParameters(Section):
     """None: the circles say everything."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 @compiled
@@ -130,45 +127,19 @@ def _search(first, end, g, plant_id, ranked, out):  # type: ignore[no-untyped-de
 
 
 def dominated(
-    position_m: NDArray[np.float64],
-    radius_m: NDArray[np.float64],
-    plant_id: NDArray[np.uint32],
-    size_m: tuple[float, float],
-    *,
-    periodic: bool,
+    position_m: Floats, radius_m: Floats, plant_id: NDArray[np.uint32], size_m: tuple[float, float], *, periodic: bool
 ) -> NDArray[np.bool_]:
-    """Which circles intersect a larger one.
+    """(N,) which of the circles, (N, 2) positions and (N,) radii in metres, intersect a larger one.
 
-    Parameters
-    ----------
-    position_m : (N, 2) float64, metres, world x and y.
-    radius_m : (N,) float64, metres.
-    plant_id : (N,) decides between equal radii.
-    size_m : width and height of the site.
-    periodic : the site is a torus: its left edge continues at its right, its lower at its upper. Otherwise the plane.
-
-    Returns
-    -------
-    (N,) bool
+    Of equal radii `plant_id` decides. `periodic`: the site is a torus; otherwise it lies in the plane.
     """
     out = np.zeros(len(radius_m), dtype=np.bool_)
     if len(radius_m) > 1:
-        _decide(position_m, radius_m, plant_id, size_m, periodic, out)
+        cells = grid.build(position_m, radius_m, size_m, periodic=periodic)
+        ranked = np.zeros(len(cells.start) - 1, dtype=np.bool_)
+        over_ranges(len(ranked), lambda first, end: _rank(first, end, cells, plant_id, ranked))
+        over_ranges(len(out), lambda first, end: _search(first, end, cells, plant_id, ranked, out))
     return out
-
-
-def _decide(
-    position_m: NDArray[np.float64],
-    radius_m: NDArray[np.float64],
-    plant_id: NDArray[np.uint32],
-    size_m: tuple[float, float],
-    periodic: bool,
-    out: NDArray[np.bool_],
-) -> None:
-    cells = grid.build(position_m, radius_m, size_m, periodic=periodic)
-    ranked = np.zeros(len(cells.start) - 1, dtype=np.bool_)
-    over_ranges(len(ranked), lambda first, end: _rank(first, end, cells, plant_id, ranked))
-    over_ranges(len(out), lambda first, end: _search(first, end, cells, plant_id, ranked, out))
 
 
 class Domination:
@@ -176,11 +147,11 @@ class Domination:
 
     Parameters = DominationParameters
     needs_heights = False
-    bytes_per_circle = BYTES_PER_CIRCLE
+    bytes_per_circle = 60  # tests measure it
 
     def answer(
         self, parameters: DominationParameters, circles: Circles, size_m: tuple[float, float], *, periodic: bool
-    ) -> NDArray[np.float64]:
+    ) -> Floats:
         """c: 0.0 dominated, 1.0 not."""
         smaller = dominated(circles.position_m, circles.radius_m, circles.plant_id, size_m, periodic=periodic)
         return np.where(smaller, 0.0, 1.0)

@@ -33,17 +33,16 @@ from math import acos, atan2, cos, pi, sin, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from forestgen.community.competition import grid
 from forestgen.community.competition.contract import Circles
 from forestgen.core.compiled import compiled
+from forestgen.recipe.fields import Section
 
 
-class FirbankWatkinsonParameters(BaseModel):
+class FirbankWatkinsonParameters(Section):
     """How shared ground is divided."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     one_sided: float = Field(0.9, gt=0, le=1, description="d: the part of shared ground that the tallest gets")
 

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.community.population import Floats
 from forestgen.core.compiled import compiled
 
 _TILES = 64  # along each axis: as many places are written to in turn as a cache has room for
@@ -27,7 +28,7 @@ _ENTRIES_PER_CIRCLE = 3.0  # at most, in the mean
 class Grid(NamedTuple):  # a tuple: compiled loops take no dataclass. They unpack it first, or count references
     """Circles in order of tiles, and the cells whose members they are."""
 
-    circle: NDArray[np.float64]  # (N, 4) x, y, r in metres, row in the caller's arrays; a torus has its x, y in [0, W]
+    circle: Floats  # (N, 4) x, y, r in metres, row in the caller's arrays; a torus has its x, y in [0, W]
     entry: NDArray[np.uint32]  # (E,) index into `circle`, cell after cell
     start: NDArray[np.uint32]  # (ny nx + 1,) first entry of each cell, row after row
     n: tuple[int, int]  # nx, ny
@@ -151,7 +152,7 @@ def _enter(circle, periodic, n, per_m, start, entry):  # type: ignore[no-untyped
             start[c] += start[c - 1]
 
 
-def _cells(radius_m: NDArray[np.float64], size_m: tuple[float, float]) -> tuple[int, int]:
+def _cells(radius_m: Floats, size_m: tuple[float, float]) -> tuple[int, int]:
     """Number of cells along x and y."""
     count = len(radius_m)
     mean, square = radius_m.mean(), np.square(radius_m).mean()
@@ -162,18 +163,8 @@ def _cells(radius_m: NDArray[np.float64], size_m: tuple[float, float]) -> tuple[
     return (max(1, int(min(size_m[0] / side, count))), max(1, int(min(size_m[1] / side, count))))
 
 
-def build(
-    position_m: NDArray[np.float64], radius_m: NDArray[np.float64], size_m: tuple[float, float], *, periodic: bool
-) -> Grid:
-    """The grid of at least one circle.
-
-    Parameters
-    ----------
-    position_m : (N, 2) float64, metres.
-    radius_m : (N,) float64, metres.
-    size_m : width and height of the site.
-    periodic : whether the site is a torus.
-    """
+def build(position_m: Floats, radius_m: Floats, size_m: tuple[float, float], *, periodic: bool) -> Grid:
+    """The grid of at least one circle, (N, 2) positions and (N,) radii in metres; `periodic`: the site is a torus."""
     position_m = np.ascontiguousarray(position_m, dtype=np.float64)
     radius_m = np.ascontiguousarray(radius_m, dtype=np.float64)
     n = _cells(radius_m, size_m)

@@ -26,18 +26,17 @@ from math import acos, pi, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from forestgen.community.competition import grid
 from forestgen.community.competition.contract import Circles
 from forestgen.core.compiled import compiled
 from forestgen.core.threads import over_ranges
+from forestgen.recipe.fields import Section
 
 
-class LepsKindlmannParameters(BaseModel):
+class LepsKindlmannParameters(Section):
     """How much overlap a plant bears."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     tolerance: float = Field(1.0, gt=0, description="Q: the larger, the less neighbours matter")
 

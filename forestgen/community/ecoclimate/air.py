@@ -1,6 +1,6 @@
-"""Days of air over the forest: what clouds and warmth its ground makes (seeds 002, 4.5.4, 4.5.7; Algorithm 1, 2-10).
+"""Days of air over the forest: what clouds and warmth its ground makes (Makowski 2023, 4.5.4, 4.5.7).
 
-A month is told by some days. Of each, some hours are simulated over the site's own ground: its heights, the vapour
+Some days stand for a month. Of each, some hours are simulated over the site's own ground: its heights, the vapour
 that it gave in the month before, and the region's heat and vapour (E and E_M), drawn for the day. The same day is
 simulated over level ground that gives everywhere what the region's climate takes for granted. The ratio of the two
 columns of cloud and rain tells, by place, how much of the region's normal rain falls there:
@@ -10,7 +10,7 @@ columns of cloud and rain tells, by place, how much of the region's normal rain 
     Q_region = water condensed over the region's ground / the same with the region's normal vapour; 1 but for a change
 
 s, `local_share`, is the share of rain whose clouds the place itself makes. So a month in which the forest does what is
-usual has its normal rain; a cleared place, whose ground gives less vapour, has less. Q and Q_region are told by the
+usual has its normal rain; a cleared place, whose ground gives less vapour, has less. Q and Q_region refer to the
 region's normal vapour: where a change of the climate takes vapour from region and place alike, there is less rain. In
 their means over the site, both are at most 3. The temperature of the lowest air over that of the region's ground,
 colder with elevation at the usual rate, is the place's own warmth: Foehn. Each year has the same drawn days.
@@ -32,9 +32,8 @@ from forestgen.atmosphere.fluid.parameters import Physics, Surface
 from forestgen.atmosphere.sounding import LATENT_HEAT_J_PER_KG, Sounding
 from forestgen.atmosphere.weather import AirGrid, Weather
 from forestgen.community.ecoclimate.climate import MONTHS_PER_YR, Month
-from forestgen.community.ecoclimate.grids import between
-from forestgen.community.ecoclimate.weather_section import WeatherSection
-from forestgen.community.soil_water.ground import Floats, Ground
+from forestgen.community.ecoclimate.parameters import WeatherSection
+from forestgen.community.soil_water import Floats, Ground
 from forestgen.core.randomness import child_rng
 from forestgen.core.threads import apart
 
@@ -48,7 +47,63 @@ _LAPSE_ABOVE_K_PER_KM = 4.0  # cooling upwards above the inversion
 
 
 @dataclass(frozen=True)
-class Given:
+class AreaRegridder:
+    """Maps between the ground's cells and the air's, by the areas that cells have in common: means stay as they are.
+
+    Shares of area along each axis, of a ground that lies inside the air's box.
+    """
+
+    to_air: tuple[Floats, Floats]  # (air rows, rows), (air cols, cols): share of an air cell that a ground cell takes
+    to_ground: tuple[Floats, Floats]  # (rows, air rows), (cols, air cols): share of a ground cell in an air cell
+    beyond: tuple[Floats, Floats]  # as `to_air`, of a ground whose outermost cells reach to the edges of the box
+
+    def for_air(self, values: Floats) -> NDArray[np.float32]:
+        """(Y, X) means over the air's cells of a (rows, cols) map; around the ground it is as in its mean."""
+        down, across = self.to_air
+        covered = np.outer(down.sum(axis=1), across.sum(axis=1))
+        inside = _product(down, values, across)
+        return np.asarray(inside + (1.0 - covered) * values.mean(), dtype=np.float32)
+
+    def heights_for_air(self, height_m: Floats) -> Floats:
+        """(Y, X) of a (rows, cols) map of heights; around the ground they are those of its edge: no cliffs."""
+        down, across = self.beyond
+        return _product(down, height_m, across)
+
+    def for_ground(self, values: NDArray[np.floating]) -> Floats:
+        """(rows, cols) means over the ground's cells of a (Y, X) map of the air."""
+        down, across = self.to_ground
+        return _product(down, np.asarray(values, dtype=np.float64), across)
+
+
+def regridder_for(ground: Ground, air: AirGrid) -> AreaRegridder:
+    """The regridder of a ground that lies in the middle of the air's box."""
+    shares: list[list[Floats]] = [[], [], []]
+    for axis in (1, 0):
+        length, box = ground.size_m[axis], air.size_m[axis]
+        start = 0.5 * (box - length)
+        edges = start + np.linspace(0.0, length, ground.shape[1 - axis] + 1)
+        of_air = np.linspace(0.0, box, air.cells[axis] + 1)
+        common = _overlap(of_air, edges)
+        shares[0].append(common / air.cell_m[axis])
+        shares[1].append(common.T / ground.cell_m[axis])
+        shares[2].append(_overlap(of_air, np.concatenate([[0.0], edges[1:-1], [box]])) / air.cell_m[axis])
+    return AreaRegridder(*((down, across) for down, across in shares))
+
+
+def _overlap(ours: Floats, theirs: Floats) -> Floats:
+    """(N, M) length that intervals between edges (N + 1,) and (M + 1,) have in common."""
+    low = np.maximum(ours[:-1, None], theirs[None, :-1])
+    high = np.minimum(ours[1:, None], theirs[None, 1:])
+    return np.asarray(np.maximum(high - low, 0.0))
+
+
+def _product(down: Floats, values: Floats, across: Floats) -> Floats:
+    """`down @ values @ across.T`; no BLAS, since the last digits of its sums depend on its threads."""
+    return np.asarray(np.einsum("ac,bc->ab", np.einsum("ab,bc->ac", down, values), across))
+
+
+@dataclass(frozen=True)
+class BoundaryConditions:
     """What the ground of a month gives to the air, and how it lies."""
 
     ground: Ground
@@ -59,7 +114,7 @@ class Given:
 
 
 @dataclass(frozen=True)
-class Sky:
+class MonthOfAir:
     """What a month's days of air did, means over them."""
 
     wetness: Floats  # (rows, cols) Q
@@ -101,57 +156,56 @@ class Hours:
 
 
 def month_of_air(
-    section: WeatherSection, month: Month, number: int, given: Given, wind_from_deg: float, seed: int
-) -> Sky:
+    section: WeatherSection, month: Month, number: int, bounds: BoundaryConditions, wind_from_deg: float, seed: int
+) -> MonthOfAir:
     """The air of month `number` since the beginning."""
-    grid = grid_of(section, given.ground)
-    maps = between(given.ground, grid)
+    grid = grid_of(section, bounds.ground)
+    maps = regridder_for(bounds.ground, grid)
     of_year, indices = number % MONTHS_PER_YR, range(section.days_per_month)
+    usual = partial(_usual, section, grid, of_year=of_year, wind_from_deg=wind_from_deg, seed=seed)
+    normal = replace(month, vapour=1.0)
 
     def over_the_site(index: int) -> Hours:
-        case = case_of(section, month, number, given, wind_from_deg, seed, index)
+        case = case_of(section, month, number, bounds, wind_from_deg, seed, index)
         return hours_of(section, case.grid, case.day, case.surface)
 
-    def over_the_region(index: int) -> tuple[float, float]:
-        return _usual(section, grid, replace(month, vapour=1.0), of_year, index, wind_from_deg, seed)
-
-    def over_the_region_now(index: int) -> tuple[float, float]:
-        return _usual(section, grid, month, of_year, index, wind_from_deg, seed)
-
     # A step of so little air has too short loops for several cores: every day has one.
-    jobs = [over_the_site, over_the_region, *([over_the_region_now] if month.vapour != 1.0 else [])]
+    jobs = [over_the_site, lambda index: usual(normal, index=index)]
+    if month.vapour != 1.0:
+        jobs.append(lambda index: usual(month, index=index))
     days: list[Any] = apart([partial(job, index) for index in indices for job in jobs])
-    looks: list[tuple[Floats, Floats, float, float, float]] = []
+    looks: list[tuple[Floats, Floats, float, float]] = []
     for index in indices:
-        here, (usual, usual_k), *changed = days[len(jobs) * index : len(jobs) * (index + 1)]
-        now, now_k = changed[0] if changed else (usual, usual_k)
+        here, (usual_kg, usual_k), *changed = days[len(jobs) * index : len(jobs) * (index + 1)]
+        now_kg, now_k = changed[0] if changed else (usual_kg, usual_k)
         ours = maps.for_ground(here.condensed_kg_per_m2)
-        warmth = here.warmth_k - now_k - given.lapse_rate_k_per_km / 1000.0 * here.lowest_m
-        clouds = usual > _LEAST_KG_PER_M2
+        warmth = here.warmth_k - now_k - bounds.lapse_rate_k_per_km / 1000.0 * here.lowest_m
+        clouds = usual_kg > _LEAST_KG_PER_M2
         # The site's mean is bounded: a cap by cell would take from the peaks and give to none.
-        ratio = ours / max(usual, ours.mean() / MOST) if clouds else np.ones_like(ours)
-        region = min(now / usual, MOST) if clouds else 1.0
-        looks.append((ratio, maps.for_ground(warmth), region, float(ours.mean()), here.water_error))
-    wetness, warmths, regions, condensed, errors = zip(*looks, strict=True)
-    return Sky(
-        np.mean(wetness, axis=0),
-        float(np.mean(regions)),
-        np.mean(warmths, axis=0),
-        float(np.mean(condensed)),
-        max(errors),
-    )
+        ratio = ours / max(usual_kg, ours.mean() / MOST) if clouds else np.ones_like(ours)
+        region = min(now_kg / usual_kg, MOST) if clouds else 1.0
+        looks.append((ratio, maps.for_ground(warmth), region, float(ours.mean())))
+    wetness, warmth, region, condensed = (np.mean(one, axis=0) for one in zip(*looks, strict=True))
+    error = max(days[len(jobs) * index].water_error for index in indices)
+    return MonthOfAir(wetness, float(region), warmth, float(condensed), error)
 
 
 def case_of(
-    section: WeatherSection, month: Month, number: int, given: Given, wind_from_deg: float, seed: int, index: int
+    section: WeatherSection,
+    month: Month,
+    number: int,
+    bounds: BoundaryConditions,
+    wind_from_deg: float,
+    seed: int,
+    index: int,
 ) -> Case:
     """Day `index` of month `number` since the beginning, over the site's own ground."""
-    grid = grid_of(section, given.ground)
-    maps = between(given.ground, grid)
-    height = maps.heights_for_air(given.height_m)
+    grid = grid_of(section, bounds.ground)
+    maps = regridder_for(bounds.ground, grid)
+    height = maps.heights_for_air(bounds.height_m)
     terrain = height - height.min() if np.ptp(height) > _FLAT * grid.cell_m[2] else None
-    shaded = 1.0 - section.shade_heat_share * (1.0 - maps.for_air(given.light).astype(np.float64))
-    vapour = maps.for_air(given.vapour_mm_per_day).astype(np.float64) / (3600.0 * section.daylight_h)
+    shaded = 1.0 - section.shade_heat_share * (1.0 - maps.for_air(bounds.light).astype(np.float64))
+    vapour = maps.for_air(bounds.vapour_mm_per_day).astype(np.float64) / (3600.0 * section.daylight_h)
     day = day_of(section, month, number % MONTHS_PER_YR, index, wind_from_deg, seed)
     heat, damp = day.heat_w_per_m2 * shaded, day.vapour_kg_per_m2_s + vapour
     return Case(grid, day, Surface(heat.astype(np.float32), damp.astype(np.float32), terrain))
@@ -185,16 +239,10 @@ def day_of(section: WeatherSection, month: Month, of_year: int, index: int, wind
     """A day of a month, with normally distributed heat and vapour from the region (Algorithm 1, line 3)."""
     heat, vapour = child_rng(seed, "air", of_year, index).normal(size=2)
     layers = Layers(
-        month.temperature_c,
-        section.mixed_layer_m,
-        section.lapse_rate_k_per_km,
-        section.inversion_m,
-        section.inversion_jump_k,
-        _LAPSE_ABOVE_K_PER_KM,
-        section.relative_humidity,
-        section.relative_humidity_aloft,
+        month.temperature_c, section.mixed_layer_m, section.lapse_rate_k_per_km, section.inversion_m,
+        section.inversion_jump_k, _LAPSE_ABOVE_K_PER_KM, section.relative_humidity, section.relative_humidity_aloft,
         0.6 * section.relative_humidity_aloft,
-    )
+    )  # fmt: skip
     return Day(
         layers.sounding(section.height_m, wind_towards(section.wind_m_per_s, wind_from_deg)),
         section.heat_of(of_year) * max(0.0, 1.0 + section.spread * heat),
@@ -217,8 +265,8 @@ def hours_of(section: WeatherSection, grid: AirGrid, day: Day, surface: Surface)
         weather = air.run(weather, end_s * look / looks)
         condensed += _column_kg_per_m2(weather) / looks
         warmth += (_of_lowest(weather)[0] - rest_k) / looks
-    given_kg = area_m2 * float(surface.vapour_kg_per_m2_s.sum(dtype=np.float64)) * end_s
-    error = abs(total_water_kg(weather) - before_kg - given_kg) / before_kg
+    received_kg = area_m2 * float(surface.vapour_kg_per_m2_s.sum(dtype=np.float64)) * end_s
+    error = abs(total_water_kg(weather) - before_kg - received_kg) / before_kg
     return Hours(condensed, warmth, _of_lowest(weather)[1], error, weather)
 
 

@@ -1,48 +1,135 @@
-"""Months of an ecoclimate (seeds 002, Algorithm 1): climate, soil, and then the plants by what they felt of both.
+"""Months of an ecoclimate (Makowski 2023, Algorithm 1): climate, soil, and then the plants by what they felt of both.
 
 A step has whole months. In each, rain falls by the climate, over the forest more or less of it as its own air makes
 clouds (`air`; on request); the water on and in the soil goes on by the leaves that stand there (Eqs. 43, 44); and what
 plants feel, a mean over their memory, follows. Then the plants go one step on, each by the soil water of its own cell
 and by the shade at its foot (Eq. 38).
 
-Soil water is told to plants as precipitation, since that is what their optima are given in: the rain that would keep
+Plants get soil water as precipitation, the unit of their optima: the rain that would keep
 the soil as wet under a stand of `reference_g_per_m2` of leaves, for ever:
 
     P = 365.25 (r W + g W / (W + k1) B_ref)
 
 Without microclimate, every map is its mean where it is handed over: leaves to the soil, soil water and shade to plants.
+
+A picture of an ecoclimate can show its air: a day of the month after a snapshot, as the community would simulate it. It
+is kept with other weather, by the hash of what the hours of a day begin with.
 """
 
 from __future__ import annotations
 
+import hashlib
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from forestgen.community.branch_modules.climate import LocalClimate
-from forestgen.community.branch_modules.seeding import NOBODY, Arriving
-from forestgen.community.branch_modules.state import State, refuse_more_seeds
-from forestgen.community.branch_modules.step import advanced
-from forestgen.community.ecoclimate.air import Case, Given, case_of, month_of_air
+from forestgen.architecture.geometry import spheres, terminal_leaf_area_m2
+from forestgen.architecture.modules import Modules
+from forestgen.architecture.prototypes import Tables
+from forestgen.atmosphere.fluid.parameters import UnstableError
+from forestgen.atmosphere.kept_weather import read_weather, weather_store
+from forestgen.atmosphere.simulate import described
+from forestgen.atmosphere.weather import Weather
+from forestgen.community.branch_modules.parameters import parameters_at
+from forestgen.community.branch_modules.seeding import NO_SEEDS, Arriving
+from forestgen.community.branch_modules.state import State, refuse_more_seeds, step_parameters
+from forestgen.community.branch_modules.step import step_forest
+from forestgen.community.branch_modules.surroundings import LocalClimate
+from forestgen.community.ecoclimate.air import BoundaryConditions, Case, case_of, hours_of, month_of_air
 from forestgen.community.ecoclimate.climate import DAYS_PER_MONTH, MONTHS_PER_YR, Month, month_at
-from forestgen.community.ecoclimate.leaves import leaf_area_index
-from forestgen.community.ecoclimate.parameters import EcoclimateParameters
-from forestgen.community.ecoclimate.state import Books, Ecoclimate, parameters_of
-from forestgen.community.ecoclimate.weather_section import WeatherSection
+from forestgen.community.ecoclimate.parameters import EcoclimateParameters, WeatherSection
 from forestgen.community.model import Site
-from forestgen.community.soil_water.ground import Floats, Ground
-from forestgen.community.soil_water.model import SoilWater, Water
-from forestgen.community.soil_water.parameters import SoilWaterParameters
+from forestgen.community.soil_water import Floats, Ground, SoilWater, SoilWaterParameters, Water, WaterBudget
+from forestgen.core.cache import code_hash
+from forestgen.core.errors import RecipeError
+from forestgen.core.packed import pack
+from forestgen.core.progress import Progress
 from forestgen.core.randomness import child_rng
+from forestgen.recipe.load import DrawnRecipe
 
 _DAYS_PER_YR = DAYS_PER_MONTH * MONTHS_PER_YR
 _EXTINCTION = 0.5  # of leaves at all angles alike
 _SPIN_UP_YR = 3  # of the water under the plants of the start
+_MOST_S = 86_400.0
+_SOURCES, _COMPUTE_WITH = ("atmosphere", "community", "core"), ("numpy", "scipy", "numba")
 
 
-def begun(forest: State) -> Ecoclimate:
+@dataclass(frozen=True)
+class Ecoclimate:
+    """Everything that the future of a simulation depends on."""
+
+    forest: State
+    water: Water
+    soil_mean_mm: Floats  # (rows, cols) soil water over the memory of plants
+    temperature_mean_c: float  # the same of the region's temperature at z = 0
+    warmth_mean_k: Floats  # (rows, cols) the same of the place's own warmth
+    vapour_mm_per_day: Floats  # (rows, cols) what the ground gave to the air in the last month
+    wetness: Floats  # (rows, cols) last month's rain over the region's
+    books: WaterBudget  # since the beginning
+
+    @property
+    def parameters(self) -> EcoclimateParameters:
+        """What the next step goes by: with the recipe's changes up to now."""
+        return parameters_of(self.forest)
+
+    @property
+    def stored_mm(self) -> float:
+        """Mean water on the surface and in the soil."""
+        return float(self.water.soil_mm.mean() + self.water.surface_mm.mean())
+
+
+def parameters_of(forest: State) -> EcoclimateParameters:
+    """The parameters at a forest's step, with the recipe's changes up to it."""
+    parameters = step_parameters(forest).parameters
+    assert isinstance(parameters, EcoclimateParameters)
+    return parameters
+
+
+def leaf_area_index(forest: State, ground: Ground) -> Floats:
+    """(rows, cols) one-sided leaf area over the area of each cell: of the modules whose middle is over it.
+
+    Leaves that hang beyond a bounded site's edge count for the cell at the edge.
+    """
+    tables, modules, plants = step_parameters(forest).tables, forest.modules, forest.plants
+    rows, cols = ground.shape
+    if not len(modules):
+        return np.zeros(ground.shape)
+    kind = np.repeat(plants.species, np.diff(modules.first))
+    area_m2 = _leaf_area_m2(tables, modules, kind)
+    centre, _ = spheres(tables, modules, plants.species)
+    place = np.repeat(plants.position_m, np.diff(modules.first), axis=0) + centre[:, :2]
+    cell = []
+    for axis, count in ((1, rows), (0, cols)):
+        at = np.floor(place[:, axis] / ground.size_m[axis] * count).astype(np.int64)
+        cell.append(at % count if ground.periodic else np.clip(at, 0, count - 1))
+    width_m, depth_m = ground.cell_m
+    total = np.bincount(cell[0] * cols + cell[1], weights=area_m2, minlength=rows * cols)
+    return np.asarray(total.reshape(rows, cols) / (width_m * depth_m))
+
+
+def _leaf_area_m2(tables: Tables, modules: Modules, kind: NDArray[np.uint16]) -> Floats:
+    """(M,) one-sided leaf area of each module; those of a plant sum to `PlantSizes.leaf_area_m2`."""
+    shape, shapes = modules.prototype, np.arange(len(tables.nodes))
+    grown = np.minimum(modules.age / tables.mature_age[kind], 1.0)
+    borne = np.flatnonzero(modules.parent >= 0)
+    bearer = modules.parent_row()[borne]
+    slot = tables.terminal_index[shape[bearer], modules.node[borne]]
+    pipes = np.zeros(len(modules))
+    for k in range(tables.most_terminals):
+        node = tables.terminal[:, k]
+        birth, thickness = tables.birth[shapes, node], np.where(node >= 0, tables.thickness[shapes, node], 0.0)
+        bare = np.ones(len(modules))
+        bare[bearer[slot == k]] -= grown[borne[slot == k]]
+        share = np.maximum(grown - birth[shape], 0.0) / (1.0 - birth[shape])
+        pipes += (share * thickness[shape]) ** 2 * bare
+    return np.asarray(terminal_leaf_area_m2(tables)[kind, shape] * pipes)
+
+
+def initial_ecoclimate(forest: State) -> Ecoclimate:
     """The ecoclimate of a new forest: its soil is as wet as some years of its climate leave it in December."""
     parameters = parameters_of(forest)
     soil = soil_of(parameters, forest.site)
@@ -51,31 +138,33 @@ def begun(forest: State) -> Ecoclimate:
     wet_mm = rain / p.loss_per_day if p.loss_per_day > 0 else 0.0
     water = Water(np.full(soil.ground.shape, wet_mm), np.zeros(soil.ground.shape))
     nothing, even = np.zeros(soil.ground.shape), np.ones(soil.ground.shape)
-    state = Ecoclimate(forest, water, water.soil_mm, normals.mean_temperature_c, nothing, nothing, even, Books(0.0))
+    state = Ecoclimate(
+        forest, water, water.soil_mm, normals.mean_temperature_c, nothing, nothing, even, WaterBudget(0.0)
+    )
     leaves = _leaves(state, soil.ground)
     for month in range(-MONTHS_PER_YR * _SPIN_UP_YR, 0):
         state = _month_later(state, soil, leaves, month_at(normals, (), month % MONTHS_PER_YR))
-    return replace(state, temperature_mean_c=normals.mean_temperature_c, books=Books(state.stored_mm))
+    return replace(state, temperature_mean_c=normals.mean_temperature_c, books=WaterBudget(state.stored_mm))
 
 
-def advanced_ecoclimate(state: Ecoclimate) -> Ecoclimate:
+def step_ecoclimate(state: Ecoclimate) -> Ecoclimate:
     """The state one step of the plants later."""
     parameters = state.parameters
     soil = soil_of(parameters, state.forest.site)
     leaves, first = _leaves(state, soil.ground), state.forest.step * parameters.months_per_step
     normals = parameters.climate.normals()
     for month in range(first, first + parameters.months_per_step):
-        now = month_at(normals, parameters.turns, month)
+        now = month_at(normals, parameters.climate_changes, month)
         state = _month_later(_under_air(state, soil.ground, leaves, now, month), soil, leaves, now)
     climate = local_climate(state)
-    return replace(state, forest=advanced(state.forest, climate, _arriving(state.forest, parameters)))
+    return replace(state, forest=step_forest(state.forest, climate, _arriving(state.forest, parameters)))
 
 
 def local_climate(state: Ecoclimate) -> LocalClimate:
     """What plants feel of warmth and wetness by place."""
     parameters, soil = state.parameters, soil_of(state.parameters, state.forest.site)
     ground = soil.ground
-    height_m = _heights(_Alike(state.forest.site), parameters.soil_water.cell_m)
+    height_m = _heights(_SiteKey(state.forest.site), parameters.soil_water.cell_m)
     warmth = state.temperature_mean_c + state.warmth_mean_k + parameters.lapse_rate_k_per_km * height_m / 1000.0
     wetness = _mean_unless(parameters.microclimate, state.soil_mean_mm)
     rain = worth_mm_per_yr(wetness, soil.parameters, parameters.soil_water.reference_g_per_m2)
@@ -93,10 +182,10 @@ def soil_of(parameters: EcoclimateParameters, site: Site) -> SoilWater:
     section = parameters.soil_water
     if not parameters.microclimate:
         site = replace(site, height=None)
-    return _soil(_Alike(site), section.cell_m, parameters.periodic, section.water())
+    return _soil(_SiteKey(site), section.cell_m, parameters.periodic, section.water())
 
 
-class _Alike:
+class _SiteKey:
     """A site as a key: the same object, or one of the same size without heights."""
 
     def __init__(self, site: Site) -> None:
@@ -107,16 +196,16 @@ class _Alike:
         return hash(self._key)
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Alike) and self._key == other._key
+        return isinstance(other, _SiteKey) and self._key == other._key
 
 
 @lru_cache(maxsize=4)
-def _soil(site: _Alike, cell_m: float, periodic: bool, water: SoilWaterParameters) -> SoilWater:
+def _soil(site: _SiteKey, cell_m: float, periodic: bool, water: SoilWaterParameters) -> SoilWater:
     return SoilWater(Ground.of_site(site.site, cell_m, periodic=periodic), water)
 
 
 @lru_cache(maxsize=4)
-def _heights(site: _Alike, cell_m: float) -> Floats:
+def _heights(site: _SiteKey, cell_m: float) -> Floats:
     ground = Ground.of_site(site.site, cell_m, periodic=False)
     return np.zeros(ground.shape) if ground.height_m is None else ground.height_m
 
@@ -137,7 +226,9 @@ def _under_air(state: Ecoclimate, ground: Ground, leaves: Floats, now: Month, mo
     section = parameters.weather
     if section is None or month % section.every_months:
         return state
-    sky = month_of_air(section, now, month, _given(state, ground, leaves), site.wind_from_deg, state.forest.seed)
+    sky = month_of_air(
+        section, now, month, _boundary_conditions(state, ground, leaves), site.wind_from_deg, state.forest.seed
+    )
     share, local = section.local_share, _mean_unless(parameters.microclimate, sky.wetness)
     wetness = (1.0 - share) * sky.region + share * local
     warmth = _mean_unless(parameters.microclimate, sky.warmth_k)
@@ -146,26 +237,24 @@ def _under_air(state: Ecoclimate, ground: Ground, leaves: Floats, now: Month, mo
 
 
 def air_over(state: Ecoclimate, section: WeatherSection, day: int) -> Case:
-    """What the air of a day goes by, of those that the month after the state is told by.
+    """What the air of a day goes by, of those that stand for the month after the state.
 
-    Parameters
-    ----------
-    section : of the state's parameters; another, such as one with finer cells, has days of its own.
+    The section is that of the state's parameters; another, such as one with finer cells, has days of its own.
     """
     parameters, site = state.parameters, state.forest.site
     ground = soil_of(parameters, site).ground
     month = state.forest.step * parameters.months_per_step
-    now = month_at(parameters.climate.normals(), parameters.turns, month)
-    given = _given(state, ground, _leaves(state, ground))
-    return case_of(section, now, month, given, site.wind_from_deg, state.forest.seed, day)
+    now = month_at(parameters.climate.normals(), parameters.climate_changes, month)
+    bounds = _boundary_conditions(state, ground, _leaves(state, ground))
+    return case_of(section, now, month, bounds, site.wind_from_deg, state.forest.seed, day)
 
 
-def _given(state: Ecoclimate, ground: Ground, leaves: Floats) -> Given:
+def _boundary_conditions(state: Ecoclimate, ground: Ground, leaves: Floats) -> BoundaryConditions:
     """What the ground gives to the air."""
     parameters = state.parameters
     light = np.exp(-_EXTINCTION * leaves / max(parameters.soil_water.leaf_mass_g_per_m2, 1e-9))
-    height_m = _heights(_Alike(state.forest.site), parameters.soil_water.cell_m)
-    return Given(ground, height_m, state.vapour_mm_per_day, light, parameters.lapse_rate_k_per_km)
+    height_m = _heights(_SiteKey(state.forest.site), parameters.soil_water.cell_m)
+    return BoundaryConditions(ground, height_m, state.vapour_mm_per_day, light, parameters.lapse_rate_k_per_km)
 
 
 def _share_of_months(parameters: EcoclimateParameters, count: int) -> float:
@@ -177,38 +266,28 @@ def _share_of_months(parameters: EcoclimateParameters, count: int) -> float:
 def _month_later(state: Ecoclimate, soil: SoilWater, leaves: Floats, now: Month) -> Ecoclimate:
     """The water one month later, and what plants feel."""
     parameters = state.parameters
+    rain, step_days = now.rain_mm_per_day * state.wetness, parameters.soil_water.substep_days
     passed = soil.advance(
-        state.water,
-        DAYS_PER_MONTH,
-        plants_g_per_m2=leaves,
-        rain_mm_per_day=now.rain_mm_per_day * state.wetness,
-        substep_days=parameters.soil_water.substep_days,
+        state.water, DAYS_PER_MONTH, plants_g_per_m2=leaves, rain_mm_per_day=rain, substep_days=step_days
     )
     share = _share_of_months(parameters, 1)
     felt = state.soil_mean_mm + share * (passed.water.soil_mm - state.soil_mean_mm)
     warmth = state.temperature_mean_c + share * (now.temperature_c - state.temperature_mean_c)
     given = (passed.uptake_mm + parameters.soil_water.evaporating_share * passed.loss_mm) / DAYS_PER_MONTH
-    before, budget = state.books, passed.budget
-    books = Books(
-        before.start_mm,
-        before.rain_mm + budget.rain_mm,
-        before.uptake_mm + budget.uptake_mm,
-        before.loss_mm + budget.loss_mm,
-    )
     return replace(
         state,
         water=passed.water,
         soil_mean_mm=felt,
         temperature_mean_c=warmth,
         vapour_mm_per_day=given,
-        books=books,
+        books=state.books.and_then(passed.budget),
     )
 
 
 def _arriving(forest: State, parameters: EcoclimateParameters) -> Arriving:
     """Seeds from elsewhere in this step: each germinates with the probability o of its place and light."""
     if not parameters.global_seeding:
-        return NOBODY
+        return NO_SEEDS
     growing = {one.name: k for k, one in enumerate(forest.species) if one.modules is not None}
     places, species, needed, expected = [], [], [], 0.0
     for index, one in enumerate(parameters.global_seeding):
@@ -223,4 +302,60 @@ def _arriving(forest: State, parameters: EcoclimateParameters) -> Arriving:
             places.append(rng.random((count, 2)) * forest.site.size_m)
             species.append(np.full(count, growing[name], dtype=np.uint16))
             needed.append(rng.random(count))
-    return Arriving(np.concatenate(places), np.concatenate(species), np.concatenate(needed)) if places else NOBODY
+    return Arriving(np.concatenate(places), np.concatenate(species), np.concatenate(needed)) if places else NO_SEEDS
+
+
+def shown_section(drawn: DrawnRecipe, parameters: EcoclimateParameters) -> WeatherSection:
+    """The community's weather at its last step, with the cells and the hours of the picture."""
+    clouds: Any = drawn.recipe.sky.clouds
+    types = {name: one.modules for name, one in drawn.species.items() if one.modules is not None}
+    at_the_end, _ = parameters_at(parameters, types, parameters.steps)
+    assert isinstance(at_the_end, EcoclimateParameters)
+    section = at_the_end.weather
+    if section is None:
+        turned_off = parameters.weather is not None
+        raise RecipeError(
+            "the community simulates no air" + (" any more when the picture is taken" if turned_off else ""),
+            where=drawn.where("sky", "clouds", "type"),
+            expected="a section community.weather",
+            got="a change to weather: null" if turned_off else "none",
+            hint="leave out that change" if turned_off else "set community.weather={} for one with usual values",
+        )
+    if clouds.time_s is not None and not 0 < clouds.time_s <= _MOST_S:
+        raise RecipeError(
+            "no time of the day's simulated hours",
+            where=drawn.where("sky", "clouds", "time_s"),
+            expected=f"more than 0 and at most {_MOST_S:g} s",
+            got=f"{clouds.time_s:g}",
+        )
+    hours = None if clouds.time_s is None else clouds.time_s / 3600.0
+    given = {"cell_m": clouds.cell_m, "cell_height_m": clouds.cell_height_m, "hours": hours}
+    own = {key: value for key, value in given.items() if value is not None}
+    return drawn.parse(WeatherSection, {**section.model_dump(), **own}, ("sky", "clouds"))
+
+
+def shown_weather(drawn: DrawnRecipe, section: WeatherSection, state: Ecoclimate, progress: Progress) -> Weather:
+    """The air at the end of the hours that are simulated of a day, from the cache or simulated."""
+    clouds: Any = drawn.recipe.sky.clouds
+    case = air_over(state, section, clouds.day or 0)
+    told = (code_hash(_SOURCES, _COMPUTE_WITH), section.hours, described(case))
+    key, store = hashlib.blake2b(repr(told).encode(), digest_size=20).hexdigest(), weather_store()
+    kept = None if store is None else read_weather(store, key)
+    if kept is not None:
+        return kept
+    try:
+        with progress.stage("weather", 1) as advance:
+            weather = hours_of(section, case.grid, case.day, case.surface).weather
+            advance(1)
+    except UnstableError as cause:
+        raise RecipeError(
+            "the air over the community cannot be simulated",
+            where=drawn.where("sky", "clouds"),
+            expected="air that stays slower than any storm",
+            got=str(cause),
+            hint="lower the heat, the vapour or the wind of community.weather, or make the cells larger",
+        ) from cause
+    if store is not None:
+        store.write(key, pack(weather))
+        store.trim()
+    return weather

@@ -1,21 +1,46 @@
-"""A fit as a whole: the likeliest kernels, those whose new stands match the measured one, and the test of them."""
+"""A fit as a whole: the likeliest kernels, those whose new stands match the measured one, and the test of them.
+
+Kernels match of which new stands have, on average, the pairs and the nearest plants of the measured one.
+Newton steps on the mean differences between new stands and the stand, in units of the scatter of the first new stands:
+in units of their own, kernels would be preferred whose stands differ most. How a mean answers to log κ is the
+covariance of the number with the derivative of the log-likelihood of the stand it was counted in: one set of stands
+gives the means and all their derivatives. All steps use the same random numbers.
+
+Where one kernel cannot make the stand's nearest neighbours, there are two kinds of plants. A kernel that invites
+multiplies with every plant of a clump. One strong enough to leave few strays tends to let the first clumps swallow all
+the rest. Here some plants come first, the founders, and keep apart; those that follow are drawn to founders, so
+strongly that few stand elsewhere, and act on one another by a kernel of their own. Then there are about as many clumps
+as founders. It is the sequential cousin of processes of parents and offspring; the parents are plants, too. Founders of
+the measured stand are unknown: new stands and the stand are compared as plants of one kind.
+
+References
+----------
+Neyman and Scott 1958, J. R. Stat. Soc. B 20, for parents and offspring.
+"""
 
 from __future__ import annotations
 
+import math
 import time
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
-from forestgen.community.fitting.envelopes import Envelope, envelopes, trend
-from forestgen.community.fitting.founders import LOOKS as FOUNDERS_LOOKS
-from forestgen.community.fitting.founders import Founded, match_founders
-from forestgen.community.fitting.likeliest import likeliest
-from forestgen.community.fitting.matching import LOOKS, Matched, Matcher, match
-from forestgen.community.fitting.shapes import KernelShapes, kernel_shapes
-from forestgen.community.fitting.simulate import NewStand, Nursery, fitting_cells
-from forestgen.community.fitting.stand import MeasuredStand
-from forestgen.community.fitting.summaries import summaries_for
+from forestgen.community.fitting.likelihood import (
+    KernelShapes,
+    founder_shapes,
+    kernel_shapes,
+    likeliest,
+    likelihood_shape,
+    roughness_penalty,
+    score,
+)
+from forestgen.community.fitting.stand import MeasuredStand, NewStand, Nursery, fitting_cells
+from forestgen.community.fitting.summaries import Envelope, Summaries, envelopes, nearest_m, summaries_for, trend
 from forestgen.community.placement.kernels import KernelTable
 from forestgen.core.errors import RecipeError
 from forestgen.core.progress import Progress, Silent
@@ -25,6 +50,205 @@ _PLANTS_AT_ONCE = 16_000  # in the new stands of a look
 _FEWEST_STANDS, _MOST_STANDS = 40, 250
 _POOR = 2.0  # deviations: with nearest neighbours as far from the stand's as this, founders are tried
 _CHECKS = 1_000_000  # seeds of checks are far from those of a fit
+_GREATEST_STEP = 0.7  # of a log κ
+_LEAST_GAIN, _SMALL_GAINS = 0.01, 2  # of the loss: with less in so many steps on end, a round is done
+_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 0.1, 0.01, 20.0
+
+
+class Round(NamedTuple):
+    """How a round of the fit goes."""
+
+    share: float  # of the stands
+    steps: int  # at most
+    knee: float  # deviations: of greater differences the fourth power weighs more than the square
+
+
+#: First roughly the mean, then all radii alike.
+ROUNDS = (Round(0.4, 10, 2.0), Round(1.0, 16, 1.0))
+LOOKS = 22  # a look at all stands of a round with a share of 1, at most: for bars
+_PLANTS_OF_A_FOUNDER = (7.0, 4.5, 3.0)  # itself and those that follow it
+_WIDTHS = (1.0, 1.6, 2.4)  # of a clump, in the distance within which most plants have a neighbour
+_MOST = 0.85
+_DRAWN = 10.0  # field about founders, against the rest of the window: so much a start has
+_APART = -2.0  # log κ among founders, at a start
+_GREATEST = 3.9  # of a start's log κ
+#: A look at all stands, at most: for bars.
+FOUNDERS_LOOKS = math.ceil(
+    len(_PLANTS_OF_A_FOUNDER) * (len(_WIDTHS) + ROUNDS[0].steps + 1) * ROUNDS[0].share + ROUNDS[1].steps + 1
+)
+_BETTER = 0.5  # of one kernel's loss, after either round: with more, founders are not worth their kernels
+
+
+@dataclass(frozen=True)
+class Matched:
+    """What the steps came to."""
+
+    log_kappa: NDArray[np.float64]  # (P, M)
+    differences: NDArray[np.float64]  # (A,) mean of new stands less the stand, in their standard deviations
+    loss: float
+    rough_loss: float  # at the end of the first round
+    stands: int  # placed in all
+
+
+@dataclass(frozen=True)
+class Look:
+    """New stands of one set of kernels."""
+
+    log_kappa: NDArray[np.float64]  # (P * M,)
+    loss: float
+    z: NDArray[np.float64]  # (A,)
+    slope: NDArray[np.float64]  # (A, P * M) of z
+
+
+class Matcher:
+    """New stands against the measured one."""
+
+    def __init__(
+        self,
+        nursery: Nursery,
+        shapes: KernelShapes,
+        summaries: Summaries,
+        number: int,
+        seed: int,
+        scale: NDArray[np.float64] | None = None,
+    ) -> None:
+        self.nursery, self.shapes, self.summaries = nursery, shapes, summaries
+        self.all_stands, self.number, self.seed, self.knee = number, number, seed, 1.0
+        self.scale = scale  # (A,) of the first look, for all: wide scatter is no merit
+        self.penalty = roughness_penalty(shapes)
+        stand = nursery.stand
+        self.target = summaries.of(stand.position_m, stand.species)
+        self.grid = likelihood_shape(stand, shapes)
+
+    def begin(self, one: Round) -> None:
+        """Set the number of stands and what differences weigh."""
+        self.number, self.knee = max(2, round(one.share * self.all_stands)), one.knee
+
+    def look(self, flat: NDArray[np.float64]) -> Look:
+        """Simulate, count, and take derivatives."""
+        shapes, stand = self.shapes, self.nursery.stand
+        log_kappa = flat.reshape(shapes.free)
+        kernels = shapes.tables(log_kappa)
+        counts = np.empty((self.number, len(self.target)))
+        scores = np.empty((self.number, flat.size))
+        for number in range(self.number):
+            new = self.nursery.grow(kernels, self.seed, number)
+            counts[number] = self.summaries.of(new.measured_m, new.species)
+            found = score(new.placed_m, new.kind, shapes, shapes.core_m, log_kappa, stand.size_m, self.grid)
+            scores[number] = found.gradient.ravel()
+        mean = counts.mean(axis=0)
+        if self.scale is None:
+            self.scale = self.summaries.scales(stand, counts.std(axis=0))
+        z = (mean - self.target) / self.scale
+        slope = (counts - mean).T @ (scores - scores.mean(axis=0)) / (self.number * self.scale[:, None])
+        worth = self.summaries.worth
+        loss = float(np.sum(worth * (z**2 / 2 + z**4 / (4 * self.knee**2))) + flat @ self.penalty @ flat / 2)
+        return Look(flat, loss, z, slope)
+
+    def step(self, here: Look, damping: float) -> NDArray[np.float64]:
+        """Where to look next."""
+        weight = self.summaries.worth * (1 + here.z**2 / self.knee**2)
+        normal = here.slope.T @ (weight[:, None] * here.slope)
+        gradient = here.slope.T @ (weight * here.z) + self.penalty @ here.log_kappa
+        held = damping * np.diag(np.diag(normal) + 1)
+        move = -np.linalg.solve(normal + self.penalty + held, gradient)
+        move *= min(1.0, _GREATEST_STEP / max(float(np.abs(move).max()), 1e-12))
+        return np.clip(here.log_kappa + move, -6.0, 4.0)
+
+
+@dataclass(frozen=True)
+class Climb:
+    """The steps of one round."""
+
+    look: Look  # the best
+    stands: int  # placed
+
+
+def climb(matcher: Matcher, start: NDArray[np.float64], one: Round, told: Callable[[int], None]) -> Climb:
+    """Take the steps of a round until they gain little."""
+    matcher.begin(one)
+    best, damping = matcher.look(start.ravel()), _DAMPING
+    looks, small = 1, 0
+    told(matcher.number)
+    while looks <= one.steps and damping <= _MOST_DAMPING:
+        tried = matcher.look(matcher.step(best, damping))
+        told(matcher.number)
+        looks += 1
+        gain = (best.loss - tried.loss) / best.loss
+        if gain <= 0:
+            damping *= 5
+            continue
+        damping = max(damping / 3, _LEAST_DAMPING)
+        best = tried
+        small = small + 1 if gain < _LEAST_GAIN else 0
+        if small == _SMALL_GAINS:
+            break
+    return Climb(best, looks * matcher.number)
+
+
+def match(matcher: Matcher, start: NDArray[np.float64], told: Callable[[int], None]) -> Matched:
+    """Both rounds; `told` is called with the number of stands after each look."""
+    first = climb(matcher, start, ROUNDS[0], told)
+    second = climb(matcher, first.look.log_kappa, ROUNDS[1], told)
+    return matched(matcher, first, second)
+
+
+def matched(matcher: Matcher, first: Climb, second: Climb) -> Matched:
+    """What two rounds came to."""
+    look, log_kappa = second.look, second.look.log_kappa.reshape(matcher.shapes.free)
+    return Matched(log_kappa, look.z, look.loss, first.look.loss, first.stands + second.stands)
+
+
+@dataclass(frozen=True)
+class Founded:
+    """A search for a fit with founders."""
+
+    nursery: Nursery
+    shapes: KernelShapes
+    matched: Matched | None  # None: one kernel does nearly as well
+    stands: int  # placed in all
+
+
+def match_founders(plain: Matcher, of_one: Matched, told: Callable[[int], None]) -> Founded:
+    """Try several numbers of founders for a round each, and the best of them for the second round.
+
+    Differences count as in `plain`, the matcher of one kernel, which came to `of_one`.
+    """
+    stand, shapes = plain.nursery.stand, founder_shapes(plain.shapes)
+    found: list[tuple[Matcher, Climb]] = []
+    for plants in _PLANTS_OF_A_FOUNDER:
+        founders = max(2, round(stand.n / plants))
+        nursery = replace(plain.nursery, founders=founders)
+        matcher = Matcher(nursery, shapes, plain.summaries, plain.all_stands, plain.seed, plain.scale)
+        matcher.begin(ROUNDS[0])
+        looks = [matcher.look(start.ravel()) for start in _starts(stand, shapes, founders)]
+        told(len(looks) * matcher.number)
+        best = min(looks, key=lambda look: look.loss)
+        found.append((matcher, climb(matcher, best.log_kappa, ROUNDS[0], told)))
+    stands = sum(one.stands + len(_WIDTHS) * matcher.number for matcher, one in found)
+    matcher, first = min(found, key=lambda pair: pair[1].look.loss)
+    if first.look.loss > _BETTER * of_one.rough_loss:
+        return Founded(matcher.nursery, shapes, None, stands)
+    second = climb(matcher, first.look.log_kappa, ROUNDS[1], told)
+    better = second.look.loss <= _BETTER * of_one.loss
+    result = matched(matcher, first, second) if better else None
+    return Founded(matcher.nursery, shapes, result, stands + second.stands)
+
+
+def _starts(stand: MeasuredStand, shapes: KernelShapes, founders: int) -> list[NDArray[np.float64]]:
+    """(3, M) log κ: founders keep apart, followers are drawn to them and ignore one another."""
+    tree = cKDTree(stand.position_m)
+    near_m = float(np.quantile(nearest_m(tree, tree), _MOST))
+    starts = []
+    for width in _WIDTHS:
+        radius_m = width * near_m
+        drawn = math.log(_DRAWN * stand.area_m2 / (founders * math.pi * radius_m**2))
+        start = np.zeros(shapes.free)
+        start[0] = np.interp(shapes.knots_m[0, :-1], [radius_m, 2 * radius_m], [_APART, 0.0])
+        most = float(np.clip(drawn, 0.0, _GREATEST))
+        start[1] = np.interp(shapes.knots_m[1, :-1], [radius_m, 1.5 * radius_m], [most, 0.0])
+        starts.append(start)
+    return starts
 
 
 @dataclass(frozen=True)
@@ -77,22 +301,14 @@ class Fit:
             return first, self.stand.n - first
         return tuple(np.bincount(self.stand.species, minlength=len(self.stand.names)).tolist())
 
-    def held(self, name: str) -> int:
-        """In how many of the checks all functions of a name lie within their envelopes."""
-        return sum(not any(one.left.any() for one in check if one.name == name) for check in self.checks)
-
-    def own_held(self, name: str) -> int:
-        """In how many of the checks those of one more new stand do."""
-        return sum(not any(one.own_left.any() for one in check if one.name == name) for check in self.checks)
+    def held(self, name: str, *, own: bool = False) -> int:
+        """In how many of the checks all functions of a name lie within their envelopes; or those of one more stand."""
+        left = [[one.own_left if own else one.left for one in check if one.name == name] for check in self.checks]
+        return sum(not any(one.any() for one in check) for check in left)
 
 
 def fit_stand(stand: MeasuredStand, settings: Settings, progress: Progress | None = None) -> Fit:
-    """Fit, then test with new random numbers.
-
-    Raises
-    ------
-    RecipeError : `reach_m` does not suit the window.
-    """
+    """Fit, then test with new random numbers; a `RecipeError` if `reach_m` does not suit the window."""
     began, listener = time.perf_counter(), progress or Silent()
     _check_reach(stand, settings.reach_m)
     shapes = kernel_shapes(stand, settings.reach_m)

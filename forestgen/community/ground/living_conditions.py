@@ -10,7 +10,19 @@ the species' density grows there, 1 all of it, 0 none. The responses are multipl
       wind: [[0.6, 1], [0.9, 0.2]]
       sun: [[0.5, 0], [0.9, 1]]
 
-What the conditions are, and what they are on level ground, is said in `rasters`.
+==========  ==========  =================================================================  =============
+name        unit        meaning                                                            level ground
+==========  ==========  =================================================================  =============
+elevation   m           height above sea level: site.altitude_m and the ground's height    altitude_m
+slope       degrees     of the steepest descent                                            0
+moisture    0 to 1      topographic wetness, see `relief`: 0 dry crest, 1 valley floor     0.5
+wind        0 to 1      exposure, see `horizons`: 0 sheltered hollow, 1 crest              0.5
+sun         0 and more  direct irradiation over the year, see `horizons`                   1
+==========  ==========  =================================================================  =============
+
+The ground is defined everywhere, so what lies around the site counts: 200 m of it for water, 1000 m for views. It is
+sampled at nodes that depend on the site alone: 480 across the site with the 200 m around it, or one every 4 m if that
+is closer. A grid of any number of cells reads its values between the nodes, so that its own fineness matters little.
 
 References
 ----------
@@ -21,17 +33,80 @@ of Maribor 2007, section IV: "height above sea level, slope, moisture, windiness
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import cached_property
 from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 
-from forestgen.community.model import Site
+from forestgen.community.ground.horizons import Views, exposure, irradiation, views
+from forestgen.community.ground.relief import Nodes, Relief, far_relief, moisture, near_relief
+from forestgen.community.model import GroundHeight, Site
+from forestgen.core.cache import BoundedCache
 from forestgen.recipe.curves import Curve, Formula, Function, Smooth, evaluate
 from forestgen.recipe.fields import Section, mistake
 
+Floats = NDArray[np.float64]
 _BLOCK_CELLS = 1 << 20  # of a grid at a time: a suitability takes little more memory than its own
+_UNITS = {"elevation_m": " m", "slope_deg": " degrees"}
+
+
+def ground_raster(site: Site, name: str, shape: tuple[int, int], rows: slice = slice(None)) -> Floats:
+    """(rows, cols) of one living condition, or of some rows of the grid alone."""
+    if (height := site.height) is not None:
+        # The key has the height function's identity, since many cannot be compared; a kept ground keeps its function.
+        key = (site.size_m, site.altitude_m, site.latitude_deg, site.wind_from_deg, id(height))
+        return _grounds.get(key, lambda: _Ground(site, height)).on_cells(name, shape, rows)
+    level = {"elevation_m": site.altitude_m, "slope_deg": 0.0, "moisture": 0.5, "wind": 0.5, "sun": 1.0}[name]
+    return np.full((len(range(shape[0])[rows]), shape[1]), level)
+
+
+class _Ground:
+    """What is known of one site's ground; each part is computed when it is first asked for."""
+
+    def __init__(self, site: Site, height: GroundHeight) -> None:
+        self.site, self.height = site, height
+        self._made: dict[str, tuple[Nodes, Floats]] = {}
+
+    def on_cells(self, name: str, shape: tuple[int, int], rows: slice) -> Floats:
+        """(rows, cols) of one living condition on the cells of some rows of a grid."""
+        if name not in self._made:
+            self._made[name] = self._at_nodes(name)
+        nodes, values = self._made[name]
+        x, y = (
+            np.linspace(0.0, side, n, endpoint=False) + side / (2 * n)
+            for side, n in zip(self.site.size_m, shape[::-1], strict=True)
+        )
+        return nodes.between(values, x, y[rows])
+
+    def _at_nodes(self, name: str) -> tuple[Nodes, Floats]:
+        """Nodes over the site, and (rows, cols) one living condition there."""
+        near, site, over = self._near, self.site, self._near.over(self.site)
+        along_x, along_y = (np.ascontiguousarray(one[over]) for one in near.slopes)
+        nodes = Nodes(near.nodes.x_m[over[1]], near.nodes.y_m[over[0]])
+        match name:
+            case "elevation_m":
+                return nodes, site.altitude_m + near.z_m[over]
+            case "slope_deg":
+                return nodes, np.asarray(np.degrees(np.arctan(np.hypot(along_x, along_y))))
+            case "moisture":
+                return nodes, np.ascontiguousarray(moisture(near)[over])
+            case "wind":
+                return self._views.nodes, exposure(self._views, site.wind_from_deg)
+        return nodes, irradiation(along_x, along_y, nodes, self._views, site.latitude_deg)
+
+    @cached_property
+    def _near(self) -> Relief:
+        return near_relief(self.height, self.site)
+
+    @cached_property
+    def _views(self) -> Views:
+        return views(self._near, far_relief(self.height, self.site), self.site)
+
+
+#: The grounds asked for last, each of which counts as one; they take some tens of megabytes each.
+_grounds: BoundedCache[_Ground] = BoundedCache(4, lambda ground: 1)
 
 
 def _response(least: float, most: float, unit: str) -> Callable[[Function], Function]:
@@ -77,8 +152,7 @@ class Conditions(Section):
         Field(description="Response to topographic wetness: 0 dry crest, 0.5 level ground, 1 valley floor."),
     ] = None
     wind: Annotated[
-        Share | None,
-        Field(description="Response to exposure to wind: 0 sheltered hollow, 0.5 level ground, 1 crest."),
+        Share | None, Field(description="Response to exposure to wind: 0 sheltered hollow, 0.5 level ground, 1 crest.")
     ] = None
     sun: Annotated[
         Sunshine | None,
@@ -92,8 +166,6 @@ class Conditions(Section):
 
 def suitability(conditions: Conditions, site: Site, shape: tuple[int, int]) -> NDArray[np.float64]:
     """(rows, cols) float64 in [0, 1]: the product of a species' responses; row 0 at y = 0."""
-    from forestgen.community.ground.rasters import ground_raster  # compiled loops, slow to import
-
     product = np.ones(shape)
     block = max(1, _BLOCK_CELLS // shape[1])
     for name, curve in conditions.responses():
@@ -105,8 +177,6 @@ def suitability(conditions: Conditions, site: Site, shape: tuple[int, int]) -> N
 
 def why_barred(conditions: Conditions, site: Site, shape: tuple[int, int]) -> str | None:
     """What bars a species on the whole site, as "elevation_m bars it on the whole site: ..."; None if nothing does."""
-    from forestgen.community.ground.rasters import ground_raster
-
     if suitability(conditions, site, shape).any():
         return None
     bars: dict[str, NDArray[np.bool_]] = {}
@@ -119,9 +189,6 @@ def why_barred(conditions: Conditions, site: Site, shape: tuple[int, int]) -> st
             return f"{name} bars it on the whole site, where it is {there}{_UNITS.get(name, '')}"
     shares = ", ".join(f"{name} on {int(100 * where.mean())}%" for name, where in bars.items() if where.any())
     return f"its conditions bar it on the whole site together: {shares}"
-
-
-_UNITS = {"elevation_m": " m", "slope_deg": " degrees"}
 
 
 def _answer(curve: Function, value: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -79,9 +79,9 @@ Decided where the print is silent or wrong:
   segment that bears it, rolled by a random angle of its identity; along the parent's own axis, as in the print,
   laterals would stand upright.
 - Pipes of shed modules stay in the wood below them until new ones take their place, all but `disused_share` (0.15):
-  stems never shrink; see shedding.py.
+  stems never shrink; see growth.py.
 - `standing_dead_yr` and `dieback_share` are ours: what dies over 1.3 m stands as a snag, which does not affect living
-  plants; a plant that has died back to less than a share of its greatest height is dead. See snags.py. Felled and
+  plants; a plant that has died back to less than a share of its greatest height is dead. See growth.py. Felled and
   burned plants leave no snag, and felling and fire leave snags as they are.
 - `seedling_spacing_m` (0.8), with the light that a seedling needs, bounds how many plants a square metre has.
 - All of a state's modules look at the spheres at the step's beginning.
@@ -94,25 +94,20 @@ Decided where the print is silent or wrong:
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.architecture.prototypes import load_prototypes
 from forestgen.community.arrivals import refuse_overflow
 from forestgen.community.branch_modules.capabilities import ModuleCapabilities, without_modules
-from forestgen.community.branch_modules.changes import numbers_in_time
-from forestgen.community.branch_modules.founding import founded
-from forestgen.community.branch_modules.kinds import kinds_at
-from forestgen.community.branch_modules.parameters import BranchModulesParameters
-from forestgen.community.branch_modules.seeding import begun
+from forestgen.community.branch_modules.parameters import BranchModulesParameters, numbers_in_time
+from forestgen.community.branch_modules.seeding import initial_state, new_seedlings
 from forestgen.community.branch_modules.snapshot import check_resumable, population_of, state_of
-from forestgen.community.branch_modules.state import State, appended, refuse_more_modules, rows_of_plants
-from forestgen.community.branch_modules.step import advanced
+from forestgen.community.branch_modules.state import State, refuse_more_modules, step_parameters
+from forestgen.community.branch_modules.step import step_forest
 from forestgen.community.disturbance import Planting, planted
-from forestgen.community.ecology import SpeciesEcology
+from forestgen.community.ecology import Ecologies, SpeciesEcology
 from forestgen.community.model import Site
 from forestgen.community.population import Population
 
@@ -127,41 +122,30 @@ class BranchModules(ModuleCapabilities):
 
     Parameters = BranchModulesParameters
 
-    def init(
-        self, parameters: BranchModulesParameters, site: Site, species: Sequence[SpeciesEcology], seed: int
-    ) -> State:
+    def init(self, parameters: BranchModulesParameters, site: Site, species: Ecologies, seed: int) -> State:
         """The obstacles, and the plants of the start as seeds at random places."""
         _refuse_without_modules(site, species)
         refuse_overflow(1, float(parameters.counts([one.name for one in _growing(species)]).sum()))
-        return founded(parameters, site, species, seed, load_prototypes())
+        return initial_state(parameters, site, species, seed)
 
     def step(self, state: State) -> State:
         """Light, vigour, growth, shedding, new modules, turning, seeds, death."""
         refuse_overflow(state.next_id, 0.0)
-        return advanced(state)
+        return step_forest(state)
 
     def population(self, state: State) -> Population:
         """Snapshot; z is 0."""
         return population_of(state)
 
     def resume(
-        self,
-        parameters: BranchModulesParameters,
-        site: Site,
-        species: Sequence[SpeciesEcology],
-        seed: int,
-        population: Population,
+        self, parameters: BranchModulesParameters, site: Site, species: Ecologies, seed: int, population: Population
     ) -> State:
         """The state of a snapshot; it needs the snapshot's modules."""
         _refuse_without_modules(site, species)
         return state_of(parameters, site, species, seed, population)
 
     def check_snapshot(
-        self,
-        parameters: BranchModulesParameters,
-        site: Site,
-        species: Sequence[SpeciesEcology],
-        population: Population,
+        self, parameters: BranchModulesParameters, site: Site, species: Ecologies, population: Population
     ) -> None:
         """Refuse plants, obstacles and snags that no snapshot has; modules have their own checksum."""
         _refuse_without_modules(site, species)
@@ -171,7 +155,7 @@ class BranchModules(ModuleCapabilities):
         """The forest without these plants; obstacles stay."""
         grows = np.array([one.modules is not None for one in state.species], dtype=np.bool_)
         keep = ~(np.isin(state.plants.plant_id, plant_id) & grows[state.plants.species])
-        return replace(state, plants=state.plants.where(keep), modules=rows_of_plants(state.modules, keep))
+        return replace(state, plants=state.plants.where(keep), modules=state.modules.of_plants(keep))
 
     def plant(self, state: State, planting: Planting) -> State:
         """The forest with new plants, seeds all: a planting's radius says nothing here."""
@@ -182,17 +166,17 @@ class BranchModules(ModuleCapabilities):
         refuse_more_modules(
             len(state.modules) + len(state.snags.modules) + len(planting), state.parameters.most_modules
         )
-        plants, modules = begun(planting.position_m, planting.species, state, kinds_at(state), state.step)
+        plants, modules = new_seedlings(
+            planting.position_m, planting.species, state, step_parameters(state), state.step
+        )
         return replace(
             state,
             next_id=state.next_id + len(plants),
             plants=state.plants.and_then(plants),
-            modules=appended(state.modules, modules),
+            modules=state.modules.and_then(modules),
         )
 
-    def expected_plants(
-        self, parameters: BranchModulesParameters, site: Site, species: Sequence[SpeciesEcology]
-    ) -> float:
+    def expected_plants(self, parameters: BranchModulesParameters, site: Site, species: Ecologies) -> float:
         """Upper bound: those of the start, planted or built, and as many seedlings as find room and light.
 
         With the dead that stand: see `with_dead`.
@@ -203,16 +187,14 @@ class BranchModules(ModuleCapabilities):
             total += most_seedlings(parameters, site)
         return total * with_dead(parameters) + len(site.buildings)
 
-    def empty_reason(
-        self, parameters: BranchModulesParameters, site: Site, species: Sequence[SpeciesEcology]
-    ) -> str | None:
+    def empty_reason(self, parameters: BranchModulesParameters, site: Site, species: Ecologies) -> str | None:
         """Why no plant can ever grow, or None if one may."""
         _refuse_without_modules(site, species)
         if _founders(parameters, species) > 0:
             return None
         return "no plant can grow: community.initial_plants is 0, and none is planted"
 
-    def estimate_bytes(self, parameters: BranchModulesParameters, site: Site, species: Sequence[SpeciesEcology]) -> int:
+    def estimate_bytes(self, parameters: BranchModulesParameters, site: Site, species: Ecologies) -> int:
         """Bytes for so many modules as the light feeds, at most most_modules, and for the finest shadow grid."""
         plants = self.expected_plants(parameters, site, species)
         alive = site.area_m2 * _MODULES_PER_M2 + 10 * _founders(parameters, species)
@@ -238,17 +220,17 @@ def with_dead(parameters: BranchModulesParameters) -> float:
     return 1.0 + standing_yr / 20.0
 
 
-def _growing(species: Sequence[SpeciesEcology]) -> list[SpeciesEcology]:
+def _growing(species: Ecologies) -> list[SpeciesEcology]:
     return [one for one in species if one.modules is not None]
 
 
-def _founders(parameters: BranchModulesParameters, species: Sequence[SpeciesEcology]) -> float:
+def _founders(parameters: BranchModulesParameters, species: Ecologies) -> float:
     """Plants of the start, and those that disturbances plant."""
     counts = parameters.counts([one.name for one in _growing(species)])
     return float(counts.sum() if len(counts) else 0) + planted(parameters.disturbances)
 
 
-def _refuse_without_modules(site: Site, species: Sequence[SpeciesEcology]) -> None:
+def _refuse_without_modules(site: Site, species: Ecologies) -> None:
     """Every species must grow by modules but those that stand for buildings."""
     built = {one.kind for one in site.buildings}
     for one in species:

@@ -95,7 +95,7 @@ Decisions
 - The field does not depend on the size of the plant that arrives, only on those that stand. So inhibition keeps stems
   apart, not crowns: two equal plants may overlap by up to half.
 - Sizes are log-normal, cut off at the species' largest radius. A species' sizes, and the random numbers that place
-  its plants, hang on the recipe's seed and on its name alone: on one grid, another species that it does not see
+  its plants, depend on the recipe's seed and on its name alone: on one grid, another species that it does not see
   leaves it where it was.
 - Cells are an eighth of the least median radius, kernel reach in metres, or spacing; at most 2^25 in all fields.
   Where that is too coarse a note says so. A kernel counts at a cell's middle: a hard core may be violated by part of
@@ -103,9 +103,9 @@ Decisions
 - Kernels that would change more than 2e10 cells in all, about a minute's work, are refused before the first plant.
 - Plants that find no place are left out, and a note says how many and why.
 - {hopkins: H}: all kernels are one, of the family in `placement/clustering.py`, found by bisection with the same
-  random numbers, on the plants themselves or, of more than 2,000, on every so-manieth of them on a smaller site. H is
-  that of all plants together, in the window of the site, as `forestgen simulate` tells it. Plants keep to the map. A
-  target that cannot be reached ends as near as it comes. statistics.json has the kernel that was found and what H came
+  random numbers, on the plants themselves or, of more than 2,000, on every k-th of them on a smaller site. H is
+  that of all plants together, in the window of the site, as `forestgen simulate` reports it. Plants keep to the map. A
+  target that cannot be reached ends as near as possible. statistics.json has the kernel that was found and what H came
   to; if that differs from the target by more than 0.05, or above 1 by more than 5 percent, a note says so too.
 """
 
@@ -120,24 +120,14 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from forestgen.community.ecology import SpeciesEcology
+from forestgen.community.ecology import Ecologies
 from forestgen.community.ground.living_conditions import Conditions
 from forestgen.community.model import Site
-from forestgen.community.placement.asked_and_placed import Densities, asked_densities, deformed
-from forestgen.community.placement.clustering import (
-    CELLS_PER_SPACING,
-    FEWEST,
-    MOST_REHEARSED,
-    Found,
-    Rehearsal,
-    describe,
-    kernel_for,
-    notes_on,
-    spacing,
-)
+from forestgen.community.placement import clustering
 from forestgen.community.placement.densities import (
     COUNTING_CELLS,
     MOST_ALONG,
+    PlacementParameters,
     cells_for,
     grid_shape,
     plant_counts,
@@ -157,16 +147,18 @@ from forestgen.community.placement.kernels import (
     species_named,
 )
 from forestgen.community.placement.model import (
+    Densities,
     PlacementModel,
-    Wanted,
-    chances,
+    PlantingTargets,
+    asked_densities,
+    deformed,
     placed_state,
     placement_rng,
+    uniform_samples,
     wanted_plants,
 )
-from forestgen.community.placement.stands import PlacementParameters
-from forestgen.community.population import Population
-from forestgen.community.standing import State
+from forestgen.community.population import Floats, Population
+from forestgen.community.static_model import State
 from forestgen.recipe.fields import Whole
 from forestgen.recipe.sources import Keys
 
@@ -178,6 +170,8 @@ _IDLE, _MANY = 0.2, 100  # reach over spacing below which kernels hardly act, of
 _BLURRED = 2  # cells per length: with fewer, a note says so
 _BYTES_PER_CELL = 24  # of a field and what it sums up
 _MOST_CHANGES = 2e10  # of cells by all plants: 50 s of one core
+_BARRED = "the map, the conditions and keep_out bar the whole site"
+_NO_PLACE = "no place is left where the kernels of those that stand, the map and the conditions allow one"
 _BYTES_PER_CELL_MADE = 40  # of the one field that is being read from map and conditions
 
 
@@ -199,6 +193,16 @@ class DeformationKernelParameters(PlacementParameters):
         "in metres, or the plants' spacing, whichever is least",
     )
 
+    @property
+    def hopkins(self) -> float | None:
+        """The Hopkins index that the plants are to have; None: the recipe gives the kernels."""
+        return self.kernels.hopkins if isinstance(self.kernels, HopkinsTarget) else None
+
+    def matrix(self, names: Sequence[str]) -> Sequence[Sequence[KernelTable]]:
+        """Kernels [i][j] that the recipe gives: the effect of a plant of species j on the field of species i."""
+        assert not isinstance(self.kernels, HopkinsTarget)
+        return kernel_matrix(self.kernels, names)
+
     def named_species(self) -> Iterator[tuple[Keys, str]]:
         yield from super().named_species()
         yield from ((("kernels", *keys), name) for keys, name in species_named(self.kernels))
@@ -211,10 +215,16 @@ class _Layout:
     species: tuple[int, ...]  # (F,) index of the species whose density each field has
     field_of: NDArray[np.intp]  # (S,) index of each species' field; -1: it has no plants
     cells: int  # along the site's longer side
-    length_m: float  # the finest detail that the grid should show; inf: none
+    length_m: float  # the finest detail that the grid should show: a median radius, a kernel's reach, or the spacing
+
+    def densities(
+        self, parameters: PlacementParameters, site: Site, species: Ecologies, shape: tuple[int, int]
+    ) -> list[Floats]:
+        """(rows, cols) of each field."""
+        return [species_density(parameters, site, species[i].name, shape) for i in self.species]
 
 
-def _layout(parameters: DeformationKernelParameters, site: Site, species: Sequence[SpeciesEcology]) -> _Layout:
+def _layout(parameters: DeformationKernelParameters, site: Site, species: Ecologies) -> _Layout:
     counts = plant_counts(parameters, site, species)
     present = np.flatnonzero(counts).tolist()
     stands = [parameters.plants[species[i].name] for i in present]
@@ -224,41 +234,31 @@ def _layout(parameters: DeformationKernelParameters, site: Site, species: Sequen
     field_of = np.full(len(species), -1, dtype=np.intp)
     field_of[present] = 0 if shared else np.arange(len(present))
     chosen = tuple(present[:1] if shared else present)
-    length_m = _length_m(parameters, site, species, counts)
+    length_m = _spacing_m(site, counts)
+    for reach_m, median_m, in_radii in _acting(parameters, species, counts):
+        length_m = min(length_m, reach_m, median_m if in_radii else math.inf)
     if parameters.cells is not None:
         return _Layout(chosen, field_of, parameters.cells, length_m)
     maps = [one for one in (parameters.keep_out, *(stand.map for stand in stands)) if one is not None]
     pixels = min(_MOST_PIXELS, max((max(one.shape) for one in maps), default=0))
     at_least = max(_FEWEST_CELLS, pixels, 0 if level else COUNTING_CELLS)
-    per_length = CELLS_PER_SPACING if isinstance(parameters.kernels, HopkinsTarget) else _CELLS_PER_LENGTH
-    cells = cells_for(
-        site,
-        length_m,
-        per_length=per_length,
-        at_least=at_least,
-        fields=len(chosen),
-    )
+    per_length = _CELLS_PER_LENGTH if parameters.hopkins is None else clustering.CELLS_PER_SPACING
+    cells = cells_for(site, length_m, per_length=per_length, at_least=at_least, fields=len(chosen))
     return _Layout(chosen, field_of, cells, length_m)
 
 
-def _length_m(
-    parameters: DeformationKernelParameters, site: Site, species: Sequence[SpeciesEcology], counts: NDArray[np.int64]
-) -> float:
-    """The finest detail of the fields to be: a median radius, a kernel's reach in metres, or the plants' spacing."""
-    lengths = [math.sqrt(site.area_m2 / max(1, int(counts.sum())))]
-    if isinstance(parameters.kernels, HopkinsTarget):
-        return lengths[0]
-    for reach_m, median_m, in_radii in _acting(parameters, species, counts):
-        lengths.append(min(reach_m, median_m if in_radii else math.inf))
-    return min(lengths)
+def _spacing_m(site: Site, counts: NDArray[np.int64]) -> float:
+    """Root of the area that a plant has, metres."""
+    return math.sqrt(site.area_m2 / max(1, int(counts.sum())))
 
 
 def _acting(
-    parameters: DeformationKernelParameters, species: Sequence[SpeciesEcology], counts: NDArray[np.int64]
+    parameters: DeformationKernelParameters, species: Ecologies, counts: NDArray[np.int64]
 ) -> Iterator[tuple[float, float, bool]]:
-    """Of each kernel that acts: its reach about a plant of median radius; that radius; whether it counts in radii."""
-    assert not isinstance(parameters.kernels, HopkinsTarget)
-    kernels = kernel_matrix(parameters.kernels, [one.name for one in species])
+    """Of each given kernel that acts: its reach about a plant of median radius; that radius; whether it is in radii."""
+    if parameters.hopkins is not None:
+        return
+    kernels = parameters.matrix([one.name for one in species])
     for j, one in enumerate(species):
         if counts[j]:
             median_m = sizes_of(parameters.plants[one.name].radius_m, one).median
@@ -266,70 +266,67 @@ def _acting(
             yield from ((float(table.reach_m(median_m)), median_m, table.in_radii) for table in acting)
 
 
-class DeformationKernel(PlacementModel):
+class DeformationKernel(PlacementModel[DeformationKernelParameters]):
     """The model; see the module's page."""
 
     Parameters = DeformationKernelParameters
+    state_keys = ("clustering",)
 
-    def init(
-        self, parameters: DeformationKernelParameters, site: Site, species: Sequence[SpeciesEcology], seed: int
-    ) -> State:
+    def init(self, parameters: DeformationKernelParameters, site: Site, species: Ecologies, seed: int) -> State:
         """The plants at their places."""
         rng = placement_rng(seed)
         wanted = wanted_plants(parameters, site, species, rng)
-        uniform = chances(wanted, species, rng)
+        uniform = uniform_samples(wanted, species, rng)
         layout = _layout(parameters, site, species)
-        shape = grid_shape(site, layout.cells)
-        densities = [species_density(parameters, site, species[i].name, shape) for i in layout.species]
+        densities = layout.densities(parameters, site, species, grid_shape(site, layout.cells))
         found = _found(parameters, site, species, layout, densities, wanted, uniform)
-        kernels = _kernels(parameters, [species[i].name for i in layout.species], found)
+        if parameters.hopkins is None:
+            kernels = parameters.matrix([species[i].name for i in layout.species])
+        else:
+            kernels = [[found.kernel if found else NEUTRAL] * len(densities)] * len(densities)
         barred = {i for i, one in enumerate(layout.field_of) if one >= 0 and not densities[one].any()}
         fields = [DensityField(one, site.size_m, periodic=parameters.periodic) for one in densities]
         del densities
         placement = place(fields, layout.field_of[wanted.sp], wanted.r_m, kernels, uniform)
-        why = {one.name: _why(i in barred) for i, one in enumerate(species)}
+        why = {one.name: _BARRED if i in barred else _NO_PLACE for i, one in enumerate(species)}
         position_m = placement.position_m
-        notes, told = [*_notes(site, layout), *_idle(parameters, site, species)], {}
-        if isinstance(parameters.kernels, HopkinsTarget):
+        notes, state = [*_notes(site, layout), *_idle(parameters, site, species)], {}
+        if parameters.hopkins is not None:
             points_m = position_m[~np.isnan(position_m[:, 0])]
-            told = {"clustering": describe(parameters.kernels.hopkins, found, points_m, site, seed, layout.cells)}
-            notes += notes_on(told["clustering"])
-        return placed_state(parameters, site, species, seed, wanted, position_m, why, notes, told)
+            state = {"clustering": clustering.describe(parameters.hopkins, found, points_m, site, seed, layout.cells)}
+            notes += clustering.notes_on(state["clustering"])
+        return placed_state(parameters, site, species, seed, wanted, position_m, why, notes, state)
 
-    def estimate_bytes(self, parameters: PlacementParameters, site: Site, species: Sequence[SpeciesEcology]) -> int:
+    def estimate_bytes(self, parameters: DeformationKernelParameters, site: Site, species: Ecologies) -> int:
         """Bytes for all plants and the fields at once."""
-        assert isinstance(parameters, DeformationKernelParameters)
         plants = super().estimate_bytes(parameters, site, species)
         layout = _layout(parameters, site, species)
-        rows, cols = grid_shape(site, layout.cells)
-        _check_work(parameters, site, species, layout)
-        return plants + rows * cols * (len(layout.species) * _BYTES_PER_CELL + _BYTES_PER_CELL_MADE)
+        cells = math.prod(grid_shape(site, layout.cells))
+        _check_work(parameters, site, species, [species[i].name for i in layout.species], cells)
+        return plants + cells * (len(layout.species) * _BYTES_PER_CELL + _BYTES_PER_CELL_MADE)
 
     def densities(
-        self, parameters: PlacementParameters, site: Site, species: Sequence[SpeciesEcology], placed: Population
+        self, parameters: DeformationKernelParameters, site: Site, species: Ecologies, placed: Population
     ) -> Densities:
         """What the recipe asks for, and the fields that are left when the plants `placed` have deformed them."""
-        assert isinstance(parameters, DeformationKernelParameters)
-        names = [one.name for one in species]
-        if isinstance(parameters.kernels, HopkinsTarget):
+        if parameters.hopkins is not None:
             return asked_densities(parameters, site, species)
         cells = min(max(_layout(parameters, site, species).cells, COUNTING_CELLS), 2048)
         asked = asked_densities(parameters, site, species, grid_shape(site, cells))
-        return deformed(asked, site, parameters.periodic, species, placed, kernel_matrix(parameters.kernels, names))
+        kernels = parameters.matrix([one.name for one in species])
+        return deformed(asked, site, parameters.periodic, species, placed, kernels)
 
 
 def _check_work(
-    parameters: DeformationKernelParameters, site: Site, species: Sequence[SpeciesEcology], layout: _Layout
+    parameters: DeformationKernelParameters, site: Site, species: Ecologies, fields: Sequence[str], cells: int
 ) -> None:
-    """Refuse kernels that would change more cells than a minute allows."""
+    """Refuse kernels that would change more cells of the fields, by species, than a minute allows."""
     acting = {}
     for one, count in zip(species, plant_counts(parameters, site, species).tolist(), strict=True):
         if count:
             sizes = sizes_of(parameters.plants[one.name].radius_m, one)
             acting[one.name] = (count, min(sizes.median * math.exp(sizes.sigma**2), one.max_radius_m))  # mean square
-    cells = math.prod(grid_shape(site, layout.cells))
-    work = kernel_work(parameters.kernels, site, acting, {species[i].name: cells for i in layout.species})
-    work.refuse_over(
+    kernel_work(parameters.kernels, site, acting, dict.fromkeys(fields, cells)).refuse_over(
         _MOST_CHANGES,
         "changes of cells by all plants, about a minute's work",
         f"{sum(count for count, _ in acting.values()):,} plants on a grid of {cells:,} cells",
@@ -337,48 +334,34 @@ def _check_work(
     )
 
 
-def _kernels(
-    parameters: DeformationKernelParameters, names: Sequence[str], found: Found | None
-) -> Sequence[Sequence[KernelTable]]:
-    """Kernels [i][j] of the fields, by their species' names."""
-    if isinstance(parameters.kernels, HopkinsTarget):
-        return [[found.kernel if found else NEUTRAL] * len(names)] * len(names)
-    return kernel_matrix(parameters.kernels, names)
-
-
 def _found(
     parameters: DeformationKernelParameters,
     site: Site,
-    species: Sequence[SpeciesEcology],
+    species: Ecologies,
     layout: _Layout,
-    densities: Sequence[NDArray[np.float64]],
-    wanted: Wanted,
-    uniform: NDArray[np.float64],
-) -> Found | None:
+    densities: Sequence[Floats],
+    wanted: PlantingTargets,
+    uniform: Floats,
+) -> clustering.Found | None:
     """The kernel that gives the recipe's Hopkins index; None: it names none, or there are too few plants."""
     field = layout.field_of[wanted.sp]
     n = len(field)
-    if not isinstance(parameters.kernels, HopkinsTarget) or n < FEWEST or not all(one.any() for one in densities):
+    if parameters.hopkins is None or n < clustering.FEWEST or not all(one.any() for one in densities):
         return None
     counts = np.bincount(field, minlength=len(densities))
-    spacing_m = spacing(densities, counts, site.area_m2)
-    few = slice(None, None, math.ceil(n / MOST_REHEARSED))
+    spacing_m = clustering.spacing(densities, counts, site.area_m2)
+    few = slice(None, None, math.ceil(n / clustering.MOST_TRIAL_PLANTS))
     share = len(field[few]) / n
     size_m = (site.size_m[0] * math.sqrt(share), site.size_m[1] * math.sqrt(share))
     if share < 1:
         shape = grid_shape(site, max(_FEWEST_CELLS, round(layout.cells * math.sqrt(share))))
-        densities = [species_density(parameters, site, species[i].name, shape) for i in layout.species]
-    rehearsal = Rehearsal(densities, size_m, parameters.periodic, field[few], uniform[few], spacing_m)
-    return kernel_for(parameters.kernels.hopkins, rehearsal)
-
-
-def _why(barred: bool) -> str:
-    if barred:
-        return "the map, the conditions and keep_out bar the whole site"
-    return "no place is left where the kernels of those that stand, the map and the conditions allow one"
+        densities = layout.densities(parameters, site, species, shape)
+    trial = clustering.TrialPlacement(densities, size_m, parameters.periodic, field[few], uniform[few], spacing_m)
+    return clustering.kernel_for(parameters.hopkins, trial)
 
 
 def _notes(site: Site, layout: _Layout) -> list[str]:
+    """A note if cells are too large for the finest detail."""
     cell_m = max(site.size_m) / layout.cells
     if cell_m * _BLURRED <= layout.length_m:
         return []
@@ -388,12 +371,10 @@ def _notes(site: Site, layout: _Layout) -> list[str]:
     ]
 
 
-def _idle(parameters: DeformationKernelParameters, site: Site, species: Sequence[SpeciesEcology]) -> list[str]:
-    """A note if many plants stand so far apart that their kernels hardly ever meet another plant."""
-    if isinstance(parameters.kernels, HopkinsTarget):
-        return []
+def _idle(parameters: DeformationKernelParameters, site: Site, species: Ecologies) -> list[str]:
+    """A note if many plants stand so far from each other that their kernels hardly ever meet another plant."""
     counts = plant_counts(parameters, site, species)
-    spacing_m = math.sqrt(site.area_m2 / max(1, int(counts.sum())))
+    spacing_m = _spacing_m(site, counts)
     reach_m = max((one for one, _, _ in _acting(parameters, species, counts)), default=0.0)
     if counts.sum() < _MANY or not 0.0 < reach_m < _IDLE * spacing_m:
         return []

@@ -1,7 +1,7 @@
 """Ecoclimates: forests of branch modules that depend on local soil water and temperature, and change both.
 
 Reference: M. Makowski, 2023, chapter 4. Equations are numbered as there. The forest is that of `branch_modules`; soil
-and climate are described in forestgen/community/soil_water and forestgen/community/ecoclimate, decisions in
+and climate are described in forestgen/community/soil_water.py and forestgen/community/ecoclimate, decisions in
 docs/adr/0012-ecoclimates.md.
 
 A step has whole months (`step_yr`; 1/12 by default). Each month, rain and warmth follow the `climate` and its
@@ -43,18 +43,21 @@ from forestgen.community.branch_modules.state import refuse_more_seeds
 from forestgen.community.capabilities import SoilWaterMaps
 from forestgen.community.disturbance import Planting
 from forestgen.community.ecoclimate.air import grid_of
-from forestgen.community.ecoclimate.months import advanced_ecoclimate, begun
-from forestgen.community.ecoclimate.own_air import shown_section, shown_weather
+from forestgen.community.ecoclimate.months import (
+    Ecoclimate,
+    initial_ecoclimate,
+    shown_section,
+    shown_weather,
+    step_ecoclimate,
+)
 from forestgen.community.ecoclimate.parameters import EcoclimateParameters, GlobalSeeding, seedings_in_time
-from forestgen.community.ecoclimate.state import Books, Ecoclimate
-from forestgen.community.ecology import SpeciesEcology
+from forestgen.community.ecology import Ecologies
 from forestgen.community.model import Site
 from forestgen.community.models.branch_modules import MODEL as FOREST
 from forestgen.community.models.branch_modules import most_seedlings, with_dead
 from forestgen.community.population import Population
 from forestgen.community.snapshot_checks import ImpossibleValueError, check_number
-from forestgen.community.soil_water.ground import Ground
-from forestgen.community.soil_water.model import Water
+from forestgen.community.soil_water import Ground, Water, WaterBudget
 from forestgen.core.errors import RecipeError
 from forestgen.core.progress import Progress
 from forestgen.recipe.load import DrawnRecipe
@@ -64,14 +67,7 @@ _BYTES_PER_SEED = 200  # from elsewhere, of one step: places, climate and light 
 _MOST_CELSIUS = 1000.0
 _SOIL_DEPTH_M = {"forest": 1.0, "dryland": 0.05}  # by the kind of soil: ours
 _MOST_WATER_MM = 1e12
-_MAPS = (
-    "soil_water_mm",
-    "surface_water_mm",
-    "soil_mean_mm",
-    "warmth_mean_k",
-    "vapour_mm_per_day",
-    "wetness",
-)
+_MAPS = ("soil_water_mm", "surface_water_mm", "soil_mean_mm", "warmth_mean_k", "vapour_mm_per_day", "wetness")
 
 
 class EcoclimateModel(ModuleCapabilities):
@@ -79,15 +75,13 @@ class EcoclimateModel(ModuleCapabilities):
 
     Parameters = EcoclimateParameters
 
-    def init(
-        self, parameters: EcoclimateParameters, site: Site, species: Sequence[SpeciesEcology], seed: int
-    ) -> Ecoclimate:
+    def init(self, parameters: EcoclimateParameters, site: Site, species: Ecologies, seed: int) -> Ecoclimate:
         """The forest of the start, on soil that is as wet as its climate leaves it."""
-        return begun(FOREST.init(parameters, site, species, seed))
+        return initial_ecoclimate(FOREST.init(parameters, site, species, seed))
 
     def step(self, state: Ecoclimate) -> Ecoclimate:
         """Whole months of climate and soil, then a step of the forest."""
-        return advanced_ecoclimate(state)
+        return step_ecoclimate(state)
 
     def population(self, state: Ecoclimate) -> Population:
         """Snapshot; z is 0."""
@@ -108,12 +102,7 @@ class EcoclimateModel(ModuleCapabilities):
         )
 
     def resume(
-        self,
-        parameters: EcoclimateParameters,
-        site: Site,
-        species: Sequence[SpeciesEcology],
-        seed: int,
-        population: Population,
+        self, parameters: EcoclimateParameters, site: Site, species: Ecologies, seed: int, population: Population
     ) -> Ecoclimate:
         """The state of a snapshot; it needs the snapshot's modules and maps."""
         forest = FOREST.resume(parameters, site, species, seed, population)
@@ -126,29 +115,29 @@ class EcoclimateModel(ModuleCapabilities):
                 hint="simulate again from the start",
             )
         soil, surface, mean, warmth, vapour, wetness = (population.maps[name] for name in _MAPS)
-        told = population.state
+        state = population.state
         return Ecoclimate(
             forest,
             Water(soil, surface),
             mean,
-            told["temperature_mean_c"],
+            state["temperature_mean_c"],
             warmth,
             vapour,
             wetness,
-            _books(told["water"]),
+            _water_budget(state["water"]),
         )
 
     def check_snapshot(
-        self, parameters: EcoclimateParameters, site: Site, species: Sequence[SpeciesEcology], population: Population
+        self, parameters: EcoclimateParameters, site: Site, species: Ecologies, population: Population
     ) -> None:
         """Refuse what no snapshot of a forest has, and books of water that no ground has; maps have a checksum."""
         FOREST.check_snapshot(parameters, site, species, population)
-        told = population.state
-        check_number(told, "temperature_mean_c", -_MOST_CELSIUS, _MOST_CELSIUS)
-        water = told.get("water")
+        state = population.state
+        check_number(state, "temperature_mean_c", -_MOST_CELSIUS, _MOST_CELSIUS)
+        water = state.get("water")
         if not isinstance(water, Mapping):
             raise ImpossibleValueError("water", "a table", f"{water!s:.80}")
-        for name in Books.__dataclass_fields__:
+        for name in WaterBudget.__dataclass_fields__:
             check_number(water, name, -_MOST_WATER_MM, _MOST_WATER_MM, within="water")
 
     def remove(self, state: Ecoclimate, plant_id: NDArray[np.uint32]) -> Ecoclimate:
@@ -159,19 +148,17 @@ class EcoclimateModel(ModuleCapabilities):
         """The forest with new plants, seeds all."""
         return replace(state, forest=FOREST.plant(state.forest, planting))
 
-    def expected_plants(self, parameters: EcoclimateParameters, site: Site, species: Sequence[SpeciesEcology]) -> float:
+    def expected_plants(self, parameters: EcoclimateParameters, site: Site, species: Ecologies) -> float:
         """Upper bound: as without water, and as many seedlings of seeds from elsewhere as find room."""
         total = FOREST.expected_plants(parameters, site, species)
         arrive = _seeds_arrive(parameters) and parameters.steps > 0
         return total + most_seedlings(parameters, site) * with_dead(parameters) if arrive else total
 
-    def empty_reason(
-        self, parameters: EcoclimateParameters, site: Site, species: Sequence[SpeciesEcology]
-    ) -> str | None:
+    def empty_reason(self, parameters: EcoclimateParameters, site: Site, species: Ecologies) -> str | None:
         """Why no plant can ever grow, or None if one may."""
         return None if _seeds_arrive(parameters) else FOREST.empty_reason(parameters, site, species)
 
-    def estimate_bytes(self, parameters: EcoclimateParameters, site: Site, species: Sequence[SpeciesEcology]) -> int:
+    def estimate_bytes(self, parameters: EcoclimateParameters, site: Site, species: Ecologies) -> int:
         """Of the forest, of the maps of water, and of the seeds from elsewhere that fall in a step."""
         cells = math.ceil(site.area_m2 / parameters.soil_water.cell_m**2)
         seeds = 0.0
@@ -190,7 +177,7 @@ class EcoclimateModel(ModuleCapabilities):
         drawn: DrawnRecipe,
         parameters: EcoclimateParameters,
         site: Site,
-        species: Sequence[SpeciesEcology],
+        species: Ecologies,
         population: Population,
         progress: Progress,
     ) -> Weather:
@@ -217,8 +204,8 @@ def _seeds_of_step(parameters: EcoclimateParameters, seedings: Sequence[GlobalSe
     )
 
 
-def _books(water: Mapping[str, Any]) -> Books:
-    return Books(**{name: float(water[name]) for name in Books.__dataclass_fields__})
+def _water_budget(water: Mapping[str, Any]) -> WaterBudget:
+    return WaterBudget(**{name: float(water[name]) for name in WaterBudget.__dataclass_fields__})
 
 
 MODEL = EcoclimateModel()

@@ -65,7 +65,7 @@ Decided where the thesis is silent:
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -73,12 +73,20 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from forestgen.community.arrivals import Circles, new_ids, of_species, refuse_overflow, seedlings, seedlings_per_step
+from forestgen.community.arrivals import (
+    CirclePlants,
+    new_ids,
+    of_species,
+    refuse_overflow,
+    seedlings,
+    seedlings_per_step,
+    upper_number,
+)
 from forestgen.community.competition import grid
 from forestgen.community.disturbance import Planting, planted
-from forestgen.community.ecology import SpeciesEcology
+from forestgen.community.ecology import Ecologies, SpeciesEcology
 from forestgen.community.model import CommunityParameters, Site
-from forestgen.community.population import Population, Status
+from forestgen.community.population import Floats, Population, Status
 from forestgen.community.snapshot_checks import Limits, arrival_limits, check_columns, check_radii
 from forestgen.core.compiled import compiled
 from forestgen.core.randomness import child_rng
@@ -115,11 +123,11 @@ class FootprintParameters(CommunityParameters):
 
 
 @dataclass(frozen=True)
-class Plants(Circles):
+class Plants(CirclePlants):
     """One row a plant."""
 
-    vigour: NDArray[np.float64]  # (N,)
-    health: NDArray[np.float64]  # (N,) 0 to 1
+    vigour: Floats  # (N,)
+    health: Floats  # (N,) 0 to 1
     dominated: NDArray[np.bool_]  # (N,)
 
 
@@ -138,7 +146,7 @@ class State:
 
 @compiled
 def _mark(circle, entry, start, vigour, plant_id, periodic, width, height, out):  # type: ignore[no-untyped-def]
-    """Set `out` for each circle that meets one of more vigour: whoever meets shares a cell of the grid."""
+    """Set `out` for each circle that meets one of more vigour: circles that meet share a cell of the grid."""
     for cell in range(len(start) - 1):
         for a in range(start[cell], start[cell + 1]):
             i = entry[a]
@@ -157,18 +165,15 @@ def _mark(circle, entry, start, vigour, plant_id, periodic, width, height, out):
 
 
 def dominated_by_vigour(
-    position_m: NDArray[np.float64],
-    radius_m: NDArray[np.float64],
-    vigour: NDArray[np.float64],
+    position_m: Floats,
+    radius_m: Floats,
+    vigour: Floats,
     plant_id: NDArray[np.uint32],
     size_m: tuple[float, float],
     *,
     periodic: bool,
 ) -> NDArray[np.bool_]:
-    """Which circles intersect or touch one of more vigour, or of as much and a lower id; all arrays (N, ...).
-
-    Time is O(N) as long as no place is covered by many circles at once.
-    """
+    """(N,) which circles intersect or touch one of more vigour, or of as much and a lower id."""
     out = np.zeros(len(radius_m), dtype=np.bool_)
     if len(out) > 1:
         cells = grid.build(position_m, radius_m, size_m, periodic=periodic)
@@ -176,33 +181,28 @@ def dominated_by_vigour(
     return out
 
 
-def _saplings(
-    sp: NDArray[np.uint16],
-    site: Site,
-    species: Sequence[SpeciesEcology],
-    rng: np.random.Generator,
-    first_id: int,
-    born: int,
-) -> Plants:
-    """Plants of the given species at random places, of random small radii and vigour, numbered from `first_id`."""
-    x_m, r_m = seedlings(sp, site, species, rng)
-    return _healthy(x_m, r_m, sp, rng.random(len(sp)), first_id, born)
-
-
-def _healthy(
-    x_m: NDArray[np.float64],
-    r_m: NDArray[np.float64],
-    sp: NDArray[np.uint16],
-    vigour: NDArray[np.float64],
-    first_id: int,
-    born: int,
-) -> Plants:
+def _new(x_m: Floats, r_m: Floats, sp: NDArray[np.uint16], vigour: Floats, first_id: int, born: int) -> Plants:
+    """Plants of full health, numbered from `first_id`."""
     n = len(sp)
-    free, ids = np.zeros(n, dtype=np.bool_), new_ids(first_id, n)
-    return Plants(x_m, r_m, sp, ids, np.full(n, born, dtype=np.int32), vigour, np.ones(n), free)
+    free = np.zeros(n, dtype=np.bool_)
+    return Plants(x_m, r_m, sp, new_ids(first_id, n), np.full(n, born, dtype=np.int32), vigour, np.ones(n), free)
 
 
-def survivors(state: State, u: NDArray[np.float64]) -> Plants:
+def _saplings(state: State, sp: NDArray[np.uint16], rng: np.random.Generator) -> Plants:
+    """Saplings of given species at random places, of random small radii and vigour, that arrive in the state's step."""
+    x_m, r_m = seedlings(sp, state.site, state.species, rng)
+    return _new(x_m, r_m, sp, rng.random(len(sp)), state.next_id, state.step)
+
+
+def _competing(state: State, plants: Plants) -> State:
+    """`state` with these plants and who of them is dominated; those that are new are counted."""
+    next_id = max(state.next_id, int(plants.plant_id[-1]) + 1 if len(plants) else 1)
+    x_m, r_m, size_m, periodic = plants.x_m, plants.r_m, state.site.size_m, state.parameters.periodic
+    dominated = dominated_by_vigour(x_m, r_m, plants.vigour, plants.plant_id, size_m, periodic=periodic)
+    return replace(state, next_id=next_id, plants=replace(plants, dominated=dominated))
+
+
+def survivors(state: State, u: Floats) -> Plants:
     """Steps 1 to 3: the plants that live on, with their new health and radius; `u` is random(1) of each plant."""
     plants, species, parameters = state.plants, state.species, state.parameters
     loss = parameters.health_loss_per_yr * (1 - of_species(species, "shade_tolerance")[plants.sp])
@@ -221,14 +221,15 @@ class ForestFootprints:
 
     Parameters = FootprintParameters
 
-    def init(self, parameters: FootprintParameters, site: Site, species: Sequence[SpeciesEcology], seed: int) -> State:
+    def init(self, parameters: FootprintParameters, site: Site, species: Ecologies, seed: int) -> State:
         """The initial cohort, by default a bare site."""
         n = _cohort_size(parameters, site) if species else 0
         refuse_overflow(1, n)
         rng = child_rng(seed, "community", 0)
         sp = rng.integers(0, max(1, len(species)), size=n, dtype=np.uint16)
-        plants = _saplings(sp, site, species, rng, 1, 0)
-        return self._competing(State(parameters, site, tuple(species), seed, 0, 1 + n, plants), plants)
+        none = _new(np.zeros((0, 2)), np.zeros(0), sp[:0], np.zeros(0), 1, 0)
+        bare = State(parameters, site, tuple(species), seed, 0, 1, none)
+        return _competing(bare, _saplings(bare, sp, rng))
 
     def step(self, state: State) -> State:
         """Health, death, growth, saplings, competition."""
@@ -237,9 +238,8 @@ class ForestFootprints:
         mean = seedlings_per_step(state.species, state.site, state.parameters.step_yr)
         refuse_overflow(state.next_id, float(mean.sum()))
         sp = np.repeat(np.arange(len(state.species), dtype=np.uint16), rng.poisson(mean))
-        new = _saplings(sp, state.site, state.species, rng, state.next_id, state.step + 1)
-        after = replace(state, step=state.step + 1, next_id=state.next_id + len(new))
-        return self._competing(after, old.and_then(new))
+        after = replace(state, step=state.step + 1)
+        return _competing(after, old.and_then(_saplings(after, sp, rng)))
 
     def population(self, state: State) -> Population:
         """Snapshot; z is 0."""
@@ -247,20 +247,16 @@ class ForestFootprints:
         largest = of_species(species, "max_radius_m")[plants.sp]
         size = [parameters.derivation_steps_of.get(one.name, parameters.derivation_steps) for one in species]
         derivation_steps = np.floor(np.array(size, dtype=np.float64)[plants.sp] * (plants.r_m / largest))
+        derived = derivation_steps.astype(np.int32)
         columns: dict[str, NDArray[Any]] = {
             "vigour": plants.vigour,
             "health": plants.health,
-            "derivation_steps": derivation_steps.astype(np.int32),
+            "derivation_steps": derived,
         }
         return plants.population(species, state.step, parameters.step_yr, state.next_id, plants.dominated, columns)
 
     def resume(
-        self,
-        parameters: FootprintParameters,
-        site: Site,
-        species: Sequence[SpeciesEcology],
-        seed: int,
-        population: Population,
+        self, parameters: FootprintParameters, site: Site, species: Ecologies, seed: int, population: Population
     ) -> State:
         """The state of a snapshot: who is dominated is in the status."""
         plants = Plants(
@@ -273,7 +269,7 @@ class ForestFootprints:
         return State(parameters, site, tuple(species), seed, population.step, next_id, plants)
 
     def check_snapshot(
-        self, parameters: FootprintParameters, site: Site, species: Sequence[SpeciesEcology], population: Population
+        self, parameters: FootprintParameters, site: Site, species: Ecologies, population: Population
     ) -> None:
         """Refuse ages, sizes, vigour and health that no plant of a snapshot has."""
         check_radii(population, species)
@@ -282,38 +278,23 @@ class ForestFootprints:
 
     def remove(self, state: State, plant_id: NDArray[np.uint32]) -> State:
         """The forest without these plants; those that they dominated are free."""
-        return self._competing(state, state.plants.where(~np.isin(state.plants.plant_id, plant_id)))
+        return _competing(state, state.plants.where(~np.isin(state.plants.plant_id, plant_id)))
 
     def plant(self, state: State, planting: Planting) -> State:
         """The forest with new plants of full health; a vigour that is not given is random."""
-        n = len(planting)
         rng = child_rng(state.seed, "planted vigour", state.next_id)
-        vigour = planting.columns.get("vigour", rng.random(n))
-        new = _healthy(planting.position_m, planting.radius_m, planting.species, vigour, state.next_id, state.step)
-        return self._competing(replace(state, next_id=state.next_id + n), state.plants.and_then(new))
+        vigour = planting.columns.get("vigour", rng.random(len(planting)))
+        place = planting.position_m, planting.radius_m, planting.species
+        return _competing(state, state.plants.and_then(_new(*place, vigour, state.next_id, state.step)))
 
-    def _competing(self, state: State, plants: Plants) -> State:
-        """`state` with these plants, those set as dominated that are."""
-        dominated = dominated_by_vigour(
-            plants.x_m,
-            plants.r_m,
-            plants.vigour,
-            plants.plant_id,
-            state.site.size_m,
-            periodic=state.parameters.periodic,
-        )
-        return replace(state, plants=replace(plants, dominated=dominated))
-
-    def expected_plants(self, parameters: FootprintParameters, site: Site, species: Sequence[SpeciesEcology]) -> float:
+    def expected_plants(self, parameters: FootprintParameters, site: Site, species: Ecologies) -> float:
         """Upper bound: who is there from the beginning or planted, and arrivals a step times the steps of a life."""
         total = float(_cohort_size(parameters, site) + planted(parameters.disturbances))
         for one, arrivals in zip(species, seedlings_per_step(species, site, parameters.step_yr), strict=True):
             total += min(float(arrivals), 1e30) * min(_longest_life(parameters, one), parameters.steps)
         return total
 
-    def empty_reason(
-        self, parameters: FootprintParameters, site: Site, species: Sequence[SpeciesEcology]
-    ) -> str | None:
+    def empty_reason(self, parameters: FootprintParameters, site: Site, species: Ecologies) -> str | None:
         """Why no plant can ever grow, or None if one may."""
         if self.expected_plants(parameters, site, species) > 0:
             return None
@@ -321,10 +302,9 @@ class ForestFootprints:
             return "no plant can grow: community.steps is 0, and the forest begins on bare ground"
         return "no plant can grow: ecology.seedlings_per_ha_per_yr is 0 for every species"
 
-    def estimate_bytes(self, parameters: FootprintParameters, site: Site, species: Sequence[SpeciesEcology]) -> int:
+    def estimate_bytes(self, parameters: FootprintParameters, site: Site, species: Ecologies) -> int:
         """Bytes for the bound of the mean number of plants and six standard deviations of a Poisson number more."""
-        plants = self.expected_plants(parameters, site, species)
-        plants = min(plants + 6 * math.sqrt(plants), 1e30)
+        plants = upper_number(self.expected_plants(parameters, site, species))
         return _BYTES_AT_LEAST + math.ceil(plants * _BYTES_PER_PLANT)
 
 
@@ -335,9 +315,9 @@ def _cohort_size(parameters: FootprintParameters, site: Site) -> int:
 def _longest_life(parameters: FootprintParameters, one: SpeciesEcology) -> float:
     """Upper bound of the mean number of steps of a life.
 
-    In every step in which nobody dominates it a plant has a health of at least min(1, gain Δt) and grows accordingly,
-    so there are few such steps before it is mature; domination takes all the health that they and birth gave, so there
-    are few of its steps too; and a mature plant lives 1 / (1 - oldage) steps in the mean.
+    In every step in which no plant dominates it, a plant has a health of at least min(1, gain Δt) and grows
+    accordingly, so there are few such steps before it is mature; domination takes all the health that they and birth
+    gave, so there are few of its steps too; and a mature plant lives 1 / (1 - oldage) steps in the mean.
     """
     gain = parameters.health_gain_per_yr * parameters.step_yr
     loss = parameters.health_loss_per_yr * (1 - one.shade_tolerance) * parameters.step_yr

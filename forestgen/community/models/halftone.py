@@ -58,23 +58,26 @@ Decisions
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from forestgen.community.ecology import SpeciesEcology
+from forestgen.community.ecology import Ecologies
 from forestgen.community.model import Site
-from forestgen.community.placement.densities import COUNTING_CELLS, grid_shape, plant_counts, species_density
-from forestgen.community.placement.model import PlacementModel, placed_state, placement_rng, wanted_plants
-from forestgen.community.placement.stands import PlacementParameters
-from forestgen.community.standing import State
+from forestgen.community.placement.densities import (
+    COUNTING_CELLS,
+    PlacementParameters,
+    grid_shape,
+    plant_counts,
+    species_density,
+)
+from forestgen.community.placement.model import PlacementModel
+from forestgen.community.population import Floats
 from forestgen.core.compiled import compiled
 from forestgen.recipe.fields import Flag, Fraction, Whole
 
-_WHY = "the map and the conditions bar the whole site"
 _PIXELS_PER_PLANT = 8
 _FEWEST, _MOST = 128, 4096  # pixels along the longer side that are chosen by themselves
 
@@ -132,15 +135,13 @@ def diffuse(expected, start, serpentine):  # type: ignore[no-untyped-def]
     return plants
 
 
-def first_errors(expected: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
+def first_errors(expected: Floats, rng: np.random.Generator) -> Floats:
     """(cols,) errors that the first row of (rows, cols) begins with: few are plants at once."""
     threshold = np.array([_threshold(one) for one in expected[0]])
     return np.asarray(1.5 * threshold * (rng.random(len(threshold)) - 0.5))
 
 
-def _corrected(
-    plants: NDArray[np.int64], expected: NDArray[np.float64], n: int, rng: np.random.Generator
-) -> NDArray[np.intp]:
+def _corrected(plants: NDArray[np.int64], expected: Floats, n: int, rng: np.random.Generator) -> NDArray[np.intp]:
     """(n,) flat pixel of each plant: some dropped or added at random."""
     pixel = np.repeat(np.arange(plants.size), plants.ravel())
     if len(pixel) >= n:
@@ -150,58 +151,41 @@ def _corrected(
     return rng.permutation(np.concatenate([pixel, np.minimum(more, plants.size - 1)]))
 
 
-def pixels_for(parameters: HalftoneParameters, site: Site, name: str, n: int) -> int:
-    """Pixels along the site's longer side for n plants of a species."""
-    if parameters.pixels is not None:
-        return parameters.pixels
-    density = species_density(parameters, site, name, grid_shape(site, COUNTING_CELLS))
-    mean = float(density.mean())
-    peak = float(density.max()) / mean if mean > 0 else 1.0
-    longer, shorter = max(site.size_m), min(site.size_m)
-    return min(_MOST, max(_FEWEST, math.ceil(math.sqrt(min(1e9, _PIXELS_PER_PLANT * n * peak) * longer / shorter))))
-
-
-class Halftone(PlacementModel):
+class Halftone(PlacementModel[HalftoneParameters]):
     """The model; see the module's page."""
 
     Parameters = HalftoneParameters
 
-    def init(self, parameters: HalftoneParameters, site: Site, species: Sequence[SpeciesEcology], seed: int) -> State:
-        """The plants at their places."""
-        rng = placement_rng(seed)
-        wanted = wanted_plants(parameters, site, species, rng)
-        position_m = np.full((len(wanted.sp), 2), np.nan)
-        for index, (one, stream) in enumerate(zip(species, rng.spawn(len(species)), strict=True)):
-            mine = np.flatnonzero(wanted.sp == index)
-            if len(mine):
-                position_m[mine] = _halftoned(parameters, site, one.name, len(mine), stream)
-        return placed_state(parameters, site, species, seed, wanted, position_m, _WHY)
+    def grid(self, parameters: HalftoneParameters, site: Site, name: str, n: int) -> tuple[int, int]:
+        """Rows and columns of pixels for n plants of a species."""
+        if parameters.pixels is not None:
+            return grid_shape(site, parameters.pixels)
+        density = species_density(parameters, site, name, grid_shape(site, COUNTING_CELLS))
+        mean = float(density.mean())
+        peak = float(density.max()) / mean if mean > 0 else 1.0
+        longer, shorter = max(site.size_m), min(site.size_m)
+        pixels = math.ceil(math.sqrt(min(1e9, _PIXELS_PER_PLANT * n * peak) * longer / shorter))
+        return grid_shape(site, min(_MOST, max(_FEWEST, pixels)))
 
-    def estimate_bytes(self, parameters: PlacementParameters, site: Site, species: Sequence[SpeciesEcology]) -> int:
+    def place_species(
+        self, parameters: HalftoneParameters, site: Site, density: Floats, n: int, rng: np.random.Generator
+    ) -> Floats:
+        """(n, 2) places of a species, metres."""
+        rows, cols = density.shape
+        expected = density * (n / float(density.sum()))
+        plants = diffuse(expected, first_errors(expected, rng), parameters.serpentine)
+        pixel = _corrected(plants, expected, n, rng)
+        col_row = np.stack([pixel % cols, pixel // cols], axis=1) + 0.5
+        col_row += parameters.jitter * (rng.random((n, 2)) - 0.5)
+        return np.asarray(col_row * (site.size_m[0] / cols, site.size_m[1] / rows))
+
+    def estimate_bytes(self, parameters: HalftoneParameters, site: Site, species: Ecologies) -> int:
         """Bytes for all plants and the largest raster at once."""
-        assert isinstance(parameters, HalftoneParameters)
         raster = 0
         for one, n in zip(species, plant_counts(parameters, site, species), strict=True):
-            rows, cols = grid_shape(site, pixels_for(parameters, site, one.name, int(n)) if n else 1)
+            rows, cols = self.grid(parameters, site, one.name, int(n)) if n else (1, 1)
             raster = max(raster, 8 * 6 * rows * cols)
         return super().estimate_bytes(parameters, site, species) + raster
-
-
-def _halftoned(
-    parameters: HalftoneParameters, site: Site, name: str, n: int, rng: np.random.Generator
-) -> NDArray[np.float64]:
-    """(n, 2) places of a species, metres; nan if there is none."""
-    shape = grid_shape(site, pixels_for(parameters, site, name, n))
-    density = species_density(parameters, site, name, shape)
-    total = float(density.sum())
-    if total <= 0:
-        return np.full((n, 2), np.nan)
-    expected = density * (n / total)
-    plants = diffuse(expected, first_errors(expected, rng), parameters.serpentine)
-    pixel = _corrected(plants, expected, n, rng)
-    row_col = np.stack([pixel % shape[1], pixel // shape[1]], axis=1) + 0.5
-    row_col += parameters.jitter * (rng.random((n, 2)) - 0.5)
-    return np.asarray(row_col * (site.size_m[0] / shape[1], site.size_m[1] / shape[0]))
 
 
 MODEL = Halftone()

@@ -55,23 +55,25 @@ Decisions
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from forestgen.community.ecology import SpeciesEcology
+from forestgen.community.ecology import Ecologies
 from forestgen.community.model import Site
-from forestgen.community.placement.gridded import GriddedModel, GriddedParameters, density_at, read_densities
-from forestgen.community.placement.labelling import deal, label
-from forestgen.community.placement.lattice import lattice_shape
-from forestgen.community.placement.model import placed_state, placement_rng, wanted_plants
-from forestgen.community.standing import State
+from forestgen.community.placement.labelling import assign, label, lattice_shape
+from forestgen.community.placement.model import (
+    GriddedModel,
+    GriddedParameters,
+    PlantingTargets,
+    density_at,
+    read_densities,
+)
+from forestgen.community.population import Floats
 from forestgen.core.compiled import compiled
 from forestgen.recipe.fields import Fraction, NonNegative
 
-_WHY = "the ground that suits them has no vertex left at this distance between trees"
 _SWEEPS = 12  # of moving: the first trees that move find the others still on their vertices
 _VERTICES_PER_TREE, _VERTICES = 256, 4_000_000  # at most, the latter or four a tree
 
@@ -119,7 +121,7 @@ def _move(at, vertex, moved, allowed, shape, size, distance, periodic):  # type:
             at[i, 0], at[i, 1] = x, y
 
 
-def _vertices(shape: tuple[int, int], size_m: tuple[float, float]) -> NDArray[np.float64]:
+def _vertices(shape: tuple[int, int], size_m: tuple[float, float]) -> Floats:
     """(rows cols, 2) middles of the cells, metres, in order of k."""
     rows, cols = shape
     x, y = (np.arange(cols) + 0.5) * (size_m[0] / cols), (np.arange(rows) + 0.5) * (size_m[1] / rows)
@@ -144,35 +146,38 @@ def _grid(
         vertices = math.ceil(vertices * min(4.0, max(1.02, n / max(len(good), 1))))
 
 
-class HeightField(GriddedModel):
+class HeightField(GriddedModel[HeightFieldParameters]):
     """The model; see the module's page."""
 
     Parameters = HeightFieldParameters
+    missing_reason = "the ground that suits them has no vertex left at this distance between trees"
 
-    def init(
-        self, parameters: HeightFieldParameters, site: Site, species: Sequence[SpeciesEcology], seed: int
-    ) -> State:
-        """The plants at their places."""
-        rng = placement_rng(seed)
-        wanted = wanted_plants(parameters, site, species, rng)
-        position_m = np.full((len(wanted.sp), 2), np.nan)
+    def positions(
+        self,
+        parameters: HeightFieldParameters,
+        site: Site,
+        species: Ecologies,
+        wanted: PlantingTargets,
+        rng: np.random.Generator,
+    ) -> tuple[Floats, str]:
+        """The trees of all species on one grid."""
         counts = np.bincount(wanted.sp, minlength=len(species))
         fields = read_densities(parameters, site, species)
         able = np.array([n if np.any(field) else 0 for n, field in zip(counts, fields, strict=True)], dtype=np.int64)
-        if able.any():
-            mine = wanted.sp[able[wanted.sp] > 0]
-            allowed = np.any([field > 0 for n, field in zip(able, fields, strict=True) if n], axis=0)
-            at = _places(parameters, site, allowed, len(mine), rng)
-            weight = np.array([density_at(field, at, site.size_m) for field in fields])
-            # Of fewer places than trees, the largest trees have theirs.
-            labels = label(weight, np.bincount(mine[: len(at)], minlength=len(species)), rng)
-            position_m = deal(wanted, at, labels, rng)
-        return placed_state(parameters, site, species, seed, wanted, position_m, _WHY)
+        if not able.any():
+            return np.full((len(wanted.sp), 2), np.nan), self.missing_reason
+        mine = wanted.sp[able[wanted.sp] > 0]
+        allowed = np.any([field > 0 for n, field in zip(able, fields, strict=True) if n], axis=0)
+        at = _places(parameters, site, allowed, len(mine), rng)
+        weight = np.array([density_at(field, at, site.size_m) for field in fields])
+        # Of fewer places than trees, the largest trees have theirs.
+        labels = label(weight, np.bincount(mine[: len(at)], minlength=len(species)), rng)
+        return assign(wanted, at, labels, rng), self.missing_reason
 
 
 def _places(
     parameters: HeightFieldParameters, site: Site, allowed: NDArray[np.bool_], n: int, rng: np.random.Generator
-) -> NDArray[np.float64]:
+) -> Floats:
     """(n, 2) places of trees of whatever species, metres; fewer where there are fewer vertices."""
     shape, good = _grid(n, allowed, site.size_m, parameters.min_distance_m or 0.0)
     vertex = rng.permutation(good)[:n]

@@ -46,23 +46,19 @@ Decisions
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from forestgen.community.ecology import SpeciesEcology
+from forestgen.community.ecology import Ecologies
 from forestgen.community.model import Site
-from forestgen.community.placement.densities import COUNTING_CELLS
-from forestgen.community.placement.labelling import choose, deal, label
-from forestgen.community.placement.lattice import Lattice, lattice, lattice_shape
-from forestgen.community.placement.model import PlacementModel, placed_state, placement_rng, wanted_plants
-from forestgen.community.placement.stands import PlacementParameters
-from forestgen.community.standing import State
+from forestgen.community.placement.densities import COUNTING_CELLS, PlacementParameters
+from forestgen.community.placement.labelling import Lattice, assign, choose, label, lattice, lattice_shape
+from forestgen.community.placement.model import PlacementModel, PlantingTargets
+from forestgen.community.population import Floats
 from forestgen.recipe.fields import Fraction
 
-_WHY = "no cell is left where the map and the conditions allow one"
 _CELLS_PER_PLANT = 16  # at most
 _ROUNDS = 8  # of making cells smaller: barred ground and the edges of maps cut cells
 
@@ -73,23 +69,17 @@ class JitteredGridParameters(PlacementParameters):
     jitter: Fraction = Field(0.8, description="part of its cell in which a plant may stand; 0: in the middle")
 
 
-def _shares(lattice_: Lattice, counts: NDArray[np.integer]) -> NDArray[np.float64]:
-    """(S, cells) plants of each species that are expected in a cell."""
-    weight = lattice_.weight
-    total = weight.sum(axis=1)
-    scale = np.divide(counts, total, out=np.zeros(len(total)), where=total > 0)
-    return np.asarray(weight * scale[:, None])
-
-
 def _fine_enough(
-    parameters: JitteredGridParameters, site: Site, species: Sequence[SpeciesEcology], counts: NDArray[np.integer]
-) -> tuple[Lattice, NDArray[np.float64]]:
-    """The lattice whose fullest cell expects one plant, and what its cells expect."""
+    parameters: JitteredGridParameters, site: Site, species: Ecologies, counts: NDArray[np.integer]
+) -> tuple[Lattice, Floats]:
+    """The lattice whose fullest cell expects one plant, and (S, cells) how many plants of a species a cell expects."""
     n = int(counts.sum())
     cells = n
     for _ in range(_ROUNDS):
         grid = lattice(parameters, site, species, lattice_shape(cells, site.size_m), parameters.jitter)
-        shares = _shares(grid, counts)
+        total = grid.weight.sum(axis=1)
+        scale = np.divide(counts, total, out=np.zeros(len(total)), where=total > 0)
+        shares = grid.weight * scale[:, None]
         expected = shares.sum(axis=0)
         fullest, taken = float(expected.max()), int(np.count_nonzero(expected))
         if cells >= _CELLS_PER_PLANT * n or (fullest <= 1.0 + 1e-9 and taken >= min(n, round(expected.sum()))):
@@ -98,37 +88,39 @@ def _fine_enough(
     return grid, shares
 
 
-class JitteredGrid(PlacementModel):
+class JitteredGrid(PlacementModel[JitteredGridParameters]):
     """The model; see the module's page."""
 
     Parameters = JitteredGridParameters
+    missing_reason = "no cell is left where the map and the conditions allow one"
 
-    def init(
-        self, parameters: JitteredGridParameters, site: Site, species: Sequence[SpeciesEcology], seed: int
-    ) -> State:
-        """The plants at their places."""
-        rng = placement_rng(seed)
-        wanted = wanted_plants(parameters, site, species, rng)
-        position_m = np.full((len(wanted.sp), 2), np.nan)
+    def positions(
+        self,
+        parameters: JitteredGridParameters,
+        site: Site,
+        species: Ecologies,
+        wanted: PlantingTargets,
+        rng: np.random.Generator,
+    ) -> tuple[Floats, str]:
+        """The plants of all species on one lattice."""
+        if not len(wanted.sp):
+            return np.zeros((0, 2)), self.missing_reason
         counts = np.bincount(wanted.sp, minlength=len(species))
-        if len(wanted.sp):
-            grid, shares = _fine_enough(parameters, site, species, counts)
-            able = np.where(shares.any(axis=1), counts, 0)
-            cell = choose(shares.sum(axis=0), int(able.sum()), rng)
-            # Of fewer cells than plants, the largest plants have theirs.
-            able = np.bincount(wanted.sp[able[wanted.sp] > 0][: len(cell)], minlength=len(species))
-            labels = label(shares[:, cell], able, rng)
-            places = np.full((len(cell), 2), np.nan)
-            given = labels >= 0
-            places[given] = grid.draw(cell[given], labels[given], rng.random((int(given.sum()), 3)))
-            position_m = deal(wanted, places, labels, rng)
-        return placed_state(parameters, site, species, seed, wanted, position_m, _WHY)
+        grid, shares = _fine_enough(parameters, site, species, counts)
+        able = np.where(shares.any(axis=1), counts, 0)
+        cell = choose(shares.sum(axis=0), int(able.sum()), rng)
+        # Of fewer cells than plants, the largest plants have theirs.
+        able = np.bincount(wanted.sp[able[wanted.sp] > 0][: len(cell)], minlength=len(species))
+        labels = label(shares[:, cell], able, rng)
+        places = np.full((len(cell), 2), np.nan)
+        given = labels >= 0
+        places[given] = grid.draw(cell[given], labels[given], rng.random((int(given.sum()), 3)))
+        return assign(wanted, places, labels, rng), self.missing_reason
 
-    def estimate_bytes(self, parameters: PlacementParameters, site: Site, species: Sequence[SpeciesEcology]) -> int:
+    def estimate_bytes(self, parameters: JitteredGridParameters, site: Site, species: Ecologies) -> int:
         """Bytes for all plants and the finest lattice at once."""
-        grids = 8 * (
-            9 * COUNTING_CELLS**2 + 2 * _CELLS_PER_PLANT * int(self.expected_plants(parameters, site, species))
-        )
+        cells = _CELLS_PER_PLANT * int(self.expected_plants(parameters, site, species))
+        grids = 8 * (9 * COUNTING_CELLS**2 + 2 * cells)
         return super().estimate_bytes(parameters, site, species) + grids * (2 + len(species))
 
 

@@ -83,18 +83,34 @@ Decided here:
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
-from forestgen.community.arrivals import Circles, new_ids, of_species, refuse_overflow, seedlings, seedlings_per_step
+from forestgen.community.arrivals import (
+    CirclePlants,
+    new_ids,
+    of_species,
+    refuse_overflow,
+    seedlings,
+    seedlings_per_step,
+    upper_number,
+)
 from forestgen.community.disturbance import Planting, planted
-from forestgen.community.ecology import SpeciesEcology
-from forestgen.community.growing.interactions import Interactions, Rivals, establishment, quality
-from forestgen.community.growing.seed_rain import Ground, GroundSection, ground_of, seed_rain
+from forestgen.community.ecology import Ecologies, SpeciesEcology
+from forestgen.community.kernel_interactions import (
+    Ground,
+    GroundSection,
+    Interactions,
+    Rivals,
+    establishment,
+    ground_of,
+    quality,
+    seed_rain,
+)
 from forestgen.community.model import CommunityParameters, Site
 from forestgen.community.placement.density_map import DensityMap
 from forestgen.community.placement.kernels import (
@@ -107,7 +123,7 @@ from forestgen.community.placement.kernels import (
     kernel_work,
     species_named,
 )
-from forestgen.community.population import Population
+from forestgen.community.population import Floats, Population
 from forestgen.community.snapshot_checks import Limits, arrival_limits, check_columns, check_radii
 from forestgen.core.randomness import child_rng
 from forestgen.recipe.fields import Name, NonNegative, Number, Whole, mistake
@@ -156,10 +172,14 @@ class KernelGrowthParameters(CommunityParameters):
                 )
         return kernels
 
-    def matrix(self, species: Sequence[SpeciesEcology]) -> Interactions:
+    def matrix(self, species: Ecologies) -> Interactions:
         """What the plants of each species do to each other's."""
         assert not isinstance(self.kernels, HopkinsTarget)
         return Interactions.of(kernel_matrix(self.kernels, [one.name for one in species]))
+
+    def ground_of(self, site: Site, species: Ecologies) -> Ground:
+        """Where the seeds of each species fall and come up."""
+        return ground_of(self.ground, self.keep_out, site, species, self.matrix(species), self.cells)
 
     def named_species(self) -> Iterator[tuple[Keys, str]]:
         yield from super().named_species()
@@ -168,10 +188,10 @@ class KernelGrowthParameters(CommunityParameters):
 
 
 @dataclass(frozen=True)
-class Plants(Circles):
+class Plants(CirclePlants):
     """One row a plant."""
 
-    quality: NDArray[np.float64]  # (N,) q, 0 to 1
+    quality: Floats  # (N,) q, 0 to 1
 
 
 @dataclass(frozen=True)
@@ -192,7 +212,7 @@ class State:
         return Rivals(plants.x_m, plants.r_m, plants.sp, plants.plant_id, self.site.size_m, self.parameters.periodic)
 
 
-def survivors(state: State, u: NDArray[np.float64]) -> Plants:
+def survivors(state: State, u: Floats) -> Plants:
     """Life: the plants that live on, with their new radius; `u` is random(1) of each plant."""
     plants, species, parameters = state.plants, state.species, state.parameters
     largest = of_species(species, "max_radius_m")[plants.sp]
@@ -203,9 +223,7 @@ def survivors(state: State, u: NDArray[np.float64]) -> Plants:
     return replace(plants, r_m=np.minimum(plants.r_m + speed * parameters.step_yr, largest)).where(alive)
 
 
-def _new(
-    x_m: NDArray[np.float64], r_m: NDArray[np.float64], sp: NDArray[np.uint16], first_id: int, born: int
-) -> Plants:
+def _new(x_m: Floats, r_m: Floats, sp: NDArray[np.uint16], first_id: int, born: int) -> Plants:
     n = len(sp)
     return Plants(x_m, r_m, sp, new_ids(first_id, n), np.full(n, born, dtype=np.int32), np.ones(n))
 
@@ -230,20 +248,17 @@ class KernelGrowth:
 
     Parameters = KernelGrowthParameters
 
-    def init(
-        self, parameters: KernelGrowthParameters, site: Site, species: Sequence[SpeciesEcology], seed: int
-    ) -> State:
+    def init(self, parameters: KernelGrowthParameters, site: Site, species: Ecologies, seed: int) -> State:
         """The initial cohort, by default a bare site."""
         bare = _bare(parameters, site, species, seed)
-        rng = child_rng(seed, "community", 0)
         cohort = _cohort(parameters, site, bare.ground)
-        return _competing(bare, _arrived(bare, cohort, bare.plants, rng))
+        return _competing(bare, _arrived(bare, cohort, bare.plants, child_rng(seed, "community", 0)))
 
     def step(self, state: State) -> State:
         """Life, seed rain, establishment, competition."""
         rng = child_rng(state.seed, "community", state.step + 1)
         old = survivors(state, rng.random(len(state.plants)))
-        mean = _rain_per_step(state.parameters, state.site, state.species, state.ground)
+        mean = seedlings_per_step(state.species, state.site, state.parameters.step_yr) * state.ground.mean
         refuse_overflow(state.next_id, float(mean.sum()))
         after = replace(state, step=state.step + 1)
         new = _arrived(after, rng.poisson(mean), old, rng)
@@ -256,22 +271,16 @@ class KernelGrowth:
         return plants.population(state.species, state.step, state.parameters.step_yr, state.next_id, dominated, columns)
 
     def resume(
-        self,
-        parameters: KernelGrowthParameters,
-        site: Site,
-        species: Sequence[SpeciesEcology],
-        seed: int,
-        population: Population,
+        self, parameters: KernelGrowthParameters, site: Site, species: Ecologies, seed: int, population: Population
     ) -> State:
         """The state of a snapshot."""
         circles = Plants.columns_of(population, parameters.step_yr)
         plants = Plants(**circles, quality=population.columns["quality"])
-        next_id = int(population.state["next_id"])
-        bare = _bare(parameters, site, species, seed)
+        bare, next_id = _bare(parameters, site, species, seed), int(population.state["next_id"])
         return replace(bare, step=population.step, next_id=next_id, plants=plants)
 
     def check_snapshot(
-        self, parameters: KernelGrowthParameters, site: Site, species: Sequence[SpeciesEcology], population: Population
+        self, parameters: KernelGrowthParameters, site: Site, species: Ecologies, population: Population
     ) -> None:
         """Refuse ages, sizes and qualities that no plant of a snapshot has."""
         check_radii(population, species)
@@ -288,19 +297,16 @@ class KernelGrowth:
         new = _new(planting.position_m, planting.radius_m, planting.species, state.next_id, state.step)
         return _competing(state, state.plants.and_then(new))
 
-    def expected_plants(
-        self, parameters: KernelGrowthParameters, site: Site, species: Sequence[SpeciesEcology]
-    ) -> float:
+    def expected_plants(self, parameters: KernelGrowthParameters, site: Site, species: Ecologies) -> float:
         """Upper bound: who is there from the beginning or planted, and the rain of a step times the steps of a life."""
-        ground = _ground(parameters, site, species)
+        ground = parameters.ground_of(site, species)
         total = float(_cohort(parameters, site, ground).sum() + planted(parameters.disturbances))
-        for one, rain in zip(species, _rain_per_step(parameters, site, species, ground), strict=True):
+        seeds = seedlings_per_step(species, site, parameters.step_yr) * ground.mean
+        for one, rain in zip(species, seeds, strict=True):
             total += min(float(rain), 1e30) * min(_longest_life(parameters, one), parameters.steps)
         return total
 
-    def empty_reason(
-        self, parameters: KernelGrowthParameters, site: Site, species: Sequence[SpeciesEcology]
-    ) -> str | None:
+    def empty_reason(self, parameters: KernelGrowthParameters, site: Site, species: Ecologies) -> str | None:
         """Why no plant can ever grow, or None if one may."""
         if self.expected_plants(parameters, site, species) > 0:
             return None
@@ -308,21 +314,19 @@ class KernelGrowth:
             return "no plant can grow: community.steps is 0, and the community begins on bare ground"
         if not np.any(of_species(species, "seedlings_per_ha_per_yr")):
             return "no plant can grow: ecology.seedlings_per_ha_per_yr is 0 for every species"
-        return (
-            "no plant can grow: community.ground and community.keep_out bar the whole site to every species with seeds"
-        )
+        barred = "community.ground and community.keep_out bar the whole site to every species with seeds"
+        return f"no plant can grow: {barred}"
 
-    def estimate_bytes(self, parameters: KernelGrowthParameters, site: Site, species: Sequence[SpeciesEcology]) -> int:
+    def estimate_bytes(self, parameters: KernelGrowthParameters, site: Site, species: Ecologies) -> int:
         """Bytes for the bound of the mean number of plants and six standard deviations of a Poisson number more."""
-        plants = self.expected_plants(parameters, site, species)
-        plants = min(plants + 6 * math.sqrt(plants), 1e30)
+        plants = upper_number(self.expected_plants(parameters, site, species))
         _check_work(parameters, site, species)
-        cells = math.prod(_ground(parameters, site, species).shape) * (len(species) + 1)
+        cells = math.prod(parameters.ground_of(site, species).shape) * (len(species) + 1)
         kernels = len(species) ** 2 * _BYTES_PER_KERNEL
         return _BYTES_AT_LEAST + math.ceil(plants * _BYTES_PER_PLANT) + cells * _BYTES_PER_CELL + kernels
 
 
-def _check_work(parameters: KernelGrowthParameters, site: Site, species: Sequence[SpeciesEcology]) -> None:
+def _check_work(parameters: KernelGrowthParameters, site: Site, species: Ecologies) -> None:
     """Refuse an initial cohort of which so many plants lie within a kernel's reach that a step takes half a minute."""
     plants = parameters.initial_plants_per_ha * site.area_ha / max(1, len(species))
     acting = {one.name: (plants, one.seedling_radius_m) for one in species}
@@ -335,17 +339,10 @@ def _check_work(parameters: KernelGrowthParameters, site: Site, species: Sequenc
         )
 
 
-def _ground(parameters: KernelGrowthParameters, site: Site, species: Sequence[SpeciesEcology]) -> Ground:
-    return ground_of(
-        parameters.ground, parameters.keep_out, site, species, parameters.matrix(species), parameters.cells
-    )
-
-
-def _bare(parameters: KernelGrowthParameters, site: Site, species: Sequence[SpeciesEcology], seed: int) -> State:
+def _bare(parameters: KernelGrowthParameters, site: Site, species: Ecologies, seed: int) -> State:
     """A state of step 0 without plants."""
     nothing = _new(np.zeros((0, 2)), np.zeros(0), np.zeros(0, dtype=np.uint16), 1, 0)
-    kernels = parameters.matrix(species)
-    ground = _ground(parameters, site, species)
+    kernels, ground = parameters.matrix(species), parameters.ground_of(site, species)
     return State(parameters, site, tuple(species), kernels, ground, seed, 0, 1, nothing)
 
 
@@ -359,13 +356,6 @@ def _cohort(parameters: KernelGrowthParameters, site: Site, ground: Ground) -> N
     """(S,) plants of each species on the site from the beginning."""
     number = min(parameters.initial_plants_per_ha * site.area_ha, 1e18)
     return np.floor(number / max(1, len(ground.mean)) * ground.mean + 0.5).astype(np.int64)
-
-
-def _rain_per_step(
-    parameters: KernelGrowthParameters, site: Site, species: Sequence[SpeciesEcology], ground: Ground
-) -> NDArray[np.float64]:
-    """(S,) mean number of seeds that fall in a step where they could come up if nobody stood there."""
-    return seedlings_per_step(species, site, parameters.step_yr) * ground.mean
 
 
 def _longest_life(parameters: KernelGrowthParameters, one: SpeciesEcology) -> float:

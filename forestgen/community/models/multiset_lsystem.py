@@ -5,9 +5,10 @@ Reference: B. Lane, Models of Plant Communities for Image Synthesis, MSc thesis,
 plant communities, Graphics Interface 2002).
 
 Each plant is a word ``T(x, y, r, sp) ?E(c)`` of a multiset: a circle of radius r around (x, y), of species sp (0, 1,
-... in the recipe's order). After each derivation step the environment sets c of every plant: 0 where it gets nothing, 1
-where it gets all that it can use. In the next step each word is rewritten by the first production that matches; then
-successors are cut at every fragmentation symbol % and the pieces become words of their own.
+... in the recipe's order). After each derivation step the competition model, the ``environment``, sets c of every
+plant: 0 where it gets nothing, 1 where it gets all that it can use. In the next step each word is rewritten by the
+first production that matches; then successors are cut at every fragmentation symbol % and the pieces become words of
+their own.
 
 ``program`` is an L-system that comes with forestgen (`forestgen models` lists them, and shows them by name), or the
 path of a ``.lsys`` file of yours, relative to the recipe; docs/lsystem.md has the language.
@@ -78,33 +79,172 @@ Decided where the thesis is silent or contradicts itself:
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.community.arrivals import new_ids
+from forestgen.community.arrivals import CirclePlants, heights_m, new_ids, upper_number
+from forestgen.community.competition.contract import Circles
 from forestgen.community.disturbance import Planting, planted
-from forestgen.community.ecology import SpeciesEcology
+from forestgen.community.ecology import Ecologies, SpeciesEcology
 from forestgen.community.model import Site
-from forestgen.community.multiset_parameters import MultisetParameters, program_of
-from forestgen.community.multiset_state import State, answered, check_restorable, restored, snapshot, too_many
-from forestgen.community.plant_words import OWN, RADIUS, SPECIES, join_words, plant_words, plants_of, take_words
-from forestgen.community.population import Population
-from forestgen.core.errors import RecipeError
+from forestgen.community.multiset_program import (
+    ORDER,
+    OWN,
+    RADIUS,
+    SPECIES,
+    Form,
+    MultisetParameters,
+    join_words,
+    plant_words,
+    plants_of,
+    program_of,
+    reorder_words,
+    take_words,
+    word_of,
+)
+from forestgen.community.population import Floats, Population
+from forestgen.community.registry import COMPETITION_MODELS
+from forestgen.community.snapshot_checks import ImpossibleValueError, Limits, arrival_limits, check_columns
+from forestgen.core.errors import LsystemError, RecipeError, ResourceError
 from forestgen.lsystem.codegen import fold
 from forestgen.lsystem.compiler import settable
-from forestgen.lsystem.derivation import TooManyModulesError, axiom, derive_step
+from forestgen.lsystem.derivation import Derivation, TooManyModulesError, axiom, derive_step
+from forestgen.lsystem.multiset import Kind, words_as_lists
 from forestgen.lsystem.program import Program
 
-_BYTES_PER_PLANT = 330  # peak: a state, its successor, the environment, a snapshot; tests measure it
+_BYTES_PER_PLANT = 330  # peak: a state, its successor, the competition model, a snapshot; tests measure it
 _BYTES_PER_SOWN = 400  # while the axiom makes the cohort, in space that doubles
 _BYTES_AT_LEAST = 4 * 1024 * 1024
-_MODULES_PER_PLANT = 2
+_MODULES_PER_PLANT = 2  # T and ?E
+_MOST_OWN_MODULES = 50_000  # of words that are no plants
 _ROOM = 8  # plants that there is room for at any time, for each of the first cohort: a guess
-_NOTHING: Any = None
+
+
+@dataclass(frozen=True)
+class State:
+    """Everything that the future of a simulation depends on."""
+
+    parameters: MultisetParameters
+    site: Site
+    species: tuple[SpeciesEcology, ...]
+    seed: int
+    program: Program
+    form: Form
+    derivation: Derivation
+
+    @property
+    def step(self) -> int:
+        return self.derivation.step
+
+
+def _answered(state: State) -> State:
+    """The competition model's part: every plant on the site, and c of every ?E(c, ...) set.
+
+    Writes into the state's own parameters, which no other object holds yet.
+    """
+    parameters, form, size_m = state.parameters, state.form, state.site.size_m
+    plants = plants_of(state.derivation.multiset, form, state.program.name)
+    values = plants.values
+    _check_own_words(state, len(plants))
+    _check_plants(state, values)
+    if len(plants) > parameters.most_plants:
+        raise _too_many(state.program, parameters, state.step)
+    xy = values[:, :2]
+    if parameters.periodic:
+        outside = (xy < 0) | (xy >= size_m)
+        if outside.any():
+            rows = np.flatnonzero(outside.any(axis=1))
+            values[rows, :2] = np.mod(xy[rows], size_m)
+            values[rows, :2] *= values[rows, :2] < size_m  # the sum of -1e-20 and W is W
+    else:
+        outside = ~np.all((xy >= 0) & (xy <= size_m), axis=1)
+        if outside.any():  # seeds that fall beyond a bounded site are lost
+            keep = np.ones(len(state.derivation.multiset), dtype=np.bool_)
+            keep[plants.word[outside]] = False
+            words = take_words(state.derivation.multiset, keep)
+            return _answered(replace(state, derivation=replace(state.derivation, multiset=words)))
+    model, sp = COMPETITION_MODELS.load(parameters.environment.model), values[:, SPECIES].astype(np.uint16)
+    circles = Circles(
+        position_m=values[:, :2],
+        radius_m=values[:, RADIUS],
+        height_m=heights_m(state.species, sp, values[:, RADIUS]) if model.needs_heights else values[:, RADIUS],
+        plant_id=state.derivation.multiset.word_id[plants.word],
+        species=sp,
+    )
+    answer = model.answer(parameters.environment.parameters(), circles, size_m, periodic=parameters.periodic)
+    if isinstance(plants.first, slice):
+        values[:, form.arity] = answer  # a view of the multiset's own parameters, which this step has made
+    else:
+        state.derivation.multiset.parameter[plants.first + form.arity] = answer
+        for axis in (0, 1):
+            state.derivation.multiset.parameter[plants.first + axis] = values[:, axis]
+    return state
+
+
+def _check_own_words(state: State, plants: int) -> None:
+    """Few modules in words that are no plants: every step of the history holds them all as a list."""
+    modules = len(state.derivation.multiset.code) - _MODULES_PER_PLANT * plants
+    if modules > _MOST_OWN_MODULES:
+        raise ResourceError(
+            "the program's own words, those without a plant, grow too long",
+            where=state.program.name,
+            expected=f"at most {_MOST_OWN_MODULES:,} modules in all of them",
+            got=f"{modules:,} in step {state.step}",
+            hint="a production that makes more of its own module in each step has no end: give it a condition",
+        )
+
+
+def _check_plants(state: State, values: Floats) -> None:
+    """Radii above 0, and species that exist."""
+    sp = values[:, SPECIES]
+    wrong = ~((values[:, RADIUS] > 0) & (sp >= 0) & (sp < len(state.species)) & (sp == np.floor(sp)))
+    if wrong.any():
+        row = values[np.flatnonzero(wrong)[0]]
+        raise LsystemError(
+            "a plant of impossible size or species",
+            where=state.program.name,
+            expected=f"T(x, y, r, sp) with r > 0, and sp from 0 to {len(state.species) - 1}",
+            got=f"r = {row[RADIUS]:g}, sp = {row[SPECIES]:g} in step {state.step}",
+        )
+
+
+def _is_number(value: object) -> bool:
+    return type(value) in (int, float)
+
+
+def _is_word(word: object, program: Program, population: Population) -> bool:
+    """Whether a list is a word of the state that is no plant: [place, id, step of birth, modules], brackets paired."""
+    if not (isinstance(word, list) and len(word) == 4 and all(type(one) is int for one in word[:3])):
+        return False
+    place, word_id, born, modules = word
+    next_id, depth = population.state["next_id"], 0
+    if not (0 <= place < 2**32 and 0 < word_id < next_id and 0 <= born <= population.step):
+        return False
+    if not (isinstance(modules, list) and modules):
+        return False
+    for one in modules:
+        if not (isinstance(one, list) and one and isinstance(one[0], str) and all(map(_is_number, one[1:]))):
+            return False
+        if Kind(one[0], len(one) - 1) not in program.kinds:
+            return False
+        depth += (one[0] == "[") - (one[0] == "]")
+        if depth < 0:
+            return False
+    return depth == 0
+
+
+def _too_many(program: Program, parameters: MultisetParameters, step: int) -> ResourceError:
+    """The community grows beyond the recipe's limit."""
+    return ResourceError(
+        "the community grows too large",
+        where=program.name,
+        expected=f"at most community.most_plants = {parameters.most_plants:,} plants",
+        got=f"more of them in step {step}",
+        hint="fewer seedlings, a smaller site, or a higher most_plants",
+    )
 
 
 class MultisetLSystem:
@@ -112,15 +252,14 @@ class MultisetLSystem:
 
     Parameters = MultisetParameters
 
-    def init(self, parameters: MultisetParameters, site: Site, species: Sequence[SpeciesEcology], seed: int) -> State:
+    def init(self, parameters: MultisetParameters, site: Site, species: Ecologies, seed: int) -> State:
         """The axiom, with its queries answered."""
         program, form = program_of(parameters, site, species)
-        empty = State(parameters, site, tuple(species), seed, program, form, _NOTHING)
         try:
             first = axiom(program, seed, most_modules=_most_modules(parameters))
         except TooManyModulesError as error:
-            raise too_many(empty, 0) from error
-        return answered(replace(empty, derivation=first))
+            raise _too_many(program, parameters, 0) from error
+        return _answered(State(parameters, site, tuple(species), seed, program, form, first))
 
     def step(self, state: State) -> State:
         """One derivation step: productions, fragmentation, environment."""
@@ -128,32 +267,79 @@ class MultisetLSystem:
         try:
             after = derive_step(state.program, state.derivation, state.seed, most_modules=most)
         except TooManyModulesError as error:
-            raise too_many(state, state.step + 1) from error
-        return answered(replace(state, derivation=after))
+            raise _too_many(state.program, state.parameters, state.step + 1) from error
+        return _answered(replace(state, derivation=after))
 
     def population(self, state: State) -> Population:
-        """Snapshot: c and r >= R give the status; z is 0."""
-        plants = plants_of(state.derivation.multiset, state.form, state.program.name)
-        return snapshot(state, plants)
+        """Snapshot: the plants by their id, and all else of the state beside them; c and r >= R give the status."""
+        derivation, form = state.derivation, state.form
+        words = derivation.multiset
+        plants = plants_of(words, form, state.program.name)
+        order = np.argsort(words.word_id[plants.word], kind="stable")
+        word, values = plants.word[order], plants.values[order]
+        columns: dict[str, NDArray[Any]] = {ORDER: word.astype(np.uint32)}
+        columns.update({name: values[:, k].copy() for name, k in zip(form.names, form.own, strict=True)})
+        others = np.ones(len(words), dtype=np.bool_)
+        others[plants.word] = False
+        rest = take_words(words, others)
+        rows = zip(np.flatnonzero(others), rest.word_id, rest.born_step, words_as_lists(rest), strict=True)
+        circles = CirclePlants(
+            x_m=values[:, :2],
+            r_m=values[:, RADIUS].copy(),
+            sp=values[:, SPECIES].astype(np.uint16),
+            plant_id=words.word_id[word],
+            born=words.born_step[word],
+        )
+        dominated, step_yr = values[:, form.arity] == 0, state.parameters.step_yr
+        snapshot = circles.population(state.species, state.step, step_yr, derivation.next_id, dominated, columns)
+        about = {
+            "next_id": derivation.next_id,
+            "globals": derivation.globals.tolist(),
+            "words": [[int(index), int(one), int(born), modules] for index, one, born, modules in rows],
+        }
+        return replace(snapshot, state=about)
 
     def resume(
-        self,
-        parameters: MultisetParameters,
-        site: Site,
-        species: Sequence[SpeciesEcology],
-        seed: int,
-        population: Population,
+        self, parameters: MultisetParameters, site: Site, species: Ecologies, seed: int, population: Population
     ) -> State:
         """The state of a snapshot: its words in their order."""
         program, form = program_of(parameters, site, species)
-        return restored(State(parameters, site, tuple(species), seed, program, form, _NOTHING), population)
+        circles = CirclePlants(**CirclePlants.columns_of(population, parameters.step_yr))
+        values = np.empty((len(population), form.values))
+        values[:, :2], values[:, RADIUS], values[:, SPECIES] = circles.x_m, circles.r_m, circles.sp
+        for name, k in zip(form.names, form.own, strict=True):
+            values[:, k] = population.columns[name]
+        rows = population.state["words"]
+        parts = [
+            plant_words(form, program.kinds, values, circles.plant_id, circles.born),
+            *(word_of(program, modules, one, born) for _, one, born, modules in rows),
+        ]
+        index = np.concatenate([population.columns[ORDER].astype(np.int64), [row[0] for row in rows]])
+        words = reorder_words(join_words(program.kinds, parts), np.argsort(index, kind="stable"))
+        next_id, numbers = int(population.state["next_id"]), np.array(population.state["globals"])
+        derivation = Derivation(words, population.step, next_id, numbers)
+        return State(parameters, site, tuple(species), seed, program, form, derivation)
 
     def check_snapshot(
-        self, parameters: MultisetParameters, site: Site, species: Sequence[SpeciesEcology], population: Population
+        self, parameters: MultisetParameters, site: Site, species: Ecologies, population: Population
     ) -> None:
         """Refuse plants, words and globals that the program cannot have written."""
         program, form = program_of(parameters, site, species)
-        check_restorable(program, form, parameters.step_yr, population)
+        own = {name: Limits("f8", finite=False) for name in form.names}
+        check_columns(population, {**arrival_limits(population, parameters.step_yr), ORDER: Limits("u4", 0), **own})
+        numbers = population.state.get("globals")
+        if not (isinstance(numbers, list) and len(numbers) == len(program.globals) and all(map(_is_number, numbers))):
+            raise ImpossibleValueError("globals", f"a list of {len(program.globals)} numbers", f"{numbers!s:.80}")
+        words = population.state.get("words")
+        if not isinstance(words, list):
+            raise ImpossibleValueError("words", "a list of words", f"{words!s:.80}")
+        for index, word in enumerate(words):
+            if not _is_word(word, program, population):
+                expected = "[place, id, step of birth, [[symbol, parameter, ...], ...]] in symbols of the program"
+                raise ImpossibleValueError(f"words.{index}", expected, f"{word!s:.80}")
+        known = [*population.plant_id.tolist(), *(word[1] for word in words)]
+        if len(set(known)) != len(known):
+            raise ImpossibleValueError("words", "an id of its own for every word and plant", "one that is there twice")
 
     def remove(self, state: State, plant_id: NDArray[np.uint32]) -> State:
         """The multiset without these plants; the environment answers anew."""
@@ -161,7 +347,7 @@ class MultisetLSystem:
         plants = plants_of(words, state.form, state.program.name)
         keep = np.ones(len(words), dtype=np.bool_)
         keep[plants.word] = ~np.isin(words.word_id[plants.word], plant_id)
-        return answered(replace(state, derivation=replace(state.derivation, multiset=take_words(words, keep))))
+        return _answered(replace(state, derivation=replace(state.derivation, multiset=take_words(words, keep))))
 
     def plant(self, state: State, planting: Planting) -> State:
         """The multiset with more words T(x, y, r, sp)?E(1); the environment answers anew."""
@@ -178,12 +364,12 @@ class MultisetLSystem:
         plant_id = new_ids(old.next_id, n)
         new = plant_words(form, state.program.kinds, values, plant_id, np.full(n, old.step, dtype=np.int32))
         words = join_words(state.program.kinds, [old.multiset, new])
-        return answered(replace(state, derivation=replace(old, multiset=words, next_id=old.next_id + n)))
+        return _answered(replace(state, derivation=replace(old, multiset=words, next_id=old.next_id + n)))
 
-    def expected_plants(self, parameters: MultisetParameters, site: Site, species: Sequence[SpeciesEcology]) -> float:
+    def expected_plants(self, parameters: MultisetParameters, site: Site, species: Ecologies) -> float:
         """Upper bound of the mean number of plants at any step, those that are planted counted.
 
-        Known for programs that tell by the names of their values how many plants they start with and how many arrive;
+        Known for programs whose values say by their names how many plants they start with and how many arrive;
         `most_plants` for others.
         """
         program, _ = program_of(parameters, site, species)
@@ -197,7 +383,7 @@ class MultisetLSystem:
             total = min(parameters.most_plants, _ROOM * total) if total else 0.0
         return min(total, 1e30)
 
-    def empty_reason(self, parameters: MultisetParameters, site: Site, species: Sequence[SpeciesEcology]) -> str | None:
+    def empty_reason(self, parameters: MultisetParameters, site: Site, species: Ecologies) -> str | None:
         """Why no plant can ever grow, or None if one may."""
         if self.expected_plants(parameters, site, species) > 0:
             return None
@@ -208,10 +394,9 @@ class MultisetLSystem:
             return "no plant can grow: community.steps is 0, and succession begins on bare ground"
         return "no plant can grow: ecology.seedlings_per_ha_per_yr is 0 for every species"
 
-    def estimate_bytes(self, parameters: MultisetParameters, site: Site, species: Sequence[SpeciesEcology]) -> int:
+    def estimate_bytes(self, parameters: MultisetParameters, site: Site, species: Ecologies) -> int:
         """Bytes for the bound of the mean number of plants and six standard deviations of a Poisson number more."""
-        plants = self.expected_plants(parameters, site, species)
-        plants = min(plants + 6 * math.sqrt(plants), 1e30)
+        plants = upper_number(self.expected_plants(parameters, site, species))
         program, _ = program_of(parameters, site, species)
         sown = min(_cohort(program, site), 1e30)
         return _BYTES_AT_LEAST + math.ceil(plants * _BYTES_PER_PLANT + sown * _BYTES_PER_SOWN)
@@ -222,14 +407,14 @@ def _most_modules(parameters: MultisetParameters) -> int:
 
 
 def _cohort(program: Program, site: Site) -> float:
-    """Number of plants of the axiom, as far as the program's initial_plants_per_ha tells, a number or one a species."""
+    """Number of plants of the axiom, by the program's initial_plants_per_ha, a number or one a species."""
     name, macros = "initial_plants_per_ha", program.ast.macros
     if name in program.ast.arrays:
         return sum(program.ast.arrays[name]) * site.area_ha
     return (fold(macros[name].body, macros, program.name) or 0.0) * site.area_ha if name in macros else 0.0
 
 
-def _arriving(parameters: MultisetParameters, site: Site, species: Sequence[SpeciesEcology]) -> float:
+def _arriving(parameters: MultisetParameters, site: Site, species: Ecologies) -> float:
     """Upper bound of the mean number of plants that have arrived as seedlings.
 
     Arrivals a step times the mean number of steps that a plant lives. A step of life is spent growing (R / growth of

@@ -51,35 +51,100 @@ Decisions
 
 from __future__ import annotations
 
+import csv
 import math
 from collections.abc import Iterator, Sequence
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import Field, ValidationError, field_validator, model_validator
 
 from forestgen.community.arrivals import new_ids
-from forestgen.community.disturbance import Ground, planted
-from forestgen.community.ecology import SpeciesEcology
-from forestgen.community.inventory import PlacedPlant, rows
-from forestgen.community.model import CommunityParameters, Site
-from forestgen.community.standing import FixedPopulation, Plants, State, azimuth_of
+from forestgen.community.disturbance import Ground, PointOnGround, planted
+from forestgen.community.ecology import Ecologies, SpeciesEcology
+from forestgen.community.model import Site
+from forestgen.community.static_model import FixedPopulation, Plants, State, StaticParameters, azimuth_of
 from forestgen.core.errors import RecipeError
-from forestgen.recipe.fields import Whole
+from forestgen.recipe.fields import Name, NonNegative, Number, Positive, Section, mistake
 from forestgen.recipe.sources import Keys
 
+_NUMBERS = ("x_m", "y_m", "height_m", "radius_m", "age_yr", "azimuth_deg")
 _BYTES_PER_PLANT = 1200  # the parameters' own objects, a state, its successor, a snapshot
 _BYTES_AT_LEAST = 256 * 1024
 
 
-class PlacedParameters(CommunityParameters):
+class PlacedPlant(Section):
+    """One plant."""
+
+    species: Name = Field(description="Its species, as the recipe names it.")
+    position_m: PointOnGround = Field(description="Where it stands: x, y, metres; on the site.")
+    radius_m: Positive | None = Field(
+        None, description="Its radius, metres; null: by height_m, or the species' largest."
+    )
+    height_m: Positive | None = Field(None, description="Its height, metres; instead of radius_m.")
+    age_yr: NonNegative = Field(0.0, description="Its age at the beginning, years.")
+    azimuth_deg: Number | None = Field(
+        None, ge=-360, le=360, description="Turn about the vertical, degrees clockwise from above; null: random."
+    )
+
+    @model_validator(mode="after")
+    def _one_size(self) -> Self:
+        if self.radius_m is not None and self.height_m is not None:
+            raise mistake("radius_m or height_m, not both", problem="the allometry gives one from the other")
+        return self
+
+
+def _rows(table: str) -> list[PlacedPlant]:
+    """The plants of a table, or a mistake that names the row."""
+    lines = [line for line in table.splitlines() if line.strip()]
+    if len(lines) < 2:
+        raise mistake(
+            "a line of names (species, x_m, y_m, height_m) and a line for each plant",
+            problem="not a table of plants",
+            got=repr(table[:60]),
+            hint="paste the file's text below `table: |`",
+        )
+    names = [name.strip() for name in next(csv.reader(lines[:1]))]
+    unknown = set(names) - {*_NUMBERS, "species"}
+    missing = {"species", "x_m", "y_m"} - set(names)
+    if unknown or missing or len(set(names)) < len(names):
+        raise mistake(
+            "the names species, x_m, y_m, and any of height_m, radius_m, age_yr, azimuth_deg, each once",
+            problem="the table's first line does not name its columns",
+            got=lines[0].strip()[:100],
+        )
+    return [_plant(names, cells, number) for number, cells in enumerate(csv.reader(lines[1:]), start=1)]
+
+
+def _plant(names: Sequence[str], cells: Sequence[str], number: int) -> PlacedPlant:
+    got = ", ".join(cells)[:100]
+    if len(cells) != len(names):
+        problem = f"row {number} of the table has another number of values"
+        raise mistake(f"{len(names)} values: {', '.join(names)}", problem=problem, got=got)
+    given: dict[str, Any] = {}
+    for name, cell in zip(names, (cell.strip() for cell in cells), strict=True):
+        if not cell:
+            continue
+        try:
+            given[name] = float(cell) if name in _NUMBERS else cell
+        except ValueError:
+            raise mistake("a number", problem=f"bad {name} in row {number} of the table", got=repr(cell[:40])) from None
+    try:
+        position_m = given.pop("x_m", None), given.pop("y_m", None)
+        return PlacedPlant.model_validate({**given, "position_m": position_m})
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = " of ".join(str(part) for part in reversed(first["loc"]))
+        problem = f"row {number} of the table is no plant ({f'{where}: ' if where else ''}{first['msg']})"
+        raise mistake(f"{', '.join(names)} of a plant", problem=problem, got=got) from None
+
+
+class PlacedParameters(StaticParameters):
     """What a recipe says about the model besides its species."""
 
     is_random: ClassVar[bool] = False
     memory_hint: ClassVar[str] = "place fewer plants"
 
-    steps: Whole = Field(0, ge=0, le=100_000, description="number of steps, in which plants only age")
-    step_yr: float = Field(1.0, gt=0, description="duration of a step, years")
     plants: tuple[PlacedPlant, ...] = Field((), description="the plants")
     table: str | None = Field(None, description="more plants, as lines of comma-separated values below their names")
 
@@ -92,13 +157,13 @@ class PlacedParameters(CommunityParameters):
     @classmethod
     def _is_a_table(cls, value: str | None) -> str | None:
         if value is not None:
-            rows(value)
+            _rows(value)
         return value
 
     @property
     def everyone(self) -> tuple[PlacedPlant, ...]:
         """The plants of the list and of the table, in order."""
-        return self.plants if self.table is None else (*self.plants, *rows(self.table))
+        return self.plants if self.table is None else (*self.plants, *_rows(self.table))
 
     def for_trial(self) -> Self:
         """Without plants, which may stand anywhere on the whole site."""
@@ -107,55 +172,7 @@ class PlacedParameters(CommunityParameters):
     def named_species(self) -> Iterator[tuple[Keys, str]]:
         yield from super().named_species()
         yield from ((("plants", index, "species"), plant.species) for index, plant in enumerate(self.plants))
-        if self.table is not None:
-            yield from ((("table",), plant.species) for plant in rows(self.table))
-
-
-def _place(
-    plants: Sequence[PlacedPlant],
-    parameters: PlacedParameters,
-    site: Site,
-    species: Sequence[SpeciesEcology],
-    seed: int,
-) -> Plants:
-    """The plants that the recipe gives.
-
-    Raises
-    ------
-    RecipeError : one that stands beyond the site, or that no plant of its species is like.
-    """
-    ground = Ground(site.size_m, periodic=False)
-    index = {one.name: i for i, one in enumerate(species)}
-    n = len(plants)
-    sizes = np.empty((n, 2))
-    for i, plant in enumerate(plants):
-        listed = i < len(parameters.plants)
-        where = f"community.plants.{i}" if listed else f"community.table, row {i - len(parameters.plants) + 1}"
-        if not ground.holds(*plant.position_m):
-            width, depth = site.size_m
-            raise RecipeError(
-                "this plant does not stand on the site",
-                where=where,
-                expected=f"x from 0 to {width:g} and y from 0 to {depth:g} metres",
-                got=f"[{plant.position_m[0]:g}, {plant.position_m[1]:g}]",
-                hint="move the plant, or enlarge site.size_m",
-            )
-        sizes[i] = _size(plant, species[index[plant.species]], where)
-    ids = new_ids(1, n)
-    azimuth = [
-        azimuth_of(seed, int(one)) if plant.azimuth_deg is None else plant.azimuth_deg
-        for one, plant in zip(ids, plants, strict=True)
-    ]
-    return Plants(
-        x_m=np.array([plant.position_m for plant in plants], dtype=np.float64).reshape(n, 2),
-        r_m=sizes[:, 0].copy(),
-        height_m=sizes[:, 1].copy(),
-        sp=np.array([index[plant.species] for plant in plants], dtype=np.uint16),
-        azimuth_deg=np.array(azimuth, dtype=np.float64),
-        first_age_yr=np.array([plant.age_yr for plant in plants], dtype=np.float64),
-        plant_id=ids,
-        first_step=np.zeros(n, dtype=np.int32),
-    )
+        yield from ((("table",), plant.species) for plant in self.everyone[len(self.plants) :])
 
 
 def _size(plant: PlacedPlant, species: SpeciesEcology, where: str) -> tuple[float, float]:
@@ -189,34 +206,65 @@ def _size(plant: PlacedPlant, species: SpeciesEcology, where: str) -> tuple[floa
     return min(radius, largest), plant.height_m
 
 
-class Placed(FixedPopulation):
+class Placed(FixedPopulation[PlacedParameters]):
     """The model; see the module's page."""
 
     Parameters = PlacedParameters
 
-    def init(self, parameters: PlacedParameters, site: Site, species: Sequence[SpeciesEcology], seed: int) -> State:
-        """The plants at their places."""
-        plants = _place(parameters.everyone, parameters, site, species, seed)
-        return State(parameters, tuple(species), seed, 0, 1 + len(plants), plants)
+    def init(self, parameters: PlacedParameters, site: Site, species: Ecologies, seed: int) -> State:
+        """The plants at their places; `RecipeError` for one beyond the site, or of a size that its species lacks."""
+        ground = Ground(site.size_m, periodic=False)
+        index = {one.name: i for i, one in enumerate(species)}
+        everyone = parameters.everyone
+        n, listed = len(everyone), len(parameters.plants)
+        sizes = np.empty((n, 2))
+        for i, plant in enumerate(everyone):
+            where = f"community.plants.{i}" if i < listed else f"community.table, row {i - listed + 1}"
+            if not ground.holds(*plant.position_m):
+                width, depth = site.size_m
+                raise RecipeError(
+                    "this plant does not stand on the site",
+                    where=where,
+                    expected=f"x from 0 to {width:g} and y from 0 to {depth:g} metres",
+                    got=f"[{plant.position_m[0]:g}, {plant.position_m[1]:g}]",
+                    hint="move the plant, or enlarge site.size_m",
+                )
+            sizes[i] = _size(plant, species[index[plant.species]], where)
+        ids = new_ids(1, n)
+        azimuth = [
+            azimuth_of(seed, int(one)) if plant.azimuth_deg is None else plant.azimuth_deg
+            for one, plant in zip(ids, everyone, strict=True)
+        ]
+        plants = Plants(
+            x_m=np.array([plant.position_m for plant in everyone], dtype=np.float64).reshape(n, 2),
+            r_m=sizes[:, 0].copy(),
+            height_m=sizes[:, 1].copy(),
+            sp=np.array([index[plant.species] for plant in everyone], dtype=np.uint16),
+            azimuth_deg=np.array(azimuth, dtype=np.float64),
+            first_age_yr=np.array([plant.age_yr for plant in everyone], dtype=np.float64),
+            plant_id=ids,
+            first_step=np.zeros(n, dtype=np.int32),
+        )
+        return State(parameters, tuple(species), seed, 0, 1 + n, plants)
 
-    def expected_plants(self, parameters: PlacedParameters, site: Site, species: Sequence[SpeciesEcology]) -> float:
-        """Who is placed, and who will be planted."""
+    def expected_plants(self, parameters: PlacedParameters, site: Site, species: Ecologies) -> float:
+        """Plants that are placed, and those that disturbances plant."""
         return float(len(parameters.everyone) + planted(parameters.disturbances))
 
-    def empty_reason(self, parameters: PlacedParameters, site: Site, species: Sequence[SpeciesEcology]) -> str | None:
+    def empty_reason(self, parameters: PlacedParameters, site: Site, species: Ecologies) -> str | None:
         """Why no plant will ever stand there, or None if some will."""
         if self.expected_plants(parameters, site, species) > 0:
             return None
         return "no plant is placed: community.plants is empty, and there is no community.table"
 
-    def estimate_bytes(self, parameters: PlacedParameters, site: Site, species: Sequence[SpeciesEcology]) -> int:
+    def estimate_bytes(self, parameters: PlacedParameters, site: Site, species: Ecologies) -> int:
         """Bytes for all plants at once.
 
-        It is what a plan asks first, so it also looks at every plant: what is wrong is said before anything is built.
+        A plan asks for them first, so this also checks every plant: errors are reported before anything is built.
         """
         known = {one.name for one in species}
         if all(plant.species in known for plant in parameters.everyone):
-            _place(parameters.everyone, parameters, site, species, 0)
+            self.init(parameters, site, species, 0)
         return _BYTES_AT_LEAST + math.ceil(self.expected_plants(parameters, site, species) * _BYTES_PER_PLANT)
 
 

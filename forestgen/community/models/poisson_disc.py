@@ -48,27 +48,26 @@ Decisions
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 from scipy.spatial import cKDTree
 
-from forestgen.community.ecology import SpeciesEcology
+from forestgen.community.ecology import Ecologies
 from forestgen.community.model import Site
 from forestgen.community.placement.densities import COUNTING_CELLS, grid_shape, plant_counts, species_density
-from forestgen.community.placement.gridded import (
+from forestgen.community.placement.labelling import assign, choose, label
+from forestgen.community.placement.model import (
     GriddedModel,
     GriddedParameters,
+    PlantingTargets,
     density_at,
     read_densities,
     stays_apart,
 )
-from forestgen.community.placement.labelling import choose, deal, label
-from forestgen.community.placement.model import placed_state, placement_rng, wanted_plants
-from forestgen.community.placement.stands import PlacementParameters
-from forestgen.community.standing import State
+from forestgen.community.population import Floats
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.fields import Positive
 
@@ -89,9 +88,7 @@ class PoissonDiscParameters(GriddedParameters):
     )
 
 
-def pattern(
-    size_m: tuple[float, float], distance_m: float, periodic: bool, rng: np.random.Generator
-) -> NDArray[np.float64]:
+def pattern(size_m: tuple[float, float], distance_m: float, periodic: bool, rng: np.random.Generator) -> Floats:
     """(P, 2) points that fill [0, W] x [0, H], no two nearer than a distance; `periodic`: nor across its edges."""
     from scipy.stats import qmc  # slow to import
 
@@ -101,9 +98,7 @@ def pattern(
     return _joined(points, size_m, distance_m, rng) if periodic else points
 
 
-def _joined(
-    points: NDArray[np.float64], size_m: tuple[float, float], distance_m: float, rng: np.random.Generator
-) -> NDArray[np.float64]:
+def _joined(points: Floats, size_m: tuple[float, float], distance_m: float, rng: np.random.Generator) -> Floats:
     """The pattern on a torus: points that are too near across an edge thinned, gaps filled."""
     box = np.array(size_m)
     points = rng.permutation(points % box)
@@ -117,9 +112,7 @@ def _joined(
             return points
 
 
-def _needed(
-    fields: Iterable[NDArray[np.float64]], counts: NDArray[np.integer], shape: tuple[int, int]
-) -> tuple[NDArray[np.float64], int]:
+def _needed(fields: Iterable[Floats], counts: NDArray[np.integer], shape: tuple[int, int]) -> tuple[Floats, int]:
     """(rows, cols) plants of all species that a cell expects, relative to the mean; how many points a pattern needs."""
     expected, n = np.zeros(shape), 0
     for count, field in zip(counts, fields, strict=True):
@@ -144,25 +137,26 @@ def _refuse_large_patterns(parameters: PoissonDiscParameters, site: Site, needed
         )
 
 
-class PoissonDisc(GriddedModel):
+class PoissonDisc(GriddedModel[PoissonDiscParameters]):
     """The model; see the module's page."""
 
     Parameters = PoissonDiscParameters
 
-    def init(
-        self, parameters: PoissonDiscParameters, site: Site, species: Sequence[SpeciesEcology], seed: int
-    ) -> State:
-        """The plants at their places."""
+    def positions(
+        self,
+        parameters: PoissonDiscParameters,
+        site: Site,
+        species: Ecologies,
+        wanted: PlantingTargets,
+        rng: np.random.Generator,
+    ) -> tuple[Floats, str]:
+        """The plants of all species at points of one pattern."""
         counts = plant_counts(parameters, site, species)
         fields = read_densities(parameters, site, species)
         expected, needed = _needed(fields, counts, grid_shape(site, parameters.cells))
+        position_m, distance = np.full((len(wanted.sp), 2), np.nan), 0.0
         if needed:
             _refuse_large_patterns(parameters, site, needed)
-        rng = placement_rng(seed)
-        wanted = wanted_plants(parameters, site, species, rng)
-        position_m = np.full((len(wanted.sp), 2), np.nan)
-        distance = 0.0
-        if needed:
             able = np.array([n if np.any(f) else 0 for n, f in zip(counts, fields, strict=True)], dtype=np.int64)
             n = int(able.sum())
             points, distance = _enough(parameters, site, expected, needed, n, rng)
@@ -173,16 +167,15 @@ class PoissonDisc(GriddedModel):
                 density_at(field, chosen, site.size_m) * (k / max(float(field.mean()), 1e-300))
                 for field, k in zip(fields, counts, strict=True)
             ]
-            position_m = deal(wanted, chosen, label(np.array(weight), able, rng), rng)
+            position_m = assign(wanted, chosen, label(np.array(weight), able, rng), rng)
         why = f"no more fit at {distance:.3g} m from one another on the ground that the map and the conditions allow"
-        return placed_state(parameters, site, species, seed, wanted, position_m, why)
+        return position_m, why
 
-    def estimate_bytes(self, parameters: PlacementParameters, site: Site, species: Sequence[SpeciesEcology]) -> int:
+    def estimate_bytes(self, parameters: PoissonDiscParameters, site: Site, species: Ecologies) -> int:
         """Bytes for all plants and grids at once.
 
         It is what a plan asks first, so it also refuses a pattern of too many points before anything is built.
         """
-        assert isinstance(parameters, PoissonDiscParameters)
         counts = plant_counts(parameters, site, species)
         shape = grid_shape(site, min(parameters.cells, COUNTING_CELLS))  # one field at a time, and none too large
         fields = (species_density(parameters, site, one.name, shape) for one in species)
@@ -201,13 +194,8 @@ def _fitting(site: Site, points: int, periodic: bool) -> float:
 
 
 def _enough(
-    parameters: PoissonDiscParameters,
-    site: Site,
-    expected: NDArray[np.float64],
-    needed: int,
-    n: int,
-    rng: np.random.Generator,
-) -> tuple[NDArray[np.float64], float]:
+    parameters: PoissonDiscParameters, site: Site, expected: Floats, needed: int, n: int, rng: np.random.Generator
+) -> tuple[Floats, float]:
     """A pattern of `needed` points, n of them where plants may stand, or of the given distance; and its distance."""
     if parameters.distance_m is not None:
         return pattern(site.size_m, parameters.distance_m, parameters.periodic, rng), parameters.distance_m

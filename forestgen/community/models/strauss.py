@@ -50,25 +50,20 @@ Decisions
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
-from forestgen.community.ecology import SpeciesEcology
+from forestgen.community.ecology import Ecologies
 from forestgen.community.model import Site
 from forestgen.community.placement.densities import COUNTING_CELLS, grid_shape, plant_counts, species_density
 from forestgen.community.placement.field import DensityField
-from forestgen.community.placement.gridded import GriddedModel, GriddedParameters, read_densities, stays_apart
-from forestgen.community.placement.model import placed_state, placement_rng, wanted_plants
-from forestgen.community.placement.stands import PlacementParameters
-from forestgen.community.standing import State
+from forestgen.community.placement.model import GriddedModel, GriddedParameters, stays_apart
+from forestgen.community.population import Floats
 from forestgen.core.compiled import borrowed, compiled
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.fields import Fraction, Positive, Whole
 
-_WHY = "as a hard core (gamma: 0), no more were apart after these sweeps"
 _DRAWN_AT_ONCE = 200_000  # places of the density
 _MOST_MEETINGS = 2e10  # of a plant with one that may be near, in all sweeps: about a minute
 
@@ -136,31 +131,13 @@ def _enter(i, cell, first, after, before):  # type: ignore[no-untyped-def]
     first[cell] = i
 
 
-def _sweep(
-    at: NDArray[np.float64],
-    to: NDArray[np.float64],
-    lot: NDArray[np.float64],
-    local: bool,
-    density: NDArray[np.float64],
-    n: tuple[int, ...],
-    size: tuple[float, float],
-    gamma: float,
-    radius: float,
-    periodic: bool,
-) -> None:
-    """Propose the (N, 2) places `to` to the (N, 2) plants `at`, one after another, in place.
-
-    lot : (N,) in [0, 1). local : whether the density decides too. n : cells along x and y, in which plants are found.
-    """
-    first = np.full(n[0] * n[1], -1, np.int64)
-    lists = first, np.full(len(at), -1, np.int64), np.full(len(at), -1, np.int64)
-    grid = (density.shape[1], density.shape[0])
-    _propose(at, to, lot, local, density.ravel(), grid, lists, n, size, gamma, radius, periodic)
-
-
 @compiled
 def _propose(at, to, lot, local, density, grid, lists, n, size, gamma, radius, periodic):  # type: ignore[no-untyped-def]
-    """The loop of `_sweep`; all arrays are the caller's, who keeps them."""
+    """Propose the (N, 2) places `to` to the (N, 2) plants `at`, one after another, in place.
+
+    lot : (N,) in [0, 1). local : whether the density, in cells of `grid`, decides too. n : cells along x and y, whose
+    plants linked `lists` have. All arrays are the caller's, who keeps them.
+    """
     first, after, before = lists
     for i in range(len(at)):
         _enter(i, _cell(at[i, 0], at[i, 1], n, size), first, after, before)
@@ -192,12 +169,7 @@ def _propose(at, to, lot, local, density, grid, lists, n, size, gamma, radius, p
 
 
 def relax(
-    at: NDArray[np.float64],
-    density: NDArray[np.float64],
-    site: Site,
-    parameters: StraussParameters,
-    radius_m: float,
-    rng: np.random.Generator,
+    at: Floats, density: Floats, site: Site, parameters: StraussParameters, radius_m: float, rng: np.random.Generator
 ) -> None:
     """Let the chain run from the (N, 2) places `at`, in place."""
     n = len(at)
@@ -206,6 +178,7 @@ def relax(
     field = DensityField(density, site.size_m, periodic=parameters.periodic)
     together = max(1, _DRAWN_AT_ONCE // n)
     anywhere = np.zeros((0, n, 2))
+    flat, grid = density.ravel(), (density.shape[1], density.shape[0])
     for sweep in range(parameters.sweeps):
         local = sweep % 2 == 1
         if local:
@@ -216,25 +189,17 @@ def relax(
                 anywhere = field.draw(rng.random((some * n, 2))).reshape(some, n, 2)
             to = anywhere[sweep // 2 % together]
         lot = rng.random(n)
-        _sweep(at, to, lot, local, density, cells, site.size_m, parameters.gamma, radius_m, parameters.periodic)
+        lists = np.full(cells[0] * cells[1], -1, np.int64), np.full(n, -1, np.int64), np.full(n, -1, np.int64)
+        _propose(
+            at, to, lot, local, flat, grid, lists, cells, site.size_m, parameters.gamma, radius_m, parameters.periodic
+        )
 
 
 def _radius(parameters: StraussParameters, site: Site, n: int) -> float:
     return parameters.interaction_radius_m or 0.5 * math.sqrt(site.area_m2 / max(n, 1))
 
 
-def _densities(
-    parameters: StraussParameters, site: Site, species: Sequence[SpeciesEcology]
-) -> list[NDArray[np.float64]]:
-    """The densities; refuses what would take too long."""
-    counts, fields = plant_counts(parameters, site, species), read_densities(parameters, site, species)
-    for n, field in zip(counts, fields, strict=True):
-        if n:
-            _refuse_long_runs(parameters, site, int(n), field)
-    return fields
-
-
-def _refuse_long_runs(parameters: StraussParameters, site: Site, n: int, field: NDArray[np.float64]) -> None:
+def _refuse_long_runs(parameters: StraussParameters, site: Site, n: int, field: Floats) -> None:
     """Raise a RecipeError for n plants of a species with more neighbours than can be looked at."""
     radius, mean = _radius(parameters, site, n), float(field.mean())
     if parameters.gamma == 1.0 or mean <= 0:
@@ -252,46 +217,34 @@ def _refuse_long_runs(parameters: StraussParameters, site: Site, n: int, field: 
         )
 
 
-class Strauss(GriddedModel):
+class Strauss(GriddedModel[StraussParameters]):
     """The model; see the module's page."""
 
     Parameters = StraussParameters
+    missing_reason = "as a hard core (gamma: 0), no more were apart after these sweeps"
 
-    def init(self, parameters: StraussParameters, site: Site, species: Sequence[SpeciesEcology], seed: int) -> State:
-        """The plants at their places."""
-        fields = _densities(parameters, site, species)
-        rng = placement_rng(seed)
-        wanted = wanted_plants(parameters, site, species, rng)
-        position_m = np.full((len(wanted.sp), 2), np.nan)
-        for index, (field, stream) in enumerate(zip(fields, rng.spawn(len(species)), strict=True)):
-            mine = np.flatnonzero(wanted.sp == index)
-            if len(mine) and np.any(field):
-                position_m[mine] = _placed(parameters, site, field, len(mine), stream)
-        return placed_state(parameters, site, species, seed, wanted, position_m, _WHY)
+    def place_species(
+        self, parameters: StraussParameters, site: Site, density: Floats, n: int, rng: np.random.Generator
+    ) -> Floats:
+        """(n, 2) places of a species, metres; nan for those that a hard core has no place for."""
+        _refuse_long_runs(parameters, site, n, density)
+        field = DensityField(density, site.size_m, periodic=parameters.periodic)
+        at = field.draw(rng.random((n, 2)))
+        radius = _radius(parameters, site, n)
+        if parameters.gamma < 1.0:
+            relax(at, density, site, parameters, radius, rng)
+        if parameters.gamma == 0.0:
+            at[~stays_apart(at, radius, site.size_m, periodic=parameters.periodic)] = np.nan
+        return at
 
-    def estimate_bytes(self, parameters: PlacementParameters, site: Site, species: Sequence[SpeciesEcology]) -> int:
+    def estimate_bytes(self, parameters: StraussParameters, site: Site, species: Ecologies) -> int:
         """Bytes for all plants and grids at once; refuses what `init` would."""
-        assert isinstance(parameters, StraussParameters)
         shape = grid_shape(site, min(parameters.cells, COUNTING_CELLS))  # one field at a time, and none too large
         for one, n in zip(species, plant_counts(parameters, site, species), strict=True):
             if n:
-                field = species_density(parameters, site, one.name, shape)
-                _refuse_long_runs(parameters, site, int(n), field)
+                _refuse_long_runs(parameters, site, int(n), species_density(parameters, site, one.name, shape))
         proposed = 40 * max(_DRAWN_AT_ONCE, int(self.expected_plants(parameters, site, species)))
         return super().estimate_bytes(parameters, site, species) + 3 * proposed
-
-
-def _placed(
-    parameters: StraussParameters, site: Site, field: NDArray[np.float64], n: int, rng: np.random.Generator
-) -> NDArray[np.float64]:
-    """(n, 2) places of a species, metres; nan for those that a hard core has no place for."""
-    at = DensityField(field, site.size_m, periodic=parameters.periodic).draw(rng.random((n, 2)))
-    radius = _radius(parameters, site, n)
-    if parameters.gamma < 1.0:
-        relax(at, field, site, parameters, radius, rng)
-    if parameters.gamma == 0.0:
-        at[~stays_apart(at, radius, site.size_m, periodic=parameters.periodic)] = np.nan
-    return at
 
 
 MODEL = Strauss()

@@ -46,22 +46,17 @@ Decisions
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
-from forestgen.community.ecology import SpeciesEcology
+from forestgen.community.ecology import Ecologies
 from forestgen.community.model import Site
-from forestgen.community.placement.gridded import GriddedModel, GriddedParameters, density_at, read_densities
-from forestgen.community.placement.model import placed_state, placement_rng, wanted_plants
-from forestgen.community.placement.stands import PlacementParameters
-from forestgen.community.standing import State
+from forestgen.community.placement.model import GriddedModel, GriddedParameters, density_at
+from forestgen.community.population import Floats
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.fields import Number, Positive
 
-_WHY = "clusters hardly meet the ground that the map and the conditions allow"
 _REACH = 5.0  # σ: towards one side, one plant in 3.5 million stands farther away
 _LEAST_SHARE = 1 / 256  # of the mean density in the greatest
 _TRIALS_PER_PLANT, _TRIALS_AT_ONCE = 2000, 1_000_000
@@ -80,7 +75,7 @@ class ThomasParameters(GriddedParameters):
     )  # fmt: skip
 
 
-def parents_per_m2(n: int, plants_per_cluster: float, field: NDArray[np.float64], area_m2: float) -> float:
+def parents_per_m2(n: int, plants_per_cluster: float, field: Floats, area_m2: float) -> float:
     """κ of n plants on a (rows, cols) density, which is not 0 everywhere."""
     share = max(float(field.mean() / field.max()), _LEAST_SHARE)
     return n / (plants_per_cluster * share * area_m2)
@@ -98,9 +93,7 @@ def _refuse_wide_clusters(parameters: ThomasParameters, site: Site) -> None:
         )
 
 
-def _domain(
-    field: NDArray[np.float64], size_m: tuple[float, float], reach_m: float, periodic: bool
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _domain(field: Floats, size_m: tuple[float, float], reach_m: float, periodic: bool) -> tuple[Floats, Floats]:
     """(2,) corner and (2,) size in metres of the rectangle whose parents can have plants on ground of any density."""
     corner, extent = np.zeros(2), np.array(size_m)
     for axis, side in enumerate(size_m):
@@ -116,7 +109,7 @@ class _Clusters:
     """Parents of one species, and trials of plants around them."""
 
     def __init__(
-        self, field: NDArray[np.float64], n: int, parameters: ThomasParameters, site: Site, rng: np.random.Generator
+        self, field: Floats, n: int, parameters: ThomasParameters, site: Site, rng: np.random.Generator
     ) -> None:
         self.field, self.size_m, self.periodic, self.rng = field, site.size_m, parameters.periodic, rng
         self.per_m2 = parents_per_m2(n, parameters.plants_per_cluster, field, site.area_m2)
@@ -125,14 +118,14 @@ class _Clusters:
         self.survival = float(field.mean() / field.max()) * site.area_m2 / float(np.prod(self.extent))  # of a trial
         self.parents = self._parents()
 
-    def _parents(self) -> NDArray[np.float64]:
+    def _parents(self) -> Floats:
         number = 0
         mean = self.per_m2 * float(np.prod(self.extent))
         while number == 0:  # a Poisson number that is not 0; of a very small mean, 1
             number = int(self.rng.poisson(mean)) if mean > 0.01 else 1
         return self.corner + self.extent * self.rng.random((number, 2))
 
-    def try_plants(self, trials: int) -> NDArray[np.float64]:
+    def try_plants(self, trials: int) -> Floats:
         """(M, 2) places of those that survive, metres."""
         rng, size = self.rng, np.array(self.size_m)
         at = self.parents[rng.integers(len(self.parents), size=trials)]
@@ -144,7 +137,7 @@ class _Clusters:
         at, lot = at[inside], lot[inside]
         return np.asarray(at[lot < density_at(self.field, at, self.size_m)])
 
-    def draw(self, n: int) -> NDArray[np.float64]:
+    def draw(self, n: int) -> Floats:
         """(n, 2) places, metres; nan for plants that found none."""
         places = np.full((n, 2), np.nan)
         have, trials, redraws = 0, 0, 0
@@ -160,27 +153,21 @@ class _Clusters:
         return places
 
 
-class Thomas(GriddedModel):
+class Thomas(GriddedModel[ThomasParameters]):
     """The model; see the module's page."""
 
     Parameters = ThomasParameters
+    missing_reason = "clusters hardly meet the ground that the map and the conditions allow"
 
-    def init(self, parameters: ThomasParameters, site: Site, species: Sequence[SpeciesEcology], seed: int) -> State:
-        """The plants at their places."""
+    def place_species(
+        self, parameters: ThomasParameters, site: Site, density: Floats, n: int, rng: np.random.Generator
+    ) -> Floats:
+        """(n, 2) places of a species, metres; nan for plants that found none."""
         _refuse_wide_clusters(parameters, site)
-        rng = placement_rng(seed)
-        wanted = wanted_plants(parameters, site, species, rng)
-        position_m = np.full((len(wanted.sp), 2), np.nan)
-        fields = read_densities(parameters, site, species)
-        for index, (field, stream) in enumerate(zip(fields, rng.spawn(len(species)), strict=True)):
-            mine = np.flatnonzero(wanted.sp == index)
-            if len(mine) and np.any(field):
-                position_m[mine] = _Clusters(field, len(mine), parameters, site, stream).draw(len(mine))
-        return placed_state(parameters, site, species, seed, wanted, position_m, _WHY)
+        return _Clusters(density, n, parameters, site, rng).draw(n)
 
-    def estimate_bytes(self, parameters: PlacementParameters, site: Site, species: Sequence[SpeciesEcology]) -> int:
+    def estimate_bytes(self, parameters: ThomasParameters, site: Site, species: Ecologies) -> int:
         """Bytes for all plants, grids, parents and trials at once; refuses what `init` would."""
-        assert isinstance(parameters, ThomasParameters)
         _refuse_wide_clusters(parameters, site)
         parents = self.expected_plants(parameters, site, species) / parameters.plants_per_cluster / _LEAST_SHARE
         trials = 100 * _TRIALS_AT_ONCE

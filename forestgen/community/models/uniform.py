@@ -36,42 +36,47 @@ Decisions
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
-from forestgen.community.ecology import SpeciesEcology
+from forestgen.community.ecology import Ecologies
 from forestgen.community.model import Site
 from forestgen.community.placement.field import DensityField
-from forestgen.community.placement.gridded import GriddedModel, GriddedParameters, read_densities
-from forestgen.community.placement.model import chances, placed_state, placement_rng, wanted_plants
-from forestgen.community.standing import State
-
-_WHY = "the map and the conditions bar the whole site"
+from forestgen.community.placement.model import (
+    GriddedModel,
+    GriddedParameters,
+    PlantingTargets,
+    read_densities,
+    uniform_samples,
+)
+from forestgen.community.population import Floats
 
 
 class UniformParameters(GriddedParameters):
     """What a recipe says about the model besides its species."""
 
 
-class Uniform(GriddedModel):
+class Uniform(GriddedModel[UniformParameters]):
     """The model; see the module's page."""
 
     Parameters = UniformParameters
 
-    def init(self, parameters: UniformParameters, site: Site, species: Sequence[SpeciesEcology], seed: int) -> State:
-        """The plants at their places."""
-        rng = placement_rng(seed)
-        wanted = wanted_plants(parameters, site, species, rng)
+    def positions(
+        self,
+        parameters: UniformParameters,
+        site: Site,
+        species: Ecologies,
+        wanted: PlantingTargets,
+        rng: np.random.Generator,
+    ) -> tuple[Floats, str]:
+        """Each species' places from its own stream of random numbers."""
         position_m = np.full((len(wanted.sp), 2), np.nan)
-        fields = read_densities(parameters, site, species)
-        uniform = chances(wanted, species, rng)
-        for index, density in enumerate(fields):
+        uniform = uniform_samples(wanted, species, rng)
+        for index, density in enumerate(read_densities(parameters, site, species)):
             mine = wanted.sp == index
             field = DensityField(density, site.size_m, periodic=parameters.periodic)
             if mine.any() and field.total > 0:
                 position_m[mine] = field.draw(uniform[mine])
-        return placed_state(parameters, site, species, seed, wanted, position_m, _WHY)
+        return position_m, self.missing_reason
 
 
 MODEL = Uniform()

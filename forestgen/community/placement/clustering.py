@@ -23,62 +23,49 @@ from numpy.typing import NDArray
 from forestgen.community.model import Site
 from forestgen.community.placement.field import DensityField, place
 from forestgen.community.placement.kernels import SAMPLES, KernelTable
-from forestgen.community.statistics import hopkins_index
-from forestgen.community.trajectory import told_hopkins
+from forestgen.community.point_patterns import hopkins_index
+from forestgen.community.trajectory import reported_hopkins
 
-MOST_REHEARSED = 2000  # plants: of more, every so-manieth is placed on a site that is smaller by as much
+MOST_TRIAL_PLANTS = 2000  # of more plants, a regular share is placed on a site that is smaller by as much
 FEWEST = 10  # plants that have a Hopkins index worth aiming at
 CELLS_PER_SPACING = 12  # the family's finest detail is 0.08 spacings
 _LEAST, _MOST = -0.85, 6.2  # t
 _ROUNDS = 14
 _CLOSE = 0.005  # of the logarithm of H: nearer is not looked for
 TOLERANCE = 0.1  # of H or, above 1, of its ratio to the target: what counts as reached
-TOLD = 0.05  # the same, of the placed plants: what is farther off is told
+TOLD = 0.05  # the same, of the placed plants: a note reports what is farther off
 _CORE, _RISEN, _TOP, _FALLEN = 0.06, 0.08, 0.4, 0.65  # knots of a kernel that makes clusters, in spacings
 
 
 def family(t: float, spacing_m: float) -> KernelTable:
     """The kernel of parameter t; see the module's page."""
-    if t < 0:
-        reach = 2.5 * -t
-        distance = np.linspace(0.0, reach, SAMPLES + 1)
-        values = np.where(distance < -t, 0.0, 1.0)
-    else:
-        reach = _reach(t)
-        distance = np.linspace(0.0, reach, SAMPLES + 1)
-        core = _core(t)
-        values = np.interp(distance, [0.0, _CORE, _RISEN, _TOP, _FALLEN], [core, core, math.exp(t), math.exp(t), 1.0])
+    knots = _knots(t) if t >= 0 else []
+    reach = knots[-1][0] if knots else 2.5 * -t
+    distance = np.linspace(0.0, reach, SAMPLES + 1)
+    values = np.interp(distance, *np.array(knots).T) if knots else np.where(distance < -t, 0.0, 1.0)
     return KernelTable(values, reach * spacing_m, in_radii=False, balanced=True)
 
 
-def _reach(t: float) -> float:
-    return 1.5 + 0.6 * max(0.0, t - 1.2)
-
-
-def _core(t: float) -> float:
-    """κ at the plant itself: neutral at t = 0, without a jump."""
-    return max(0.0, 1.0 - 2.0 * t)
+def _knots(t: float) -> list[tuple[float, float]]:
+    """Distances in spacings and κ of a kernel that makes clusters; neutral at t = 0, without a jump."""
+    core, top, reach = max(0.0, 1.0 - 2.0 * t), math.exp(t), 1.5 + 0.6 * max(0.0, t - 1.2)
+    return [(0.0, core), (_CORE, core), (_RISEN, top), (_TOP, top), (_FALLEN, 1.0), (reach, 1.0)]
 
 
 def as_section(t: float, spacing_m: float) -> dict[str, Any]:
     """The kernel of parameter t as a recipe says it, to six digits: a `KernelSection` with the same table."""
+    knots = _knots(t)
     if t < 0:
         reach, edge = 2.5 * -t, 0.5 / SAMPLES  # the step lies between two samples of the table, as in `family`
-        points = [(0.0, 0.0), (reach * (0.4 - edge / 2), 0.0), (reach * (0.4 + edge / 2), 1.0), (reach, 1.0)]
-    else:
-        core, top = _core(t), math.exp(t)
-        points = [(0.0, core), (_CORE, core), (_RISEN, top), (_TOP, top), (_FALLEN, 1.0), (_reach(t), 1.0)]
-    curve = [[float(f"{one * spacing_m:.6g}"), float(f"{value:.6g}")] for one, value in points]
+        knots = [(0.0, 0.0), (reach * (0.4 - edge / 2), 0.0), (reach * (0.4 + edge / 2), 1.0), (reach, 1.0)]
+    curve = [[float(f"{one * spacing_m:.6g}"), float(f"{value:.6g}")] for one, value in knots]
     return {"curve": curve, "distance": "metres", "balanced": True}
 
 
 def spacing(densities: Sequence[NDArray[np.float64]], counts: NDArray[np.integer], area_m2: float) -> float:
     """Root of the area that a plant has, metres, at the mean density where plants stand.
 
-    Parameters
-    ----------
-    densities : (rows, cols) of each species, in any unit.
-    counts : (S,) plants of each species.
+    `densities` are grids of each species in any unit, `counts` (S,) its plants.
     """
     summed = np.zeros(densities[0].shape)
     for density, count in zip(densities, counts, strict=True):
@@ -89,7 +76,7 @@ def spacing(densities: Sequence[NDArray[np.float64]], counts: NDArray[np.integer
 
 
 @dataclass(frozen=True)
-class Rehearsal:
+class TrialPlacement:
     """What is placed again and again while a kernel is looked for, each time with the same numbers."""
 
     densities: Sequence[NDArray[np.float64]]  # (rows, cols) of each field
@@ -119,14 +106,14 @@ class Found:
 
     kernel: KernelTable
     t: float
-    hopkins: float  # in the rehearsal
+    hopkins: float  # in the trial
     section: dict[str, Any]  # the kernel as a recipe says it
 
     def misses(self, target: float) -> bool:
         return abs(self.hopkins - target) > TOLERANCE * max(1.0, target)
 
 
-def kernel_for(target: float, rehearsal: Rehearsal) -> Found:
+def kernel_for(target: float, trial: TrialPlacement) -> Found:
     """The kernel of the family under which plants come nearest to a Hopkins index.
 
     By bisection: H rises with t. Because every trial has the same random numbers, H is a function of t alone; plants
@@ -135,7 +122,7 @@ def kernel_for(target: float, rehearsal: Rehearsal) -> Found:
     tried: dict[float, float] = {}
 
     def off(t: float) -> float:
-        tried[t] = rehearsal.hopkins(t)
+        tried[t] = trial.hopkins(t)
         return math.log(max(tried[t], 1e-9) / target)
 
     low, high = (_LEAST, 0.0) if off(0.0) > 0 else (0.0, _MOST)
@@ -146,23 +133,20 @@ def kernel_for(target: float, rehearsal: Rehearsal) -> Found:
             break
         low, high = (low, middle) if error > 0 else (middle, high)
     t = min(tried, key=lambda one: abs(math.log(max(tried[one], 1e-9) / target)))
-    return Found(family(t, rehearsal.spacing_m), t, tried[t], as_section(t, rehearsal.spacing_m))
+    return Found(family(t, trial.spacing_m), t, tried[t], as_section(t, trial.spacing_m))
 
 
 def describe(
     target: float, found: Found | None, position_m: NDArray[np.float64], site: Site, seed: int, cells: int
 ) -> dict[str, Any]:
-    """What became of a target, plain as in JSON.
+    """What became of a target, plain as in JSON; nothing was `found` where there were too few plants.
 
-    Parameters
-    ----------
-    found : None: there were too few plants.
-    position_m : (N, 2) the plants that found a place.
-    cells : along the site's longer side; with as many, the kernel makes the same pattern again.
+    `position_m` (N, 2) are the plants that found a place. With as many `cells` along the site's longer side, the kernel
+    makes the same pattern again.
     """
     if found is None:
         return {"asked_hopkins": target}
-    measured = told_hopkins(position_m, site, seed)
+    measured = reported_hopkins(position_m, site, seed)
     return {
         "asked_hopkins": target,
         "hopkins": measured if math.isfinite(measured) else None,

@@ -1,24 +1,92 @@
-"""From what a recipe says to densities on a grid, numbers of plants, radii and heights."""
+"""What a recipe says about the plants to be placed, and what follows: densities on a grid, numbers, radii, heights."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BeforeValidator, Field, field_validator, model_validator
 from scipy.special import ndtr, ndtri
 
 from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.ground.living_conditions import Conditions, suitability
 from forestgen.community.model import Site
-from forestgen.community.placement.density_map import LEAST, MapSection
-from forestgen.community.placement.stands import MOST_PLANTS, PlacementParameters, Sizes, Stand
+from forestgen.community.placement.density_map import LEAST, DensityMap, MapSection
+from forestgen.community.static_model import StaticParameters
 from forestgen.core.errors import RecipeError
+from forestgen.recipe.fields import Flag, Name, NonNegative, Positive, Section, Whole, mistake
+from forestgen.recipe.sources import Keys
 
+MOST_PLANTS = 20_000_000
 MOST_CELLS = 2**25  # of all fields that a model makes by itself, 268 MB
 MOST_ALONG = 16384  # along the site's longer side
 COUNTING_CELLS = 512  # along the site's longer side: numbers of plants must not depend on a model's own grid
+
+
+class Sizes(Section):
+    """A log-normal hierarchy of radii, cut off at the species' largest."""
+
+    median: Positive = Field(le=100, description="Half of the plants would be smaller, were none cut off; metres.")
+    sigma: NonNegative = Field(0.4, le=3, description="Standard deviation of the natural logarithm; 0: all are alike.")
+
+
+def _one_size(value: Any) -> Any:
+    return {"median": value, "sigma": 0.0} if isinstance(value, int | float) and not isinstance(value, bool) else value
+
+
+class Stand(Section):
+    """The plants of one species."""
+
+    count: Whole | None = Field(None, ge=0, le=MOST_PLANTS, description="How many; or, instead, plants_per_ha.")
+    plants_per_ha: NonNegative | None = Field(
+        None, le=1e8, description="How many per hectare (10,000 m²) where map and conditions are 1; the sum is rounded."
+    )
+    map: DensityMap | None = Field(None, description="Relative density over the site, such as a painted picture.")
+    conditions: Conditions = Field(Conditions(), description="What the species asks of the ground.")
+    radius_m: Annotated[Sizes | None, BeforeValidator(_one_size)] = Field(
+        None, description="Radii: a number, or {median, sigma} of a log-normal; null: median half of the largest."
+    )
+    height_sigma: NonNegative = Field(
+        0.0, le=1, description="Scatter of heights about the species' allometry: deviation of the natural logarithm."
+    )
+
+    @model_validator(mode="after")
+    def _one_number(self) -> Self:
+        if (self.count is None) == (self.plants_per_ha is None):
+            raise mistake(
+                "count or plants_per_ha",
+                problem="how many plants?" if self.count is None else "two numbers of plants",
+                got=None if self.count is None else f"count {self.count} and plants_per_ha {self.plants_per_ha:g}",
+            )
+        return self
+
+
+class PlacementParameters(StaticParameters):
+    """What every placement model's recipe says."""
+
+    memory_hint: ClassVar[str] = "ask for fewer plants in community.plants"
+
+    plants: dict[Name, Stand] = Field({}, description="the plants of each species")
+    keep_out: DensityMap | None = Field(
+        None, description="where no plant of any species may stand: any value above 0 of this map bars"
+    )
+    periodic: Flag = Field(True, description="the site is a torus, without edges; false: a bounded site")
+
+    @field_validator("plants", mode="before")
+    @classmethod
+    def _none_is_empty(cls, value: object) -> object:
+        return {} if value is None else value
+
+    def for_trial(self) -> Self:
+        """Without plants: their numbers are those of the whole site, and all have the same columns."""
+        return self.model_copy(update={"plants": {}})
+
+    def named_species(self) -> Iterator[tuple[Keys, str]]:
+        yield from super().named_species()
+        yield from ((("plants", name), name) for name in self.plants)
 
 
 def grid_shape(site: Site, cells: int) -> tuple[int, int]:
@@ -29,12 +97,9 @@ def grid_shape(site: Site, cells: int) -> tuple[int, int]:
 
 
 def cells_for(site: Site, length_m: float, *, per_length: float, at_least: int, fields: int) -> int:
-    """Cells along the site's longer side so that `per_length` of them span a length, within what memory is for.
+    """Cells along the site's longer side so that `per_length` of them span a length, such as a radius.
 
-    Parameters
-    ----------
-    length_m : of the finest detail, as a radius.
-    fields : how many grids there will be.
+    No more than memory allows for so many `fields`.
     """
     longest = max(site.size_m)
     most = math.isqrt(int(MOST_CELLS / max(1, fields) / (min(site.size_m) / longest)))
@@ -83,30 +148,20 @@ def plant_counts(parameters: PlacementParameters, site: Site, species: Sequence[
         elif stand.plants_per_ha:
             mean = float(species_density(parameters, site, one.name, shape).mean())
             asked = stand.plants_per_ha * site.area_ha * mean + 0.5
-            _refuse_too_many(asked, one.name)
+            if asked > MOST_PLANTS:
+                raise RecipeError(
+                    f"too many plants of {one.name}",
+                    where=f"community.plants.{one.name}.plants_per_ha",
+                    expected=f"at most {MOST_PLANTS:,} on the whole site",
+                    got=f"{asked:,.0f}" if asked < 1e15 else f"{asked:.3g}",
+                    hint="plants_per_ha is multiplied by the map's values: a map of 0 to 1 leaves it as it is",
+                )
             counts[index] = math.floor(asked)
     return counts
 
 
-def _refuse_too_many(asked: float, name: str) -> None:
-    """Raise a RecipeError for more plants than a `count` may say."""
-    if asked > MOST_PLANTS:
-        raise RecipeError(
-            f"too many plants of {name}",
-            where=f"community.plants.{name}.plants_per_ha",
-            expected=f"at most {MOST_PLANTS:,} on the whole site",
-            got=f"{asked:,.0f}" if asked < 1e15 else f"{asked:.3g}",
-            hint="plants_per_ha is multiplied by the map's values: a map of 0 to 1 leaves it as it is",
-        )
-
-
 def check_sizes(parameters: PlacementParameters, species: Sequence[SpeciesEcology]) -> None:
-    """Whether the species can have the radii that the recipe gives their plants.
-
-    Raises
-    ------
-    RecipeError : a median above the species' largest radius.
-    """
+    """Raise `RecipeError` for a median radius above the species' largest."""
     for one in species:
         stand = parameters.plants.get(one.name)
         if stand is not None and stand.radius_m is not None and stand.radius_m.median > one.max_radius_m:

@@ -17,10 +17,10 @@ site is the map's on every grid. Where cells are larger than pixels it is the pi
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from fractions import Fraction
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +35,6 @@ from pydantic import (
 )
 from pydantic_core import core_schema
 
-from forestgen.community.placement.resampling import resample
 from forestgen.core.cache import BoundedCache
 from forestgen.core.errors import AssetError, RecipeError
 from forestgen.core.grey_picture import GreyPicture, read_grey
@@ -44,11 +43,66 @@ from forestgen.recipe.fields import Flag, NonNegative, Positive, Section, Text, 
 from forestgen.recipe.map_files import file_sha256
 from forestgen.recipe.sources import Keys
 
+if TYPE_CHECKING:
+    from scipy.sparse import csc_array
+
+_ROWS_AT_ONCE = 256
 LARGEST = 1e12  # a map's values, scaled; more would make sums over the site meaningless
 LEAST = 1e-100  # what is less counts as 0: its square, and what it divides, must still be numbers
 
 _pictures: BoundedCache[GreyPicture] = BoundedCache(400_000_000, lambda one: one.values.nbytes)
 _grids: BoundedCache[NDArray[np.float64]] = BoundedCache(200_000_000, lambda one: one.nbytes)
+
+
+def resample(
+    stored: NDArray[Any],
+    values_of: Callable[[NDArray[Any]], NDArray[np.float64]],
+    shape: tuple[int, int],
+    *,
+    smooth: bool,
+) -> NDArray[np.float64]:
+    """(rows, cols) float64 means in the cells of a grid of `shape`, of the same mean as the pixels.
+
+    `stored` (rows, cols) is turned into numbers by `values_of`, a block of rows at a time. If `smooth`, values run
+    straight between the middles of pixels along an axis that has more cells than pixels; else, and without it, they are
+    constant in each pixel.
+    """
+    across = _weights(stored.shape[1], shape[1], smooth).tocsr()
+    along = _weights(stored.shape[0], shape[0], smooth)
+    out = np.zeros(shape)
+    for start in range(0, stored.shape[0], _ROWS_AT_ONCE):
+        stop = min(start + _ROWS_AT_ONCE, stored.shape[0])
+        block = (across @ values_of(stored[start:stop]).T).T
+        share = along[:, start:stop]
+        reached = slice(int(share.indices.min()), int(share.indices.max()) + 1)
+        out[reached] += share.tocsr()[reached] @ np.ascontiguousarray(block)
+    return out
+
+
+def _weights(pixels: int, cells: int, smooth: bool) -> csc_array:
+    """(cells, pixels) sparse: each cell's mean as a weighted sum of pixels, along one axis.
+
+    Between all edges of cells and all edges (or middles) of pixels the function is straight, so that its mean there is
+    its value halfway.
+    """
+    from scipy.sparse import csc_array  # slow to import
+
+    straight = smooth and cells > pixels
+    # An edge of both grids is the same float in both: i * pixels / cells is exact where it is whole.
+    edges = np.arange(cells + 1) * pixels / cells
+    bends = np.arange(pixels) + 0.5 if straight else np.arange(1, pixels, dtype=np.float64)
+    ends = np.union1d(edges, bends)
+    middle, length = (ends[1:] + ends[:-1]) / 2, np.diff(ends)
+    cell = np.searchsorted(edges, middle, side="right") - 1
+    share = length * cells / pixels
+    if not straight:
+        pixel = np.floor(middle).astype(np.int64)
+        return csc_array((share, (cell, pixel)), shape=(cells, pixels))
+    lower = np.floor(middle - 0.5).astype(np.int64)
+    upper_share = (middle - 0.5 - lower) * share
+    pairs = np.clip(np.concatenate([lower, lower + 1]), 0, pixels - 1)
+    weights = np.concatenate([share - upper_share, upper_share])
+    return csc_array((weights, (np.concatenate([cell, cell]), pairs)), shape=(cells, pixels))
 
 
 def _spelled_out(value: Any) -> Any:
@@ -82,27 +136,22 @@ class MapSection(Section):
     )
     smooth: Flag = Field(True, description="Whether values are interpolated between the middles of pixels.")
 
-    _read_picture: GreyPicture | None = PrivateAttr(None)
+    _picture: GreyPicture = PrivateAttr()
 
     @model_validator(mode="after")
     def _read(self, info: ValidationInfo) -> Self:
-        if self._read_picture is not None:  # a map that becomes part of other parameters, without its recipe's folder
+        if hasattr(self, "_picture"):  # part of other parameters now, without its recipe's folder
             return self
         if (self.file is None) == (self.rows is None):
             problem = "the map has neither file nor rows" if self.file is None else "the map has both file and rows"
             raise mistake("one of them", problem=problem)
         if self.rows is not None:
             _check_rows(self.rows)
-            self._read_picture = GreyPicture(np.array(self.rows, dtype=np.float64), 1.0)
+            self._picture = GreyPicture(np.array(self.rows, dtype=np.float64), 1.0)
         else:
-            self._read_picture = self._opened((info.context or {}).get("folder"))
+            self._picture = self._opened((info.context or {}).get("folder"))
         self._check_values()
         return self
-
-    @property
-    def _picture(self) -> GreyPicture:
-        assert self._read_picture is not None
-        return self._read_picture
 
     def _opened(self, folder: Path | None) -> GreyPicture:
         """The file's picture, read once for all maps of its content; without a recipe's folder, of any path."""
@@ -129,9 +178,9 @@ class MapSection(Section):
             raise mistake(cause.expected or "a map", problem=cause.problem, got=got, hint=cause.hint) from cause
 
     def _check_values(self) -> None:
-        picture = self._picture
+        picture, name = self._picture, self.file or "the rows"
         low, high = picture.lowest, picture.highest
-        name = self.file or "the rows"
+        largest = high * self.scale
         if not (np.isfinite(low) and np.isfinite(high)):
             where = _first(picture, ~np.isfinite(picture.values))
             raise mistake("finite numbers", problem="not every value of the map is a number", got=f"{name}: {where}")
@@ -140,18 +189,13 @@ class MapSection(Section):
             raise mistake(
                 "values of at least 0", problem="the map has negative values", got=f"{name}: {where}", hint="clip them"
             )
-        if self.invert and high > 1:
-            raise mistake(
-                "values of at most 1", problem="only values from 0 to 1 can be inverted", got=f"{name}: up to {high:g}"
-            )
-        if 0 < high * self.scale < LEAST:
-            raise mistake(
-                f"a value of at least {LEAST:g}", problem="the map's values are too small", got=f"{name}: {high:g}"
-            )
-        if high * self.scale > LARGEST:
-            raise mistake(
-                f"values of at most {LARGEST:g}", problem="the map's values are too large", got=f"{name}: {high:g}"
-            )
+        for wrong, expected, problem, got in (
+            (self.invert and high > 1, "values of at most 1", "only values from 0 to 1 can be inverted", "up to "),
+            (0 < largest < LEAST, f"a value of at least {LEAST:g}", "the map's values are too small", ""),
+            (largest > LARGEST, f"values of at most {LARGEST:g}", "the map's values are too large", ""),
+        ):
+            if wrong:
+                raise mistake(expected, problem=problem, got=f"{name}: {got}{high:g}")
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -230,30 +274,21 @@ DensityMap = Annotated[MapSection, BeforeValidator(_spelled_out), _ShortForms()]
 
 def maps_in(value: Any, keys: Keys = ()) -> Iterator[tuple[Keys, MapSection]]:
     """Key path and map, of all maps in a model's parameters."""
+    inner: Iterable[tuple[Any, Any]] = ()
     if isinstance(value, MapSection):
         yield keys, value
     elif isinstance(value, BaseModel):
-        for name in type(value).model_fields:
-            yield from maps_in(getattr(value, name), (*keys, name))
-    elif isinstance(value, Mapping):
-        for name, item in value.items():
-            yield from maps_in(item, (*keys, name))
-    elif isinstance(value, list | tuple):
-        for index, item in enumerate(value):
-            yield from maps_in(item, (*keys, index))
+        inner = ((name, getattr(value, name)) for name in type(value).model_fields)
+    elif isinstance(value, Mapping | list | tuple):
+        inner = value.items() if isinstance(value, Mapping) else enumerate(value)
+    for key, item in inner:
+        yield from maps_in(item, (*keys, key))
 
 
 def check_maps(parameters: BaseModel, size_m: tuple[float, float], where: Callable[..., str]) -> None:
-    """What only a recipe's site, and a map's use, can tell to be wrong.
+    """Raise `RecipeError` for a density that is 0 everywhere, or pixels not square on the site of a map not to stretch.
 
-    Parameters
-    ----------
-    size_m : of the site, metres.
-    where : place of a key path of the parameters, for messages.
-
-    Raises
-    ------
-    RecipeError : a density that is 0 everywhere; pixels that are not square on the site, of a map not to be stretched.
+    `size_m` is the site's; `where` gives the place of a key path of the parameters.
     """
     for keys, one in maps_in(parameters):
         if one.is_zero and keys[-1] not in ("keep_out", "soil"):

@@ -14,17 +14,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.community.placement.field_layout import LANES, LARGE_PAGE, SMALLEST
-from forestgen.community.placement.kernels import GREATEST, KernelTable
-
-if TYPE_CHECKING:
-    from forestgen.community.placement.field_kernel import Effects
-    from forestgen.community.placement.field_trees import Trees
+from forestgen.community.placement.field_kernel import Effects, place_all
+from forestgen.community.placement.field_lanes import LANES, LARGE_PAGE, SMALLEST
+from forestgen.community.placement.field_trees import Trees, build, draw_all, total_of
+from forestgen.community.placement.kernels import GREATEST, NEUTRAL, SAMPLES, KernelTable
 
 
 class DensityField:
@@ -33,33 +30,25 @@ class DensityField:
     Its sum may neither overflow nor vanish, however often it is deformed: a field whose sum leaves 1e-150 to 1e250 is
     divided by a power of two, which `exponent` remembers. A cell below 1e-290 counts as 0.
 
-    Parameters
-    ----------
-    density : (rows, cols) float64, >= 0, finite; row 0 lies at y = 0, column 0 at x = 0. Copied.
-    size_m : W, H, metres; a cell is W / cols wide and H / rows high.
-    periodic : opposite edges meet: kernels reach across them. A cell is deformed once, at its least distance.
-
-    Raises
-    ------
-    ValueError
-        For densities that are negative, not finite, or not a grid.
+    It begins as a copy of a density (rows, cols), >= 0 and finite, or else a ValueError; row 0 lies at y = 0, column 0
+    at x = 0. If `periodic`, opposite edges meet: kernels reach across them, and a cell is deformed once, at its least
+    distance.
     """
 
     def __init__(self, density: NDArray[np.float64], size_m: tuple[float, float], *, periodic: bool) -> None:
         density = np.asarray(density, dtype=np.float64)
-        if density.ndim != 2 or 0 in density.shape:
-            raise ValueError(f"a density is a grid of rows and columns, got the shape {density.shape}")
         least, greatest = float(density.min()), float(density.max())
         if not (least >= 0.0 and np.isfinite(greatest)):
             raise ValueError("densities are numbers from 0 up, and finite")
         self.shape, self.size_m, self.periodic = density.shape, size_m, periodic
         self._fields, self._index = _Fields.empty(1, density.shape, size_m, periodic), 0
         self._fields.set_grid(density)
+        cells = self._fields.trees.cells
         if greatest != 0.0 and not 1e-100 < greatest < 1e200:
             self._fields.exponents[0] = int(np.frexp(greatest)[1])
-            cells = self._fields.trees.cells
             np.ldexp(cells, -int(self._fields.exponents[0]), out=cells)
-        self._changed()
+        np.copyto(cells, 0.0, where=cells < SMALLEST)
+        build(self._fields.trees, self._fields.exponents)
 
     @property
     def cells(self) -> NDArray[np.float64]:
@@ -74,52 +63,25 @@ class DensityField:
     @property
     def total(self) -> float:
         """Sum of all cells; 0: no place is left."""
-        from forestgen.community.placement.field_trees import total_of
-
         return float(total_of(self._fields.trees, self._index))
 
     def deform(self, position_m: NDArray[np.float64], radius_m: NDArray[np.float64], kernel: KernelTable) -> None:
         """Multiply by the kernels of plants at (N, 2) places with (N,) radii, metres."""
-        from forestgen.community.placement.field_kernel import place_all
-
-        fields = self._alone()
+        fields = self._fields
         radius = np.ascontiguousarray(radius_m, dtype=np.float64)
         places = np.ascontiguousarray(position_m, dtype=np.float64).reshape(-1, 2) / fields.cell_m
-        if len(places) != len(radius):
-            raise ValueError(f"{len(places)} places but {len(radius)} radii")
+        effects = _effects([[kernel if index == self._index else NEUTRAL] for index in range(len(fields.exponents))])
         species, none = np.zeros(len(radius), dtype=np.int64), np.empty((0, 2))
-        place_all(fields.trees, fields.exponents, _effects([[kernel]]), species, radius, none, places)
+        place_all(fields.trees, fields.exponents, effects, species, radius, none, places)
 
     def draw(self, uniform: NDArray[np.float64]) -> NDArray[np.float64]:
         """(N, 2) places, metres, of (N, 2) numbers in [0, 1): the first chooses y, then x; `total` must be > 0."""
-        from forestgen.community.placement.field_trees import draw_all
-
         if not self.total > 0.0:
             raise ValueError("nothing can be drawn from a field that is 0 everywhere")
         uniform = np.ascontiguousarray(uniform, dtype=np.float64)
         places = np.empty((len(uniform), 2))
         draw_all(self._fields.trees, self._index, uniform, places)
         return np.asarray(places * self._fields.cell_m)
-
-    def copy(self) -> Self:
-        """Another field, the same so far."""
-        new = object.__new__(type(self))
-        new.shape, new.size_m, new.periodic = self.shape, self.size_m, self.periodic
-        new._fields, new._index = self._fields.taken([self._index]), 0
-        return new
-
-    def _alone(self) -> _Fields:
-        """The field in memory of its own, to be changed."""
-        if len(self._fields.exponents) > 1:
-            self._fields, self._index = self._fields.taken([self._index]), 0
-        return self._fields
-
-    def _changed(self) -> None:
-        from forestgen.community.placement.field_trees import build
-
-        cells = self._fields.trees.cells
-        np.copyto(cells, 0.0, where=cells < SMALLEST)
-        build(self._fields.trees, self._fields.exponents)
 
 
 @dataclass(frozen=True)
@@ -139,17 +101,10 @@ def place(
 ) -> Placement:
     """Place plants one by one, each of which deforms the fields of all species.
 
-    A plant whose species' field is 0 everywhere finds no place; others go on.
-
-    Parameters
-    ----------
-    fields : of each species, all of one shape; deformed in place.
-    species, radius_m : (N,) of the plants, in the order of placement.
-    kernels : kernels[i][j] is the effect of a plant of species j on the field of species i (Lane's M_ij, Figure 5.7).
-    uniform : (N, 2) in [0, 1), row k for plant k, used or not.
+    A plant whose species' field is 0 everywhere finds no place; others go on. The fields are of one shape, and deformed
+    in place. `species` and `radius_m` (N,) come in the order of placement; row k of `uniform` (N, 2), in [0, 1), is
+    plant k's, used or not. kernels[i][j] is the effect of a plant of species j on the field of species i (Lane's M_ij).
     """
-    from forestgen.community.placement.field_kernel import place_all
-
     places = np.full((len(species), 2), np.nan)
     if len(species) == 0:
         return Placement(places, np.zeros(0, dtype=np.bool_))
@@ -157,10 +112,6 @@ def place(
     chosen = np.ascontiguousarray(species, dtype=np.int64)
     radius = np.ascontiguousarray(radius_m, dtype=np.float64)
     uniform = np.ascontiguousarray(uniform, dtype=np.float64)
-    if chosen.min() < 0 or chosen.max() >= len(fields):
-        raise ValueError(f"a plant's species must be one of {len(fields)} fields")
-    if len(radius) != len(chosen) or uniform.shape != places.shape:
-        raise ValueError("each plant needs a radius and two numbers")
     place_all(together.trees, together.exponents, _effects(kernels), chosen, radius, uniform, places)
     return Placement(np.asarray(places * together.cell_m), ~np.isnan(places[:, 0]))
 
@@ -174,8 +125,6 @@ class _Fields:
 
     @classmethod
     def empty(cls, count: int, shape: tuple[int, ...], size_m: tuple[float, float], periodic: bool) -> _Fields:
-        from forestgen.community.placement.field_trees import Trees
-
         rows, cols = shape
         strips, groups = -(-cols // LANES), -(-rows // LANES)
         panels = -(-strips // LANES)
@@ -183,27 +132,11 @@ class _Fields:
         sum_level, sum_stride = _levels(rows)
         cell_stride, node_stride = strips * rows * LANES, panels * rows * LANES
         trees = Trees(
-            _aligned(count * cell_stride),
-            _aligned(count * node_stride),
-            _aligned(count * upper_stride),
-            _aligned(count * sum_stride),
-            upper_level,
-            upper_lines,
-            sum_level,
-            len(upper_level),
-            len(sum_level),
-            rows,
-            cols,
-            strips,
-            groups,
-            cell_stride,
-            node_stride,
-            upper_stride,
-            sum_stride,
-            size_m[0] / cols,
-            size_m[1] / rows,
-            bool(periodic),
-        )
+            _aligned(count * cell_stride), _aligned(count * node_stride), _aligned(count * upper_stride),
+            _aligned(count * sum_stride), upper_level, upper_lines, sum_level, len(upper_level), len(sum_level),
+            rows, cols, strips, groups, cell_stride, node_stride, upper_stride, sum_stride,
+            size_m[0] / cols, size_m[1] / rows, bool(periodic),
+        )  # fmt: skip
         return cls(trees, np.zeros(count, dtype=np.int64))
 
     @property
@@ -214,8 +147,7 @@ class _Fields:
     def strips(self, index: int) -> NDArray[np.float64]:
         """(strips, rows, 8) cells of a field, a view."""
         t = self.trees
-        view: NDArray[np.float64] = t.cells.reshape(len(self.exponents), t.strips, t.rows, LANES)[index]
-        return view
+        return np.asarray(t.cells.reshape(len(self.exponents), t.strips, t.rows, LANES)[index])
 
     def grid(self, index: int) -> NDArray[np.float64]:
         """(rows, cols) cells of a field, a copy."""
@@ -228,16 +160,6 @@ class _Fields:
             theirs = cells[:, strip * LANES : (strip + 1) * LANES]
             ours[:, : theirs.shape[1]] = theirs
 
-    def taken(self, which: Sequence[int]) -> _Fields:
-        """Some of the fields, copied."""
-        t, count = self.trees, len(self.exponents)
-        size_m = (t.width_m * t.cols, t.height_m * t.rows)
-        new = _Fields.empty(len(which), (t.rows, t.cols), size_m, t.periodic)
-        trees = new.trees._replace(width_m=t.width_m, height_m=t.height_m)
-        for ours, theirs in zip(_memories(t), _memories(trees), strict=True):
-            theirs.reshape(len(which), -1)[...] = ours.reshape(count, -1)[list(which)]
-        return _Fields(trees, self.exponents[list(which)])
-
 
 def _memories(trees: Trees) -> tuple[NDArray[np.float64], ...]:
     """What each field has a part of."""
@@ -249,16 +171,12 @@ def _together(fields: Sequence[DensityField]) -> _Fields:
     first = fields[0]._fields
     if len(first.exponents) == len(fields) and all(f._fields is first and f._index == i for i, f in enumerate(fields)):
         return first
-    if len({id(field) for field in fields}) < len(fields):
-        raise ValueError("each species needs a field of its own")
-    if len({(field.shape, field.size_m, field.periodic) for field in fields}) > 1:
-        raise ValueError("fields that are deformed together are of one shape, on one site")
     new = _Fields.empty(len(fields), fields[0].shape, fields[0].size_m, fields[0].periodic)
     for index, field in enumerate(fields):
-        old, at, t = field._fields.trees, field._index, new.trees
-        for ours, theirs in zip(_memories(old), _memories(t), strict=True):
-            theirs.reshape(len(fields), -1)[index] = ours.reshape(len(field._fields.exponents), -1)[at]
-        new.exponents[index] = field._fields.exponents[at]
+        old, at = field._fields, field._index
+        for theirs, ours in zip(_memories(old.trees), _memories(new.trees), strict=True):
+            ours.reshape(len(fields), -1)[index] = theirs.reshape(len(old.exponents), -1)[at]
+        new.exponents[index] = old.exponents[at]
         field._fields, field._index = new, index
     return new
 
@@ -288,7 +206,7 @@ def _levels(leaves: int) -> tuple[NDArray[np.int64], int]:
 def _upper_levels(panels: int, groups: int) -> tuple[NDArray[np.int64], NDArray[np.int64], int]:
     """Where each level of sums of panels begins, how many lines its blocks have, and the length of all.
 
-    Whoever reads eight lines of a block of four reads on: a block of eight is left free at the end.
+    Reading eight lines of a block of four passes its end: so a block of eight is left free at the end.
     """
     starts, lines, length = [], [], 0
     while panels > 1:
@@ -300,25 +218,13 @@ def _upper_levels(panels: int, groups: int) -> tuple[NDArray[np.int64], NDArray[
 
 
 def _effects(kernels: Sequence[Sequence[KernelTable]]) -> Effects:
-    from forestgen.community.placement.field_kernel import Effects
-
-    numbers: dict[int, int] = {}
-    used: list[KernelTable] = []
-    which = np.full((len(kernels), len(kernels[0])), -1, dtype=np.int64)
-    for i, row in enumerate(kernels):
-        for j, kernel in enumerate(row):
-            if kernel.is_neutral:
-                continue
-            if id(kernel) not in numbers:
-                numbers[id(kernel)] = len(used)
-                used.append(kernel)
-            which[i, j] = numbers[id(kernel)]
-    tables = np.ones((max(len(used), 1), max((len(k.values) for k in used), default=1) + 1))
+    used = list({id(one): one for row in kernels for one in row if not one.is_neutral}.values())
+    numbers = {id(one): number for number, one in enumerate(used)}
+    which = np.array([[numbers.get(id(one), -1) for one in row] for row in kernels], dtype=np.int64)
+    tables = np.ones((max(len(used), 1), SAMPLES + 2))
     for k, kernel in enumerate(used):
         if not np.all((kernel.values >= 0.0) & (kernel.values <= GREATEST)):
             raise ValueError(f"a kernel's values are numbers from 0 to {GREATEST:g}")
-        if len(kernel.values) + 1 != tables.shape[1]:
-            raise ValueError("kernels that work together have tables of one length")
         tables[k, :-1], tables[k, -1] = kernel.values, kernel.values[-1]
     return Effects(
         which,

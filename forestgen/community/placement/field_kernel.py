@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.community.placement.field_lanes import (
+    LANES,
     ask_for,
     distances,
     load,
@@ -28,7 +29,6 @@ from forestgen.community.placement.field_lanes import (
     times,
     times_table,
 )
-from forestgen.community.placement.field_layout import LANES
 from forestgen.community.placement.field_trees import (
     GREATEST_TOTAL,
     SMALLEST_TOTAL,

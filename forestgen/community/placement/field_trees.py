@@ -16,6 +16,8 @@ from math import frexp, ldexp
 from typing import Any, NamedTuple
 
 from forestgen.community.placement.field_lanes import (
+    LANES,
+    SMALLEST,
     load,
     load_across,
     load_line,
@@ -28,7 +30,6 @@ from forestgen.community.placement.field_lanes import (
     sum_of,
     with_number,
 )
-from forestgen.community.placement.field_layout import LANES, SMALLEST
 from forestgen.core.compiled import contracted, inlined
 
 GREATEST_TOTAL, SMALLEST_TOTAL = 1e250, 1e-150  # outside, a field is scaled by a power of two
@@ -63,28 +64,9 @@ class Trees(NamedTuple):
 @contracted
 def pointed(t):  # type: ignore[no-untyped-def]
     """The trees by pointers: Numba would count references to arrays in every call."""
-    return Trees(
-        pointer(t.cells),
-        pointer(t.nodes),
-        pointer(t.upper),
-        pointer(t.sums),
-        pointer(t.upper_level),
-        pointer(t.upper_lines),
-        pointer(t.sum_level),
-        t.upper_levels,
-        t.sum_levels,
-        t.rows,
-        t.cols,
-        t.strips,
-        t.groups,
-        t.cell_stride,
-        t.node_stride,
-        t.upper_stride,
-        t.sum_stride,
-        t.width_m,
-        t.height_m,
-        t.periodic,
-    )
+    memory = (pointer(t.cells), pointer(t.nodes), pointer(t.upper), pointer(t.sums))
+    levels = (pointer(t.upper_level), pointer(t.upper_lines), pointer(t.sum_level))
+    return Trees(*(memory + levels + t[7:]))
 
 
 @inlined

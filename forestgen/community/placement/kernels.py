@@ -21,7 +21,7 @@ import difflib
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache, partial
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
@@ -81,52 +81,41 @@ class KernelSection(Section):
     @model_validator(mode="after")
     def _has_a_reach(self) -> Self:
         points: Any = () if isinstance(self.curve, Formula) else _points(self.curve)
+        unit = "radii of the plant" if self.distance == "radii" else "metres"
         if self.reach is None and len(points) < 2:
-            raise mistake(
-                "reach, the distance beyond which κ is 1",
-                problem="this kernel does not end",
-                hint=f"reach: 3 is three {'radii of the plant' if self.distance == 'radii' else 'metres'}",
-                at=("curve",),
-            )
+            expected, hint = "reach, the distance beyond which κ is 1", f"reach: 3 is three {unit}"
+            raise _wrong_curve(expected, problem="this kernel does not end", hint=hint)
         if len(points) > 1 and (points[0][0] < 0 or points[-1][0] <= 0):
-            raise mistake(
-                "positions from 0 on", problem="a distance is not negative", got=f"{points[0][0]:g}", at=("curve",)
-            )
+            got = f"{points[0][0]:g}"
+            raise _wrong_curve("positions from 0 on", problem="a distance is not negative", got=got)
         if self.reach is None and points[-1][0] > GREATEST_REACH:
-            raise mistake(
-                f"a last point at {GREATEST_REACH:g} at most",
-                problem="this kernel reaches too far",
-                got=f"{points[-1][0]:g}",
-                at=("curve",),
-            )
+            expected, got = f"a last point at {GREATEST_REACH:g} at most", f"{points[-1][0]:g}"
+            raise _wrong_curve(expected, problem="this kernel reaches too far", got=got)
         return self
 
     @model_validator(mode="after")
     def _has_values_that_a_field_can_take(self) -> Self:
         values = table(self).values
         if values.min() < 0:
-            raise mistake(
+            raise _wrong_curve(
                 "values of 0 and more",
                 problem="a kernel multiplies probabilities, which are never negative",
                 got=f"{values.min():g}",
                 hint="0 bars plants, 1 leaves the field as it is",
-                at=("curve",),
             )
         if values.max() > GREATEST:
-            raise mistake(
-                f"values from 0 to {GREATEST:g}",
-                problem="this kernel is too strong",
-                got=f"{values.max():g}",
-                at=("curve",),
-            )
+            expected, got = f"values from 0 to {GREATEST:g}", f"{values.max():g}"
+            raise _wrong_curve(expected, problem="this kernel is too strong", got=got)
         if self.balanced and not values.any():
-            raise mistake(
+            raise _wrong_curve(
                 "a kernel that is above 0 somewhere within its reach",
                 problem="a balanced kernel moves probability about, and this one leaves it no place",
                 hint="enlarge reach, or leave balanced out",
-                at=("curve",),
             )
         return self
+
+
+_wrong_curve = partial(mistake, at=("curve",))
 
 
 class HopkinsTarget(Section):
@@ -149,10 +138,8 @@ def _named(value: Any, check: Callable[[Any], Any]) -> Any:
     if isinstance(value, str):
         if value not in NAMED:
             near = difflib.get_close_matches(value, NAMED, n=1)
-            hint = f"did you mean {near[0]!r}?" if near else None
-            raise mistake(
-                f"{', '.join(NAMED)}, or {{curve: ...}}", problem="no such kernel", got=repr(value[:60]), hint=hint
-            )
+            expected, hint = f"{', '.join(NAMED)}, or {{curve: ...}}", f"did you mean {near[0]!r}?" if near else None
+            raise mistake(expected, problem="no such kernel", got=repr(value[:60]), hint=hint)
         return _sections[value]
     if not isinstance(value, Mapping):
         hint = "write {curve: ...}" if isinstance(value, int | float | list | tuple) else None
@@ -180,7 +167,7 @@ _matrix: TypeAdapter[dict[str, Any]] = TypeAdapter(dict[Name, Annotated[Any, Bef
 
 
 def _read(value: Any, _: Any) -> Any:
-    """One kernel, a target, or a kernel matrix: told apart by its keys, so that mistakes are told of the form meant."""
+    """One kernel, a target, or a kernel matrix: its keys say which, so that errors are about the form meant."""
     if isinstance(value, KernelSection | HopkinsTarget):
         return value
     if isinstance(value, Mapping) and "hopkins" in value:
@@ -260,15 +247,16 @@ class KernelTable:
         return bool(np.all(self.values == 1.0))
 
 
+@lru_cache(maxsize=1024)
 def table(kernel: KernelSection) -> KernelTable:
-    """The kernel's table."""
+    """The kernel's table; the same object for the same kernel, as a matrix of many species repeats a few."""
     reach = kernel.reach if kernel.reach is not None else float(_points(kernel.curve)[-1][0])
     values = evaluate(kernel.curve, np.linspace(0.0, reach, SAMPLES + 1))
     return KernelTable(values, reach, kernel.distance == "radii", kernel.balanced)
 
 
 NEUTRAL = KernelTable(np.ones(SAMPLES + 1), 1.0, in_radii=True)
-#: Made once: a matrix of hundreds of species names a few kernels many thousand times.
+#: Made once: a matrix of many species names a few kernels many times.
 _sections = {name: KernelSection(**keys) for name, keys in NAMED.items()}
 
 
@@ -278,33 +266,10 @@ def kernel_matrix(
     """Tables of the kernels of some species: [i][j] is the effect of a plant of species j on the field of species i.
 
     A recipe has them the other way round, by who acts (j), then by who is affected (i); what it leaves out is neutral.
-
-    References
-    ----------
     Lane 2002, section 5.4, M_ij.
     """
-    if isinstance(kernels, KernelSection):
-        return [[table(kernels)] * len(species)] * len(species)
-    matrix = [[NEUTRAL] * len(species) for _ in species]
-    made: dict[KernelSection, KernelTable] = {}  # a matrix of many species repeats a few kernels
-
-    def table_of(kernel: KernelSection) -> KernelTable:
-        if kernel not in made:
-            made[kernel] = table(kernel)
-        return made[kernel]
-
-    for j, acting in enumerate(species):
-        row = kernels.get(acting)
-        if row is None:
-            continue
-        if isinstance(row, KernelSection):
-            for i in range(len(species)):
-                matrix[i][j] = table_of(row)
-        else:
-            for i, affected in enumerate(species):
-                if affected in row:
-                    matrix[i][j] = table_of(row[affected])
-    return matrix
+    found = [[_effect(kernels, acting, affected) for acting in species] for affected in species]
+    return [[NEUTRAL if one is None else table(one[1]) for one in row] for row in found]
 
 
 @dataclass(frozen=True)
@@ -334,12 +299,9 @@ def kernel_work(
 ) -> KernelWork:
     """Sum over plants that act and what they affect within reach.
 
-    Parameters
-    ----------
-    acting : by species: number of plants, and their radius in metres.
-    affected : by species: what there is of it on the whole site, such as cells or plants.
+    `acting` is by species the number of plants, and their radius in metres; `affected` is by species what there is of
+    it on the whole site, such as cells or plants.
     """
-    made: dict[KernelSection, KernelTable] = {}
     total, most = 0.0, KernelWork()
     for actor, (plants, radius_m) in acting.items():
         for other, there in affected.items():
@@ -347,9 +309,7 @@ def kernel_work(
             if found is None or plants * there == 0.0:
                 continue
             keys, section = found
-            if section not in made:
-                made[section] = table(section)
-            kernel = made[section]
+            kernel = table(section)
             reach_m = 0.0 if kernel.is_neutral else float(kernel.reach_m(radius_m))
             cost = plants * there * min(1.0, math.pi * reach_m**2 / site.area_m2)
             total += cost

@@ -1,23 +1,29 @@
-"""What the placement models have in common: who is to be placed, and what a recipe may be told before it is done."""
+"""What the placement models have in common: the plants to be placed, densities on a grid, and checks of a recipe.
+
+Pictures and statistics show densities as they were asked for, beside the plants that were placed.
+"""
 
 from __future__ import annotations
 
 import hashlib
+import itertools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import asdict, dataclass
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
+from scipy.special import chdtrc
 
 from forestgen.community.disturbance import planted
 from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.ground.living_conditions import why_barred
 from forestgen.community.model import Site
-from forestgen.community.placement.asked_and_placed import Densities, asked_densities
 from forestgen.community.placement.densities import (
     COUNTING_CELLS,
+    PlacementParameters,
     check_sizes,
     draw_heights,
     draw_radii,
@@ -25,17 +31,141 @@ from forestgen.community.placement.densities import (
     plant_counts,
     species_density,
 )
-from forestgen.community.placement.stands import PlacementParameters
+from forestgen.community.placement.field import DensityField
+from forestgen.community.placement.kernels import KernelTable
 from forestgen.community.population import Population
-from forestgen.community.standing import FixedPopulation, State, first_state
+from forestgen.community.static_model import FixedPopulation, Placement, State, first_state
 from forestgen.core.randomness import child_rng
+from forestgen.recipe.fields import Whole
 
 _BYTES_PER_PLANT = 400  # a state, its successor, a snapshot, what a placement holds meanwhile
 _BYTES_AT_LEAST = 4 * 1024 * 1024
+_GRIDS_AT_ONCE = 6  # beside one a species: masks, sums, a field's own
+_Kind = TypeVar("_Kind", np.float64, np.bool_)
+_FEWEST_EXPECTED = 5.0  # of a bin: below, chi-square's distribution is not that of the table
+_MOST_BLOCKS = 256
 
 
 @dataclass(frozen=True)
-class Wanted:
+class Densities:
+    """Densities of the species that a recipe places; every grid is (rows, cols), row 0 at y = 0, column 0 at x = 0."""
+
+    asked: Mapping[str, int]  # how many plants
+    asked_per_ha: Mapping[str, NDArray[np.float64]]  # map times conditions, scaled to that number; plants per hectare
+    barred: NDArray[np.bool_] | None = None  # where the recipe keeps plants out, at any resolution
+    left_per_ha: Mapping[str, NDArray[np.float64]] | None = None  # the same times the kernels of all plants
+
+
+def asked_densities(
+    parameters: PlacementParameters, site: Site, species: Sequence[SpeciesEcology], shape: tuple[int, int] | None = None
+) -> Densities:
+    """What a recipe asks for, on a grid of `shape`; by default that on which plants are counted."""
+    shape = shape or grid_shape(site, COUNTING_CELLS)
+    counts = plant_counts(parameters, site, species)
+    asked = {one.name: int(n) for one, n in zip(species, counts, strict=True) if one.name in parameters.plants}
+    fields = {}
+    for name, n in asked.items():
+        density = species_density(parameters, site, name, shape)
+        mean = float(density.mean())
+        fields[name] = density * (n / site.area_ha / mean) if mean > 0 else density
+    barred = parameters.keep_out.any_above_zero(shape) if parameters.keep_out is not None else None
+    return Densities(asked, fields, barred)
+
+
+def deformed(
+    asked: Densities,
+    site: Site,
+    periodic: bool,
+    species: Sequence[SpeciesEcology],
+    placed: Population,
+    kernels: Sequence[Sequence[KernelTable]],
+) -> Densities:
+    """The same with the field that is left when all plants of a population, in their order, have deformed it.
+
+    `kernels` is that of `field.place`: kernels[i][j] is the effect of a plant of species j on the field of species i.
+    """
+    left = {}
+    for affected, one in enumerate(species):
+        if one.name not in asked.asked_per_ha:
+            continue
+        field = DensityField(asked.asked_per_ha[one.name], site.size_m, periodic=periodic)
+        edges = [0, *(np.flatnonzero(np.diff(placed.species)) + 1).tolist(), len(placed)]
+        for first, last in itertools.pairwise(edges):  # runs of plants of one species
+            if last > first and not (kernel := kernels[affected][int(placed.species[first])]).is_neutral:
+                field.deform(placed.position_m[first:last, :2], placed.radius_m[first:last], kernel)
+        left[one.name] = np.asarray(field.cells)
+    return Densities(asked.asked, asked.asked_per_ha, asked.barred, left)
+
+
+@dataclass(frozen=True)
+class ChiSquare:
+    """Pearson's test of counts in bins against what was to be expected there."""
+
+    statistic: float
+    degrees_of_freedom: int
+    p_value: float  # of independent plants; clusters make it small where no kernel is balanced
+
+
+def counts_against(
+    asked: NDArray[np.float64], position_m: NDArray[np.float64], size_m: tuple[float, float]
+) -> ChiSquare | None:
+    """Whether (N, 2) plants follow a density in coarse bins; None for too few plants to fill two bins.
+
+    The site is divided into nearly square blocks, about one for each ten plants and about 256 at most. Blocks in which
+    fewer than five plants are expected are put together with the next, row by row, back and forth. The density is
+    scaled to the number of plants that there are, so a bin's worth of freedom is lost.
+
+    `asked` is a density (rows, cols) in any unit, row 0 at y = 0.
+    """
+    n, total = len(position_m), float(asked.sum())
+    if n < 2 * _FEWEST_EXPECTED or total <= 0:
+        return None
+    (rows, cols), (width, height), blocks = asked.shape, size_m, min(_MOST_BLOCKS, max(4, n / 10))
+    across, up = (max(1, round(math.sqrt(one))) for one in (blocks * width / height, blocks * height / width))
+    row_block, col_block = (np.arange(rows) * up) // rows, (np.arange(cols) * across) // cols
+    block = row_block[:, None] * across + np.where(row_block[:, None] % 2, across - 1 - col_block, col_block)
+    col = np.clip((position_m[:, 0] / width * cols).astype(np.intp), 0, cols - 1)
+    row = np.clip((position_m[:, 1] / height * rows).astype(np.intp), 0, rows - 1)
+    found = np.bincount(block[row, col], minlength=up * across).astype(np.float64)
+    expected = np.bincount(block.ravel(), weights=asked.ravel(), minlength=up * across) * (n / total)
+    found, expected = _joined(found, expected)
+    freedom = len(found) - 1
+    if freedom < 1:
+        return None
+    statistic = float(np.sum((found - expected) ** 2 / expected))
+    return ChiSquare(statistic, freedom, float(chdtrc(freedom, statistic)))
+
+
+def _joined(
+    found: NDArray[np.floating], expected: NDArray[np.floating]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Neighbouring bins put together until at least five plants are expected in each."""
+    joined: list[list[float]] = []
+    sums = [0.0, 0.0]
+    for here, wanted in zip(found.tolist(), expected.tolist(), strict=True):
+        sums = [sums[0] + here, sums[1] + wanted]
+        if sums[1] >= _FEWEST_EXPECTED:
+            joined.append(sums)
+            sums = [0.0, 0.0]
+    if joined:
+        joined[-1] = [joined[-1][0] + sums[0], joined[-1][1] + sums[1]]
+    both = np.array(joined).reshape(-1, 2)
+    return both[:, 0], both[:, 1]
+
+
+def describe_densities(densities: Densities, placed: Population, site: Site) -> dict[str, dict[str, Any]]:
+    """By species, plain as in JSON: how many were asked for and stand, and whether they follow the density."""
+    described: dict[str, dict[str, Any]] = {}
+    for name, asked in densities.asked.items():
+        points_m = placed.position_m[placed.species == placed.species_names.index(name), :2]
+        test = counts_against(densities.asked_per_ha[name], points_m, site.size_m)
+        chi_square = asdict(test) if test is not None else None
+        described[name] = {"asked": asked, "placed": len(points_m), "chi_square": chi_square}
+    return described
+
+
+@dataclass(frozen=True)
+class PlantingTargets:
     """The plants to be placed, largest first; of one size, in the order of species."""
 
     sp: NDArray[np.uint16]  # (N,) index of species
@@ -45,32 +175,27 @@ class Wanted:
 
 def wanted_plants(
     parameters: PlacementParameters, site: Site, species: Sequence[SpeciesEcology], rng: np.random.Generator
-) -> Wanted:
+) -> PlantingTargets:
     """Species, radii and heights of the plants that a recipe asks for.
 
     Each species has a stream of numbers of its own, by its name: another species beside it leaves its sizes alone.
-
-    Raises
-    ------
-    RecipeError : a radius that the species cannot have.
     """
     check_sizes(parameters, species)
     counts = plant_counts(parameters, site, species)
-    sp = [np.zeros(0, dtype=np.uint16)]
     r_m, height_m = [np.zeros(0)], [np.zeros(0)]
-    for index, (one, count) in enumerate(zip(species, counts, strict=True)):
+    for one, count in zip(species, counts, strict=True):
         stream = _stream(rng, "sizes", one.name)
         stand = parameters.plants.get(one.name)
-        radii = draw_radii(stand.radius_m if stand else None, one, int(count), stream)
-        sp.append(np.full(count, index, dtype=np.uint16))
-        r_m.append(radii)
-        height_m.append(draw_heights(stand, one, radii, stream))
-    radius = np.concatenate(r_m)
+        r_m.append(draw_radii(stand.radius_m if stand else None, one, int(count), stream))
+        height_m.append(draw_heights(stand, one, r_m[-1], stream))
+    sp, radius = np.repeat(np.arange(len(species), dtype=np.uint16), counts), np.concatenate(r_m)
     order = np.argsort(-radius, kind="stable")
-    return Wanted(np.concatenate(sp)[order], radius[order], np.concatenate(height_m)[order])
+    return PlantingTargets(sp[order], radius[order], np.concatenate(height_m)[order])
 
 
-def chances(wanted: Wanted, species: Sequence[SpeciesEcology], rng: np.random.Generator) -> NDArray[np.float64]:
+def uniform_samples(
+    wanted: PlantingTargets, species: Sequence[SpeciesEcology], rng: np.random.Generator
+) -> NDArray[np.float64]:
     """(N, 2) numbers in [0, 1) that place the plants: a species' k-th largest has the k-th pair of its own stream.
 
     So a species that affects no other one leaves the others where they were.
@@ -95,7 +220,7 @@ def placed_state(
     site: Site,
     species: Sequence[SpeciesEcology],
     seed: int,
-    wanted: Wanted,
+    wanted: PlantingTargets,
     position_m: NDArray[np.float64],
     why: str | Mapping[str, str],
     notes: Sequence[str] = (),
@@ -103,11 +228,9 @@ def placed_state(
 ) -> State:
     """The state of step 0; plants whose (N, 2) position is nan found no place, and a note says how many and `why`.
 
-    Parameters
-    ----------
-    why : the reason; or one by species. Conditions that bar a species on the whole site are told instead.
-    notes : what else a user should know.
-    found : what the model worked out for itself, plain as in JSON; it is kept with every snapshot.
+    `why` is the reason, or one by species; conditions that bar a species on the whole site replace it. `notes`
+    are what else a user should know. `found` is what the model worked out for itself, plain as in JSON; it is kept with
+    every snapshot.
     """
     placed = ~np.isnan(position_m[:, 0])
     asked = np.bincount(wanted.sp, minlength=len(species))
@@ -116,21 +239,10 @@ def placed_state(
     missing = []
     for i, one in enumerate(species):
         if standing[i] < asked[i]:
-            bars = None if standing[i] else _bars(parameters, site, one.name)
-            missing.append(
-                f"{standing[i]:,} of {asked[i]:,} plants of {one.name} were placed: {bars or reasons[one.name]}"
-            )
-    return first_state(
-        parameters,
-        species,
-        seed,
-        sp=wanted.sp[placed],
-        x_m=position_m[placed],
-        r_m=wanted.r_m[placed],
-        height_m=wanted.height_m[placed],
-        notes=[*missing, *notes],
-        found=found,
-    )
+            reason = (None if standing[i] else _bars(parameters, site, one.name)) or reasons[one.name]
+            missing.append(f"{standing[i]:,} of {asked[i]:,} plants of {one.name} were placed: {reason}")
+    plants = Placement(wanted.sp[placed], position_m[placed], wanted.r_m[placed], wanted.height_m[placed])
+    return first_state(parameters, species, seed, plants, [*missing, *notes], found)
 
 
 def _bars(parameters: PlacementParameters, site: Site, name: str) -> str | None:
@@ -144,16 +256,54 @@ def _bars(parameters: PlacementParameters, site: Site, name: str) -> str | None:
     return conditions or "the map, the conditions and keep_out bar the whole site"
 
 
-class PlacementModel(FixedPopulation):
-    """A `CommunityModel` but for its Parameters and `init`, which draws from `placement_rng`."""
+P = TypeVar("P", bound=PlacementParameters)
 
-    def expected_plants(self, parameters: PlacementParameters, site: Site, species: Sequence[SpeciesEcology]) -> float:
-        """Who is to be placed, and who will be planted."""
+
+class PlacementModel(FixedPopulation[P]):
+    """A `CommunityModel` but for its Parameters and either `positions`, or `grid` and `place_species`."""
+
+    missing_reason = "the map and the conditions bar the whole site"  # why plants found no place
+
+    def init(self, parameters: P, site: Site, species: Sequence[SpeciesEcology], seed: int) -> State:
+        """The plants at their places."""
+        rng = placement_rng(seed)
+        wanted = wanted_plants(parameters, site, species, rng)
+        position_m, why = self.positions(parameters, site, species, wanted, rng)
+        return placed_state(parameters, site, species, seed, wanted, position_m, why)
+
+    def positions(
+        self,
+        parameters: P,
+        site: Site,
+        species: Sequence[SpeciesEcology],
+        wanted: PlantingTargets,
+        rng: np.random.Generator,
+    ) -> tuple[NDArray[np.float64], str]:
+        """(N, 2) places of the plants, metres, nan where there is none; and why. Here species do not see each other."""
+        position_m = np.full((len(wanted.sp), 2), np.nan)
+        for index, (one, stream) in enumerate(zip(species, rng.spawn(len(species)), strict=True)):
+            mine = np.flatnonzero(wanted.sp == index)
+            if len(mine):
+                density = species_density(parameters, site, one.name, self.grid(parameters, site, one.name, len(mine)))
+                if density.any():
+                    position_m[mine] = self.place_species(parameters, site, density, len(mine), stream)
+        return position_m, self.missing_reason
+
+    def grid(self, parameters: P, site: Site, name: str, n: int) -> tuple[int, int]:
+        """Rows and columns in which the density of a species with n plants is read."""
+        raise NotImplementedError
+
+    def place_species(
+        self, parameters: P, site: Site, density: NDArray[np.float64], n: int, rng: np.random.Generator
+    ) -> NDArray[np.float64]:
+        """(n, 2) places of a species, metres, by its (rows, cols) density; nan where there is none."""
+        raise NotImplementedError
+
+    def expected_plants(self, parameters: P, site: Site, species: Sequence[SpeciesEcology]) -> float:
+        """The plants to be placed, and those that disturbances plant."""
         return float(plant_counts(parameters, site, species).sum() + planted(parameters.disturbances))
 
-    def empty_reason(
-        self, parameters: PlacementParameters, site: Site, species: Sequence[SpeciesEcology]
-    ) -> str | None:
+    def empty_reason(self, parameters: P, site: Site, species: Sequence[SpeciesEcology]) -> str | None:
         """Why no plant will ever stand there, or None if some may."""
         if planted(parameters.disturbances) > 0:
             return None
@@ -168,7 +318,7 @@ class PlacementModel(FixedPopulation):
                 reasons += [f"no plant is placed: of {name}, {bars}"] if bars else []
         return reasons[0] if reasons else "no plant is placed: every number in community.plants is 0, or rounded to 0"
 
-    def estimate_bytes(self, parameters: PlacementParameters, site: Site, species: Sequence[SpeciesEcology]) -> int:
+    def estimate_bytes(self, parameters: P, site: Site, species: Sequence[SpeciesEcology]) -> int:
         """Bytes for all plants at once.
 
         It is what a plan asks first, so it also looks at the sizes: what is wrong is said before anything is built.
@@ -176,9 +326,7 @@ class PlacementModel(FixedPopulation):
         check_sizes(parameters, species)
         return _BYTES_AT_LEAST + math.ceil(self.expected_plants(parameters, site, species) * _BYTES_PER_PLANT)
 
-    def densities(
-        self, parameters: PlacementParameters, site: Site, species: Sequence[SpeciesEcology], placed: Population
-    ) -> Densities:
+    def densities(self, parameters: P, site: Site, species: Sequence[SpeciesEcology], placed: Population) -> Densities:
         """What the recipe asks for, for pictures and statistics of the plants `placed` in step 0."""
         return asked_densities(parameters, site, species)
 
@@ -186,3 +334,68 @@ class PlacementModel(FixedPopulation):
 def placement_rng(seed: int) -> np.random.Generator:
     """The stream of random numbers of step 0."""
     return child_rng(seed, "community", 0)
+
+
+class GriddedParameters(PlacementParameters):
+    """The parameters of a model that reads densities on a grid."""
+
+    memory_hint: ClassVar[str] = f"{PlacementParameters.memory_hint}, or fewer community.cells"
+
+    cells: Whole = Field(
+        512,
+        ge=16,
+        le=8192,
+        description="cells along the site's longer side in which map and conditions are read; a cell has one density",
+    )
+
+
+G = TypeVar("G", bound=GriddedParameters)
+
+
+class GriddedModel(PlacementModel[G]):
+    """A `PlacementModel` whose densities are constant in the cells of one grid."""
+
+    def grid(self, parameters: G, site: Site, name: str, n: int) -> tuple[int, int]:
+        """By the recipe's `cells`."""
+        return grid_shape(site, parameters.cells)
+
+    def estimate_bytes(self, parameters: G, site: Site, species: Sequence[SpeciesEcology]) -> int:
+        """Bytes for all plants and all grids at once."""
+        rows, cols = grid_shape(site, parameters.cells)
+        grids = 8 * rows * cols * (_GRIDS_AT_ONCE + len(parameters.plants))
+        return super().estimate_bytes(parameters, site, species) + grids
+
+
+def read_densities(
+    parameters: GriddedParameters, site: Site, species: Sequence[SpeciesEcology]
+) -> list[NDArray[np.float64]]:
+    """(rows, cols) relative density of each species, row 0 at y = 0."""
+    shape = grid_shape(site, parameters.cells)
+    return [species_density(parameters, site, one.name, shape) for one in species]
+
+
+def density_at(grid: NDArray[_Kind], position_m: NDArray[np.float64], size_m: tuple[float, float]) -> NDArray[_Kind]:
+    """(N,) density of the cells in which (N, 2) places of the site lie."""
+    rows, cols = grid.shape
+    col = np.minimum((position_m[:, 0] * (cols / size_m[0])).astype(np.intp), cols - 1)
+    row = np.minimum((position_m[:, 1] * (rows / size_m[1])).astype(np.intp), rows - 1)
+    return np.asarray(grid[row, col])
+
+
+def stays_apart(
+    points_m: NDArray[np.float64], distance_m: float, size_m: tuple[float, float], *, periodic: bool
+) -> NDArray[np.bool_]:
+    """(N,) whether a point stays: it does unless it is nearer than the distance to one before it that stays.
+
+    `points_m` (N, 2) are in [0, W) x [0, H) if `periodic`.
+    """
+    from scipy.spatial import cKDTree  # slow to import
+
+    keep = np.ones(len(points_m), dtype=np.bool_)
+    if len(points_m) < 2:
+        return keep
+    tree = cKDTree(points_m, boxsize=np.array(size_m) if periodic else None)
+    near = tree.query_pairs(np.nextafter(distance_m, 0.0), output_type="ndarray")
+    for a, b in near[np.lexsort((near[:, 1], near[:, 0]))].tolist():
+        keep[b] = keep[b] and not keep[a]
+    return keep

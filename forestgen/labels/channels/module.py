@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from forestgen.architecture.prototype import MOST_NODES
+from forestgen.architecture.prototypes import MOST_NODES
 from forestgen.labels.channels.channel import ChannelView, LabelChannel, Layers, layer
 from forestgen.labels.labelled import LabelledFrame
 from forestgen.plants.exemplar import Exemplar

@@ -31,10 +31,8 @@ class Tile:
     def noise(self, rng: np.random.Generator, scale_m: tuple[float, float], steepness: float = 3.0) -> Image:
         """(rows, columns) Gaussian noise of mean 0 and deviation 1.
 
-        Parameters
-        ----------
-        scale_m : size of its largest features round and up the stem, metres.
-        steepness : power of the amplitude's fall with frequency beyond that size; 1 is rough, 3 is smooth.
+        `scale_m`: size of its largest features round and up the stem, metres. `steepness`: power of the amplitude's
+        fall with frequency beyond that size; 1 is rough, 3 is smooth.
         """
         import scipy.fft
 

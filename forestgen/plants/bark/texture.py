@@ -94,11 +94,8 @@ class SurfaceTexture:
 def bark_texture(bark: Bark, reflectance: Colour, name: str) -> SurfaceTexture:
     """Texture of a material, made once.
 
-    Parameters
-    ----------
-    bark : the material's `bark` block; must be hashable.
-    reflectance : mean of the texture, linear Rec. 709.
-    name : of the material, such as "poplar/bark"; the texture's random numbers come from it.
+    `bark`: the material's `bark` block; must be hashable. `reflectance`: mean of the texture, linear Rec. 709. `name`:
+    of the material, such as "poplar/bark"; the texture's random numbers come from it.
     """
     pattern = PATTERNS[bark.pattern]
     tile = Tile(_texels(bark.tile_m[1]), _texels(bark.tile_m[0]), bark.tile_m)

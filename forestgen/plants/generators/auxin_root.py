@@ -20,31 +20,7 @@ model in space. A side has a length L and an amount of auxin A. In every time st
 More auxin on the side that faces the target means less growth there: the tip bends towards it until all sides get the
 same. From the tip to the growth zone auxin needs mu / v hours. With that delay the bend overshoots.
 
-Parameters
-----------
-==================== ============== ============ ======== ====================================================
-name                 symbol         unit         default  meaning
-==================== ============== ============ ======== ====================================================
-gravitropism         sign of g      -            positive positive: a root that hangs; negative: an upright shoot
-sectors              S              -            8        sides of a segment; 2: the model in a plane
-length_mm            -              mm           60       grown length
-young_mm             -              mm           8        straight length at the start
-tilt_deg             theta(0)       degree       90       the young axis' angle from its target
-tilt_jitter_deg      -              degree       0        standard deviation of that angle from plant to plant
-tilt_azimuth_deg     -              degree       random   side to which it is tilted, clockwise from +y
-zone_centre_mm       mu             mm           3        growth zone: distance from the tip
-zone_width_mm        sigma          mm           1        distance from its centre where it grows 0.607 as fast
-rate_per_h           M              1/h          0.4      relative rate of elongation at its centre, without auxin
-transport_mm_per_h   v              mm/h         10       polar transport from the tip back
-supply_per_h         supply         1/h          10       auxin units, through the centre to the tip
-decay_per_h          decay          1/h          0        share of auxin lost in an hour
-inhibition_mm        inhibition     mm           0.5      loss of growth for a unit of auxin a millimetre
-sensitivity          sensitivity    -            0.8      excess of auxin on the lower side of a horizontal tip
-diameter_mm          d              mm           1        thickness
-taper                -              share        1        of the thickness, over the axis, 0 base, 1 tip
-segment_mm           -              mm           0.25     longest segment
-step_h               Delta t        h            0.02     time step
-==================== ============== ============ ======== ====================================================
+Parameters: see `Parameters`.
 
 Recipe
 ------
@@ -100,30 +76,30 @@ class Parameters(PlantParameters):
     gravitropism: Literal["positive", "negative"] = Field(
         "positive", description="positive: a root that bends to the ground; negative: a shoot that rises"
     )
-    sectors: int = Field(8, ge=2, le=64, description="sides of a segment; 2: the model in a plane")
+    sectors: int = Field(8, ge=2, le=64, description="S: sides of a segment; 2: the model in a plane")
     length_mm: float = Field(60.0, gt=0, le=500, description="length to which it grows, millimetres")
     young_mm: float = Field(8.0, gt=0, le=10_000, description="straight length at the start, millimetres")
-    tilt_deg: float = Field(90.0, ge=0, le=180, description="the young axis' angle from its target, degrees")
+    tilt_deg: float = Field(90.0, ge=0, le=180, description="theta(0): the young axis' angle from its target, degrees")
     tilt_jitter_deg: float = Field(0.0, ge=0, le=90, description="standard deviation of that angle, degrees")
     tilt_azimuth_deg: float | None = Field(
         None, ge=-360, le=360, description="side of the tilt, clockwise from +y as of a compass; null: drawn by plant"
     )
-    zone_centre_mm: float = Field(3.0, ge=0, le=1000, description="growth zone's centre from the tip, millimetres")
+    zone_centre_mm: float = Field(3.0, ge=0, le=1000, description="mu: growth zone's centre from the tip, millimetres")
     zone_width_mm: float = Field(
-        1.0, gt=0, le=1000, description="from the centre to where growth is 0.607 of the most, millimetres"
+        1.0, gt=0, le=1000, description="sigma: from the centre to where growth is 0.607 of the most, millimetres"
     )
-    rate_per_h: float = Field(0.4, gt=0, le=10, description="relative rate of elongation at the centre, per hour")
-    transport_mm_per_h: float = Field(10.0, gt=0, le=1000, description="speed of polar transport, millimetres per hour")
+    rate_per_h: float = Field(0.4, gt=0, le=10, description="M: relative rate of elongation at the centre, per hour")
+    transport_mm_per_h: float = Field(10.0, gt=0, le=1000, description="v: speed of polar transport, mm per hour")
     supply_per_h: float = Field(10.0, ge=0, le=1e6, description="auxin that reaches the tip, units per hour")
     decay_per_h: float = Field(0.0, ge=0, le=100, description="share of auxin lost in an hour")
     inhibition_mm: float = Field(
         0.5, ge=0, le=1e6, description="loss of growth, as a share, for one unit of auxin per millimetre of root"
     )
     sensitivity: float = Field(0.8, ge=0, le=1, description="excess of auxin on a horizontal tip's lower side, a share")
-    diameter_mm: float = Field(1.0, gt=0, le=1000, description="thickness, millimetres")
+    diameter_mm: float = Field(1.0, gt=0, le=1000, description="d: thickness, millimetres")
     taper: FallingCurve = Field(((0.0, 1.0),), description="share of the thickness over the axis, 0 base, 1 tip")
     segment_mm: float = Field(0.25, gt=0, le=1000, description="longest segment, millimetres")
-    step_h: float = Field(0.02, gt=0, le=0.2, description="time step, hours")
+    step_h: float = Field(0.02, gt=0, le=0.2, description="Delta t: time step, hours")
 
     def model(self, tilt_deg: float, azimuth_deg: float) -> AuxinModel:
         """The simulation's parameters for an axis that starts in this direction."""

@@ -19,17 +19,7 @@ Equations
 H is the plant's height, a_b the physiological age of the segment that bears the twig, d_b its diameter, Q_eff its
 module's light.
 
-Parameters
-----------
-=============== ========= ======= ====================================================================
-name            unit      default meaning
-=============== ========= ======= ====================================================================
-wood            -         -       surface of stems and branches, as for every generator
-crook           share     0.03    random bend of a segment's middle, share of its length
-bearing         -         -       where the wood bears twigs, see `Bearing`; null: nowhere
-twigs           -         none    orders of twigs, see `Order` in generators/silhouette.py; at most 4
-shapes, foliage -         -       as for every generator
-=============== ========= ======= ====================================================================
+Parameters: see `Parameters`; wood, shapes and foliage as for every generator.
 
 Branch orders, as `foliage` names them: **0 to 7 are the modules' wood** (0 the stem, 1 its branches, ...; what is of a
 higher order counts as 7), **8, 9, 10 and 11 are the twigs** that are drawn on it. So leaves sit on `orders: [8, 9]`.

@@ -15,24 +15,7 @@ Equations
     log    the same lying down, its height H above the ground; its length is 2 W - D, as W is the mean extent in x and y
     stubs  a Poisson number per metre of stem, length exponential, cut at `longest_stub_m`
 
-Parameters
-----------
-================== ======= =========== ================================================================
-name               unit    default     meaning
-================== ======= =========== ================================================================
-form               -       -           snag, stump or log
-diameter_ratio     -       0.05        foot diameter over height, by the height in metres; snag and stump
-top_share          -       0.6         diameter at the upper end over that at the foot
-ending             -       broken      broken: splinters; sawn: a flat cut, covered by `cut_shape`
-cut_shape          -       none        organ shape of a sawn face, placed at its own size times the face's diameter
-stubs_per_m        1/m     1.5         broken branches
-stub_length_m      m       0.25        their mean length
-longest_stub_m     m       1.2         their greatest length
-roots              -       0           main roots of a stump
-bow_deg_per_m      deg/m   1.5         random bend of the stem
-lean_deg           degree  2           standard deviation of the lean
-sunk               -       0.12        share of a log's diameter that lies in the ground
-================== ======= =========== ================================================================
+Parameters: see `Parameters`.
 
 Recipe
 ------

@@ -20,23 +20,7 @@ Equations
 A(o, s) is a branch of order o and length max_len[o] - s, so that short branches are the tops of longer ones. Height
 H = A_H r^c_H and width W = A_W r^c_W come from the caller.
 
-Parameters
-----------
-================== =========================== ====== =========== ========================================
-name               symbol                      unit   default     meaning
-================== =========================== ====== =========== ========================================
-silhouette         shape of branch_len(0, .)   -      ellipsoid   a name, a drawn curve or a formula
-crown_base         -                           share  0.3         crown's lower end over the plant's height
-trunk              int_width(0, .), stems      -      -           see `Trunk`
-orders[o]          the functions below         -      -           see `Order`; MAX_ORDER is their number
-.longest_m         max_len[o]                  m      -           length of the longest branch
-.internode_m       int_len(o, rel)             m      -           internode
-.diameter_m        int_width(o, rel)           m      0.01        diameter, orders 1 and up
-.branch_angle_deg  branch_ang(o, rel)          degree 50          angle of a branch from the bearing axis
-.branch_length     branch_len(o, rel)          share  0.5         of max_len[o+1]; order 0: of the silhouette's
-.phyllotaxis_deg   phyllo_ang[o]               degree 137.5       turn from one node to the next
-wood, shapes, ...  K                           -      -           as for every generator
-================== =========================== ====== =========== ========================================
+Parameters: see `Parameters`; MAX_ORDER is the number of `orders`. K stands for `shapes` and `foliage`.
 
 Recipe
 ------
@@ -139,11 +123,8 @@ def silhouette_length(
 ) -> Floats:
     """(M,) length of straight branches from the axis of the crown to its silhouette, metres.
 
-    Parameters
-    ----------
-    foot : (M,) height of the branch's foot within the crown, 0 its base and 1 its top.
-    angle_rad : (M,) from the vertical.
-    crown_m, width_m : height and width of the crown.
+    `foot`: (M,) height of the branch's foot within the crown, 0 its base and 1 its top. `angle_rad`: (M,) from the
+    vertical. `crown_m`, `width_m`: height and width of the crown.
     """
     sine, cosine = np.maximum(np.sin(angle_rad), 0.15), np.cos(angle_rad)
     share = np.linspace(0.0, 1.0, 65)[1:]
@@ -178,13 +159,13 @@ class Parameters(PlantParameters):
     generator: Literal["silhouette"] = "silhouette"
     silhouette: Silhouette = Field(
         "ellipsoid",
-        description="form of the crown: ellipsoid, ovoid, cone, column, or a curve of its radius over the height "
-        "within it, 0 its base and 1 its top, in any unit: the greatest value is the width that the plant has",
+        description="branch_len(0, .): form of the crown: ellipsoid, ovoid, cone, column, or a curve of its radius "
+        "over the height within it, 0 its base and 1 its top, in any unit: the greatest is the plant's width",
     )
     crown_base: Curve = Field(
         ((0.0, 0.3),), description="crown's lower end, share of height, over the height in metres"
     )
-    trunk: Trunk
+    trunk: Trunk = Field(description="int_width(0, .), and the stems")
     orders: tuple[Order, ...] = Field(min_length=1, max_length=8, description="the stem, its branches, and so on")
     fit: Fit = Field("stretch", description="as for every generator; height and width fit by default")
 

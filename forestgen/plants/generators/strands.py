@@ -26,37 +26,8 @@ Equations
 
 g is the Gravelius order (0 the trunk, one more at each minor sub-branch), w the Weibull order (segments from the foot).
 
-Parameters
-----------
-==================== ================ ======= ============== ========================================================
-name                 symbol           unit    default        meaning
-==================== ================ ======= ============== ========================================================
-strands              S                -       1000           strands in all, by height in metres; 1 to 200,000
-trunk_length_m       l_0              m       5              length of the trunk's base segment, by height; up to 20
-scale_by_height      -                -       1              factor on all lengths and diameters, by height
-thickness_m          k_d              m       0.01           diameter of one strand; up to 0.05
-thickness_exponent   -                -       0.5            d = k_d S_0^exponent; 0.3 to 1
-gravicentralism      k_c              -       0.3            0: the trunk runs straight; 1: both sub-branches give way
-gravicentralism_as   -                -       printed        upright: 1 - k_c in its place, see Decisions
-phyllotaxis_deg      alpha_p          degree  85             turn of the plane of division, 0 to 360
-split                k_s^g k_s^w      -       0.75           share of strands that stays; 1/2 to 1, and 0 to 2
-angle_deg            alpha^g alpha^w  degree  45             angle between the two sub-branches; 0 to 180, and 0 to 2
-shortest             m^g m^w          -       0              least ratio r; 0 to 10, and 0 to 2
-longest              M^g M^w          -       1              greatest ratio r; 0 to 10, and 0 to 2
-length               k_l^g k_l^w      -       1              segment's length over its relative length; 0 to 10, 0 to 2
-gravimorphism_deg    alpha_m^g ...    degree  0              droop at a division; -180 to 180, and 0 to 2
-lod                  l_LOD            -       0              branches of so many strands are not divided further
-stiffness            k_f              -       1              1: no sway in the undirected wind
-wind                 w_g, w_s, w, t   -       none           see `Wind` in plants/strands/kernel.py
-leaves               l_type, ...      -       none           see `Leaves` in plants/strands/leaves.py
-split_jitter         -                -       0              the individual: standard deviation of k_s,
-angle_jitter_deg     -                degree  0              of the angles of a light sub-branch,
-phyllotaxis_jit...   -                degree  0              of alpha_p (`phyllotaxis_jitter_deg`),
-length_jitter        -                -       0              and of the logarithm of l
-wood, shapes, ...    -                -       -              as for every generator
-==================== ================ ======= ============== ========================================================
-
-The six local parameters have two curves each, `gravelius` over g and `weibull` over w, evaluated at whole numbers.
+Parameters: see `Parameters`. The six local parameters have two curves each, `gravelius` over g and `weibull` over w,
+evaluated at whole numbers.
 
 Recipe
 ------
@@ -122,8 +93,18 @@ from forestgen.plants.budget import check_budget
 from forestgen.plants.fitting import fit, moved
 from forestgen.plants.parameters import PlantParameters
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
-from forestgen.plants.strands.kernel import JITTERS, ORDERS, Branching, Pose, Wind, divide, pose
-from forestgen.plants.strands.leaves import Leaves, carried, leaf_places
+from forestgen.plants.strands import (
+    JITTERS,
+    ORDERS,
+    Branching,
+    Leaves,
+    Pose,
+    Wind,
+    carried,
+    divide,
+    leaf_places,
+    pose,
+)
 from forestgen.recipe.curves import Curve, Formula, PositiveCurve, Smooth, evaluate, evaluate_one
 from forestgen.recipe.fields import Section
 
@@ -269,12 +250,7 @@ def tables(parameters: Parameters) -> tuple[Floats, Floats]:
 
 
 def branching_of(parameters: Parameters, height_m: float, rng: np.random.Generator) -> Branching:
-    """Who divides into what.
-
-    Raises
-    ------
-    RecipeError : the plant has no length, or too many segments for memory.
-    """
+    """Who divides into what. Raises `RecipeError`: the plant has no length, or too many segments for memory."""
     p = parameters
     wanted = evaluate_one(p.strands, height_m)
     strands = round(min(max(wanted, 1.0), float(MOST_STRANDS)))

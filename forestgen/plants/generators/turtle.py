@@ -16,20 +16,7 @@ A program has derivation steps; a plant of a community has a height. The curve `
 Without it, every plant has the program's ``derivation length``, and small plants are small copies of large ones. A
 program that defines ``height_m`` or ``width_m`` receives the plant's value.
 
-Parameters
-----------
-================== ====== ========== ==============================================================================
-name               unit   default    meaning
-================== ====== ========== ==============================================================================
-program            -      -          a shipped program's name, or the path of a .lsys or .sys file
-steps              -      program's  derivation steps over the plant's height in metres, rounded
-values             -      program's  its #defines (numbers, or curves over the height), arrays and functions
-surfaces           -      by name    organ shape of each surface of ``~``
-polygons           -      not drawn  part and material of the turtle's polygons, ``{material: leaf}``
-unit_m             m      program's  metres that a unit of the program has
-most_modules       -      2,000,000  words longer than this are refused
-wood, shapes, ...  -      -          as for every generator
-================== ====== ========== ==============================================================================
+Parameters: see `Parameters`; wood, shapes, foliage and so on as for every generator.
 
 Recipe
 ------

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,12 +87,7 @@ def axes_of(skeleton: Skeleton, position: Floats) -> Axes:
 
 
 def tables(axes: Axes, variation: Variation, rng: np.random.Generator) -> Tables:
-    """Growth steps, gains and influences of every axis.
-
-    Raises
-    ------
-    RecipeError : more growth steps than memory holds.
-    """
+    """Growth steps, gains and influences of every axis. Raises `RecipeError`: more growth steps than memory holds."""
     grows = (axes.length_m > (1.0 + 1e-6) * axes.hidden_m) & ~axes.thread
     if variation.orders is not None:
         grows &= np.isin(axes.order, variation.orders)
@@ -208,10 +203,7 @@ def _targets(axes: Axes, variation: Variation, share: Floats, axis: Ints, azimut
 def normals(foot: Floats, plane: Plane, azimuth: Floats) -> Floats:
     """(A, 3) unit axes about which a positive angle turns as `plane` says; see `variation.Plane`.
 
-    Parameters
-    ----------
-    foot : (A, 3) unit directions in which the axes begin.
-    azimuth : (A,) radians, for random planes.
+    `foot`: (A, 3) unit directions in which the axes begin. `azimuth`: (A,) radians, for random planes.
     """
     if isinstance(plane, int | float):
         angle = np.radians(plane)
@@ -235,9 +227,7 @@ def vary(skeleton: Skeleton, variation: Variation, rng: np.random.Generator) -> 
     Lengths, and the base's own bends, are as they were; axes may have more nodes. Without influences the skeleton
     comes back unchanged.
 
-    Raises
-    ------
-    RecipeError : more growth steps than memory holds.
+    Raises `RecipeError`: more growth steps than memory holds.
     """
     axes, new = varied_nodes(skeleton, variation, rng)
     parent = np.arange(-1, len(new.source) - 1)
@@ -273,7 +263,8 @@ def varied_nodes(skeleton: Skeleton, variation: Variation, rng: np.random.Genera
     toward = variation.target_pull.direction() if variation.target_pull else (0.0, 0.0, 1.0)
     signal = np.empty((int(t.steps.max(initial=1)), 3))
     made = walk(base, axes, t, gains, variation.reference == "local", toward, new, signal)
-    return axes, NewNodes(*new[:2], *(column[:made] for column in new[2:]))
+    filled: dict[str, NDArray[Any]] = {name: column[:made] for name, column in new._asdict().items()}
+    return axes, NewNodes(**{**filled, "new_of": new.new_of, "piece_of": new.piece_of})
 
 
 def _radius(base: Skeleton, axes: Axes, new: NewNodes) -> Floats:

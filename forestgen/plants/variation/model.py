@@ -25,30 +25,7 @@ which for long lags is kappa l < pi/2: a compensation ratio (kappa l)^-1 above 0
 higher: 1.0 for one step, 0.81 for two, 0.75 for three, 0.72 for four, 0.70 for five. So the ratio 0.7 that the paper
 found by experiment is stable from six steps on.
 
-Parameters
-----------
-================== ========== ======== ============= ================================================================
-name               symbol     unit     default       meaning
-================== ========== ======== ============= ================================================================
-growth_steps       -          -        32 to 4       growth steps of an axis, over its order: 32 stem, 4 third order
-step_m             delta l    m        -             length of a growth step, instead
-orders             -          -        all           orders that vary; the others are carried along stiffly
-reference          T_M        -        global        frame of the base's directions: global (gravity) or local (bearer)
-lag                lag        share    0.1           lifetime of a signal over the axis' growth steps; 0.04 to 0.3
-kappa              kappa      -        -             share of the error that one signal corrects
-compensation_ratio 1/(k lag)  -        1.1           two of lag, kappa and this one; lag in growth steps
-derivative_gain    kappa_d    -        0             response to the error's change from one step to the next
-integral_gain      kappa_i    -        0             response to the sum of errors so far
-decay              -          -        1             a signal's loss of lifetime a step, over the position on the axis
-transmission       -          -        1             speed of signals over that of growth, over the position
-sensor_error_deg   v          degree   0             standard deviation, over the order
-disturbance_deg    w          degree   0             the same of the response, each step; half the range if uniform
-distribution       -          -        gaussian      of the disturbance: gaussian or uniform
-influences         w          -        -             disturbances by a function, see `Influence`
-displacements      -          -        -             single turns, see `Displacement`
-target_bend        H_tar      -        -             target by a function of position, see `Bend`
-target_pull        H_tar      -        -             target from the base's direction to upward, see `Pull`
-================== ========== ======== ============= ================================================================
+Parameters: see `Variation`.
 
 Positions run along an axis from 0, its base, to 1, its tip.
 
@@ -162,28 +139,30 @@ class Variation(Section):
     step_m: float | None = Field(None, gt=0, description="length of a growth step, metres; instead of growth_steps")
     orders: tuple[int, ...] | None = Field(None, description="orders that vary, others are carried along; all if null")
     reference: Literal["global", "local"] = Field(
-        "global", description="whether base directions are relative to gravity or to the bearing axis"
+        "global", description="T_M: whether base directions are relative to gravity or to the bearing axis"
     )
     lag: float | None = Field(None, ge=0, le=1, description="a signal's lifetime, as a share of the growth steps")
     kappa: float | None = Field(None, gt=0, le=100, description="share of the error that one signal corrects")
     compensation_ratio: float | None = Field(
         None, gt=0, le=1e4, description="1 / (kappa x lag in growth steps); 0.5 to 1.2"
     )
-    derivative_gain: float = Field(0.0, ge=-100, le=100, description="response to a change of the error, per step")
-    integral_gain: float = Field(0.0, ge=-100, le=100, description="response to the sum of errors")
+    derivative_gain: float = Field(
+        0.0, ge=-100, le=100, description="kappa_d: response to the error's change, per step"
+    )
+    integral_gain: float = Field(0.0, ge=-100, le=100, description="kappa_i: response to the sum of errors")
     decay: PositiveCurve = Field(((0.0, 1.0),), description="loss of lifetime a growth step, over the position")
     transmission: PositiveCurve = Field(((0.0, 1.0),), description="speed of signals over that of growth")
-    sensor_error_deg: PositiveCurve = Field(((0.0, 0.0),), description="error of sensing, degrees, over the order")
+    sensor_error_deg: PositiveCurve = Field(((0.0, 0.0),), description="v: error of sensing, degrees, over the order")
     disturbance_deg: PositiveCurve = Field(
-        ((0.0, 0.0),), description="disturbance of each growth step's response, degrees, over the order"
+        ((0.0, 0.0),), description="w: disturbance of each growth step's response, degrees, over the order"
     )
     distribution: Literal["gaussian", "uniform"] = Field(
         "gaussian", description="disturbance_deg is the standard deviation, or the largest angle"
     )
     influences: tuple[Influence, ...] = Field((), description="disturbances that are functions of the position")
     displacements: tuple[Displacement, ...] = Field((), description="single turns")
-    target_bend: Bend | None = Field(None, description="a target that leaves the base's course")
-    target_pull: Pull | None = Field(None, description="a target drawn upward, or to a light")
+    target_bend: Bend | None = Field(None, description="H_tar: a target that leaves the base's course")
+    target_pull: Pull | None = Field(None, description="H_tar: a target drawn upward, or to a light")
 
     @model_validator(mode="before")
     @classmethod

@@ -20,6 +20,7 @@ import queue
 import secrets
 import time
 from collections.abc import Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -27,12 +28,17 @@ from typing import Any
 from forestgen.core.errors import ResourceError
 from forestgen.core.registry import registrations
 from forestgen.runs.contract import Failed, Job, Notice, Outcome, Work
-from forestgen.runs.engines.dask_crew import LOOK_EVERY_S, Crew
-from forestgen.runs.engines.dask_worker import Make, do_job, versions
+from forestgen.runs.engines.dask_worker import Make, dismiss, do_job, settle, versions
 
 _SCHEMES = ("tcp", "tls", "ws", "wss", "ucx")
 _CONNECT_S = 10.0
 _RESULT_S = 10.0  # for a small object that its worker says is there
+_LOOK_EVERY_S = 3.0
+_SAY_EVERY_S = 60.0  # that there is nobody to work
+_SETTLED_AT_ONCE = 16
+_LEAVE_WITHIN_S = 5.0
+_MOST_NAMED = 5
+_MEMORY = "MEMORY"
 _START_ONE = "start one with `dask scheduler`, and workers with `dask worker tcp://HOST:8786`: docs/clusters.md"
 
 
@@ -43,16 +49,14 @@ class DaskEngine:
     ----------
     work : sent to each worker once.
     address : of the scheduler, such as ``tcp://host:8786``, or its scheduler file.
+    make : what does a job, `runs.work.make_job`. It must be importable by name on the workers.
     resources : resource -> amount that each job takes, as workers declare them (``dask worker --resources``).
     job_memory_bytes : that a job takes at its peak, from the estimate; None if it is not known.
     notice : told events ``worker_joined``, ``worker_lost``, ``worker_refused`` and ``waiting``, with a message.
-    client : of `distributed`, instead of an address; it is left open.
-    make : what does a job; None: `batch.work.make_job`. It must be importable by name on the workers.
 
     Raises
     ------
-    ResourceError
-        On entry: no scheduler answers, or none of its workers fits. By `wait`: the scheduler is gone.
+    ResourceError : on entry, no scheduler answers, or none of its workers fits; later, the scheduler is gone.
     """
 
     def __init__(
@@ -60,33 +64,26 @@ class DaskEngine:
         work: Work,
         address: str | None,
         *,
+        make: Make,
         resources: Mapping[str, float] | None = None,
         job_memory_bytes: int | None = None,
         notice: Notice = lambda event, fields: None,
-        client: Any = None,
-        make: Make | None = None,
     ) -> None:
         self._packed = pickle.dumps((registrations(), pickle.dumps((make, work))))
-        self._address, self._client, self._owned = address, client, client is None
-        self._resources, self._job_memory_bytes, self._notice = dict(resources or {}), job_memory_bytes, notice
+        self._address = address
+        self._client: Any = None
+        self._resources, self._job_memory_bytes, self._notice = resources or {}, job_memory_bytes, notice
         self._token = f"forestgen-{secrets.token_hex(6)}"
         self._finished: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._jobs: dict[str, tuple[Any, Job, int]] = {}  # task's key -> future, job, attempt
 
     def __enter__(self) -> DaskEngine:
-        if self._owned:
-            self._client = _connect(_address_of(self._address))
-        self._crew = Crew(
-            self._client,
-            self._token,
-            versions(),
-            self._packed,
-            self._resources,
-            self._job_memory_bytes,
-            self._notice,
+        self._client = _connect(_address_of(self._address))
+        self._pool = WorkerPool(
+            self._client, self._token, self._packed, self._resources, self._job_memory_bytes, self._notice
         )
         try:
-            self._crew.gather()
+            self._pool.gather()
         except BaseException:
             self.__exit__()
             raise
@@ -98,19 +95,18 @@ class DaskEngine:
         with suppress(Exception):  # the scheduler may be gone
             if self._client.status == "running":
                 self._client.cancel(futures, force=True)
-                self._crew.dismiss()
-        if self._owned:
-            with suppress(Exception):
-                self._client.close(timeout=_CONNECT_S)
+                self._pool.dismiss()
+        with suppress(Exception):
+            self._client.close(timeout=_CONNECT_S)
 
     @property
     def workers(self) -> int:
-        return len(self._crew)
+        return len(self._pool)
 
     def submit(self, job: Job, attempt: int) -> None:
         key = f"{self._token}-{job.image}-{attempt}-{secrets.token_hex(4)}"
         future = self._client.submit(
-            do_job, self._token, job, attempt, key=key, pure=False, resources=self._crew.task_resources
+            do_job, self._token, job, attempt, key=key, pure=False, resources=self._pool.task_resources
         )
         self._jobs[key] = (future, job, attempt)
         future.add_done_callback(self._finished.put)
@@ -119,23 +115,21 @@ class DaskEngine:
         end = time.monotonic() + timeout_s
         outcomes: list[Outcome] = []
         while not outcomes:
-            self._look()
+            if self._client.status != "running":
+                raise self._gone()
+            try:
+                self._pool.look()
+            except Exception as error:
+                raise self._gone() from error
             left = end - time.monotonic()
             with suppress(queue.Empty):
-                outcomes += self._outcome(self._finished.get(timeout=min(max(left, 0.0), LOOK_EVERY_S)))
+                outcomes += self._outcome(self._finished.get(timeout=min(max(left, 0.0), _LOOK_EVERY_S)))
             if left <= 0:
                 break
         with suppress(queue.Empty):
             while True:
                 outcomes += self._outcome(self._finished.get_nowait())
         return outcomes
-
-    def _look(self) -> None:
-        self._check_scheduler()
-        try:
-            self._crew.look()
-        except Exception as error:
-            raise self._gone() from error
 
     def _outcome(self, future: Any) -> list[Outcome]:
         """What came of a task; nothing if its result must be waited for again."""
@@ -154,16 +148,185 @@ class DaskEngine:
         del self._jobs[future.key]
         return [outcome]
 
-    def _check_scheduler(self) -> None:
-        if self._client.status != "running":
-            raise self._gone()
-
     def _gone(self) -> ResourceError:
         return ResourceError(
             "the Dask scheduler is gone",
-            where=str(self._address or self._client),
+            where=str(self._address),
             hint="see why it ended, start it again, then `resume=True`: what was done is kept",
         )
+
+
+class WorkerPool:
+    """The workers of a cluster that take part in a run: who fits, who is refused and why, who comes and goes.
+
+    Workers are looked at again every few seconds. Getting one ready (it imports forestgen and is given the work)
+    happens in threads, so that a slow worker, or one that hangs, keeps no other waiting.
+
+    Parameters
+    ----------
+    token : the run's; workers that fit offer one of a resource of this name.
+    packed : the work, for `dask_worker.settle`.
+    resources, job_memory_bytes, notice : see `DaskEngine`.
+    """
+
+    def __init__(
+        self,
+        client: Any,
+        token: str,
+        packed: bytes,
+        resources: Mapping[str, float],
+        job_memory_bytes: int | None,
+        notice: Notice,
+    ) -> None:
+        self._client, self._token, self._notice = client, token, notice
+        self._versions, self._packed = versions(), packed
+        self._needed = dict(resources)
+        self._job_memory_bytes = job_memory_bytes
+        self._names: dict[str, str] = {}  # of the workers that fit, by address
+        self._refused: dict[str, str] = {}  # address -> why
+        self._settling: dict[str, Future[Any]] = {}
+        self._threads = ThreadPoolExecutor(_SETTLED_AT_ONCE, "forestgen-settle")
+        self._info: dict[str, Any] = {}  # what the scheduler told of each worker, by address
+        self._looked = self._said = float("-inf")
+
+    def __len__(self) -> int:
+        return len(self._names)
+
+    @property
+    def task_resources(self) -> dict[str, float]:
+        """What each job takes of its worker."""
+        return {**self._needed, self._token: 1}
+
+    def gather(self) -> None:
+        """Wait until a worker is ready. Raises `ResourceError` if there are workers and none of them fits."""
+        while True:
+            self.look()
+            if self._names:
+                return
+            if self._refused and not self._settling:
+                raise self._nobody_fits()
+            time.sleep(0.1)
+
+    def look(self) -> None:
+        """Take in the workers that have become ready; every few seconds, see who is there."""
+        self._take_settled()
+        now = time.monotonic()
+        if now - self._looked < _LOOK_EVERY_S:
+            return
+        self._looked = now
+        self._info = dict(self._client.scheduler_info()["workers"])
+        self._notice_lost()
+        self._need_memory()
+        for address, one in self._info.items():
+            if not any(address in known for known in (self._names, self._settling, self._refused)):
+                self._consider(address, one)
+        if not self._names and not self._settling and now - self._said > _SAY_EVERY_S:
+            self._said = now
+            there = "none of its workers fits" if self._info else "it has no workers"
+            self._notice("waiting", {"message": f"{self._scheduler}: {there}; waiting for one"})
+
+    def dismiss(self) -> None:
+        """Let workers forget the run; those that do not answer soon are left as they are."""
+        for future in self._settling.values():
+            future.cancel()
+        if self._names:
+            threads = ThreadPoolExecutor(1, "forestgen-dismiss")
+            done = threads.submit(self._client.run, dismiss, self._token, workers=list(self._names), on_error="ignore")
+            with suppress(Exception):  # they keep a few megabytes until they end
+                done.result(_LEAVE_WITHIN_S)
+            threads.shutdown(wait=False)
+        self._threads.shutdown(wait=False, cancel_futures=True)
+
+    @property
+    def _scheduler(self) -> str:
+        return f"the Dask scheduler {self._client.scheduler.address}"
+
+    def _notice_lost(self) -> None:
+        """Workers that are gone, or were started anew under the same address."""
+        info = self._info
+        for address in [one for one in self._names if self._token not in info.get(one, {}).get("resources", {})]:
+            name = self._names.pop(address)
+            self._notice("worker_lost", {"worker": name, "message": f"worker {name} was lost"})
+        for address in [one for one in self._refused if one not in info]:
+            del self._refused[address]
+
+    def _consider(self, address: str, one: Mapping[str, Any]) -> None:
+        """Refuse a worker for what it declares, or get it ready."""
+        if one["status"] not in ("running", "paused"):
+            return
+        lacks = self._what_lacks(one)
+        if lacks:
+            self._refuse(address, one, lacks)
+            return
+        self._settling[address] = self._threads.submit(
+            self._client.run, settle, self._token, self._versions, self._packed, workers=[address], on_error="return"
+        )
+
+    def _take_settled(self) -> None:
+        for address in [one for one, future in self._settling.items() if future.done()]:
+            answer = _answer(self._settling.pop(address), address)
+            if isinstance(answer, OSError) or address not in self._info:
+                continue  # it went, or did not answer: if it is still there, it is asked again
+            if answer != "":
+                self._refuse(address, self._info[address], _why(answer))
+                continue
+            self._names[address] = name = _name_of(address, self._info[address])
+            self._notice("worker_joined", {"worker": name, "message": f"worker {name} joined"})
+
+    def _refuse(self, address: str, one: Mapping[str, Any], why: str) -> None:
+        self._refused[address] = why
+        name = _name_of(address, one)
+        self._notice("worker_refused", {"worker": name, "message": f"worker {name} is refused: {why}"})
+
+    def _need_memory(self) -> None:
+        """Where workers declare memory as a resource, jobs take of it what they are estimated to need."""
+        declared = [name for one in self._info.values() for name in one["resources"] if name.upper() == _MEMORY]
+        if declared and self._job_memory_bytes is not None and not any(n.upper() == _MEMORY for n in self._needed):
+            self._needed[declared[0]] = float(self._job_memory_bytes)
+
+    def _what_lacks(self, one: Mapping[str, Any]) -> str:
+        """What a worker has too little of, "" if nothing."""
+        rows = [
+            f"a job takes {amount:g} {name}, and it declares {one['resources'].get(name, 0):g}"
+            for name, amount in self._needed.items()
+            if one["resources"].get(name, 0) < amount
+        ]
+        limit, needed = int(one["memory_limit"] or 0), self._job_memory_bytes
+        if limit and needed is not None and limit < needed:
+            rows.append(f"a job takes about {needed / 1e9:.2f} GB of memory, and it may take {limit / 1e9:.2f} GB")
+        return "; ".join(rows)
+
+    def _nobody_fits(self) -> ResourceError:
+        rows = [f"{address}: {why}" for address, why in self._refused.items()]
+        more = len(rows) - _MOST_NAMED
+        return ResourceError(
+            f"none of the {len(rows)} Dask workers can do this batch",
+            where=str(self._client.scheduler.address),
+            got="\n            ".join(rows[:_MOST_NAMED] + ([f"and {more} more"] if more > 0 else [])),
+            hint="install the same forestgen, from the same lockfile, on all machines; start workers with what the "
+            'jobs take, such as --memory-limit 8GB --resources "GPU=1"',
+        )
+
+
+def _answer(future: Future[Any], address: str) -> Any:
+    """What a worker answered: "", why it does not fit, or an exception."""
+    try:
+        return future.result().get(address, OSError("no answer"))
+    except Exception as error:  # noqa: BLE001 - of many kinds: an unpickling worker, a lost connection
+        return error
+
+
+def _why(answer: Any) -> str:
+    if isinstance(answer, str):
+        return answer
+    text = f"{type(answer).__name__}: {answer}"  # Dask may wrap an error in one of its own
+    return f"forestgen is not installed there, or another version of it ({text})" if "ModuleNotFound" in text else text
+
+
+def _name_of(address: str, one: Mapping[str, Any]) -> str:
+    """A worker for people: its name, if it has one of its own, and its address."""
+    name = str(one.get("name", address))
+    return address if name == address else f"{name} ({address})"
 
 
 def _failed(job: Job, attempt: int, error: Exception) -> Failed:

@@ -15,12 +15,11 @@ import platform
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 from forestgen.core.errors import OutputError
 from forestgen.core.registry import register_again
-from forestgen.runs.contract import Job, Lock, Outcome, Place, Work
+from forestgen.runs.contract import Job, Outcome, StorageBackend, Work
 
 Make = Callable[[Work, Job, int], Outcome]
 
@@ -37,57 +36,16 @@ class _Site:
 _SITES: dict[str, _Site] = {}  # by the run's token
 
 
-@dataclass(frozen=True)
-class GuardedPlace:
-    """A place into which nothing is put once the job was given up."""
+class GuardedStorage:
+    """A `StorageBackend` in which nothing is changed any more once the job was given up."""
 
-    place: Place
-    given_up: Callable[[], bool]
+    def __init__(self, storage: StorageBackend, given_up: Callable[[], bool]) -> None:
+        self._storage, self._given_up = storage, given_up
 
-    @property
-    def name(self) -> str:
-        return self.place.name
-
-    def lock(self, say: Callable[[str], None]) -> Lock:
-        return self.place.lock(say)
-
-    def staging(self) -> Path:
-        return self.place.staging()
-
-    def discard(self, staging: Path) -> None:
-        self.place.discard(staging)
-
-    def put_folder(self, source: Path, target: str) -> None:
-        self._check()
-        self.place.put_folder(source, target)
-
-    def put_file(self, source: Path, target: str) -> None:
-        self._check()
-        self.place.put_file(source, target)
-
-    def write(self, target: str, content: bytes) -> None:
-        self._check()
-        self.place.write(target, content)
-
-    def read(self, path: str) -> bytes | None:
-        return self.place.read(path)
-
-    def exists(self, path: str) -> bool:
-        return self.place.exists(path)
-
-    def size_bytes(self, path: str) -> int | None:
-        return self.place.size_bytes(path)
-
-    def names(self, folder: str) -> list[str]:
-        return self.place.names(folder)
-
-    def remove(self, path: str) -> None:
-        self._check()
-        self.place.remove(path)
-
-    def _check(self) -> None:
-        if self.given_up():
-            raise OutputError("the run that asked for this job has ended", where=self.place.name)
+    def __getattr__(self, name: str) -> Any:
+        if name in ("put_folder", "put_file", "write", "remove") and self._given_up():
+            raise OutputError("the run that asked for this job has ended", where=self._storage.name)
+        return getattr(self._storage, name)
 
 
 def versions() -> dict[str, str]:
@@ -127,7 +85,7 @@ async def settle(token: str, here: Mapping[str, str], packed: bytes, dask_worker
     token : the run's.
     here : `versions` where the run was started.
     packed : pickled pair of the parts that other packages have registered, and of the pickled pair of the function
-        that does a job (None: `runs.work.make_job`) and its work.
+        that does a job and its work.
     dask_worker : the worker, which Dask fills in.
     """
     reason = await asyncio.to_thread(_settle, token, here, packed, int(dask_worker.state.nthreads))
@@ -143,8 +101,6 @@ def _settle(token: str, here: Mapping[str, str], packed: bytes, threads: int) ->
     if different:
         return f"its versions differ: {different}"
     make, work = pickle.loads(packed_work)
-    if make is None:
-        from forestgen.runs.work import make_job as make
     if work.threads is None:
         work = replace(work, threads=threads)
     _SITES[token] = _Site(make, work, ThreadPoolExecutor(1, "forestgen-job"))
@@ -171,5 +127,6 @@ def do_job(token: str, job: Job, attempt: int) -> Outcome:
         return task is None or task.state == "cancelled"
 
     site = _SITES[token]
-    work = replace(site.work, place=GuardedPlace(site.work.place, given_up))
+    guarded: Any = GuardedStorage(site.work.storage, given_up)
+    work = replace(site.work, storage=guarded)
     return site.thread.submit(site.make, work, job, attempt).result()

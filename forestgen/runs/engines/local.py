@@ -93,8 +93,7 @@ class LocalEngine:
         while not self._outcomes and (left := end - time.monotonic()) > 0:
             bounded = self._work.memory_bytes is not None or self._timeout_s is not None
             self._listen(min(left, _LOOK_EVERY_S) if bounded else left)
-            self._check_memory()
-            self._check_time()
+            self._check_bounds()
             self._hand_out()
         outcomes, self._outcomes = self._outcomes, []
         return outcomes
@@ -143,27 +142,21 @@ class LocalEngine:
                 worker.process.join(_LEAVES_WITHIN_S)
                 self._fail(worker, "worker", _cause_of_death(worker.process.exitcode))
 
-    def _check_memory(self) -> None:
-        bound = self._work.memory_bytes
-        if bound is None:
-            return
-        for worker in list(self._workers):
-            used = _resident_bytes(worker.process.pid)
-            if used > bound and not worker.pipe.poll():  # else it is done, and what it did is kept
+    def _check_bounds(self) -> None:
+        """Stop workers that take more memory or time than they may."""
+        most_bytes, most_s = self._work.memory_bytes, self._timeout_s
+        for worker in [one for one in self._workers if not one.pipe.poll()]:  # the others are done
+            used = 0 if most_bytes is None else _resident_bytes(worker.process.pid)
+            taken_s = 0.0 if worker.task is None else time.monotonic() - worker.since_s
+            if most_bytes is not None and used > most_bytes:
                 self._fail(
                     worker,
                     "memory",
-                    f"the worker took {used / 1e9:.2f} GB of memory, more than the {bound / 1e9:.2f} GB it may have\n"
+                    f"the worker took {used / 1e9:.2f} GB of memory, more than the {most_bytes / 1e9:.2f} GB it may "
+                    "have\n"
                     "  try       a larger `worker_memory` with fewer workers, smaller images or a smaller site",
                 )
-
-    def _check_time(self) -> None:
-        bound = self._timeout_s
-        if bound is None:
-            return
-        for worker in list(self._workers):
-            taken_s = time.monotonic() - worker.since_s
-            if worker.task is not None and taken_s > bound and not worker.pipe.poll():
+            elif most_s is not None and taken_s > most_s:
                 self._fail(
                     worker,
                     "time",

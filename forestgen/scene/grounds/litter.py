@@ -41,11 +41,9 @@ def _scattered_leaves(rng: np.random.Generator) -> tuple[NDArray[np.int64], NDAr
 def _lay_leaves(centre, cos, sin, half_length, half_width, upper, side):  # type: ignore[no-untyped-def]
     """Lay leaves one upon another, periodically: each pixel keeps the last one's index, and which half of it it sees.
 
-    Parameters
-    ----------
-    centre : (L, 2) column and row, pixels; cos, sin : (L,) of the direction of a leaf's axis.
-    half_length, half_width : (L,) pixels.
-    upper, side : (P, P) written: index of the uppermost leaf, and 1 or -1 left and right of its axis.
+    `centre`: (L, 2) column and row, pixels; cos, sin : (L,) of the direction of a leaf's axis. `half_length`,
+    `half_width`: (L,) pixels. `upper`, `side`: (P, P) written: index of the uppermost leaf, and 1 or -1 left and right
+    of its axis.
     """
     pixels = len(upper)
     reach = int(np.ceil(half_length.max()))

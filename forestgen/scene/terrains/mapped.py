@@ -68,14 +68,9 @@ class HeightMap(Section):
     def heights(self, folder: Path, lowest_m: float | None, highest_m: float | None) -> NDArray[np.float64]:
         """(rows, cols) metres, row 0 in the north.
 
-        Parameters
-        ----------
-        folder : that `file` is relative to.
-        lowest_m, highest_m : heights of black and white, where the map is of grey levels.
-
-        Raises
-        ------
-        AssetError : no such file, a broken one, holes, heights that earth does not have; it has no place.
+        `folder`: that `file` is relative to. `lowest_m`, `highest_m`: heights of black and white, where the map is of
+        grey levels. Raises `AssetError`: no such file, a broken one, holes, heights that earth does not have; it has no
+        place.
         """
         if self.rows is not None:
             found = np.array(self.rows, dtype=np.float64).reshape(len(self.rows), -1 if self.rows else 0)
@@ -211,9 +206,7 @@ def _weights(t: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
 def read_heights(path: Path, lowest_m: float | None = None, highest_m: float | None = None) -> NDArray[np.float64]:
     """(rows, cols) metres of a file, row 0 at its top; see the module's page.
 
-    Raises
-    ------
-    AssetError : see `HeightMap.heights`.
+    Raises `AssetError`: see `HeightMap.heights`.
     """
     kind = kind_of(path)
     picture = read_grey(path)

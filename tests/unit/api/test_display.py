@@ -13,7 +13,7 @@ import pytest
 
 from forestgen.api import display
 from forestgen.api.display import Bars, Lines, NotebookDisplay, SilentDisplay, display_of
-from forestgen.runs.meter import Meter
+from forestgen.runs.tracker import ProgressTracker
 
 
 class _Terminal(io.StringIO):
@@ -61,14 +61,14 @@ def test_bars_show_the_images_of_a_run_and_lines_that_stay(monkeypatch: pytest.M
     monkeypatch.setattr(sys, "stderr", stream)
     monkeypatch.setenv("COLUMNS", "200")
     monkeypatch.setenv("TERM", "xterm")
-    bars, meter = Bars(), Meter(40, already=7, failed=1)
+    bars, meter = Bars(), ProgressTracker(40, already=7, failed=1)
     with bars.running():
         bars.show(meter)
         bars.say("writing [the files]")  # brackets are no markup
     assert "8/40" in stream.getvalue()
     assert "1 failed" in stream.getvalue()
     assert "writing [the files]" in stream.getvalue()
-    assert bars.meter is meter
+    assert bars.tracker is meter
     with bars.stage("later", 3) as advance:  # outside of a block nothing is shown
         advance(1)
 
@@ -81,7 +81,7 @@ def _wait_for(condition: Callable[[], bool]) -> None:
 
 
 def test_lines_come_at_every_interval_while_the_work_goes_on(capsys: pytest.CaptureFixture[str]) -> None:
-    lines, meter, seen = Lines(every_s=0.02), Meter(10), ""
+    lines, meter, seen = Lines(every_s=0.02), ProgressTracker(10), ""
 
     def come(number: int) -> bool:
         nonlocal seen
@@ -107,7 +107,7 @@ def test_a_line_names_the_run_the_innermost_stage_or_both() -> None:
     assert lines.line() == ""
     with lines.stage("community", 0):  # of no steps
         assert lines.line() == "community 0 %"
-        lines.show(Meter(1))
+        lines.show(ProgressTracker(1))
         assert lines.line() == "0 of 1 image, 0 s so far; community 0 %"
     assert lines.line() == "0 of 1 image, 0 s so far"
 
@@ -122,14 +122,14 @@ def test_lines_stop_when_the_work_fails() -> None:
 
 
 def test_silence_is_silent(capfd: pytest.CaptureFixture[str]) -> None:
-    silent, meter = display_of(False), Meter(3)
+    silent, meter = display_of(False), ProgressTracker(3)
     assert type(silent) is SilentDisplay
     with silent.running(), silent.stage("community", 3) as advance:
         advance(1)
         silent.say("a note")
         silent.show(meter)
     assert capfd.readouterr() == ("", "")
-    assert silent.meter is meter  # an interrupted command tells what is done
+    assert silent.tracker is meter  # an interrupted command tells what is done
 
 
 class _Listener:

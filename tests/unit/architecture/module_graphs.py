@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 
 from forestgen.architecture.geometry import terminal_pose
 from forestgen.architecture.modules import Modules
-from forestgen.architecture.plant_type import PlantType
-from forestgen.architecture.prototypes import load_prototypes
-from forestgen.architecture.tables import Tables, tables_of
+from forestgen.architecture.prototypes import Tables, load_prototypes, tables_of
+from forestgen.recipe.species import PlantType
 
 
 def plant_type(**changes: Any) -> PlantType:

@@ -21,13 +21,13 @@ from forestgen.architecture.geometry import (
     diameters,
     node_diameters,
     node_positions,
+    plant_sizes,
     spheres,
     terminal_pose,
     type_of_module,
 )
 from forestgen.architecture.modules import Modules
-from forestgen.architecture.sizes import plant_sizes
-from forestgen.architecture.tables import SPHERE_AGES, Tables
+from forestgen.architecture.prototypes import Tables
 from forestgen.core import threads
 
 TYPES = (
@@ -173,11 +173,10 @@ def test_tables_of_spheres_are_those_of_modules_without_tropism() -> None:
     straight = tuple(one.model_copy(update={"tropism_strength": 0.0}) for one in TYPES)
     tables = shipped_tables(*straight)
     for kind in range(3):
-        for step in (0, 7, 20, SPHERE_AGES - 1):
-            age = tables.mature_age[kind] * step / (SPHERE_AGES - 1)
-            centre, radius = spheres(tables, single(tables, np.arange(9), age), np.full(9, kind))
-            assert np.allclose(tables.sphere_centre_m[kind, :, step], centre, atol=1e-5)
-            assert np.allclose(tables.sphere_radius_m[kind, :, step], radius, atol=1e-5)
+        grown = single(tables, np.arange(9), tables.mature_age[kind])
+        centre, radius = spheres(tables, grown, np.full(9, kind))
+        assert np.allclose(tables.sphere_centre_m[kind], centre, atol=1e-5)
+        assert np.allclose(tables.sphere_radius_m[kind], radius, atol=1e-5)
 
 
 def plain_squares(tables: Tables, modules: Modules, kind: int, first: int, end: int) -> list[NDArray[np.float64]]:

@@ -9,13 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from forestgen.architecture.prototype import MOST_NODES
 from forestgen.architecture.prototypes import (
+    MOST_NODES,
+    Prototype,
     PrototypeFile,
-    PrototypeText,
     choose_prototype,
     load_prototypes,
-    parse_prototype,
+    read_prototype,
 )
 from forestgen.core.errors import AssetError
 
@@ -81,8 +81,13 @@ def test_laterals_spread_by_40_to_75_degrees() -> None:
                 assert 40 < np.degrees(np.arccos(widest.min())) < 140
 
 
-def test_angles_and_directions_say_the_same() -> None:
-    fork = parse_prototype("fork.yaml", FORK)
+def _parsed(folder: Path, text: str, name: str = "mine.yaml") -> Prototype:
+    (folder / name).write_text(text)
+    return read_prototype(folder / name)
+
+
+def test_angles_and_directions_say_the_same(tmp_path: Path) -> None:
+    fork = _parsed(tmp_path, FORK, "fork.yaml")
     assert fork.name == "fork"
     assert fork.terminals.tolist() == [2, 3]
     assert fork.direction[2] == pytest.approx([0.5, 0, np.sqrt(0.75)], abs=1e-6)
@@ -117,55 +122,20 @@ def test_angles_are_those_between_segments(steps: list[tuple[float, float]]) -> 
         (FORK + "    thicknes: 1\n", "YAML", None),
         (FORK.replace("thickness", "thicknes"), "unknown", 6),
         (FORK.replace("apical_control: 0.5", "apical_control: 1.5"), "bad value", 1),
-        ("", "not a mapping", None),
+        ("", "says nothing", None),
     ],
 )
-def test_mistakes_are_told_with_their_line(text: str, problem: str, line: int | None) -> None:
+def test_mistakes_are_told_with_their_line(tmp_path: Path, text: str, problem: str, line: int | None) -> None:
     with pytest.raises(AssetError) as caught:
-        parse_prototype("mine.yaml", text)
+        _parsed(tmp_path, text)
     assert problem in str(caught.value)
     assert line is None or f"mine.yaml:{line}" in str(caught.value)
 
 
-def test_too_many_nodes_are_told() -> None:
+def test_too_many_nodes_are_told(tmp_path: Path) -> None:
     nodes = "  - {parent: 0, angle_deg: 1, length: 1}\n" * MOST_NODES
     with pytest.raises(AssetError, match=f"at most {MOST_NODES - 1} entries"):
-        parse_prototype("mine.yaml", HEAD + "nodes:\n" + nodes)
-
-
-def test_users_bring_files_folders_and_texts(tmp_path: Path) -> None:
-    (tmp_path / "own").mkdir()
-    (tmp_path / "own" / "fork.yaml").write_text(FORK)
-    (tmp_path / "own" / "spread.yaml").write_text(FORK.replace("apical_control: 0.5", "apical_control: 0.4"))
-    by_file = load_prototypes(["whorled", "own/fork.yaml"], tmp_path)
-    assert [one.name for one in by_file] == ["fork", "whorled"]
-    assert [one.name for one in load_prototypes(["own/"], tmp_path)] == ["fork", "spread"]
-    by_text = load_prototypes([PrototypeText(name="own/fork.yaml", text=FORK), PrototypeText(name="whorled")])
-    for one, other in zip(by_file, by_text, strict=True):
-        assert one.name == other.name
-        assert np.array_equal(one.direction, other.direction)
-
-
-@pytest.mark.parametrize(
-    ("names", "problem"),
-    [
-        (["no_such"], "nothing in modules has this name"),
-        (["whorle"], "did you mean 'whorled'"),
-        (["empty/"], "a folder without prototypes"),
-        (["./no.yaml"], "no such modules file"),
-        (["whorled", "whorled"], "two prototypes of one name"),
-        (["fork.yaml", "again.yaml"], "two prototypes at one place"),
-        (["a\0/"], "not a file's name"),
-        ([], "bad number of prototypes"),
-    ],
-)
-def test_what_is_no_set_of_prototypes_is_told(tmp_path: Path, names: list[str], problem: str) -> None:
-    (tmp_path / "empty").mkdir()
-    (tmp_path / "fork.yaml").write_text(FORK)
-    (tmp_path / "again.yaml").write_text(FORK)
-    with pytest.raises(AssetError) as caught:
-        load_prototypes(names, tmp_path)
-    assert problem in str(caught.value)
+        _parsed(tmp_path, HEAD + "nodes:\n" + nodes)
 
 
 def test_regions_are_voronois() -> None:

@@ -13,9 +13,8 @@ import numpy as np
 import pytest
 from module_graphs import plant_type, random_plants, shipped_tables, single
 
-from forestgen.architecture.geometry import node_diameters, node_positions
+from forestgen.architecture.geometry import SkeletalGraph, node_diameters, node_positions, skeletal_graph
 from forestgen.architecture.graph_files import write_graph
-from forestgen.architecture.skeletal_graph import SkeletalGraph, modules_of, skeletal_graph
 from forestgen.core.errors import OutputError
 
 TYPES = (plant_type(), plant_type(tropism_strength=-0.5, thickening_cm=2.0))
@@ -28,6 +27,16 @@ FOOT = np.random.default_rng(9).uniform(0, 100, (6, 3))
 @pytest.fixture(scope="module")
 def graph() -> SkeletalGraph:
     return skeletal_graph(TABLES, MODULES, KINDS)
+
+
+def of_plant(graph: SkeletalGraph, row: int) -> SkeletalGraph:
+    """The part of one plant, with parents and axes counted from 0."""
+    found = np.flatnonzero(graph.plant == row)
+    first = int(found[0]) if len(found) else 0
+    parts = {name: values[found] for name, values in vars(graph).items()}
+    parts["parent"] = np.where(parts["parent"] < 0, -1, parts["parent"] - first)
+    parts["axis"] = parts["axis"] - (parts["axis"][0] if len(found) else 0)
+    return SkeletalGraph(**parts)
 
 
 def test_every_segment_is_there_once(graph: SkeletalGraph) -> None:
@@ -105,18 +114,18 @@ def test_chosen_plants_are_as_in_the_whole_graph(graph: SkeletalGraph) -> None:
     few = skeletal_graph(TABLES, MODULES, KINDS, [4, 1])
     assert list(dict.fromkeys(few.plant.tolist())) == [4, 1]
     for row in (4, 1):
-        one, other = few.of_plant(row), graph.of_plant(row)
+        one, other = of_plant(few, row), of_plant(graph, row)
         for name in one.__dataclass_fields__:
             assert np.array_equal(getattr(one, name), getattr(other, name)), name
-    part, rows = modules_of(MODULES, [4, 1])
+    part = MODULES.of_plants(np.array([4, 1]))
     assert part.plants == 2
-    assert np.array_equal(part.number, MODULES.number[rows])
+    assert np.array_equal(part.number, MODULES.number[MODULES.rows(np.array([4, 1]))])
 
 
 def test_a_seedling_is_its_foot_alone() -> None:
     seedling = skeletal_graph(TABLES, single(TABLES, 2, 0.0), np.zeros(1, dtype=int))
     assert len(seedling) == 1
-    assert len(seedling.of_plant(7)) == 0
+    assert len(of_plant(seedling, 7)) == 0
 
 
 def read_graph(path: Path) -> SkeletalGraph:
@@ -178,7 +187,7 @@ def test_gltf_holds_every_segment_as_a_line(graph: SkeletalGraph, tmp_path: Path
         return found.reshape(-1, 3) if entry["type"] == "VEC3" else found
 
     for row in range(6):
-        own = graph.of_plant(row)
+        own = of_plant(graph, row)
         if len(own) == 1:
             continue
         primitive = document["meshes"][document["nodes"][row]["mesh"]]["primitives"][0]
@@ -207,7 +216,7 @@ def test_usd_curves_are_the_axes(graph: SkeletalGraph, tmp_path: Path, suffix: s
     stage = Usd.Stage.Open(str(path))
     assert UsdGeom.GetStageUpAxis(stage) == "Z"
     for row in range(6):
-        own = graph.of_plant(row)
+        own = of_plant(graph, row)
         curves = UsdGeom.BasisCurves(stage.GetPrimAtPath(f"/plants/plant_{row}"))
         assert curves.GetPrim().GetCustomDataByKey("forestgen")["species"] == "abbaba"[row]
         if len(own) == 1:

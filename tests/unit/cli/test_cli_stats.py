@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 import subprocess
 import sys
@@ -13,13 +12,11 @@ import pytest
 from typer.testing import CliRunner
 
 from forestgen.cli import app
-from forestgen.cli.variadic import repeat_option
+from forestgen.cli.parsing import join_numbers
 from forestgen.community import point_statistics
 from forestgen.community.point_patterns import Window, measure_distances
 from forestgen.community.point_table import read_points
 from forestgen.core.randomness import child_rng
-
-command = importlib.import_module("forestgen.cli.stats")  # the package has a function of this name
 
 DATA = Path(__file__).parents[1] / "community" / "data"
 KEYS = {
@@ -68,12 +65,10 @@ def test_ways_to_give_radii(radii, first):
 
 
 def test_what_follows_an_option_is_taken_as_far_as_it_looks_like_a_number():
-    assert repeat_option(["--radii", "1", "2", "a.csv", "3"], "--radii") == [
-        "--radii", "1", "--radii", "2", "a.csv", "3"
-    ]  # fmt: skip
-    assert repeat_option(["--", "--radii", "1", "2"], "--radii") == ["--", "--radii", "1", "2"]
-    assert repeat_option(["a.csv", "--radii"], "--radii") == ["a.csv", "--radii"]
-    assert repeat_option(["--radii", "1", "-2", "--json"], "--radii") == ["--radii", "1", "--radii", "-2", "--json"]
+    assert join_numbers(["--radii", "1", "2", "a.csv", "3"], "--radii") == ["--radii=1,2", "a.csv", "3"]
+    assert join_numbers(["--", "--radii", "1", "2"], "--radii") == ["--", "--radii", "1", "2"]
+    assert join_numbers(["a.csv", "--radii"], "--radii") == ["a.csv", "--radii"]
+    assert join_numbers(["--radii", "1", "-2", "--json"], "--radii") == ["--radii=1,-2", "--json"]
 
 
 def test_radii_by_default_stay_well_inside_the_window():

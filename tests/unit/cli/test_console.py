@@ -8,7 +8,7 @@ from dataclasses import asdict
 
 import pytest
 
-from forestgen.cli.console import errors_for_people
+from forestgen.cli.console import errors_for_people, stops_keep
 from forestgen.core.errors import AssetError, ForestgenError, OutputError, RecipeError, RenderError, ResourceError
 from forestgen.core.figures import count, seconds
 from forestgen.runs.summary import _size_errors
@@ -74,6 +74,24 @@ def test_signals_end_the_process_with_their_code(name: str, code: int, capsys: p
     assert ended.value.code == code
     assert capsys.readouterr().err.endswith(": nothing was written\n")
     assert signal.getsignal(number) is before
+
+
+@pytest.mark.parametrize("converted", [True, False])
+def test_a_stop_tells_what_stays_even_if_compiled_code_makes_an_error_of_it(
+    converted: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def work() -> None:
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except BaseException as stop:
+            if converted:  # as Dr.Jit's loops do
+                raise RuntimeError("an exception was encountered in the loop") from stop
+            raise
+
+    with pytest.raises(SystemExit) as ended, errors_for_people(), stops_keep(lambda: "3 images stay"):
+        work()
+    assert ended.value.code == 130
+    assert capsys.readouterr().err == "interrupted: 3 images stay\n"
 
 
 def test_a_signal_that_the_caller_has_switched_off_stays_off() -> None:

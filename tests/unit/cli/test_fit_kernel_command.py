@@ -16,8 +16,8 @@ from typer.testing import CliRunner
 import forestgen as fg
 from forestgen.cli import app
 from forestgen.community.fitting import fit as fitting
-from forestgen.community.fitting import founders, likeliest, matching
-from forestgen.community.fitting.fit_text import in_words
+from forestgen.community.fitting import likelihood
+from forestgen.community.fitting.report import in_words
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.load import load_recipe
 
@@ -45,11 +45,10 @@ def quick(monkeypatch):
     """Few new stands: the command is tested here, not the fit."""
     monkeypatch.setattr(fitting, "_MOST_STANDS", 8)
     monkeypatch.setattr(fitting, "_FEWEST_STANDS", 8)
-    one = matching.Round(1.0, 1, 2.0)
-    monkeypatch.setattr(matching, "ROUNDS", (one, one))
-    monkeypatch.setattr(founders, "ROUNDS", (one, one))
+    one = fitting.Round(1.0, 1, 2.0)
+    monkeypatch.setattr(fitting, "ROUNDS", (one, one))
     monkeypatch.setattr(fitting, "_POOR", np.inf)
-    monkeypatch.setattr(likeliest, "_PLANTS_IN_ALL", 100)
+    monkeypatch.setattr(likelihood, "_PLANTS_IN_ALL", 100)
 
 
 def scattered(n, seed=0):
@@ -86,8 +85,8 @@ def test_a_fit_leaves_a_recipe_a_picture_and_numbers(quick, tmp_path):
 
 def test_founders_are_a_species_of_the_recipe_that_comes_first(quick, tmp_path, monkeypatch):
     monkeypatch.setattr(fitting, "_POOR", 0.0)
-    monkeypatch.setattr(founders, "_BETTER", np.inf)
-    monkeypatch.setattr(founders, "_PLANTS_OF_A_FOUNDER", (4.5,))
+    monkeypatch.setattr(fitting, "_BETTER", np.inf)
+    monkeypatch.setattr(fitting, "_PLANTS_OF_A_FOUNDER", (4.5,))
     target = tmp_path / "redwood.yaml"
     result = run(DATA / "redwood.csv", "-o", target, "--species", "spruce")
     assert result.exit_code == 0, result.output
@@ -155,7 +154,7 @@ def test_a_window_that_nobody_stated_is_told_before_the_fit(points, tmp_path, mo
 
 
 @pytest.mark.parametrize(
-    ("held", "own", "says"),
+    ("held", "one_more", "says"),
     [
         ({"K": 19, "g": 12, "G": 20}, 20, "new stands agree with the measured one: "),
         ({"K": 7, "g": 6, "G": 20}, 6, "new stands agree with the measured one: "),
@@ -163,8 +162,8 @@ def test_a_window_that_nobody_stated_is_told_before_the_fit(points, tmp_path, mo
         ({"K": 0, "g": 12, "G": 2}, 15, "in pairs and nearest neighbours: "),
     ],
 )
-def test_the_verdict_in_words(held, own, says):
-    fit = SimpleNamespace(checks=[()] * 20, held=held.__getitem__, own_held=lambda _: own)
+def test_the_verdict_in_words(held, one_more, says):
+    fit = SimpleNamespace(checks=[()] * 20, held=lambda name, own=False: one_more if own else held[name])
     verdict = in_words(fit)
     assert says in verdict
     assert f"K (pairs) in {held['K']} of 20, " in verdict

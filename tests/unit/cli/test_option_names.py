@@ -12,7 +12,7 @@ import typer
 
 import forestgen
 from forestgen.cli import app
-from forestgen.cli.option_names import in_options, names_of
+from forestgen.cli.console import in_options, names_of
 from forestgen.core.errors import ForestgenError, RecipeErrors
 from forestgen.recipe.assemble import apply_override
 from forestgen.recipe.sources import SourceMap

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from forestgen.cli import app
 from forestgen.cli.arguments import Overrides, RecipePath
-from forestgen.cli.suggestions import _MEANT, options_suggested, suggestion
+from forestgen.cli.parsing import _MEANT, options_suggested, suggestion
 
 
 def command_of(*options: str, recipe: bool = True) -> Any:

@@ -12,7 +12,7 @@ from forestgen.api.display import SilentDisplay
 from forestgen.cli import app
 from forestgen.cli.render import _amounts, kept
 from forestgen.recipe.assets import recipes_dir
-from forestgen.runs.meter import Meter
+from forestgen.runs.tracker import ProgressTracker
 
 
 def test_resources() -> None:
@@ -38,11 +38,11 @@ def test_a_dry_run_refuses_the_options_that_the_run_refuses(options: tuple[str, 
 def test_an_interrupted_run_says_what_stays() -> None:
     display = SilentDisplay()
     assert kept(display) == "nothing was written"
-    display.show(Meter(5))
+    display.show(ProgressTracker(5))
     assert kept(display) == "none of 5 images was finished; the same command with --resume goes on"
     assert kept(display, if_none="nothing was written") == "nothing was written"  # render removes what it has begun
-    display.show(Meter(5, already=1, made=2))
+    display.show(ProgressTracker(5, already=1, made=2))
     assert kept(display) == "3 of 5 images are done and stay; the same command with --resume goes on"
     assert "--resume in place of --overwrite" in kept(display, overwrite=True)
-    display.show(Meter(5))
+    display.show(ProgressTracker(5))
     assert kept(display, overwrite=True) == "nothing was written; a previous data set is as it was"

@@ -198,7 +198,7 @@ def test_recipes_of_one_key_have_one_community(name: str, cache: Path, tmp_path:
 
 
 def _simulated(plan: Plan) -> Population:
-    *_, last = community.snapshots(plan.community, Silent())
+    *_, last = simulation.snapshots(plan.community, Silent())
     return as_kept(last)
 
 

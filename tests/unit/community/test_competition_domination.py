@@ -178,7 +178,7 @@ def test_memory_is_as_stated(kind):
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
-    assert 0.5 * domination.BYTES_PER_CIRCLE < peak / n < domination.BYTES_PER_CIRCLE
+    assert 0.5 * domination.MODEL.bytes_per_circle < peak / n < domination.MODEL.bytes_per_circle
 
 
 def test_the_answer_is_the_opposite_of_dominated():

@@ -30,7 +30,7 @@ def stand(xy, radius_m=None, species=None, status=None) -> Population:
 
 def felled(population, ground=GROUND, **fell) -> list[int]:
     one = Disturbance(at_step=1, fell=fell)
-    return one.victims(population, ground, np.random.default_rng(1)).tolist()
+    return one.affected_plants(population, ground, np.random.default_rng(1)).tolist()
 
 
 XY = [(1, 1), (39, 19), (20, 10), (10, 5), (5, 10)]
@@ -71,7 +71,7 @@ def test_only_those_of_a_species_and_size_that_live():
 def test_a_share_is_exact_and_random():
     population = stand(np.random.default_rng(0).random((1000, 2)))
     first, second = (
-        Disturbance(at_step=1, fell={"share": 0.3}).victims(population, GROUND, np.random.default_rng(k))
+        Disturbance(at_step=1, fell={"share": 0.3}).affected_plants(population, GROUND, np.random.default_rng(k))
         for k in (1, 2)
     )
     assert len(first) == len(second) == 300
@@ -85,12 +85,12 @@ def test_a_fire_spares_each_plant_with_its_probability(survival):
     n = 20_000
     population = stand(np.ones((2 * n, 2)), species=np.arange(2 * n) % 2)
     burn = {"survival": survival, "survival_of": {"b": 0.7}}
-    dead = Disturbance(at_step=1, burn=burn).victims(population, GROUND, np.random.default_rng(3))
+    dead = Disturbance(at_step=1, burn=burn).affected_plants(population, GROUND, np.random.default_rng(3))
     for kind, probability in enumerate((survival, 0.7)):
         alive = n - np.count_nonzero((dead - 11) % 2 == kind)
         assert binom.ppf(1e-6, n, probability) <= alive <= binom.isf(1e-6, n, probability)
     only_a = {"species": ["a"], "survival": survival}
-    dead = Disturbance(at_step=1, burn=only_a).victims(population, GROUND, np.random.default_rng(3))
+    dead = Disturbance(at_step=1, burn=only_a).affected_plants(population, GROUND, np.random.default_rng(3))
     assert np.all((dead - 11) % 2 == 0)
 
 
@@ -187,7 +187,10 @@ def test_what_makes_no_sense_is_refused(wrong, message):
 def test_an_empty_site_can_be_felled_and_burnt():
     nobody = stand(np.empty((0, 2)))
     assert felled(nobody, share=0.5) == []
-    assert len(Disturbance(at_step=1, burn={"survival": 0.5}).victims(nobody, GROUND, np.random.default_rng(1))) == 0
+    assert (
+        len(Disturbance(at_step=1, burn={"survival": 0.5}).affected_plants(nobody, GROUND, np.random.default_rng(1)))
+        == 0
+    )
 
 
 def test_sizes_that_no_plant_can_have_are_refused():

@@ -11,22 +11,24 @@ import pytest
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist, pdist
 
-from forestgen.community.fitting.envelopes import STANDS, cross_k, envelopes, functions_for
-from forestgen.community.fitting.fit import Settings, fit_stand
-from forestgen.community.fitting.founders import match_founders
-from forestgen.community.fitting.likeliest import likeliest, roughness_penalty
-from forestgen.community.fitting.likelihood import score
-from forestgen.community.fitting.matching import Matcher, Round, match
-from forestgen.community.fitting.recipe_text import recipe_text, species_sources
-from forestgen.community.fitting.shapes import KernelShapes, default_reach_m, founder_shapes, kernel_shapes
-from forestgen.community.fitting.simulate import Nursery
-from forestgen.community.fitting.stand import MeasuredStand, measured_stand, rounding_m
-from forestgen.community.fitting.summaries import summaries_for
+from forestgen.community.fitting.fit import ROUNDS, Matcher, Round, Settings, fit_stand, match, match_founders
+from forestgen.community.fitting.likelihood import (
+    KernelShapes,
+    default_reach_m,
+    founder_shapes,
+    kernel_shapes,
+    likeliest,
+    roughness_penalty,
+    score,
+)
+from forestgen.community.fitting.report import recipe_text, species_sources
+from forestgen.community.fitting.stand import MeasuredStand, Nursery, measured_stand, rounding_m
+from forestgen.community.fitting.summaries import STANDS, cross_k, envelopes, functions_for, summaries_for
 from forestgen.community.placement.field import DensityField
 from forestgen.community.placement.kernels import KernelSection, KernelTable, table
-from forestgen.community.point_patterns import Window
+from forestgen.community.point_patterns import Window, ripley_k
 from forestgen.community.point_table import read_points
-from forestgen.community.ripley import ripley_k
+from forestgen.core.randomness import child_rng
 
 DATA = Path(__file__).parent / "data"
 
@@ -45,9 +47,7 @@ def metres(curve) -> KernelTable:
 
 
 def score_of(stand: MeasuredStand, shapes: KernelShapes, log_kappa, grid):
-    return score(
-        stand.position_m, stand.species, shapes.kernel_of, shapes.knots_m, shapes.core_m, log_kappa, stand.size_m, grid
-    )
+    return score(stand.position_m, stand.species, shapes, shapes.core_m, log_kappa, stand.size_m, grid)
 
 
 # --- likelihood
@@ -141,7 +141,7 @@ def test_so_is_that_of_founders_and_those_that_follow_them():
 
 
 def test_the_likeliest_kernel_of_random_plants_is_nearly_neutral_and_of_a_lattice_is_not(monkeypatch):
-    monkeypatch.setattr("forestgen.community.fitting.likeliest._PLANTS_IN_ALL", 800)
+    monkeypatch.setattr("forestgen.community.fitting.likelihood._PLANTS_IN_ALL", 800)
     rng = np.random.default_rng(4)
     even = stand_of(rng.random((100, 2)) * 10, (10.0, 10.0))
     shapes = kernel_shapes(even, 1.5)
@@ -273,10 +273,9 @@ def test_one_more_new_stand_is_tested_as_the_measured_one():
 
 
 def test_founders_are_kept_only_where_they_halve_the_loss(founded, monkeypatch):
-    monkeypatch.setattr("forestgen.community.fitting.founders._PLANTS_OF_A_FOUNDER", (4.5,))
-    monkeypatch.setattr("forestgen.community.fitting.likeliest._PLANTS_IN_ALL", 400)
-    for module in ("matching", "founders"):
-        monkeypatch.setattr(f"forestgen.community.fitting.{module}.ROUNDS", (Round(1.0, 5, 2.0), Round(1.0, 4, 1.0)))
+    monkeypatch.setattr("forestgen.community.fitting.fit._PLANTS_OF_A_FOUNDER", (4.5,))
+    monkeypatch.setattr("forestgen.community.fitting.likelihood._PLANTS_IN_ALL", 400)
+    monkeypatch.setattr("forestgen.community.fitting.fit.ROUNDS", (Round(1.0, 5, 2.0), Round(1.0, 4, 1.0)))
     stand = stand_of(founded.placed_m, (10.0, 10.0))
     shapes = kernel_shapes(stand, None)
     matcher = Matcher(Nursery(stand, 64), shapes, summaries_for(stand, shapes.reach_m), 25, 1)
@@ -284,15 +283,15 @@ def test_founders_are_kept_only_where_they_halve_the_loss(founded, monkeypatch):
     found = match_founders(matcher, one, lambda _: None)
     assert found.matched is not None
     assert found.nursery.founders == 13
-    assert found.matched.losses[-1] <= 0.5 * one.losses[-1]
+    assert found.matched.loss <= 0.5 * one.loss
     kappa = np.exp(found.matched.log_kappa)  # among founders, of them on followers, among followers
     near = shapes.knots_m[0, :-1] < 0.5
     assert kappa[0, near].max() < 0.6
     assert kappa[1, near].min() > 8
     assert 0.4 < kappa[2].min() < kappa[2].max() < 2.5
-    monkeypatch.setattr("forestgen.community.fitting.founders.ROUNDS", (Round(0.2, 1, 2.0), Round(0.2, 1, 1.0)))
+    monkeypatch.setattr("forestgen.community.fitting.fit.ROUNDS", (Round(0.2, 1, 2.0), Round(0.2, 1, 1.0)))
     assert match_founders(matcher, replace(one, rough_loss=1.0), lambda _: None).matched is None
-    content = replace(one, rough_loss=math.inf, losses=(1.0,))
+    content = replace(one, rough_loss=math.inf, loss=1.0)
     assert match_founders(matcher, content, lambda _: None).matched is None
 
 
@@ -306,8 +305,11 @@ def small_fit():
 
 
 def test_a_fit_brings_new_stands_nearer(small_fit):
-    before, after = small_fit.matched.losses[0], small_fit.matched.losses[-1]
-    assert after < 0.7 * before
+    stand, shapes = small_fit.stand, small_fit.shapes
+    matcher = Matcher(small_fit.nursery, shapes, summaries_for(stand, shapes.reach_m), 40, 3)
+    matcher.begin(ROUNDS[0])
+    start = likeliest(stand, shapes, child_rng(3, "fit", "orders"))
+    assert small_fit.matched.loss < 0.7 * matcher.look(start.ravel()).loss
     near = small_fit.matched.differences
     assert np.abs(near).max() < 2.2
     assert np.mean(np.abs(near)) < 0.7

@@ -7,7 +7,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from forestgen.community.history import open_history, read_history, write_history
+from forestgen.community.history import open_history, write_history
 from forestgen.community.model import simulate
 from forestgen.community.models.multiset_lsystem import MODEL
 from forestgen.core.errors import AssetError, OutputError
@@ -24,7 +24,7 @@ def history(tree, site):
 
 def test_round_trip(history, tmp_path, columns_equal):
     write_history(tmp_path / "a.parquet", iter(history))
-    again = read_history(tmp_path / "a.parquet")
+    again = list(open_history(tmp_path / "a.parquet"))
     assert len(again) == 13
     assert len(again[0]) == 0
     for one, other in zip(history, again, strict=True):
@@ -62,13 +62,13 @@ def test_histories_without_these_columns_are_read(history, tmp_path):
             for group in range(file.num_row_groups):
                 writer.write_table(file.read_row_group(group, columns=kept))
             writer.add_key_value_metadata({b"forestgen.community": about})
-    write_history(tmp_path / "b.parquet", read_history(older))
+    write_history(tmp_path / "b.parquet", list(open_history(older)))
     assert (tmp_path / "b.parquet").read_bytes() == path.read_bytes()
 
 
 def test_only_empty_snapshots(history, tmp_path):
     write_history(tmp_path / "a.parquet", history[:1])
-    assert [len(p) for p in read_history(tmp_path / "a.parquet")] == [0]
+    assert [len(p) for p in list(open_history(tmp_path / "a.parquet"))] == [0]
 
 
 def test_snapshots_of_different_communities_are_refused(history, tmp_path):
@@ -84,10 +84,10 @@ def test_files_that_cannot_be(history, tmp_path):
     with pytest.raises(OutputError, match=r"nowhere.*a\.parquet"):
         write_history(tmp_path / "nowhere" / "a.parquet", history)
     with pytest.raises(AssetError, match=r"b\.parquet"):
-        read_history(tmp_path / "b.parquet")
+        list(open_history(tmp_path / "b.parquet"))
     (tmp_path / "c.parquet").write_bytes(b"not a table")
     with pytest.raises(AssetError, match=r"c\.parquet"):
-        read_history(tmp_path / "c.parquet")
+        list(open_history(tmp_path / "c.parquet"))
 
 
 def test_snapshots_are_read_one_by_one(history, tmp_path):

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from forestgen.community.history import read_history
+from forestgen.community.history import open_history
 from forestgen.community.history_files import check_map_steps, evenly, write_community
 from forestgen.community.population import Population
 from forestgen.community.simulation import snapshots
@@ -46,7 +46,7 @@ def test_a_community_in_files(tmp_path: Path) -> None:
     plan = plan_of("community.steps=90")
     last = write_community(tmp_path, plan.community, snapshots(plan.community, Silent()), [2, 2, 5])
     assert {path.name for path in tmp_path.iterdir()} == ALWAYS | {"map-000002.png", "map-000005.png"}
-    history = list(read_history(tmp_path / "history.parquet"))
+    history = list(open_history(tmp_path / "history.parquet"))
     assert len(history) == 91
     assert np.array_equal(history[-1].plant_id, last.plant_id)
 

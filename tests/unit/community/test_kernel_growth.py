@@ -14,13 +14,13 @@ from scipy import stats
 from forestgen.community.competition.domination import dominated
 from forestgen.community.disturbance import Planting
 from forestgen.community.ecology import SpeciesEcology
-from forestgen.community.growing.interactions import Interactions, Rivals, establishment, invitation, quality
+from forestgen.community.kernel_interactions import Interactions, Rivals, establishment, invitation, quality
 from forestgen.community.model import Site, simulate
 from forestgen.community.models.kernel_growth import MODEL, survivors
 from forestgen.community.placement.kernels import NEUTRAL, KernelSection, KernelTable, table
-from forestgen.community.population import Status
-from forestgen.community.size_statistics import self_thinning_slope
-from forestgen.community.statistics import cover_by_species, hopkins_index
+from forestgen.community.point_patterns import hopkins_index
+from forestgen.community.population import Status, cover_by_species
+from forestgen.community.trajectory import self_thinning_slope
 
 CONE = {"curve": [[0, 0], [1.5, 1]]}
 CORE = {"curve": [[0, 0], [1, 0], [1.0001, 1]]}
@@ -254,7 +254,7 @@ def test_succession_of_lanes_species_by_a_cone():
     for seed in range(4):
         history = simulate(MODEL, MODEL.Parameters(kernels=CONE), site, SUCCESSION, seed, steps=1000)
         chosen = [one for one in history if one.step in steps]
-        rows.append([[len(one), hopkins(one, site), *cover_by_species(one, site).values()] for one in chosen])
+        rows.append([[len(one), hopkins(one, site), *cover_by_species(one, site.area_m2).values()] for one in chosen])
     mean = np.mean(rows, axis=0)
     print(mean.round(3))  # noqa: T201
     assert mean[:, 2:].argmax(axis=1)[[0, 1, 3]].tolist() == [0, 1, 2]

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from forestgen.community.history import open_history, write_history
-from forestgen.community.map_history import NAME
+from forestgen.community.history_tables import MAPS_NAME as NAME
 from forestgen.community.population import Population
 from forestgen.core.errors import AssetError, ResourceError
 

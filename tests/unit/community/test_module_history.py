@@ -10,7 +10,7 @@ import pytest
 
 from forestgen.architecture.modules import Modules
 from forestgen.community.history import open_history, write_history
-from forestgen.community.module_history import NAME
+from forestgen.community.history_tables import MODULES_NAME as NAME
 from forestgen.community.population import Population
 from forestgen.core.errors import AssetError
 

@@ -5,12 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from forestgen.architecture.geometry import skeletal_graph
 from forestgen.architecture.graph_files import write_graph
-from forestgen.architecture.prototypes import load_prototypes
-from forestgen.architecture.skeletal_graph import skeletal_graph
-from forestgen.architecture.tables import tables_of
-from forestgen.community.branch_modules.state import MOST_SEEDS, no_modules, refuse_more_seeds
-from forestgen.community.branch_modules.traits import STAND_IN
+from forestgen.architecture.prototypes import load_prototypes, tables_of
+from forestgen.community.branch_modules.state import MOST_SEEDS, STAND_IN, no_modules, refuse_more_seeds
 from forestgen.community.history_files import check_graphs
 from forestgen.community.model import simulate
 from forestgen.community.simulation import snapshots
@@ -93,7 +91,7 @@ def test_obstacles_of_older_recipes_are_told_their_new_key(tmp_path, model):
 
 def test_a_house_among_the_species_is_told_its_new_key(tmp_path):
     with pytest.raises(AssetError) as told:
-        plan_of(tmp_path, "species={pine: , house: }")
+        plan_of(tmp_path, "species={pine: , house: }", "site.buildings=[]")
     assert "site: {buildings: [{kind: house" in told.value.hint
 
 

@@ -13,8 +13,8 @@ from forestgen.atmosphere.clouds.source import CloudRequest, cloud_source_of
 from forestgen.atmosphere.extinction import cloud_grid_of
 from forestgen.atmosphere.weather import Weather
 from forestgen.community.capabilities import OwnAir, capability
-from forestgen.community.ecoclimate import months, own_air
-from forestgen.community.ecoclimate.grids import between
+from forestgen.community.ecoclimate import months
+from forestgen.community.ecoclimate.air import regridder_for
 from forestgen.community.population import Population
 from forestgen.community.simulation import final_population
 from forestgen.core.errors import RecipeError
@@ -116,8 +116,8 @@ def test_it_is_the_air_that_the_next_month_sees(
     ((section, month, number, given, wind, seed), sky) = (seen[0][0], seen[0][1])
     assert number == 5
     case = months.air_over(state, section, 0)
-    hours = own_air.hours_of(section, case.grid, case.day, case.surface)
-    over_the_site = between(given.ground, case.grid).for_ground(hours.condensed_kg_per_m2)
+    hours = months.hours_of(section, case.grid, case.day, case.surface)
+    over_the_site = regridder_for(given.ground, case.grid).for_ground(hours.condensed_kg_per_m2)
     assert over_the_site.mean() == pytest.approx(sky.condensed_kg_per_m2, rel=1e-12)
     shown = own_weather(one, population)
     assert shown.cloud.tobytes() == hours.weather.cloud.tobytes()
@@ -136,8 +136,8 @@ def test_it_is_simulated_once_and_found_again_to_the_bit(
     folder: Path, population: Population, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     of, calls = plan(folder), []
-    hours_of = own_air.hours_of
-    monkeypatch.setattr(own_air, "hours_of", lambda *given: calls.append(1) or hours_of(*given))
+    hours_of = months.hours_of
+    monkeypatch.setattr(months, "hours_of", lambda *given: calls.append(1) or hours_of(*given))
     first, again = (own_weather(of, population) for _ in range(2))
     assert len(calls) == 1
     assert all(np.array_equal(getattr(first, name), getattr(again, name)) for name in ("cloud", "rain", "vapour"))

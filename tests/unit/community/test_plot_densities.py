@@ -7,8 +7,8 @@ import pytest
 from PIL import Image
 
 from forestgen.community.model import Site
-from forestgen.community.placement.asked_and_placed import Densities
-from forestgen.community.plot_densities import _fewer, plot_densities
+from forestgen.community.placement.model import Densities
+from forestgen.community.plots import _fewer, plot_densities
 from forestgen.community.population import Population
 
 NAMES = ("tree", "b")

@@ -12,9 +12,8 @@ from forestgen.community import animation
 from forestgen.community.animation import Film
 from forestgen.community.model import Site
 from forestgen.community.obstacles import NO_OBSTACLES, Obstacles
-from forestgen.community.plot_series import plot_curves, plot_thinning
-from forestgen.community.plot_sizes import plot_sizes
-from forestgen.community.plots import CONIFER, OBSTACLE, plot_map
+from forestgen.community.plot_series import plot_curves, plot_sizes, plot_thinning
+from forestgen.community.plots import CONIFER, OBSTACLE, map_figure, save_figure
 from forestgen.community.population import Population, Status
 from forestgen.community.trajectory import Trajectory, moment, thinning_slope
 from forestgen.core.errors import OutputError
@@ -61,7 +60,7 @@ def changed(one, other):
 
 def test_a_map_is_a_picture_without_date(history, site, tmp_path):
     for name in ("a.png", "b.png"):
-        plot_map(history[-1], site, {"tree": CONIFER}, tmp_path / name)
+        save_figure(map_figure(history[-1], site, {"tree": CONIFER}), tmp_path / name)
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
     with Image.open(tmp_path / "a.png") as image:
         assert not {"Date", "Creation Time", "Software"} & set(image.info)
@@ -69,17 +68,17 @@ def test_a_map_is_a_picture_without_date(history, site, tmp_path):
 
 
 def test_a_map_shows_more_colour_where_plants_stand(site, tmp_path):
-    plot_map(stand(0), site, {}, tmp_path / "empty.png")
-    plot_map(stand(300), site, {"tree": CONIFER, "b": CONIFER}, tmp_path / "full.png")
+    save_figure(map_figure(stand(0), site, {}), tmp_path / "empty.png")
+    save_figure(map_figure(stand(300), site, {"tree": CONIFER, "b": CONIFER}), tmp_path / "full.png")
     assert changed(tmp_path / "empty.png", tmp_path / "full.png") > 0.05
 
 
 def test_an_obstacle_is_its_grey_ground_plan(site, tmp_path):
-    house = Obstacles((Building(kind="house", position_m=(20, 17.5), size_m=(20, 15, 7)),))
+    house = Obstacles((Building.model_validate({"kind": "house", "position_m": (20, 17.5), "size_m": (20, 15, 7)}),))
     grey = tuple(round(255 * one) for one in to_rgb(OBSTACLE))
     shares = []
     for obstacles in (NO_OBSTACLES, house):
-        plot_map(stand(0), site, {}, tmp_path / "map.png", obstacles=obstacles)
+        save_figure(map_figure(stand(0), site, {}, obstacles=obstacles), tmp_path / "map.png")
         film = Film(site, NAMES, {}, periodic=True, obstacles=obstacles)
         film.add(stand(0))
         film.write(tmp_path / "a.gif")
@@ -90,7 +89,7 @@ def test_an_obstacle_is_its_grey_ground_plan(site, tmp_path):
 
 def test_plants_without_obstacles_keep_their_species():
     population = stand(9, names=("oak", "house", "pine"))
-    plants = Obstacles((Building(kind="house", position_m=(20, 17.5)),)).left_out_of(population)
+    plants = Obstacles((Building.model_validate({"kind": "house", "position_m": (20, 17.5)}),)).left_out_of(population)
     assert plants.species_names == ("oak", "pine")
     assert plants.plant_id.tolist() == [1, 3, 4, 6, 7, 9]
     assert plants.species.tolist() == [0, 1] * 3
@@ -101,7 +100,7 @@ def test_plants_without_obstacles_keep_their_species():
 @pytest.mark.parametrize("size", [(40.0, 40.0), (60.0, 30.0), (30.0, 60.0)])
 def test_a_maps_title_and_legend_are_whole(rows, size, tmp_path):
     names = tuple(f"species {k}" for k in range(3 * rows - 1))
-    plot_map(stand(60, size=size, names=names), Site(size), {}, tmp_path / "a.png")
+    save_figure(map_figure(stand(60, size=size, names=names), Site(size), {}), tmp_path / "a.png")
     picture = pixels(tmp_path / "a.png")
     assert (picture[0] == 255).all()
     assert (picture[-1] == 255).all()
@@ -113,7 +112,7 @@ def test_a_maps_title_and_legend_are_whole(rows, size, tmp_path):
 @pytest.mark.parametrize("size", [(1000.0, 10.0), (10.0, 1000.0), (0.5, 0.5)])
 def test_pictures_of_odd_sites(size, tmp_path):
     population, site = stand(50, size=size), Site(size)
-    plot_map(population, site, {}, tmp_path / "a.png", periodic=False)
+    save_figure(map_figure(population, site, {}, periodic=False), tmp_path / "a.png")
     assert (tmp_path / "a.png").stat().st_size > 0
     for periodic in (True, False):
         film = Film(site, NAMES, {}, periodic=periodic)
@@ -242,7 +241,7 @@ def test_a_folder_that_is_not_there(history, trajectory, site, tmp_path):
     film = Film(site, NAMES, {}, periodic=True)
     film.add(history[0])
     for write in (
-        lambda: plot_map(history[-1], site, {}, nowhere),
+        lambda: save_figure(map_figure(history[-1], site, {}), nowhere),
         lambda: plot_curves(trajectory, {}, nowhere),
         lambda: plot_thinning(trajectory, None, {}, nowhere),
         lambda: plot_sizes(history[-1], {}, nowhere),
@@ -254,7 +253,7 @@ def test_a_folder_that_is_not_there(history, trajectory, site, tmp_path):
 
 def test_matplotlib_comes_late_and_pyplot_never():
     code = (
-        "import sys, forestgen.community.plots as p, forestgen.community.plot_series, forestgen.community.plot_sizes;"
+        "import sys, forestgen.community.plots as p, forestgen.community.plot_series;"
         "assert 'matplotlib' not in sys.modules; p.new_figure(1, 1);"
         "assert 'matplotlib.pyplot' not in sys.modules"
     )

@@ -10,10 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from forestgen.community import ripley
-from forestgen.community.point_patterns import Window
-from forestgen.community.point_table import read_points
-from forestgen.community.ripley import (
+from forestgen.community import point_patterns
+from forestgen.community.point_patterns import (
+    Window,
     besag_l,
     count_pairs,
     greatest_radius,
@@ -21,6 +20,7 @@ from forestgen.community.ripley import (
     ripley_bound,
     ripley_k,
 )
+from forestgen.community.point_table import read_points
 
 DATA = Path(__file__).parent / "data"
 UNIT = Window(0.0, 1.0, 0.0, 1.0)
@@ -156,7 +156,7 @@ def test_portions_of_pairs_add_up(monkeypatch):
     points = np.random.default_rng(1).random((200, 2))
     radii = np.array([0.05, 0.2])
     whole = {one: ripley_k(points, UNIT, radii, one) for one in CORRECTIONS}
-    monkeypatch.setattr(ripley, "_PAIRS_AT_ONCE", 50)
+    monkeypatch.setattr(point_patterns, "_PAIRS_AT_ONCE", 50)
     for one in CORRECTIONS:
         assert ripley_k(points, UNIT, radii, one) == pytest.approx(whole[one])
 

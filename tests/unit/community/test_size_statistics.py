@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from forestgen.community.size_statistics import (
+from forestgen.community.trajectory import (
     fit_log_normal,
     reineke_slope,
     self_thinning_slope,

@@ -3,9 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from forestgen.community.model import Site
-from forestgen.community.population import Population, Status
-from forestgen.community.statistics import count_by_species, cover_by_species, hopkins_index
+from forestgen.community.point_patterns import hopkins_index
+from forestgen.community.population import Population, Status, count_by_species, cover_by_species
 
 
 def make(species, radius_m, status):
@@ -30,13 +29,13 @@ def test_counts_leave_out_the_dead():
 
 def test_cover_is_the_ground_under_undominated_circles():
     population = make([0, 0, 1, 1], [1, 2, 3, 4], [Status.GROWING, Status.DEAD, Status.DOMINATED, Status.MATURE])
-    cover = cover_by_species(population, Site((20.0, 10.0)))
+    cover = cover_by_species(population, 200.0)
     assert cover == pytest.approx({"herb": np.pi / 200, "poplar": 16 * np.pi / 200, "spruce": 0.0})
 
 
 def test_no_plants_no_numbers():
     assert count_by_species(make([], [], [])) == {"herb": 0, "poplar": 0, "spruce": 0}
-    assert cover_by_species(make([], [], []), Site((1.0, 1.0))) == {"herb": 0.0, "poplar": 0.0, "spruce": 0.0}
+    assert cover_by_species(make([], [], []), 1.0) == {"herb": 0.0, "poplar": 0.0, "spruce": 0.0}
     assert np.isnan(hopkins_index(np.zeros((1, 2)), (1.0, 1.0), np.random.default_rng(0)))
     assert hopkins_index(np.ones((4, 2)), (2.0, 2.0), np.random.default_rng(0)) == np.inf
 

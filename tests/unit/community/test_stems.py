@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from forestgen.community.population import Population, Status
-from forestgen.community.statistics import stems_by_species
+from forestgen.community.population import Population, Status, stems_by_species
 
 
 def test_stems_live_and_are_higher_than_a_breast() -> None:

@@ -11,7 +11,8 @@ from ruamel.yaml import YAML
 from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.model import Site, simulate
 from forestgen.community.models.multiset_lsystem import MODEL
-from forestgen.community.statistics import count_by_species, cover_by_species, hopkins_index
+from forestgen.community.point_patterns import hopkins_index
+from forestgen.community.population import count_by_species, cover_by_species
 
 SITE = Site((120.0, 120.0))
 SPECIES_FOLDER = Path(__file__).parents[3] / "scenes" / "species"
@@ -39,7 +40,7 @@ def measure(seeds, steps):
             if step in rows:
                 total = sum(count_by_species(population).values())
                 h = hopkins_index(population.position_m[:, :2], SITE.size_m, np.random.default_rng(0))
-                rows[step].append([total, *cover_by_species(population, SITE).values(), h])
+                rows[step].append([total, *cover_by_species(population, SITE.area_m2).values(), h])
     return {step: np.mean(values, axis=0) for step, values in rows.items()}
 
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from forestgen.architecture.prototype import MOST_NODES
+from forestgen.architecture.prototypes import MOST_NODES
 from forestgen.labels.channels.module import branch_labels
 from forestgen.render.identity.surface import empty_surface
 from support.scenes import simple_tree

@@ -206,7 +206,7 @@ def test_a_pull_turns_branches_from_outward_to_upward():
     assert way[-1, 2] / np.linalg.norm(way[-1]) > 0.999
     assert np.all(varied.position_m[varied.order == 0, :2] == 0.0)
     light = {"weight": 1, "toward": [0, 3, 0], "orders": [1]}
-    lit = vary(base, Variation(growth_steps=100, lag=0.02, target_pull=light), np.random.default_rng(0))[0]
+    lit = vary(base, Variation(growth_steps=100, lag=0.02, target_pull=light), np.random.default_rng(0)).position_m
     assert np.allclose(lit[-1] - lit[-2], [0, np.linalg.norm(lit[-1] - lit[-2]), 0], atol=1e-3)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from pydantic import ValidationError
 
-from forestgen.community.branch_modules.change import Change
+from forestgen.community.branch_modules.parameters import Change
 from forestgen.community.disturbance import Disturbance
 from forestgen.core.errors import AssetError
 from forestgen.recipe.assets import find_asset, list_assets

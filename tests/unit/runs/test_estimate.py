@@ -18,13 +18,19 @@ from forestgen.core.progress import Silent
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.recipe.load import LoadedRecipe, load_recipe
 from forestgen.runs import estimate as module
+from forestgen.runs.calibration_runs import (
+    CalibrationRun,
+    CalibrationRuns,
+    ReducedSettings,
+    full_stages,
+    lightened,
+    probe_images,
+)
 from forestgen.runs.contract import Engine, Notice, Work
 from forestgen.runs.engines.local import LocalEngine
 from forestgen.runs.estimate import Estimate, check_fits, count_images, estimate
-from forestgen.runs.estimate_text import lines
-from forestgen.runs.places import LocalPlace
-from forestgen.runs.probes import Lighter, Probe, Probed, full_stages, lightened, probe_images
 from forestgen.runs.run import check_recipe, run_batch
+from forestgen.runs.storage import LocalStorage
 from forestgen.runs.work import make_job
 
 RECIPE = """
@@ -57,8 +63,8 @@ def settings(recipe: Callable[..., LoadedRecipe]) -> DatasetSettings:
 
 def probe(
     seconds: float = 10.0, *, first: bool = False, disk: int = 10**6, memory: int = 10**9, **stages: float
-) -> Probe:
-    return Probe(
+) -> CalibrationRun:
+    return CalibrationRun(
         image=0, frames=2, plants=14, exemplars=2, triangles=9000, seconds=seconds, made_s=seconds,
         stages_s=stages or {"light paths": 0.6 * seconds}, disk_bytes=disk, memory_bytes=memory, is_first=first,
     )  # fmt: skip
@@ -73,13 +79,13 @@ def expected(
     monkeypatch.setattr(module, "free_bytes", lambda: 10**10)
 
     def make(
-        *probes: Probe,
+        *probes: CalibrationRun,
         count: int = 100,
         workers: int | None = None,
         threads: int | None = 1,
         overrides: tuple[str, ...] = (),
     ) -> Estimate:
-        monkeypatch.setattr(module, "probe_images", lambda *_, **__: Probed(probes))
+        monkeypatch.setattr(module, "probe_images", lambda *_, **__: CalibrationRuns(probes))
         return estimate(recipe(*overrides), settings, count=count, workers=workers, threads=threads, progress=Silent())
 
     return make
@@ -107,10 +113,18 @@ def test_counts_grow_with_samples_and_pixels(recipe: Callable[..., LoadedRecipe]
 
 def test_a_probe_is_scaled_to_its_image() -> None:
     stages = {"light paths": 1.0, "identity: guides": 1.0, "community": 1.0}
-    assert full_stages(stages, Lighter()) == stages
-    assert full_stages(stages, Lighter(samples=4)) == {"light paths": 4.0, "identity: guides": 1.0, "community": 1.0}
-    assert full_stages(stages, Lighter(pixels=3)) == {"light paths": 3.0, "identity: guides": 3.0, "community": 1.0}
-    totals = [sum(full_stages(stages, Lighter(s, p)).values()) for s, p in ((1, 1), (2, 1), (2, 2), (4, 2))]
+    assert full_stages(stages, ReducedSettings()) == stages
+    assert full_stages(stages, ReducedSettings(samples=4)) == {
+        "light paths": 4.0,
+        "identity: guides": 1.0,
+        "community": 1.0,
+    }
+    assert full_stages(stages, ReducedSettings(pixels=3)) == {
+        "light paths": 3.0,
+        "identity: guides": 3.0,
+        "community": 1.0,
+    }
+    totals = [sum(full_stages(stages, ReducedSettings(s, p)).values()) for s, p in ((1, 1), (2, 1), (2, 2), (4, 2))]
     assert totals == sorted(set(totals))
 
 
@@ -125,7 +139,7 @@ def test_probes_are_lighter_than_their_images(recipe: Callable[..., LoadedRecipe
     assert pixels[0] / pixels[1] == pytest.approx(lighter.pixels)
     assert lighter.pixels > 4
     assert loaded.draw(1).recipe.render.samples == 8192
-    assert lightened(recipe()) == (recipe(), Lighter())
+    assert lightened(recipe()) == (recipe(), ReducedSettings())
 
 
 def test_time_is_that_of_warm_images_shared_among_workers(expected: Callable[..., Estimate]) -> None:
@@ -204,7 +218,7 @@ def test_a_small_batch_is_not_probed(
     monkeypatch.setattr(module, "probe_images", None)  # would fail
     made = estimate(recipe(), settings, count=3, workers=1, threads=1, progress=Silent())
     assert made.seconds is None
-    text = "\n".join(lines(made))
+    text = "\n".join(made.lines())
     assert "not measured" in text
     assert "upper bounds" in text
     larger = estimate(
@@ -215,36 +229,36 @@ def test_a_small_batch_is_not_probed(
 
 
 def test_the_table_tells_what_and_how(expected: Callable[..., Estimate]) -> None:
-    text = "\n".join(lines(expected(probe(70, first=True), probe(10), workers=2)))
+    text = "\n".join(expected(probe(70, first=True), probe(10), workers=2).lines())
     for word in ("200 frames", "14 plants", "2, of 1 thread", "images an hour", "light paths 60 %", "disk", "100 MB"):
         assert word in text, text
 
 
 def test_one_frame_is_told_in_the_singular(recipe: Callable[..., LoadedRecipe], settings: DatasetSettings) -> None:
     one = recipe("cameras=[{position_m: [5, -3, 1.6], look_at_m: [5, 5, 0.5], size_px: [32, 24]}]")
-    text = "\n".join(lines(estimate(one, settings, count=1, workers=1, threads=1, progress=Silent(), probe=False)))
+    text = "\n".join(estimate(one, settings, count=1, workers=1, threads=1, progress=Silent()).lines())
     assert "1; 1 frame, " in text
 
 
 def test_one_worker_that_does_not_fit_is_refused(expected: Callable[..., Estimate], tmp_path: Path) -> None:
     with pytest.raises(ResourceError, match=r"one worker[\s\S]*at most 8 GB[\s\S]*got"):
-        check_fits(expected(probe(memory=9 * 10**9)), LocalPlace(tmp_path))
-    check_fits(expected(probe(memory=9 * 10**9)), LocalPlace(tmp_path), workers_here=False)
+        check_fits(expected(probe(memory=9 * 10**9)), LocalStorage(tmp_path))
+    check_fits(expected(probe(memory=9 * 10**9)), LocalStorage(tmp_path), workers_here=False)
 
 
 def test_workers_that_were_asked_for_and_do_not_fit_are_refused(
     expected: Callable[..., Estimate], tmp_path: Path
 ) -> None:
     with pytest.raises(ResourceError, match=r"workers=8[\s\S]*`workers=2`, or leave it out"):
-        check_fits(expected(probe(memory=3 * 10**9), workers=8), LocalPlace(tmp_path))
-    check_fits(expected(probe(memory=3 * 10**9)), LocalPlace(tmp_path))
+        check_fits(expected(probe(memory=3 * 10**9), workers=8), LocalStorage(tmp_path))
+    check_fits(expected(probe(memory=3 * 10**9)), LocalStorage(tmp_path))
 
 
 def test_a_disk_that_is_too_small_is_refused(
     expected: Callable[..., Estimate], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=90_000_000))
-    place = LocalPlace(tmp_path / "not" / "yet", "not/yet")
+    place = LocalStorage(tmp_path / "not" / "yet", "not/yet")
     with pytest.raises(OutputError, match=r"not/yet[\s\S]*at most 40 MB[\s\S]*about 100 MB[\s\S]*`count=40`") as caught:
         check_fits(expected(probe()), place)
     assert caught.value.exit_code == 4  # the output cannot be written; 3 is for memory
@@ -253,7 +267,7 @@ def test_a_disk_that_is_too_small_is_refused(
 
 def test_nothing_left_to_make_fits(expected: Callable[..., Estimate], tmp_path: Path) -> None:
     made = expected(count=0)
-    check_fits(made, LocalPlace(tmp_path))
+    check_fits(made, LocalStorage(tmp_path))
     assert made.total_disk_bytes == 0
 
 
@@ -262,8 +276,8 @@ def test_a_failing_image_is_told_and_leaves_nothing(
 ) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "temporary"))
     (tmp_path / "temporary").mkdir()
-    monkeypatch.setattr("forestgen.runs.probes.versions_hash", lambda: "other")
-    monkeypatch.setattr("forestgen.runs.probes.job_key", lambda *_: "no such key")
+    monkeypatch.setattr("forestgen.runs.calibration_runs.versions_hash", lambda: "other")
+    monkeypatch.setattr("forestgen.runs.calibration_runs.job_key", lambda *_: "no such key")
     probed = probe_images(recipe(), settings, count=1, threads=1, budget_s=60.0, progress=Silent())
     assert not probed.probes
     assert probed.notes[0].startswith("image 0 fails: ")

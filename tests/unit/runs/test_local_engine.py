@@ -27,11 +27,11 @@ def test_what_a_large_worker_has_just_finished_counts() -> None:
     worker = _Worker(process, ours, (Job(0, 0, "train", "key"), 1))
     engine._workers.append(worker)
     theirs.send("done")
-    engine._check_memory()
+    engine._check_bounds()
     assert not killed
     engine._listen(1.0)
     assert engine._outcomes == ["done"]
     worker.task = (Job(1, 1, "train", "key"), 1)
-    engine._check_memory()
+    engine._check_bounds()
     assert killed
     assert [(one.kind, one.job.image) for one in engine._outcomes[1:]] == [("memory", 1)]  # type: ignore[union-attr]

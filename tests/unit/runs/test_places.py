@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 from forestgen.core.errors import DatasetError, OutputError
-from forestgen.runs.places import LocalPlace, place_of
+from forestgen.runs.storage import LocalStorage, storage_of
 
 
-def staged(place: LocalPlace, **files: str) -> Path:
+def staged(place: LocalStorage, **files: str) -> Path:
     folder = place.staging() / "frame"
     folder.mkdir()
     for name, text in files.items():
@@ -20,7 +20,7 @@ def staged(place: LocalPlace, **files: str) -> Path:
 
 
 def test_a_folder_replaces_what_has_its_name(tmp_path: Path) -> None:
-    place = LocalPlace(tmp_path)
+    place = LocalStorage(tmp_path)
     place.put_folder(staged(place, a="1", b="2"), "train/x")
     place.put_folder(staged(place, c="3"), "train/x")
     assert {path.name: path.read_text() for path in (tmp_path / "train/x").iterdir()} == {"c": "3"}
@@ -30,7 +30,7 @@ def test_a_folder_replaces_what_has_its_name(tmp_path: Path) -> None:
 
 
 def test_files_are_read_written_and_removed(tmp_path: Path) -> None:
-    place = LocalPlace(tmp_path / "new")
+    place = LocalStorage(tmp_path / "new")
     assert place.read("a/b.json") is None
     place.write("a/b.json", b"1")
     place.write("a/b.json", b"22")
@@ -48,7 +48,7 @@ def test_files_are_read_written_and_removed(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("path", ["../x", "/etc/passwd", "a/../../x", "..", "a\\..\\x"])
 def test_no_path_leaves_the_folder(tmp_path: Path, path: str) -> None:
-    place = LocalPlace(tmp_path / "data")
+    place = LocalStorage(tmp_path / "data")
     (tmp_path / "x").write_text("mine")
     for reach in (place.read, place.remove, place.names, place.exists):
         with pytest.raises(DatasetError, match="leaves"):
@@ -59,7 +59,7 @@ def test_no_path_leaves_the_folder(tmp_path: Path, path: str) -> None:
 def test_a_link_is_removed_and_not_what_it_points_at(tmp_path: Path) -> None:
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine/thesis.tex").write_text("words")
-    place = LocalPlace(tmp_path / "data")
+    place = LocalStorage(tmp_path / "data")
     place.write("train/a", b"")
     (tmp_path / "data/train/link").symlink_to(tmp_path / "mine", target_is_directory=True)
     place.remove("train/link")
@@ -69,14 +69,14 @@ def test_a_link_is_removed_and_not_what_it_points_at(tmp_path: Path) -> None:
 
 def test_a_file_in_the_way_is_told(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    place = LocalPlace(tmp_path / "file")
+    place = LocalStorage(tmp_path / "file")
     with pytest.raises(OutputError, match="cannot write"):
         place.write("a", b"")
 
 
 def test_what_cannot_be_read_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Another user's folder: no bug, and not as if nothing were there."""
-    place = LocalPlace(tmp_path)
+    place = LocalStorage(tmp_path)
     place.write("a/b", b"1")
 
     def forbidden(*_: object) -> None:
@@ -91,9 +91,9 @@ def test_what_cannot_be_read_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 def test_a_target_is_a_folder_or_an_address(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    place = place_of("outputs/forests")
-    assert isinstance(place, LocalPlace)
+    place = storage_of("outputs/forests")
+    assert isinstance(place, LocalStorage)
     assert place.root == tmp_path / "outputs/forests"  # workers may live elsewhere
     assert place.name == "outputs/forests"
-    assert place_of("file://forests") == LocalPlace(tmp_path / "forests", "file://forests")
-    assert place_of(f"file://{tmp_path}") == LocalPlace(tmp_path, f"file://{tmp_path}")
+    assert storage_of("file://forests") == LocalStorage(tmp_path / "forests", "file://forests")
+    assert storage_of(f"file://{tmp_path}") == LocalStorage(tmp_path, f"file://{tmp_path}")

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from forestgen.core.errors import DatasetError
 from forestgen.runs.contract import JobRecord
-from forestgen.runs.places import LocalPlace
 from forestgen.runs.records import done_keys, read_record, record_bytes, record_path, records_of
+from forestgen.runs.storage import LocalStorage
 
 KEY = "000007-" + "ab" * 20
 RECORD = JobRecord(
@@ -96,7 +96,7 @@ def test_a_split_of_a_stranger_is_no_path(split: str) -> None:
 
 
 def test_records_come_by_image_and_damaged_ones_are_told(tmp_path: Path) -> None:
-    place = LocalPlace(tmp_path)
+    place = LocalStorage(tmp_path)
     numbers = [3, 1, 1_000_001, 20, 0, 999_999]
     for number in numbers:
         key = f"{number:06d}-" + "ab" * 20
@@ -112,4 +112,4 @@ def test_records_come_by_image_and_damaged_ones_are_told(tmp_path: Path) -> None
 
 
 def test_a_place_without_records_has_none(tmp_path: Path) -> None:
-    assert list(records_of(LocalPlace(tmp_path / "nowhere"))) == []
+    assert list(records_of(LocalStorage(tmp_path / "nowhere"))) == []

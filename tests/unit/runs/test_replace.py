@@ -14,12 +14,13 @@ import pytest
 from forestgen.core.errors import OutputError, RecipeError
 from forestgen.recipe.assets import recipes_dir
 from forestgen.recipe.load import load_recipe
-from forestgen.runs import places, replace, start
+from forestgen.runs import replace, start, storage
+from forestgen.runs.contract import Engine, Notice, Work
 from forestgen.runs.folder import BATCH, BEGUN, PREVIOUS, note_written, settle_batch
-from forestgen.runs.foreign_files import foreign_files
-from forestgen.runs.places import LocalPlace
 from forestgen.runs.records import JOBS
-from forestgen.runs.replace import previous_note, recover, replacing
+from forestgen.runs.replace import foreign_files, previous_note, recover, replacing
+from forestgen.runs.run import run_batch
+from forestgen.runs.storage import LocalStorage
 from forestgen.runs.summary import RunSummary
 from forestgen.runs.verify import open_data_set
 from support.displays import RecordingDisplay
@@ -32,8 +33,8 @@ def ignore(_: str) -> None:
     """Takes what a run says."""
 
 
-def data_set(root: Path, text: str = "old") -> LocalPlace:
-    place = LocalPlace(root)
+def data_set(root: Path, text: str = "old") -> LocalStorage:
+    place = LocalStorage(root)
     root.mkdir(exist_ok=True)
     settle_batch(place, ["train"], "")
     (root / "dataset.json").write_text(text)
@@ -52,14 +53,14 @@ def put(root: Path, *paths: str) -> None:
 
 
 @contextmanager
-def replaced(place: LocalPlace, say: Callable[[str], None] = ignore, *splits: str) -> Iterator[None]:
+def replaced(place: LocalStorage, say: Callable[[str], None] = ignore, *splits: str) -> Iterator[None]:
     """A run with `overwrite`."""
     with place.lock(), replacing(place, splits or ("train",), say, overwrite=True, keep_begun=True):
         yield
 
 
 @contextmanager
-def begun(place: LocalPlace, *, keep: bool = False) -> Iterator[None]:
+def begun(place: LocalStorage, *, keep: bool = False) -> Iterator[None]:
     """A run without `overwrite`."""
     with place.lock(), replacing(place, ["train"], ignore, overwrite=False, keep_begun=keep):
         yield
@@ -145,7 +146,7 @@ def test_the_folder_may_be_a_link(tmp_path: Path) -> None:
     root, link = tmp_path / "set", tmp_path / "link"
     data_set(root)
     link.symlink_to(root)
-    with replaced(LocalPlace(link)):
+    with replaced(LocalStorage(link)):
         data_set(link, "new")
         finish_image(link)
     assert link.is_symlink()
@@ -153,7 +154,7 @@ def test_the_folder_may_be_a_link(tmp_path: Path) -> None:
 
 
 def test_an_absent_folder_has_nothing_to_replace(tmp_path: Path) -> None:
-    place = LocalPlace(tmp_path / "absent")
+    place = LocalStorage(tmp_path / "absent")
     with replaced(place):
         data_set(place.root)
         finish_image(place.root)
@@ -168,7 +169,7 @@ def test_no_other_run_gets_in_between(tmp_path: Path, monkeypatch: pytest.Monkey
     put(root, "notes.txt", "train/mine/w.pt")
 
     def renamed(path: Path, target: Path) -> Path:
-        with pytest.raises(OutputError, match="another run writes there"), LocalPlace(root).lock():
+        with pytest.raises(OutputError, match="another run writes there"), LocalStorage(root).lock():
             raise AssertionError("two runs hold the lock")
         tries.append(path)
         return rename(path, target)
@@ -187,7 +188,7 @@ class KilledError(BaseException):
 
 def killed_at(monkeypatch: pytest.MonkeyPatch, moment: int) -> list[int]:
     """Let the process die before its n-th folder is moved or removed; a list that counts them."""
-    counted, changes = [0], (Path.rename, places.shutil.rmtree)
+    counted, changes = [0], (Path.rename, storage.shutil.rmtree)
 
     def dying(change: Callable[..., Any]) -> Callable[..., Any]:
         def call(*arguments: Any, **named: Any) -> Any:
@@ -199,7 +200,7 @@ def killed_at(monkeypatch: pytest.MonkeyPatch, moment: int) -> list[int]:
         return call
 
     monkeypatch.setattr(Path, "rename", dying(changes[0]))
-    monkeypatch.setattr(places.shutil, "rmtree", dying(changes[1]))
+    monkeypatch.setattr(storage.shutil, "rmtree", dying(changes[1]))
     return counted
 
 
@@ -366,12 +367,21 @@ def test_a_data_set_that_could_not_be_removed_is_not_overwritten(tmp_path: Path)
     assert not previous.exists()
 
 
+def nobody(work: Work, notice: Notice) -> Engine:
+    raise AssertionError("no work is done")
+
+
+def dies(work: Work, left: int) -> Work:
+    assert left == 1
+    raise KilledError
+
+
 @pytest.mark.parametrize("begin", [start.render, start.batch])
 @pytest.mark.parametrize("images", [0, 1])
 def test_what_a_killed_run_has_left_is_named_and_kept_until_a_run_may_go_on(
     tmp_path: Path, begin: Callable[..., RunSummary], images: int
 ) -> None:
-    root, told = tmp_path / "set", RecordingDisplay()
+    root, told, loaded = tmp_path / "set", RecordingDisplay(), load_recipe(QUICKSTART)
     data_set(root)
     previous = left_by_a_killed_run(root)
     put(root, "photo.jpg")
@@ -382,17 +392,17 @@ def test_what_a_killed_run_has_left_is_named_and_kept_until_a_run_may_go_on(
     assert str(previous) in str(refused.value.hint)
     assert ("move it away to keep it" if images else "puts it back") in str(refused.value.hint)
     with pytest.raises(OutputError, match="already holds a forestgen data set"):
-        begin(load_recipe(QUICKSTART), str(root), start.RunOptions(), told)
+        begin(loaded, str(root), start.RunOptions(), told)
     assert (previous / "dataset.json").read_text() == "old"  # a run that is refused removes nothing
-    prepared = start._prepared(load_recipe(QUICKSTART), str(root), start.RunOptions(overwrite=True), told)
-    assert prepared.before.kept == 0
+    with pytest.raises(KilledError):  # when it is known how many images are left
+        run_batch(loaded, str(root), count=1, engine=nobody, prepare=dies, overwrite=True, display=told)
     assert (root / "dataset.json").exists() != bool(images)
     assert (root / "photo.jpg").exists()
     assert ("is removed" if images else "is back") in told.said[-1]
     assert previous_note(root) is None
 
 
-def log_of(place: LocalPlace) -> None:
+def log_of(place: LocalStorage) -> None:
     """What a run leaves whose first image has failed."""
     place.write(BATCH, b"{}")
     place.write("run/log.jsonl", b"{}")
@@ -400,14 +410,14 @@ def log_of(place: LocalPlace) -> None:
 
 
 def test_a_run_that_made_nothing_leaves_no_folder(tmp_path: Path) -> None:
-    place = LocalPlace(tmp_path / "a" / "b" / "out")
+    place = LocalStorage(tmp_path / "a" / "b" / "out")
     with pytest.raises(KeyboardInterrupt):
         stopped(begun(place), lambda: log_of(place), KeyboardInterrupt)
     assert not list(tmp_path.iterdir())
 
 
 def test_a_folder_that_was_there_stays_empty(tmp_path: Path) -> None:
-    place = LocalPlace(tmp_path / "out")
+    place = LocalStorage(tmp_path / "out")
     place.root.mkdir()
     with pytest.raises(ZeroDivisionError):
         stopped(begun(place), lambda: log_of(place), ZeroDivisionError)
@@ -415,7 +425,7 @@ def test_a_folder_that_was_there_stays_empty(tmp_path: Path) -> None:
 
 
 def test_files_that_a_user_adds_meanwhile_stay(tmp_path: Path) -> None:
-    place = LocalPlace(tmp_path / "out")
+    place = LocalStorage(tmp_path / "out")
     own = ("notes/mine.txt", "train/mine.txt")
     with pytest.raises(KeyboardInterrupt):
         stopped(begun(place), new_one(place.root, *own, "train/000000-near/frame.exr"), KeyboardInterrupt)
@@ -425,7 +435,7 @@ def test_files_that_a_user_adds_meanwhile_stay(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("images", "keep", "before"), [(1, False, False), (0, True, False), (0, False, True)])
 def test_finished_images_and_what_was_there_stay(tmp_path: Path, images: int, keep: bool, before: bool) -> None:
-    place = LocalPlace(tmp_path / "out")
+    place = LocalStorage(tmp_path / "out")
     if before:
         log_of(place)
 
@@ -440,7 +450,7 @@ def test_finished_images_and_what_was_there_stay(tmp_path: Path, images: int, ke
 
 
 def test_a_run_that_is_refused_leaves_nothing_but_what_was_there(tmp_path: Path) -> None:
-    place = LocalPlace(tmp_path / "a" / "out")
-    with place.lock(), pytest.raises(OutputError, match="another run writes there"), LocalPlace(place.root).lock():
+    place = LocalStorage(tmp_path / "a" / "out")
+    with place.lock(), pytest.raises(OutputError, match="another run writes there"), LocalStorage(place.root).lock():
         raise AssertionError("two runs hold the lock")
     assert not list(tmp_path.iterdir())

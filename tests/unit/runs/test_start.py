@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
 from typing import Any
 
 import pytest
 
+from forestgen import Recipe, load
 from forestgen.core.errors import DatasetError, RecipeError
 from forestgen.core.figures import parse_bytes
+from forestgen.recipe.assets import recipes_dir
 from forestgen.runs import start
 from forestgen.runs.contract import Failed, FailureKind, Job
-from forestgen.runs.discards import ResumeDiff
 from forestgen.runs.start import RunOptions, seconds_of
 from forestgen.runs.summary import RunSummary
 from support.displays import RecordingDisplay
@@ -23,20 +26,28 @@ def test_measuring_takes_a_minute_and_is_announced(
     given: dict[str, Any] = {}
     monkeypatch.setattr(start, "estimate", lambda *_, **named: given.update(named))
     nothing: Any = None
-    told, prepared = RecordingDisplay(), start._Prepared(nothing, count, nothing, ResumeDiff(0, 0, frozenset()))
-    start._expected(nothing, prepared, RunOptions(), told, probe=probe)
+    told = RecordingDisplay()
+    start._estimate(nothing, nothing, count, RunOptions(), told, probe=probe)
     assert ("making some images to measure them" in "".join(told.said)) == said
     assert (given["workers"], given["threads"]) == (None, None)  # the estimate shares the cores out
     assert given["count"] == count
 
 
-def test_finished_images_are_not_estimated(monkeypatch: pytest.MonkeyPatch) -> None:
-    given: dict[str, Any] = {}
-    monkeypatch.setattr(start, "estimate", lambda *_, **named: given.update(named))
-    nothing: Any = None
-    prepared = start._Prepared(nothing, 1000, nothing, ResumeDiff(960, 0, frozenset()))
-    start._expected(nothing, prepared, RunOptions(workers=3, threads=2), RecordingDisplay(), probe=False)
-    assert (given["count"], given["workers"], given["threads"]) == (40, 3, 2)
+@pytest.mark.parametrize("begin", [Recipe.render, Recipe.batch, Recipe.estimate])
+def test_rays_are_traced_on_the_device_that_was_asked_for(
+    begin: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[str | None] = []
+
+    def run(*_: object, **__: object) -> None:
+        seen.append(os.environ.get("FORESTGEN_TRACING"))
+
+    for name in ("render", "batch", "dry_run"):
+        monkeypatch.setattr(start, name, run)
+    monkeypatch.delenv("FORESTGEN_TRACING", raising=False)
+    begin(load(recipes_dir() / "quickstart.yaml"), tmp_path / "set", device="cuda", progress=False)
+    assert seen == ["cuda"]
+    assert "FORESTGEN_TRACING" not in os.environ
 
 
 def summary(failed: tuple[Failed, ...], missing: tuple[int, ...]) -> RunSummary:

@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from test_own_plants import cameras, grown, planned
+from test_explicit_plants import cameras, grown, planned
 
 from forestgen.community.population import Population, Status
 from forestgen.community.summary import standing_dead

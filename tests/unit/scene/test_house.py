@@ -15,7 +15,7 @@ SIZES = [(12.0, 9.0, 8.0), (4.0, 6.0, 3.0), (0.5, 0.5, 0.5), (60.0, 20.0, 25.0)]
 
 
 def house(size_m: tuple[float, float, float], **keys: object) -> Exemplar:
-    return exemplar_of(Building(kind="house", position_m=(0, 0), size_m=size_m, **keys), 1.0)
+    return exemplar_of(Building.model_validate({"position_m": (0, 0), "size_m": size_m, **keys}), 1.0)
 
 
 def corners(exemplar: Exemplar, *, without: str = "") -> np.ndarray:
@@ -88,12 +88,12 @@ def test_the_chimney_rises_above_the_ridge_and_leaves_the_height() -> None:
 
 def test_a_house_may_have_materials_of_its_own() -> None:
     red = {"wall": {"reflectance": [0.5, 0.1, 0.1]}}
-    plain = Building(kind="house", position_m=(1, 2))
-    painted = Building(kind="house", position_m=(9, 2), materials=red)
+    plain = Building.model_validate({"kind": "house", "position_m": (1, 2)})
+    painted = Building.model_validate({"kind": "house", "position_m": (9, 2), "materials": red})
     materials = building_materials([plain, painted])
     for one in (plain, painted):
         assert {("house", organ.material) for organ in exemplar_of(one, 1.0).organs} <= set(materials)
     colours = {one.reflectance for (_, name), one in materials.items() if name.startswith("wall")}
     assert colours == {(0.62, 0.58, 0.50), (0.5, 0.1, 0.1)}
     with pytest.raises(ValidationError, match="a house has no such part"):
-        Building(kind="house", position_m=(9, 2), materials={"moat": red["wall"]})
+        Building.model_validate({"kind": "house", "position_m": (9, 2), "materials": {"moat": red["wall"]}})

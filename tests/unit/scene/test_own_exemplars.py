@@ -7,17 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from forestgen.architecture.geometry import skeletal_graph
 from forestgen.architecture.modules import Modules
-from forestgen.architecture.plant_type import PlantType
-from forestgen.architecture.prototype import MOST_NODES
-from forestgen.architecture.prototypes import load_prototypes
-from forestgen.architecture.skeletal_graph import skeletal_graph
-from forestgen.architecture.tables import tables_of
+from forestgen.architecture.prototypes import MOST_NODES, load_prototypes, tables_of
 from forestgen.community.population import Population
 from forestgen.plants.grown import woods_of
+from forestgen.recipe.species import PlantType
 from forestgen.scene.build import place_instances
-from forestgen.scene.exemplars import plan_exemplars
-from forestgen.scene.own_exemplars import LEAST_PIXELS, MOST_TRIANGLES, plan_own, unique_plants
+from forestgen.scene.exemplars import LEAST_PIXELS, MOST_TRIANGLES, plan_exemplars, plan_own, unique_plants
 from support.scenes import simple_tree
 
 TYPE = PlantType(life_span_yr=100, root_vigour_max=50, growth_rate_per_yr=0.2, apical_control=0.8, determinacy=0.8)

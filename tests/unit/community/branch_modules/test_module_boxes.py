@@ -82,5 +82,3 @@ def test_ground_that_is_covered() -> None:
     at = np.array([[10, 11.9], [10.9, 10], [11.1, 10], [10, 12.1], [30, 10]])
     assert one.cover(at).tolist() == [True, True, False, False, False]
     assert one.cover(at, (20.0, 20.0)).tolist() == [True, True, False, False, True]
-    with pytest.raises(ValueError, match="2 boxes"):
-        Boxes(np.zeros((1, 3)), np.zeros((2, 3)), np.zeros(2))

@@ -13,12 +13,12 @@ from forestgen.community.branch_modules import crowding
 from forestgen.community.branch_modules.boxes import Boxes
 from forestgen.community.branch_modules.crowding import (
     SphereGrid,
-    intersection_ratio,
     lens,
     overlap,
     overlap_volumes,
     without,
 )
+from support.module_spheres import intersection_ratio
 from support.module_stands import ModuleStand, module_stand
 
 Floats = NDArray[np.float64]
@@ -57,8 +57,8 @@ def test_every_pair_is_found_once(n: int, period: tuple[float, float] | None) ->
     centre, radius, parent = mixture(n, n)
     grid = SphereGrid.of(centre, radius, period)
     pairs = pair_volumes(centre, radius, period)
-    np.testing.assert_allclose(overlap_volumes(grid, parent, joints=True), pairs.sum(axis=1), rtol=1e-6, atol=1e-12)
-    assert intersection_ratio(grid, parent, joints=True) == pytest.approx(pairs.sum() / 2 / grid.volume_m3.sum())
+    np.testing.assert_allclose(overlap_volumes(grid, np.full(n, -1)), pairs.sum(axis=1), rtol=1e-6, atol=1e-12)
+    assert intersection_ratio(grid) == pytest.approx(pairs.sum() / 2 / grid.volume_m3.sum())
     born = np.flatnonzero(parent >= 0)
     pairs[born, parent[born]] = pairs[parent[born], born] = 0.0
     np.testing.assert_allclose(overlap(grid, parent), pairs.sum(axis=1) / grid.volume_m3, rtol=1e-6, atol=1e-9)

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from forestgen.architecture.geometry import node_diameters, node_positions
-from forestgen.architecture.plant_type import PlantType
-from forestgen.community.branch_modules.kinds import kinds_at
+from forestgen.community.branch_modules.state import step_parameters
 from forestgen.community.branch_modules.vigour import axis_lengths_m, distribute, net_gain, stature_of
 from forestgen.community.disturbance import Planting
 from forestgen.community.ecology import SpeciesEcology
@@ -20,6 +19,7 @@ from forestgen.community.population import Status
 from forestgen.core import threads
 from forestgen.core.errors import RecipeError, ResourceError
 from forestgen.recipe.buildings import Building
+from forestgen.recipe.species import PlantType
 
 ROWS = {  # of Table 1
     "a": (20, 42, 0.19, 0.62, None, 0.25, None, 0, 0.52, 0.63, -0.38, 0.57, 0.47),
@@ -94,7 +94,7 @@ def test_the_graphs_of_all_states_are_sound(stand):
         row = np.arange(len(modules)) - modules.first[modules.plant()]
         assert np.all(parent < row)
         bearer = modules.parent_row()[~roots]
-        tables = kinds_at(state).tables
+        tables = step_parameters(state).tables
         assert np.all(tables.terminal_index[modules.prototype[bearer], modules.node[~roots]] >= 0)
         assert np.all(modules.age[bearer] == np.float32(1.0))  # only grown modules bear others
         key = modules.parent_row() * 64 + modules.node
@@ -135,7 +135,7 @@ def test_plants_stay_on_the_site_and_grown_modules_where_they_are(stand):
 def test_a_new_module_begins_at_the_terminal_that_bears_it(stand):
     state = stand[-1]
     modules = state.modules
-    nodes = node_positions(kinds_at(state).tables, modules, state.plants.species)
+    nodes = node_positions(step_parameters(state).tables, modules, state.plants.species)
     borne = np.flatnonzero(modules.parent >= 0)
     at = nodes.start[modules.parent_row()[borne]] + modules.node[borne]
     assert np.allclose(nodes.position_m[at], modules.base_m[borne], atol=1e-4)
@@ -144,7 +144,7 @@ def test_a_new_module_begins_at_the_terminal_that_bears_it(stand):
 def test_vigour_of_children_sums_to_what_reaches_their_fork(stand):
     """By a plain recursion over the nodes of each plant, in place of the compiled passes."""
     state = stand[-1]
-    modules, plants, kinds = state.modules, state.plants, kinds_at(state)
+    modules, plants, kinds = state.modules, state.plants, step_parameters(state)
     traits, tables, sp = kinds.traits, kinds.tables, plants.species
     most, control = traits.root_vigour_max[sp], traits.apical_control[sp]
     gain = net_gain(modules.light, sp, modules.first, traits)
@@ -202,7 +202,7 @@ def test_vigour_of_children_sums_to_what_reaches_their_fork(stand):
 
 def test_the_pipe_model_holds_at_every_fork_of_a_stand_that_sheds(stand):
     state = stand[-1]
-    tables, modules = kinds_at(state).tables, state.modules
+    tables, modules = step_parameters(state).tables, state.modules
     diameter = node_diameters(tables, modules, state.plants.species).astype(float)
     assert modules.disused_m2.max() > 0
     start = np.concatenate([[0], np.cumsum(tables.nodes[modules.prototype])])
@@ -220,8 +220,8 @@ def test_trunks_never_shrink(stand):
     before = {}
     for state in stand:
         found = MODEL.population(state)
-        foot = node_diameters(kinds_at(state).tables, state.modules, state.plants.species)
-        nodes = kinds_at(state).tables.nodes[state.modules.prototype]
+        foot = node_diameters(step_parameters(state).tables, state.modules, state.plants.species)
+        nodes = step_parameters(state).tables.nodes[state.modules.prototype]
         first = np.concatenate([[0], np.cumsum(nodes)])[state.modules.first[:-1]]
         for plant, width in zip(found.plant_id.tolist(), foot[first].tolist(), strict=True):
             assert width >= before.get(plant, 0.0) * (1 - 1e-4)
@@ -350,7 +350,7 @@ def test_the_estimate_is_above_what_a_stand_holds(stand):
 
 def test_a_house_is_a_row_without_modules_that_stays():
     parameters = MODEL.Parameters(initial_plants={"x": 5}, steps=3)
-    site = Site((20.0, 20.0), buildings=(Building(kind="house", position_m=(10, 10)),))
+    site = Site((20.0, 20.0), buildings=(Building.model_validate({"kind": "house", "position_m": (10, 10)}),))
     species = [ecology("x", plant_type("b", seeds_per_yr=0.0)), ecology("house", None)]
     states_ = list(simulate(MODEL, parameters, site, species, 1, steps=3))
     for found in states_:

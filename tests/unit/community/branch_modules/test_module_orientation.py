@@ -11,8 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from forestgen.community.branch_modules import orientation
 from forestgen.community.branch_modules.boxes import NO_BOXES, Boxes
-from forestgen.community.branch_modules.crowding import SphereGrid, intersection_ratio, lens
+from forestgen.community.branch_modules.crowding import SphereGrid, lens
 from forestgen.community.branch_modules.orientation import Turning, orient
+from support.module_spheres import intersection_ratio
 
 Floats = NDArray[np.float64]
 EMPTY = SphereGrid.of(np.empty((0, 3)), np.empty(0))

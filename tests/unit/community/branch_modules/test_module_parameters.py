@@ -4,19 +4,24 @@ from __future__ import annotations
 
 import math
 import re
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from forestgen.architecture.plant_type import PlantType
-from forestgen.community.branch_modules.changes import check_changes, parameters_at
-from forestgen.community.branch_modules.parameters import BranchModulesParameters, is_blocked
+from forestgen.community.branch_modules.capabilities import check_changes
+from forestgen.community.branch_modules.parameters import (
+    BranchModulesParameters,
+    is_blocked,
+    parameters_at,
+)
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.buildings import Building
 from forestgen.recipe.messages import Explainer
 from forestgen.recipe.sources import SourceMap
+from forestgen.recipe.species import PlantType
 
 PINE = PlantType(
     life_span_yr=200, root_vigour_max=80, growth_rate_per_yr=0.3, apical_control=0.8, determinacy=1, shade_tolerance=0.4
@@ -85,17 +90,19 @@ def test_mistakes_are_told(keys: dict[str, Any], message: str) -> None:
 
 def test_soil_bars_what_is_above_half_with_its_first_row_in_the_north() -> None:
     blocked = made(soil=[[1, 0], [0, 0.5]]).blocked_soil()
-    x, y = np.array([5.0, 15.0, 5.0, 15.0, 20.0]), np.array([15.0, 15.0, 5.0, 5.0, 20.0])
-    assert is_blocked(blocked, x, y, (20.0, 20.0)).tolist() == [True, False, False, False, False]
-    assert not is_blocked(None, x, y, (20.0, 20.0)).any()
+    points = np.array([[5.0, 15.0], [15.0, 15.0], [5.0, 5.0], [15.0, 5.0], [20.0, 20.0]])
+    assert is_blocked(blocked, points, (20.0, 20.0)).tolist() == [True, False, False, False, False]
+    assert not is_blocked(None, points, (20.0, 20.0)).any()
 
 
 def test_an_obstacle_turns_clockwise() -> None:
-    house = Building(kind="house", position_m=(10, 20), azimuth_deg=90, size_m=(8, 4, 6))
+    house = Building.model_validate({"kind": "house", "position_m": (10, 20), "azimuth_deg": 90, "size_m": (8, 4, 6)})
     corners = house.corners_m()
     np.testing.assert_allclose(corners.min(axis=0), [8, 16], atol=1e-12)
     np.testing.assert_allclose(corners.max(axis=0), [12, 24], atol=1e-12)
-    slightly = Building(kind="house", position_m=(0, 0), azimuth_deg=30, size_m=(8, 4, 6)).corners_m()
+    slightly = Building.model_validate(
+        {"kind": "house", "position_m": (0, 0), "azimuth_deg": 30, "size_m": (8, 4, 6)}
+    ).corners_m()
     along = slightly[1] - slightly[0]  # its width, which pointed east
     assert along[0] > 0
     assert along[1] == pytest.approx(-8 * math.sin(math.radians(30)))
@@ -129,7 +136,8 @@ def _checked(*changes: dict[str, Any]) -> None:
             raise Explainer(model, data, SourceMap(), tuple(keys)).error(failure) from failure
 
     parameters = made(temperature_c=5, precipitation_mm_per_yr=900, changes=list(changes))
-    check_changes(parameters, {"pine": PINE}, ("column",), parse, lambda *keys: ".".join(map(str, keys)))
+    drawn: Any = SimpleNamespace(parse=parse, where=lambda *keys: ".".join(map(str, keys)))
+    check_changes(drawn, parameters, {"pine": PINE}, ("column",))
 
 
 @pytest.mark.parametrize(

@@ -7,9 +7,9 @@ import pytest
 from test_module_engine import MODEL, ecology, last, mixed, plant_type, same, states
 
 from forestgen.architecture.geometry import diameters
-from forestgen.community.branch_modules.growth import on_axis
-from forestgen.community.branch_modules.kinds import kinds_at
-from forestgen.community.branch_modules.shedding import PATIENCE, STUNTED
+from forestgen.architecture.prototypes import load_prototypes
+from forestgen.community.branch_modules.growth import PATIENCE, STUNTED, on_axis
+from forestgen.community.branch_modules.state import step_parameters
 from forestgen.community.branch_modules.vigour import stature_of
 from forestgen.community.model import Site
 from forestgen.core.errors import RecipeError
@@ -23,7 +23,7 @@ def pine(**more):
 
 def test_a_type_has_the_prototypes_that_it_names_and_no_others():
     state = last("", 12, types={"x": plant_type("b", prototypes=("spiral", "zigzag"), seeds_per_yr=0.0)})
-    names = [one.name for one in state.prototypes]
+    names = [one.name for one in load_prototypes()]
     assert {names[k] for k in state.modules.prototype} <= {"spiral", "zigzag"}
     free = last("", 12, types={"x": plant_type("b", prototypes=tuple(names), seeds_per_yr=0.0)})
     assert same(free, last("", 12, types={"x": plant_type("b", seeds_per_yr=0.0)}))
@@ -46,7 +46,7 @@ def test_the_height_of_a_lone_plant_levels_off_by_its_reach(row, low, high):
 
 def test_leaves_and_sizes_of_modules_are_those_of_their_terminals():
     state = last(**mixed(12))
-    modules, kinds = state.modules, kinds_at(state)
+    modules, kinds = state.modules, step_parameters(state)
     stature = stature_of(modules, state.plants.species, kinds.tables, kinds.traits)
     assert np.all((stature.leaves >= 0) & (stature.leaves <= 1) & (stature.size > 0) & (stature.size <= 1))
     bearer, ends = modules.parent_row(), kinds.tables.terminals[modules.prototype]
@@ -78,7 +78,7 @@ def test_a_crown_that_sheds_and_grows_keeps_the_share_of_disused_pipes_and_no_no
         before = {}
         for state in states("", 45, plants=60, side_m=14.0, types={"x": pine(disused_share=share)}):
             modules = state.modules
-            width = diameters(kinds_at(state).tables, modules, state.plants.species)
+            width = diameters(step_parameters(state).tables, modules, state.plants.species)
             plant = state.plants.plant_id[modules.plant()].tolist()
             after = dict(zip(zip(plant, modules.number.tolist(), strict=True), width.tolist(), strict=True))
             for key, wide in after.items():
@@ -98,7 +98,7 @@ def test_crowded_conifers_lose_their_lowest_branches_and_keep_their_tops():
         lost = max([lost, *(1 - height / top[key] for key, height in now.items() if top.get(key, 0) > 3)])
         top = {key: max(height, top.get(key, 0.0)) for key, height in now.items()}
         if state.step in (30, 80):
-            kinds, modules = kinds_at(state), state.modules
+            kinds, modules = step_parameters(state), state.modules
             branch = ~on_axis(modules, kinds.main_path)
             foot = np.full(len(now), np.nan)
             np.fmin.at(foot, modules.plant()[branch], modules.base_m[branch, 2])

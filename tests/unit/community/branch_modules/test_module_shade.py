@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from forestgen.community.branch_modules.boxes import Boxes
-from forestgen.community.branch_modules.shade import ShadowGrid, _Covers, shade
+from forestgen.community.branch_modules.shade import ShadowGrid, _open_shares, shade
 from forestgen.core.errors import ResourceError
 
 SITE = ShadowGrid((40.0, 60.0), periodic=True)
@@ -123,8 +123,6 @@ def test_what_no_grid_can_hold() -> None:
         shade(np.zeros((1, 2)), np.full(1, 1e9), np.ones(1), np.ones(1), SITE)
     with pytest.raises(ValueError, match="finite"):
         shade(np.full((1, 2), np.nan), np.zeros(1), np.ones(1), np.ones(1), SITE)
-    with pytest.raises(ValueError, match="spread"):
-        ShadowGrid((1.0, 1.0), spread=0.7)
 
 
 def many_houses(count: int) -> Boxes:
@@ -142,21 +140,21 @@ def test_boxes_take_of_each_cell_the_share_of_its_points(periodic: bool) -> None
     point = (np.arange(8) + 0.5) / 8
     along = (np.arange(nx)[:, None] + point).ravel() / grid.per_m[0]
     at = np.stack(np.meshgrid(along, along), axis=-1).reshape(-1, 2)
-    covers = _Covers(boxes, grid)
-    for layer in range(7, -1, -1):
+    box_layers = np.ceil(boxes.size_m[:, 2] / 3.0).astype(np.int64)
+    for layer, share in zip(range(7, -1, -1), _open_shares(boxes, box_layers, grid, 8), strict=True):
         taken = np.zeros((ny, nx))
         for k in np.flatnonzero(np.ceil(boxes.size_m[:, 2] / 3.0) > layer):
             one = Boxes(boxes.base_m[k : k + 1], boxes.size_m[k : k + 1], boxes.azimuth_rad[k : k + 1])
             inside = one.cover(at, grid.size_m if periodic else None)
             taken += inside.reshape(ny, 8, nx, 8).mean(axis=(1, 3))
-        np.testing.assert_array_equal(covers.open_share(layer), np.maximum(1 - taken, 0))
+        np.testing.assert_array_equal(share, np.maximum(1 - taken, 0))
 
 
 def test_memory_does_not_grow_with_the_houses() -> None:
     """A thousand houses over a fine grid take a plane of cells, and not one each: 640,000 cells are 5 MB."""
     grid = ShadowGrid((200.0, 200.0), cell_m=0.25, layer_m=0.25)
     tracemalloc.start()
-    _Covers(many_houses(300), grid).open_share(0)
+    next(_open_shares(many_houses(300), np.ones(300, dtype=np.int64), grid, 1))
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 200e6

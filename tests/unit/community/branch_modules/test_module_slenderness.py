@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from forestgen.architecture.tables import pipe_diameter_m
+from forestgen.architecture.prototypes import pipe_diameter_m
 from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.model import Site
 from forestgen.community.models.branch_modules import MODEL

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from test_module_engine import MODEL, columns, mixed, plant_type, same, states
 
-from forestgen.architecture.sizes import plant_sizes
-from forestgen.community.branch_modules.kinds import kinds_at
-from forestgen.community.branch_modules.snags import stands_yr
-from forestgen.community.branch_modules.state import reordered, rows_of_plants
+from forestgen.architecture.geometry import plant_sizes
+from forestgen.community.branch_modules.growth import stands_yr
+from forestgen.community.branch_modules.state import step_parameters
 from forestgen.community.history import open_history, write_history
 from forestgen.community.population import Status
 from forestgen.core.errors import ResourceError
@@ -66,7 +65,7 @@ def test_the_dead_stand_as_they_were_for_years_of_their_own(dying):
         snags = state.snags
         for row, plant_id in enumerate(snags.plants.plant_id.tolist()):
             one = np.arange(len(snags.died)) == row
-            wood = b"".join(columns(rows_of_plants(snags.modules, one)).values())
+            wood = b"".join(columns(snags.modules.of_plants(one)).values())
             seen.setdefault(plant_id, []).append((state.step, wood))
             assert snags.died[row] == seen[plant_id][0][0]
     last = dying[-1].step
@@ -76,11 +75,11 @@ def test_the_dead_stand_as_they_were_for_years_of_their_own(dying):
         assert [step for step, _ in found] == [step for step in range(died, last + 1) if step - died < years]
         assert all(same_wood == wood for _, same_wood in found)
         before, snags = dying[died - 1], dying[died].snags
-        modules = rows_of_plants(before.modules, before.plants.plant_id == plant_id)
-        stands = rows_of_plants(snags.modules, snags.plants.plant_id == plant_id)
+        modules = before.modules.of_plants(before.plants.plant_id == plant_id)
+        stands = snags.modules.of_plants(snags.plants.plant_id == plant_id)
         assert np.array_equal(stands.number, modules.number)  # nothing of it is shed
         species = before.plants.species[before.plants.plant_id == plant_id]
-        assert plant_sizes(kinds_at(before).tables, stands, species).height_m > 1.3
+        assert plant_sizes(step_parameters(before).tables, stands, species).height_m > 1.3
 
 
 def test_a_snapshot_holds_the_dead_in_their_place_without_leaves_or_vigour(dying):
@@ -148,7 +147,7 @@ def test_a_tree_that_has_died_back_is_dead_with_the_wood_it_had(without):
     assert np.array_equal(left, lives & ~gone)
     stands = np.isin(plants.plant_id, after.snags.plants.plant_id)
     assert np.any(stands & gone)
-    assert np.array_equal(after.snags.modules.number, rows_of_plants(state.modules, stands).number)
+    assert np.array_equal(after.snags.modules.number, state.modules.of_plants(stands).number)
     never = replace(tall, parameters=state.parameters.model_copy(update={"dieback_share": 0.0}))
     assert np.array_equal(MODEL.step(never).plants.plant_id, plain.plant_id)
 
@@ -172,11 +171,11 @@ def test_modules_of_the_dead_count(dying):
 def test_modules_in_another_order_are_the_plants_own(dying):
     modules, species = dying[-1].modules, dying[-1].plants.species
     turned = np.arange(modules.plants)[::-1].copy()
-    there = reordered(modules, turned)
-    tables = kinds_at(dying[-1]).tables
+    there = modules.of_plants(turned)
+    tables = step_parameters(dying[-1]).tables
     sizes = plant_sizes(tables, there, species[turned]).wood_volume_m3
     assert np.allclose(sizes[::-1], plant_sizes(tables, modules, species).wood_volume_m3)
-    assert columns(reordered(there, turned)) == columns(modules)
+    assert columns(there.of_plants(turned)) == columns(modules)
 
 
 def test_adaptation_is_what_was_felt(without):

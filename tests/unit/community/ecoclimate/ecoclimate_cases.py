@@ -8,15 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from forestgen.architecture.plant_type import PlantType
-from forestgen.community.branch_modules.kinds import kinds_at
+from forestgen.community.branch_modules.state import step_parameters
 from forestgen.community.branch_modules.surroundings import Surroundings, surroundings_of
 from forestgen.community.branch_modules.vigour import stature_of
+from forestgen.community.ecoclimate.months import Ecoclimate
 from forestgen.community.ecoclimate.parameters import EcoclimateParameters
-from forestgen.community.ecoclimate.state import Ecoclimate
 from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.model import Site
 from forestgen.community.models.ecoclimate import MODEL
+from forestgen.recipe.species import PlantType
 
 SITE = Site((15.0, 12.0))
 STEADY = {"temperature_c": [10.0] * 12, "precipitation_mm": [60.0] * 12}
@@ -72,6 +72,6 @@ def after(steps: int, site: Site = SITE, species: list[SpeciesEcology] | None = 
 
 def around(state: Ecoclimate) -> Surroundings:
     """What the plants of a state see of one another."""
-    kinds = kinds_at(state.forest)
+    kinds = step_parameters(state.forest)
     stature = stature_of(state.forest.modules, state.forest.plants.species, kinds.tables, kinds.traits)
     return surroundings_of(state.forest, kinds, stature.leaves)

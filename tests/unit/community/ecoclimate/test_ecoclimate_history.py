@@ -13,7 +13,7 @@ from ecoclimate_cases import HILLY, ecology, parameters
 from forestgen.community.ecoclimate.climate import MonthlyClimate, month_at
 from forestgen.community.ecoclimate.parameters import ClimateChange, GlobalSeeding
 from forestgen.community.history import open_history, write_history
-from forestgen.community.map_history import NAME
+from forestgen.community.history_tables import MAPS_NAME as NAME
 from forestgen.community.model import simulate
 from forestgen.community.models.ecoclimate import MODEL
 from forestgen.community.population import Population
@@ -109,7 +109,7 @@ def test_what_is_still_to_come_has_done_nothing_yet(months: int, from_yr: float)
     begun = change.step(months / 12)
     assert begun == seeds.step(months / 12) >= 1
     before, end = (begun - 1) * months, begun * months
-    assert all(month_at(NORMALS, [change.turn], k) == month_at(NORMALS, [], k) for k in range(before))
+    assert all(month_at(NORMALS, [change], k) == month_at(NORMALS, [], k) for k in range(before))
     assert seeds.times_before(before) == 0
     assert seeds.times_before(end) == 1
 

@@ -9,27 +9,23 @@ import numpy as np
 import pytest
 from ecoclimate_cases import HILLY, SITE, STEADY, after, around, ecology, parameters, plant_type, states
 
-from forestgen.architecture.sizes import plant_sizes
-from forestgen.community.branch_modules.climate import LocalClimate, suited
-from forestgen.community.branch_modules.kinds import kinds_at
-from forestgen.community.branch_modules.state import State
-from forestgen.community.branch_modules.step import advanced
-from forestgen.community.branch_modules.surroundings import ground_at
+from forestgen.architecture.geometry import plant_sizes
+from forestgen.community.branch_modules.state import State, step_parameters
+from forestgen.community.branch_modules.step import step_forest
+from forestgen.community.branch_modules.surroundings import LocalClimate, ground_at, suited
 from forestgen.community.disturbance import Planting
-from forestgen.community.ecoclimate.leaves import leaf_area_index
-from forestgen.community.ecoclimate.months import local_climate
+from forestgen.community.ecoclimate.months import Ecoclimate, leaf_area_index, local_climate
 from forestgen.community.ecoclimate.parameters import GlobalSeeding
-from forestgen.community.ecoclimate.state import Ecoclimate
 from forestgen.community.model import Site
 from forestgen.community.models.ecoclimate import MODEL
-from forestgen.community.soil_water.ground import Ground
+from forestgen.community.soil_water import Ground
 
 TWO = [ecology("tree"), ecology("bush", root_vigour_max=20, opacity=0.5, determinacy=0.2)]
 
 
 def leaf_area_m2(state: Ecoclimate) -> float:
     forest = state.forest
-    return float(plant_sizes(kinds_at(forest).tables, forest.modules, forest.plants.species).leaf_area_m2.sum())
+    return float(plant_sizes(step_parameters(forest).tables, forest.modules, forest.plants.species).leaf_area_m2.sum())
 
 
 @pytest.mark.parametrize("periodic", [False, True])
@@ -125,7 +121,7 @@ def test_means_of_even_and_local_shade_agree() -> None:
 def test_adaptation_is_that_of_the_paper() -> None:
     """Eq. 38 is 1 at the optimum, and the product of two bells around it."""
     state = after(0)
-    traits = kinds_at(state.forest).traits
+    traits = step_parameters(state.forest).traits
     one = np.zeros(5, dtype=np.uint16)
     found = suited(traits, one, np.array([8.0, 16.0, 0.0, 8.0, 16.0]), np.array([700.0, 700.0, 700.0, 1200.0, 1200.0]))
     assert found == pytest.approx([1, np.exp(-0.5), np.exp(-0.5), np.exp(-0.5), np.exp(-1)])
@@ -148,7 +144,7 @@ def evenly(temperature_c: float) -> LocalClimate:
 
 def vigour_of_roots(forest: State, temperature_c: float) -> np.ndarray:
     """(P,) by plant_id, after a step in which it was so warm; 0 for those that died of it."""
-    later = advanced(forest, evenly(temperature_c))
+    later = step_forest(forest, evenly(temperature_c))
     rows = later.modules.first[:-1]
     found = dict(zip(later.plants.plant_id.tolist(), later.modules.vigour[rows].tolist(), strict=True))
     return np.array([found.get(one, 0.0) for one in forest.plants.plant_id.tolist()])
@@ -158,7 +154,7 @@ def test_leaves_gain_the_less_the_less_the_climate_suits_and_nothing_below_what_
     """Roots without a cap: the vigour is what leaves gain, which is (o Q - c) / (1 - c) of each."""
     free = [ecology(root_vigour_max=1e5, temperature_c=10.0, temperature_width_c=5.0, seeds_per_yr=0.0)]
     forest = after(8, species=free, step_yr=1.0, climate=STEADY).forest
-    c = float(kinds_at(forest).traits.compensation[0])
+    c = float(step_parameters(forest).traits.compensation[0])
     warmth = [10.0, 12.0, 14.0]
     vigours = [vigour_of_roots(forest, one) for one in warmth]
     grown = vigours[0] > 0.5

@@ -12,14 +12,21 @@ import pytest
 from ecoclimate_cases import HILLY, SEASONS, SITE, STEADY, after, ecology, parameters, plant_type, states
 
 from forestgen.community.ecoclimate import months
-from forestgen.community.ecoclimate.air import Sky
-from forestgen.community.ecoclimate.months import advanced_ecoclimate, begun, local_climate, soil_of, worth_mm_per_yr
+from forestgen.community.ecoclimate.air import MonthOfAir
+from forestgen.community.ecoclimate.months import (
+    Ecoclimate,
+    WaterBudget,
+    initial_ecoclimate,
+    local_climate,
+    soil_of,
+    step_ecoclimate,
+    worth_mm_per_yr,
+)
 from forestgen.community.ecoclimate.parameters import KINDS
-from forestgen.community.ecoclimate.state import Books, Ecoclimate
 from forestgen.community.model import Site
 from forestgen.community.models.branch_modules import MODEL as FOREST
 from forestgen.community.models.ecoclimate import MODEL
-from forestgen.community.soil_water.parameters import SoilWaterParameters
+from forestgen.community.soil_water import SoilWaterParameters
 
 DAYS = 365.25
 
@@ -125,10 +132,10 @@ def grown(**keys: Any) -> Ecoclimate:
 def test_more_leaves_make_water_sink_in_faster_and_drink_more() -> None:
     """The same soil and rain with plants and without: less stands on the ground, less is in the soil, more is drunk."""
     state = grown(initial_plants=20)
-    bare = replace(MODEL.remove(state, state.forest.plants.plant_id), books=Books(state.stored_mm))
-    planted = replace(state, books=Books(state.stored_mm))
+    bare = replace(MODEL.remove(state, state.forest.plants.plant_id), books=WaterBudget(state.stored_mm))
+    planted = replace(state, books=WaterBudget(state.stored_mm))
     assert len(bare.forest.plants) == 0
-    with_plants, without = advanced_ecoclimate(planted), advanced_ecoclimate(bare)
+    with_plants, without = step_ecoclimate(planted), step_ecoclimate(bare)
     assert without.books.uptake_mm == 0
     assert with_plants.books.uptake_mm > 1.0
     assert with_plants.water.surface_mm.mean() < without.water.surface_mm.mean()
@@ -167,7 +174,7 @@ def test_the_start_is_as_wet_as_years_of_the_climate_leave_it() -> None:
     first, *_, last = (state for state, _ in zip(states(initial_plants=0), range(13), strict=False))
     assert last.water.soil_mm == pytest.approx(first.water.soil_mm, rel=1e-4)
     assert last.soil_mean_mm == pytest.approx(first.soil_mean_mm, rel=0.06)  # three years of a memory of one
-    assert first.books == Books(first.stored_mm)
+    assert first.books == WaterBudget(first.stored_mm)
 
 
 @pytest.mark.parametrize("memory_yr", [0.0, 0.5, 10.0])
@@ -214,7 +221,7 @@ def test_a_forest_begins_where_that_of_branch_modules_does() -> None:
     """The soil is added to the forest; it draws no random number of its own."""
     p, species = parameters(), [ecology()]
     forest = FOREST.init(p, SITE, species, 5)
-    assert begun(forest).forest is forest
+    assert initial_ecoclimate(forest).forest is forest
     assert plant_type() == species[0].modules
 
 
@@ -224,10 +231,10 @@ def test_months_between_simulated_ones_have_the_last_ones_rain_and_warmth(
 ) -> None:
     seen: list[int] = []
 
-    def air(section: Any, month: Any, number: int, given: Any, *_: Any) -> Sky:
+    def air(section: Any, month: Any, number: int, given: Any, *_: Any) -> MonthOfAir:
         seen.append(number)
         even = np.ones(given.ground.shape)
-        return Sky((3.0 if number else 2.0) * even, 1.0, 1.5 * even, 0.1, 0.0)
+        return MonthOfAir((3.0 if number else 2.0) * even, 1.0, 1.5 * even, 0.1, 0.0)
 
     monkeypatch.setattr(months, "month_of_air", air)
     weather = {"every_months": 5, "local_share": 0.5}

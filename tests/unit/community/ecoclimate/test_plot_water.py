@@ -11,7 +11,7 @@ from ecoclimate_cases import SITE, ecology, parameters
 
 from forestgen.community.model import Site, simulate
 from forestgen.community.models.ecoclimate import MODEL
-from forestgen.community.plot_water import SOIL, WaterSeries, plot_water
+from forestgen.community.plot_series import SOIL, WaterSeries, plot_water
 from forestgen.community.population import Population
 
 

@@ -9,13 +9,19 @@ import pytest
 from numpy.typing import NDArray
 
 from forestgen.community.ground import relief
-from forestgen.community.ground.drainage import route
-from forestgen.community.ground.rasters import NAMES, ground_raster, ground_rasters
-from forestgen.community.ground.relief import Nodes, Relief, near_relief
+from forestgen.community.ground.living_conditions import ground_raster
+from forestgen.community.ground.relief import Nodes, Relief, near_relief, route
 from forestgen.community.model import Site
 
 SIZE = (200.0, 200.0)
 SHAPE = (40, 40)
+
+NAMES = ("elevation_m", "slope_deg", "moisture", "wind", "sun")
+
+
+def ground_rasters(site, shape, names=NAMES):  # type: ignore[no-untyped-def]
+    """Each living condition on a grid."""
+    return {name: ground_raster(site, name, shape) for name in names}
 
 
 def plane(slope_deg: float, downhill_deg: float) -> Any:

@@ -11,11 +11,17 @@ import pytest
 from pydantic import ValidationError
 
 from forestgen.community.ground import living_conditions
-from forestgen.community.ground.living_conditions import Conditions, suitability, why_barred
-from forestgen.community.ground.rasters import NAMES, ground_raster, ground_rasters
+from forestgen.community.ground.living_conditions import Conditions, ground_raster, suitability, why_barred
 from forestgen.community.model import Site
 
 SHAPE = (48, 64)
+
+NAMES = ("elevation_m", "slope_deg", "moisture", "wind", "sun")
+
+
+def ground_rasters(site, shape, names=NAMES):  # type: ignore[no-untyped-def]
+    """Each living condition on a grid."""
+    return {name: ground_raster(site, name, shape) for name in names}
 
 
 def asked(**responses: Any) -> Conditions:

@@ -7,7 +7,8 @@ import pytest
 from scipy.stats import chisquare, kstest
 
 from forestgen.community.models.deformation_kernel import MODEL
-from forestgen.community.placement.asked_and_placed import (
+from forestgen.community.placement.kernels import KernelSection, table
+from forestgen.community.placement.model import (
     _FEWEST_EXPECTED,
     _joined,
     asked_densities,
@@ -15,7 +16,6 @@ from forestgen.community.placement.asked_and_placed import (
     deformed,
     describe_densities,
 )
-from forestgen.community.placement.kernels import KernelSection, table
 from forestgen.community.population import Population
 
 SIZE = (60.0, 40.0)

@@ -7,9 +7,17 @@ import pytest
 from scipy import stats
 
 from forestgen.community.model import Site
-from forestgen.community.placement.densities import cells_for, draw_heights, draw_radii, grid_shape, plant_counts
+from forestgen.community.placement.densities import (
+    PlacementParameters,
+    Sizes,
+    Stand,
+    cells_for,
+    draw_heights,
+    draw_radii,
+    grid_shape,
+    plant_counts,
+)
 from forestgen.community.placement.model import placement_rng, wanted_plants
-from forestgen.community.placement.stands import PlacementParameters, Sizes, Stand
 from forestgen.core.errors import RecipeError
 
 

@@ -16,9 +16,8 @@ from pydantic import BaseModel, TypeAdapter, ValidationError
 
 from forestgen.community.model import Site
 from forestgen.community.placement import density_map
-from forestgen.community.placement.densities import species_density
+from forestgen.community.placement.densities import PlacementParameters, species_density
 from forestgen.community.placement.density_map import DensityMap, check_maps, maps_in
-from forestgen.community.placement.stands import PlacementParameters
 from forestgen.core.cache import BoundedCache
 from forestgen.core.errors import RecipeError
 

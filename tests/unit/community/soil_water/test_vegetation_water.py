@@ -7,11 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from forestgen.community.soil_water.ground import Ground
-from forestgen.community.soil_water.model import Water
-from forestgen.community.soil_water.parameters import PlantParameters, SoilWaterParameters
+from forestgen.community.soil_water import Ground, SoilWaterParameters, Water
 from support.field_measures import FieldMeasures, measure_field
-from support.vegetation_water import Vegetation, VegetationWater, bare_state, grown_state
+from support.vegetation_water import PlantParameters, Vegetation, VegetationWater, bare_state, grown_state
 
 SOIL, PLANTS = SoilWaterParameters(), PlantParameters()
 SMALL = Ground((6.0, 6.0), (2, 2), periodic=True)
@@ -130,17 +128,6 @@ def test_without_the_spreading_of_water_there_is_no_pattern() -> None:
     stirred = start.plants_g_per_m2 * (1 + 0.1 * np.random.default_rng(0).standard_normal(ground.shape))
     after = model.advance(replace(start, plants_g_per_m2=stirred), 2000.0, rain_mm_per_day=1.2, step_days=2.0)
     assert np.ptp(after.plants_g_per_m2) < 0.01 * state.plants_g_per_m2
-
-
-def test_rain_is_refused_as_in_the_soil() -> None:
-    model = VegetationWater(SMALL)
-    start = model.of(bare_state(SOIL, 1.0))
-    with pytest.raises(ValueError, match="rain_mm_per_day: expected"):
-        model.advance(start, 1.0, rain_mm_per_day=np.nan)
-    with pytest.raises(ValueError, match="step_days: expected"):
-        model.advance(start, 1.0, rain_mm_per_day=1.0, step_days=0.0)
-    with pytest.raises(ValueError, match="plants_g_per_m2: expected"):
-        model.advance(replace(start, plants_g_per_m2=-start.plants_g_per_m2 - 1), 1.0, rain_mm_per_day=1.0)
 
 
 @pytest.mark.slow

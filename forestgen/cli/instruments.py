@@ -1,0 +1,230 @@
+"""The commands that measure in a recipe's scene and make no data set: `measure`, `light`, `calibrate`, `weather`."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from forestgen.cli.arguments import (
+    AbsoluteZ,
+    Count,
+    Overrides,
+    Overwrite,
+    Quiet,
+    RecipePath,
+    argument,
+    option,
+    progress_of,
+)
+from forestgen.cli.console import Printer
+from forestgen.core.figures import seconds, table_lines
+
+if TYPE_CHECKING:
+    from forestgen.atmosphere.clouds.source import WeatherReport
+
+
+def measure(
+    instrument: Annotated[str, argument("NAME", "An instrument, see forestgen models --kind instrument.")],
+    recipe: RecipePath,
+    keys: Annotated[
+        list[str] | None,
+        option(
+            "--key KEY=VALUE",
+            "A key of the instrument, such as at=[[30,40,1.5]]; its page, forestgen models NAME, has them. May be "
+            "repeated.",
+        ),
+    ] = None,
+    out: Annotated[Path | None, option("--out -o FILE", "A .json file, or another that its page names.")] = None,
+    overrides: Overrides = None,
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
+) -> None:
+    """Measure in a recipe's scene: light, colours, gaps of the canopy, or what an installed package adds."""
+    from forestgen import load
+
+    started, say = time.perf_counter(), Printer(quiet)
+    reading = load(recipe, set=overrides).measure(
+        instrument, keys or (), out=out, overwrite=overwrite, progress=progress_of(quiet)
+    )
+    say(str(reading))
+    say(f"measured in {seconds(time.perf_counter() - started)}")
+    if out is not None:
+        say(f"files: {out}")
+
+
+def light(
+    recipe: RecipePath,
+    at: Annotated[list[str] | None, option("--at X Y Z", "A point, metres, z above ground. May be repeated.")] = None,
+    normals: Annotated[
+        list[str] | None,
+        option(
+            "--normal DIRECTION",
+            "Where the meter looks: up, down, north, east, south, west, or x,y,z. May be repeated.",
+            show_default="up",
+        ),
+    ] = None,
+    spectrum: Annotated[
+        float | None,
+        option(
+            "--spectrum NM", "Tell the spectral irradiance too, 300 to 2500 nm, in steps of NM.", min=1.0, max=1100.0
+        ),
+    ] = None,
+    out: Annotated[Path | None, option("--out -o FILE", "A .csv or .json file.")] = None,
+    samples: Annotated[
+        int, option("--samples N", "Light paths of each light at each wavelength.", min=512, max=100_000_000)
+    ] = 16384,
+    absolute_z: AbsoluteZ = False,
+    overrides: Overrides = None,
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
+) -> None:
+    """Measure light at points: lux, sun and sky, colour temperature, PAR, W/m², spectrum.
+
+    A flat meter with a cosine response, from all directions above it: sun, sky and what plants and ground scatter.
+    Every figure has a standard error, from eight independent replicates.
+    """
+    from forestgen import load
+    from forestgen.core.errors import RecipeError
+
+    if not at:
+        raise RecipeError("no point was given", where="--at", expected="--at X Y Z, metres", hint="--at 30 40 1.5")
+    started, say = time.perf_counter(), Printer(quiet)
+    readings = load(recipe, set=overrides).light(
+        [one.split(",") for one in at],
+        normals=normals or ["up"],
+        samples=samples,
+        absolute_z=absolute_z,
+        out=out,
+        spectrum=spectrum,
+        overwrite=overwrite,
+        progress=progress_of(quiet),
+    )
+    say(str(readings))
+    say(f"measured in {seconds(time.perf_counter() - started)}")
+    if out is not None:
+        say(f"files: {out}")
+
+
+def calibrate(
+    recipe: RecipePath,
+    out: Annotated[
+        Path | None,
+        option("--out -o DIR", "Folder for the sheet; by default outputs/NAME-calibration, ...-2, ..."),
+    ] = None,
+    at: Annotated[
+        list[str] | None,
+        option(
+            "--at X Y Z",
+            "The board's middle, metres, z above ground; by default over the site's middle, above all plants.",
+        ),
+    ] = None,
+    normal: Annotated[
+        str, option("--normal DIRECTION", "Where the board looks: up, north, east, south, west, or x,y,z.")
+    ] = "up",
+    width_px: Annotated[int, option("--width-px N", "Width of the chart's picture.", min=64, max=1024)] = 96,
+    samples: Annotated[int, option("--samples N", "Light paths a pixel, of each light.", min=4, max=65536)] = 64,
+    absolute_z: AbsoluteZ = False,
+    overrides: Overrides = None,
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
+) -> None:
+    """Check the colours: a ColorChecker and a grey card in the recipe's scene.
+
+    Renders them at 81 wavelengths, in the spectral and in the rgb mode. Prints CIE delta E 2000 of each patch against
+    colour-science, illuminance and colour temperature, and writes a sheet (calibration.html) and its numbers.
+
+    Exit code 0 if mean delta E is below 0.5, max below 1.5, and the grey card agrees with a light meter; 5 if not.
+    """
+    from forestgen import load
+    from forestgen.core.errors import RecipeError, RenderError
+    from forestgen.instruments.calibration import SHEET
+
+    if at is not None and len(at) > 1:
+        raise RecipeError("one chart at a time", where="--at", expected="one point", got=f"{len(at)}")
+    started, say = time.perf_counter(), Printer(quiet)
+    found, folder = load(recipe, set=overrides).calibrate(
+        out,
+        at=at[0].split(",") if at else None,
+        normal=normal,
+        width_px=width_px,
+        samples=samples,
+        absolute_z=absolute_z,
+        overwrite=overwrite,
+        progress=progress_of(quiet),
+    )
+    say(str(found))
+    say(f"calibrated in {seconds(time.perf_counter() - started)}")
+    say(f"files: {folder}/ (look at {folder / SHEET})")
+    if missed := [check for check in found.checks if not check.holds]:
+        raise RenderError(
+            "the calibration misses " + ("a bound" if len(missed) == 1 else f"{len(missed)} bounds"),
+            where=str(folder),
+            expected="; ".join(f"{check.name} below {check.bound:.3g}" for check in missed),
+            got="; ".join(f"{check.value:.3g}" for check in missed),
+            hint="more --samples if the picture is noisy; another --at if the chart lies in broken shade",
+        )
+
+
+def weather(
+    recipe: RecipePath,
+    images: Count = None,
+    out: Annotated[
+        list[Path] | None,
+        option(
+            "--out -o FILE",
+            "Of the last image: .nc, the state of the air; .vol or .vdb, its extinction for Mitsuba or Blender. "
+            "May be repeated.",
+        ),
+    ] = None,
+    picture: Annotated[
+        Path | None,
+        option("--picture FILE", "A PNG: clouds from the side, cut through, and from below; a row an image."),
+    ] = None,
+    overrides: Overrides = None,
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
+) -> None:
+    """Simulate a recipe's weather only: base, top and cover of its clouds, their water, rain."""
+    from forestgen import load
+
+    started, say = time.perf_counter(), Printer(quiet)
+    reports = load(recipe, set=overrides).weather(
+        images, out=out or (), picture=picture, overwrite=overwrite, progress=progress_of(quiet)
+    )
+    _print_weather(reports, say)
+    if all(report.statistics.cover == 0 for report in reports):
+        say("there are no clouds at this time; a larger sky.clouds.time_s may have some")
+    say(f"simulated in {seconds(time.perf_counter() - started)}")
+    for one in [*(out or []), *([picture] if picture else [])]:
+        say(f"file: {one}")
+
+
+def _print_weather(reports: Sequence[WeatherReport], say: Printer) -> None:
+    names = ("image", "type", "time", "cover", "base", "top", "depth", "cloud", "rain", "fallen", "up")
+    units = ("", "", "s", "%", "m", "m", "", "g/m²", "g/m²", "mm", "m/s")
+    rows = [names, units]
+    for number, report in enumerate(reports):
+        one = report.statistics
+        rows.append(
+            (
+                str(number),
+                report.kind,
+                f"{one.time_s:.0f}",
+                f"{100 * one.cover:.0f}",
+                "none" if one.base_m is None else f"{one.base_m:.0f}",
+                "none" if one.top_m is None else f"{one.top_m:.0f}",
+                f"{one.optical_depth:.1f}",
+                f"{1000 * one.cloud_kg_per_m2:.1f}",
+                f"{1000 * one.rain_kg_per_m2:.1f}",
+                f"{one.fallen_kg_per_m2:.2f}",
+                f"{one.updraught_m_per_s:.1f}",
+            )
+        )
+    for line in table_lines(rows, names_left=False):
+        say(line)
+    say(
+        "base, top: above the ground, where droplets are 0.01 g/kg and more; depth: optical, straight up, of cloudy "
+        "columns; cloud, rain: mean water of a column; fallen: rain on the ground so far; up: the strongest updraught"
+    )

@@ -1,0 +1,229 @@
+"""What typer does not do with a command's words: numbers in a row, help pages, suggestions and completion.
+
+An unknown option is answered by what it was meant for: by the names that other programs give it, then by its spelling.
+Only options that the command has are suggested, and `--set` with a key only where it sets keys of a recipe.
+"""
+
+from __future__ import annotations
+
+import difflib
+import itertools
+import os
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Annotated, Any, Literal
+
+import typer
+from typer import completion
+
+from forestgen.recipe.suggestions import did_you_mean
+
+_LIKE_A_NUMBER = re.compile(r"[-+]?\.?\d|[-+]?(nan|inf)", re.IGNORECASE)
+
+
+def join_numbers(arguments: Sequence[str], option: str, most: int | None = None) -> list[str]:
+    """`option x y z` as `option=x,y,z`, as far as what follows looks like a number; of `most` numbers, None: all."""
+    joined: list[str] = []
+    rest = list(arguments)
+    while rest and rest[0] != "--":
+        joined.append(rest.pop(0))
+        numbers = list(itertools.takewhile(_LIKE_A_NUMBER.match, rest[:most])) if joined[-1] == option else []
+        if numbers:
+            joined[-1] = f"{option}={','.join(numbers)}"
+            del rest[: len(numbers)]
+    return [*joined, *rest]
+
+
+class PointsCommand(typer.core.TyperCommand):
+    """A command whose option --at takes three numbers, and may be repeated: typer has no such options."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        return super().parse_args(ctx, join_numbers(args, "--at", 3))
+
+
+class RadiiCommand(typer.core.TyperCommand):
+    """A command whose option --radii takes several numbers."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        return super().parse_args(ctx, join_numbers(args, "--radii"))
+
+
+class _Argument(typer.core.TyperArgument):
+    """An argument that help pages show by its name alone, `RECIPE`; typer's own are `{RECIPE}` and `RECIPE <path>`."""
+
+    def get_usage_pieces(self, ctx: Any) -> list[str]:
+        return [self._shown if self.required else f"[{self._shown}]"]
+
+    def get_help_record(self, ctx: Any) -> tuple[str, str] | None:
+        record = super().get_help_record(ctx)
+        return None if record is None else (self._shown, record[1])
+
+    @property
+    def _shown(self) -> str:
+        return self.metavar or str(self.name).upper()
+
+
+def show_plainly(group: Any) -> None:
+    """Show the arguments of a group's commands by their names alone."""
+    for command in group.commands.values():
+        for parameter in command.params:
+            if isinstance(parameter, typer.core.TyperArgument):
+                parameter.__class__ = _Argument  # typer makes the arguments, and has no place to name another class
+
+
+_RECIPE = "RECIPE"  # stands for the argument of that name
+
+#: What does the job -> names that it has elsewhere. Of several that do it, the first that the command has is suggested.
+_CALLED: dict[tuple[str, ...], str] = {
+    ("--out", "--output"): "--out --output --output-dir --out-dir --outdir --output-folder --folder --dest "
+    "--destination --save --target -o -O",
+    ("--count", "--images", "--set images=10"): "--count --images --n --num --number --num-images --n-images -n -c",
+    ("--workers", "--threads"): "--workers --jobs --processes --num-workers --nproc --parallel -j -w",
+    ("--threads", "--workers"): "--threads --cores --cpus --num-threads --n-threads -t",
+    (_RECIPE,): "--config --recipe --file --input --cfg --yaml -f -i",
+    ("--device",): "--device --gpu --cuda --cpu --backend --accelerator",
+    ("--size-px", "--set cameras.0.size_px=[640,360]"): "--size-px --size --resolution --res --width --height "
+    "--image-size",
+    ("--samples", "--set render.samples=64"): "--samples --spp --quality",
+    ("--seed", "--set seed=3"): "--seed --random-seed --rng --random-state -s",
+    ("--steps", "--set community.steps=100"): "--steps --years --iterations --time-steps",
+    ("--set",): "--set --param --parameter --override --define --option -D -p",
+    ("--overwrite",): "--overwrite --force --replace --clobber --yes -y",
+    ("--dry-run",): "--dry-run --dry --check-only --simulate-only --no-act --plan",
+    ("--quiet",): "--quiet --silent --no-progress -q",
+    ("--verbose",): "--verbose --debug --log-level --loglevel -v",
+    ("--json",): "--json --as-json --output-format",
+    ("--format",): "--format --formats --type",
+    ("--resume",): "--resume --continue --restart",
+    ("--species", "--set species.spruce=spruce"): "--species --plants --trees",
+    ("--set sky.clouds=noise",): "--clouds --cloud",
+    ("--set sky.sun.elevation_deg=40",): "--sun --sun-elevation",
+    ("--set plants.season=autumn",): "--season",
+    ("--set site.size_m=[80,80]",): "--site --site-size --area --extent",
+    ("--set community.model=multiset_lsystem",): "--model --community",
+}
+_MEANT = {name: does for does, names in _CALLED.items() for name in names.split()}
+_BOUNDS = {"greater_than_equal": ("at least", "ge"), "less_than_equal": ("at most", "le")}
+
+
+@contextmanager
+def options_suggested() -> Iterator[None]:
+    """Let the error of an unknown option say which one does the job."""
+    try:
+        yield
+    except Exception as error:
+        cause: Any = error.__cause__
+        if isinstance(error, typer.BadParameter) and hasattr(cause, "errors"):
+            error.message = _value_message(cause.errors()[0])
+        name, context = getattr(error, "option_name", None), getattr(error, "ctx", None)
+        if type(error).__name__ == "NoSuchOption" and isinstance(name, str) and context is not None:
+            unknown: Any = error
+            unknown.message = _message(name, context)
+            unknown.possibilities = None
+        raise
+
+
+def _value_message(details: Mapping[str, Any]) -> str:
+    """What is wrong with a value, in the words of recipes."""
+    from forestgen.core.arguments import shown
+    from forestgen.recipe.messages import expectation
+
+    kind, context, given = details["type"], details.get("ctx", {}), details["input"]
+    if kind == "value_error":  # of a choice: 'bsh' is not one of 'bash', 'zsh', 'fish'.
+        text = str(context["error"])
+        choices = re.findall(r"'([^']*)'", text.partition("is not one of")[2])
+        near = did_you_mean(str(given), choices)
+        return text + (f" {near[0].upper()}{near[1:]}" if near else "")
+    bound = _BOUNDS.get(kind)
+    if bound is not None:
+        return f"{given} is not {bound[0]} {context[bound[1]]:,}."
+    return f"{shown(given)} is not {expectation(kind, context, details['msg'])}."
+
+
+def _message(name: str, context: Any) -> str:
+    found = suggestion(name, context.command)
+    if found == _RECIPE:
+        return f"No such option: {name}. The recipe's file is an argument: {context.command_path} {_RECIPE}"
+    if found is not None and " " in found:
+        return f"No such option: {name}. A value of the recipe is set by {found}"
+    return f"No such option: {name}" + ("" if found is None else f". Did you mean {found}?")
+
+
+def suggestion(name: str, command: Any) -> str | None:
+    """What `command`, of the command line, has for an option `name` that it lacks; None: nothing is near."""
+    options = [option for one in command.params if not isinstance(one, typer.core.TyperArgument) for option in one.opts]
+    takes_recipe = any(isinstance(one, typer.core.TyperArgument) and one.name == "recipe" for one in command.params)
+    plain = name.replace("_", "-")
+    begun = [option for option in options if option.startswith(f"{plain}-")]
+    if len(begun) == 1:
+        return str(begun[0])
+    for does in _MEANT.get(plain, ()):
+        is_key = takes_recipe and (does == _RECIPE or (" " in does and "--set" in options))
+        if does != name and (does in options or is_key):
+            return does
+    if not name.startswith("--"):
+        return None
+    spelled = {option.removeprefix("--"): option for option in options if option.startswith("--")}
+    near = difflib.get_close_matches(plain.removeprefix("--"), spelled, n=1)
+    return spelled[near[0]] if near else None
+
+
+_VARIABLE = "_FORESTGEN_COMPLETE"  # as typer makes it of the program's name
+
+
+def _assets(kind: str) -> list[str]:
+    from forestgen.recipe.assets import list_assets
+
+    return list_assets(kind)
+
+
+def _model_names() -> list[str]:
+    from forestgen import models
+
+    return list(dict.fromkeys(one.name for one in models()))
+
+
+#: Command and parameter -> the names that may stand there; a path may stand there too.
+_NAMES: dict[tuple[str, str], Callable[[], list[str]]] = {
+    ("plant", "species"): lambda: _assets("species"),
+    ("fit-kernel", "species"): lambda: _assets("species"),
+    ("lsystem", "file"): lambda: _assets("lsystems"),
+    ("models", "name"): _model_names,
+}
+
+
+def print_script(
+    shell: Annotated[Literal["bash", "zsh", "fish"], typer.Argument(metavar="bash|zsh|fish", show_default=False)],
+) -> None:
+    """Print a script that completes commands, options and shipped names in a shell."""
+    make = completion.get_completion_script  # type: ignore[attr-defined]
+    typer.echo(make(prog_name="forestgen", complete_var=_VARIABLE, shell=shell))
+
+
+def add_completion(app: typer.Typer) -> None:
+    """Give the program its command, and, where a shell asks for it, the answers."""
+    app.command("completion", epilog="Example: forestgen completion bash > ~/.forestgen-completion.bash")(print_script)
+    if _VARIABLE in os.environ:
+        completion.completion_init()  # type: ignore[attr-defined]
+
+
+def complete_names(group: Any) -> None:
+    """Let the commands of a group complete names that come with forestgen, and leave files to the shell."""
+    if _VARIABLE in os.environ:
+        for command in group.commands.values():
+            for parameter in command.params:
+                _complete(parameter, _NAMES.get((command.name, parameter.name)))
+
+
+def _complete(parameter: Any, names: Callable[[], list[str]] | None) -> None:
+    of_typer = parameter.shell_complete
+
+    def complete(context: Any, incomplete: str) -> list[Any]:
+        if names is not None:
+            item = typer.core.CompletionItem  # type: ignore[attr-defined]
+            return [item(name) for name in names() if name.startswith(incomplete)]
+        # Where typer leaves a file to the shell, it names what is there already, which would be all that is offered.
+        return [one for one in of_typer(context, incomplete) if one.type == "plain"]
+
+    parameter.shell_complete = complete
