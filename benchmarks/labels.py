@@ -26,8 +26,7 @@ import numpy as np
 from forestgen.atmosphere.clouds.noise import cumulus_field
 from forestgen.atmosphere.optical_depth import cloud_opacity
 from forestgen.community.population import Population
-from forestgen.core.progress import Silent
-from forestgen.core.timing import Timings
+from forestgen.core.progress import Silent, Timings
 from forestgen.labels.channels.boundaries import occlusion_boundaries
 from forestgen.labels.channels.motion import motion_px
 from forestgen.labels.classes import ClassMap

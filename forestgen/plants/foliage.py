@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from forestgen.geometry.vectors import rotate, unit
+from forestgen.geometry.mesh import rotate, unit
 from forestgen.plants.branching import around
 from forestgen.plants.budget import check_budget
 from forestgen.plants.skeleton import OrganPlacements, Skeleton

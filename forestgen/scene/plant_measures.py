@@ -22,9 +22,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.core.forestry import BREAST_HEIGHT_M
+from forestgen.core.frames import BREAST_HEIGHT_M
 from forestgen.core.parts import Part
-from forestgen.geometry.hull import hull_of
+from forestgen.geometry.mesh import hull_of
 from forestgen.geometry.sections import section_area_m2
 from forestgen.plants.exemplar import Exemplar
 from forestgen.scene.spec import Instances

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.community.simulation import final_population
-from forestgen.core.progress import Silent
-from forestgen.core.timing import Timings
+from forestgen.core.progress import Silent, Timings
 from forestgen.dataset.exr import read_exr, write_exr
 from forestgen.dataset.png import write_rgb
 from forestgen.dataset.settings import class_map

@@ -9,8 +9,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from forestgen.geometry.leaves import Blade, compound_leaf, leaf
-from forestgen.geometry.outlines import Entire, Lobed, Outline, Palmate
+from forestgen.geometry.leaves import Blade, Entire, Lobed, Outline, Palmate, compound_leaf, leaf
 from forestgen.plants.organs.base import Bend, Detail, MaybeSize, OrganForm, Pieces, Size
 from forestgen.plants.organs.flowers import Acorn, Berry, Bud, Catkin, Cone, Daisy, Disc, FourPetals, Lily
 from forestgen.plants.organs.fronds import (

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from forestgen.core import code_hash as module
+from forestgen.core import cache as module
 from forestgen.core.registry import Registration
 
 PARTS = ("core", "plants", "pipeline.py")
