@@ -31,19 +31,17 @@ from forestgen.core.parts import Part
 from forestgen.core.progress import Silent
 from forestgen.core.timing import Timings
 from forestgen.render import sky
-from forestgen.render.cloud_heights import base_of
+from forestgen.render.capture import sensor_of
+from forestgen.render.cloud_heights import base_of, cloud_transport_of
 from forestgen.render.cloud_shadow import shadow_of
 from forestgen.render.frame import Radiance
 from forestgen.render.identity import SceneTracer, trace_identity
 from forestgen.render.light import sky_light, sun_disc
 from forestgen.render.noise import Until
 from forestgen.render.radiance import render_radiance
-from forestgen.render.sensors import sensor_of
 from forestgen.render.shot import CloudTransport, Shot
-from forestgen.render.sky_pixels import SkyPixels
-from forestgen.render.transport import cloud_transport_of
 from forestgen.render.variant import SCALAR, mitsuba, using
-from forestgen.render.views import build_view
+from forestgen.render.views import SkyPixels, build_view
 from forestgen.scene.channels import RGB
 from forestgen.scene.spec import Camera, SceneSpec
 from support.cloud_box import cloud_volume

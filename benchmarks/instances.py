@@ -17,9 +17,9 @@ import numpy as np
 
 from forestgen.core.timing import Timings
 from forestgen.render.build import load, origin_of, plants_dict, scene_dict, to_mesh
+from forestgen.render.capture import sensor_of
 from forestgen.render.identity import SceneTracer, trace_identity
 from forestgen.render.light import lights
-from forestgen.render.sensors import sensor_of
 from forestgen.render.surfaces import Paints
 from forestgen.render.variant import SCALAR, mitsuba
 from forestgen.scene.channels import RGB

@@ -45,10 +45,9 @@ from forestgen.recipe.load import load_recipe
 from forestgen.render.denoise import denoise
 from forestgen.render.frame import Identity, Radiance
 from forestgen.render.identity import SceneTracer, trace_guides, trace_identity
-from forestgen.render.noise import Until, noise_of
+from forestgen.render.noise import Estimate, Until, noise_of
 from forestgen.render.radiance import render_radiance
 from forestgen.render.shot import Shot
-from forestgen.render.slices import Estimate
 from forestgen.render.variant import drjit, mitsuba
 from forestgen.render.wavelengths import Mode
 from forestgen.scene.spec import Camera, SceneSpec

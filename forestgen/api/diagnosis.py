@@ -103,13 +103,13 @@ def _packages() -> Finding:
 
 
 def _apart(function: str) -> str:
-    """What a function of `render.check` says, in a process of its own: an unfit library may end the whole process.
+    """What a check of `render.variant` says, in a process of its own: an unfit library may end the whole process.
 
     Raises
     ------
     RuntimeError : the check failed; the last thing it said.
     """
-    code = f"{_PREPARE}; from forestgen.render import check; print(check.{function}())"
+    code = f"{_PREPARE}; from forestgen.render import variant; print(variant.{function}())"
     try:
         done = subprocess.run(
             [sys.executable, "-c", code], capture_output=True, encoding="utf-8", timeout=_PATIENCE_S, check=False
@@ -140,5 +140,5 @@ def _llvm() -> Finding:
 
 
 def _cuda() -> Finding:
-    found = _tried("GPU", "check_cuda", "", required=False)
+    found = _tried("GPU", "cuda_devices", "", required=False)
     return replace(found, text=f"{found.text}; {'used if FORESTGEN_TRACING is cuda' if found.good else 'not needed'}")

@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.atmosphere.grid import AirGrid
 from forestgen.atmosphere.sounding import (
     AIR_EXPONENT,
     GAS_CONSTANT_AIR_J_PER_KG_K,
@@ -28,7 +29,6 @@ from forestgen.atmosphere.sounding import (
     Sounding,
     saturation_ratio,
 )
-from forestgen.atmosphere.weather import AirGrid
 
 ZERO_CELSIUS_K = 273.15
 _DRY_K_PER_M = GRAVITY_M_PER_S2 * AIR_EXPONENT / GAS_CONSTANT_AIR_J_PER_KG_K

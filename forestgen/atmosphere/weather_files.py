@@ -3,37 +3,89 @@
 | file | holds | of |
 |---|---|---|
 | `.nc` | NetCDF-4 with CF's names and units, compressed (`netcdf_file`) | a snapshot, or an extinction field |
-| `.vol` | Mitsuba's grid volume (`vol_file`) | an extinction field |
+| `.vol` | Mitsuba's grid volume, see below | an extinction field |
 | `.vdb` | OpenVDB, written only (`vdb_file`, which says why) | an extinction field |
-| `.csv` | a table of heights, read only (`sounding_file`) | a sounding |
+| `.csv` | a table of heights, read only (`sounding`) | a sounding |
 
 A snapshot comes back to the last bit, so a simulation that resumes goes on as if it had not stopped. A `.vol` and a
 `.vdb` hold no albedo and no phase function, and the corners of a `.vol` are rounded to float32.
 
-Files are written beside their place and then renamed, so that no half a file ever has the name. The same values make
-the same bytes. Nothing is stored or read in half precision.
+Files are written beside their place and then renamed: a file of this name is always whole. The same values make the
+same bytes. Nothing is stored or read in half precision. What is read is checked: sizes that agree and fit into memory,
+numbers that are numbers and in their range.
 
-What is read is checked: sizes that agree and fit into memory, numbers that are numbers, nothing negative that is none.
+A `.vol` is a header of 48 bytes and the cells, all little-endian:
+
+| bytes | type | content |
+|---|---|---|
+| 0-3 | 3 letters, 1 byte | `VOL`, version 3 |
+| 4-7 | int32 | encoding: 1, float32; 2 would be float16, 3 bytes |
+| 8-19 | 3 int32 | cells along x, y, z |
+| 20-23 | int32 | channels: 1 |
+| 24-47 | 6 float32 | lower corner x, y, z, upper corner x, y, z |
+| 48- | float32 | values, x fastest, then y, then z |
+
+The corners are those of the box around the cells. Mitsuba fills its unit cube with the cells unless `use_grid_bbox` is
+set, and then takes these corners.
 """
 
 from __future__ import annotations
 
+import math
 import os
+import struct
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
-from forestgen.atmosphere.field_checks import FieldError, check_clouds, check_weather
-from forestgen.atmosphere.grid import CloudGrid
+import numpy as np
+
+from forestgen.atmosphere.grid import CloudGrid, FieldError, Weather, check_clouds, check_room, check_weather
 from forestgen.atmosphere.netcdf_file import droplet_radius_of, netcdf_size, read_netcdf, write_netcdf
-from forestgen.atmosphere.sounding import Sounding
-from forestgen.atmosphere.sounding_file import MOST_BYTES, sounding_of_table
+from forestgen.atmosphere.sounding import MOST_BYTES, Sounding, sounding_of_table
 from forestgen.atmosphere.vdb_file import write_vdb
-from forestgen.atmosphere.vol_file import read_vol, write_vol
-from forestgen.atmosphere.weather import Weather
 from forestgen.core.errors import AssetError, ForestgenError, OutputError
+
+_HEADER = struct.Struct("<3sBi3ii6f")
+_ENCODINGS = {1: "float32", 2: "float16", 3: "bytes", 4: "directions"}
+T = TypeVar("T")
+
+
+def write_vol(path: Path, grid: CloudGrid) -> None:
+    """Write an extinction field. Albedo and phase function have no place in it."""
+    depth, height, width = grid.extinction_per_m.shape
+    header = _HEADER.pack(b"VOL", 3, 1, width, height, depth, 1, *grid.low_m, *grid.high_m)
+    with path.open("wb") as file:
+        file.write(header)
+        file.write(np.ascontiguousarray(grid.extinction_per_m, dtype="<f4").data)
+
+
+def read_vol(path: Path) -> CloudGrid:
+    """An extinction field. `FieldError`: no such file, or not of the size in its header; `ResourceError`: no memory."""
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        head = file.read(_HEADER.size)
+        if len(head) < _HEADER.size or head[:3] != b"VOL":
+            expected = "a Mitsuba volume, which begins with VOL and has 48 bytes of header"
+            begins = f"a file that begins with {head[:4]!r}"
+            raise FieldError("the file", expected, begins if len(head) == _HEADER.size else f"{len(head)} bytes")
+        _, version, encoding, *numbers = _HEADER.unpack(head)
+        cells, channels, corners = tuple(numbers[:3]), numbers[3], numbers[4:]
+        if version != 3:
+            raise FieldError("the version", "3", str(version))
+        if encoding != 1:
+            raise FieldError("the numbers", "float32 (encoding 1)", f"{_ENCODINGS.get(encoding, '?')} ({encoding})")
+        if min(cells) < 1 or channels != 1:
+            raise FieldError("the header", "cells along x, y and z, one channel", f"{cells}, {channels} channels")
+        expected_bytes = _HEADER.size + 4 * math.prod(cells)
+        if size != expected_bytes:
+            raise FieldError("the file's size", f"{expected_bytes:,} bytes for {cells} cells", f"{size:,} bytes")
+        check_room(expected_bytes, str(path))
+        field = np.fromfile(file, dtype="<f4").astype(np.float32, copy=False).reshape(cells[::-1])
+    return CloudGrid(field, (corners[0], corners[1], corners[2]), (corners[3], corners[4], corners[5]))
+
 
 _READERS: dict[str, Callable[[Path], Weather | CloudGrid]] = {".nc": read_netcdf, ".vol": read_vol}
 _WRITERS: dict[str, Callable[[Path, CloudGrid], None]] = {
@@ -41,32 +93,18 @@ _WRITERS: dict[str, Callable[[Path, CloudGrid], None]] = {
     ".vol": write_vol,
     ".vdb": write_vdb,
 }
-SUFFIXES = tuple(_READERS)
-
-T = TypeVar("T")
 
 
 def read_sounding(path: Path, *, ground_pressure_pa: float = 101_325.0) -> Sounding:
-    """Air at rest, of a table; its columns are in `sounding_file`.
-
-    Raises
-    ------
-    AssetError : there is no such file, or its table is not air that can be; with line and column.
-    """
+    """Air at rest, of a table. `AssetError`: no such file, or impossible air; with line and column."""
     with _explained(path, AssetError, "the file cannot be used as a sounding"), path.open("rb") as file:
         return sounding_of_table(file.read(MOST_BYTES + 1), ground_pressure_pa)
 
 
 def write_weather(path: Path, weather: Weather, *, droplet_radius_um: float | None = None) -> None:
-    """Write a snapshot as NetCDF-4.
+    """Write a snapshot as NetCDF-4, with the effective radius of its droplets if it is known.
 
-    Parameters
-    ----------
-    droplet_radius_um : effective radius of its droplets, which water alone does not tell; None: nobody knows.
-
-    Raises
-    ------
-    OutputError : the name does not end in .nc, the snapshot is none, or the file cannot be written.
+    Raises `OutputError` if the name does not end in .nc, the snapshot is none, or the file cannot be written.
     """
     with _explained(path, OutputError, "the snapshot cannot be written"):
         if path.suffix.lower() != ".nc":
@@ -76,11 +114,9 @@ def write_weather(path: Path, weather: Weather, *, droplet_radius_um: float | No
 
 
 def write_clouds(path: Path, grid: CloudGrid) -> None:
-    """Write an extinction field, as what the name's end says.
+    """Write an extinction field, in the format of the name's suffix.
 
-    Raises
-    ------
-    OutputError : the name ends otherwise, the field is none, or the file cannot be written.
+    Raises `OutputError` if the suffix is another, the field is none, or the file cannot be written.
     """
     with _explained(path, OutputError, "the clouds cannot be written"):
         write = _by_suffix(path, _WRITERS)
@@ -91,10 +127,7 @@ def write_clouds(path: Path, grid: CloudGrid) -> None:
 def read_sky(path: Path) -> Weather | CloudGrid:
     """Whatever a file holds: a snapshot or an extinction field.
 
-    Raises
-    ------
-    AssetError : there is no such file, or its content can be neither.
-    ResourceError : it does not fit into memory.
+    Raises `AssetError` if there is no such file or its content is neither, `ResourceError` if memory is too small.
     """
     with _explained(path, AssetError, "the file cannot be used as weather"):
         read = _by_suffix(path, _READERS)
@@ -122,34 +155,9 @@ def size_of(path: Path) -> tuple[int, float | None] | None:
 
 
 def read_droplet_radius_um(path: Path) -> float | None:
-    """Effective radius of a snapshot's droplets; None if the file does not say.
-
-    Raises
-    ------
-    AssetError : it is no number above 0.
-    """
+    """Effective radius of a snapshot's droplets; None if the file does not say. `AssetError`: no number above 0."""
     with _explained(path, AssetError, "the file cannot be used as weather"):
         return droplet_radius_of(path)
-
-
-def read_weather(path: Path) -> Weather:
-    """A snapshot, as it was saved. Raises as `read_sky` does, and AssetError if the file holds an extinction field."""
-    content = read_sky(path)
-    if not isinstance(content, Weather):
-        raise _other(path, "a snapshot of weather", "an extinction field")
-    return content
-
-
-def read_clouds(path: Path) -> CloudGrid:
-    """An extinction field. Raises as `read_sky` does, and AssetError if the file holds a snapshot of weather."""
-    content = read_sky(path)
-    if not isinstance(content, CloudGrid):
-        raise _other(path, "an extinction field", "a snapshot of weather")
-    return content
-
-
-def _other(path: Path, expected: str, got: str) -> AssetError:
-    return AssetError("the file holds something else", where=str(path), expected=expected, got=got)
 
 
 def _by_suffix(path: Path, table: Mapping[str, T]) -> T:
@@ -172,7 +180,7 @@ def _write(path: Path, write: Callable[[Path, T], None], content: T) -> None:
 
 @contextmanager
 def _explained(path: Path, error: type[ForestgenError], problem: str) -> Iterator[None]:
-    """Say of which file a fault is."""
+    """Name the file in errors."""
     try:
         yield
     except FieldError as cause:

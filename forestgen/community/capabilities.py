@@ -15,7 +15,7 @@ from forestgen.community.registry import COMMUNITY_MODELS
 
 if TYPE_CHECKING:
     from forestgen.architecture.tables import Tables
-    from forestgen.atmosphere.weather import AirGrid, Weather
+    from forestgen.atmosphere.grid import AirGrid, Weather
     from forestgen.community.ecology import SpeciesEcology
     from forestgen.community.model import Site
     from forestgen.community.obstacles import Obstacle

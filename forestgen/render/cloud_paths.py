@@ -41,7 +41,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.atmosphere.grid import CloudGrid
-from forestgen.atmosphere.voxel_march import advanced, clipped, entered, inside
+from forestgen.atmosphere.optical_depth import advanced, clipped, entered, inside
 from forestgen.core.compiled import borrowed, compiled, inlined
 from forestgen.core.threads import over_ranges
 

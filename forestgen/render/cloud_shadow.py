@@ -20,7 +20,7 @@ from forestgen.atmosphere.grid import CloudGrid
 from forestgen.atmosphere.optical_depth import optical_depth
 from forestgen.core.bounded_cache import BoundedCache
 from forestgen.render.cloud_heights import sheet_height_m
-from forestgen.render.sky_radiance import SUN_RADIUS_DEG
+from forestgen.render.light import SUN_RADIUS_DEG
 from forestgen.render.variant import mitsuba
 from forestgen.scene.spec import SceneSpec
 
@@ -30,6 +30,7 @@ _LOWEST_SUN = 0.05  # sine of elevation below which shadows reach no further
 _CALL_ROWS = 64
 _KEPT_BYTES = 50_000_000
 Floats = NDArray[np.float64]
+_kept: BoundedCache[Floats] = BoundedCache(_KEPT_BYTES, lambda one: one.nbytes)
 
 
 @dataclass(frozen=True)
@@ -40,9 +41,6 @@ class Sheet:
     low_m: Floats  # (2,)
     high_m: Floats  # (2,)
     height_m: float
-
-
-_kept: BoundedCache[Floats] = BoundedCache(_KEPT_BYTES, lambda one: one.nbytes)
 
 
 def content_key(clouds: CloudGrid) -> str:

@@ -24,20 +24,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.progress import Progress
-from forestgen.core.randomness import child_seed
+from forestgen.core.randomness import child_rng, child_seed
 from forestgen.core.spectrum import LUMINANCE, Spectrum
 from forestgen.render import sky as cloudy_sky
-from forestgen.render.build import load, scene_dict
+from forestgen.render.build import load, origin_of, scene_dict
+from forestgen.render.capture import capture
 from forestgen.render.cloud_shadow import sun_sheet
 from forestgen.render.light import has_sun, sky_light, sun_disc
-from forestgen.render.settings import ROULETTE_DEPTH, SAMPLER
 from forestgen.render.skies.model import daylight_of
 from forestgen.render.surfaces import Paints, repaint
-from forestgen.render.tracing import interruptible
-from forestgen.render.variant import SCALAR, mitsuba, using
+from forestgen.render.variant import BLOCK_PX, ROULETTE_DEPTH, SAMPLER, SCALAR, interruptible, mitsuba, using
+from forestgen.render.wavelengths import ColourBySpectrum
 from forestgen.scene.channels import RGB, Channels
 from forestgen.scene.colour_checker import axes_of
-from forestgen.scene.spec import SceneSpec
+from forestgen.scene.spec import Camera, SceneSpec
 
 REPLICATES = 8
 NODES_NM = np.concatenate(
@@ -47,6 +47,8 @@ _PATCH_M = 1e-3  # half its side
 _PIXELS, _BLOCK_PX = 8, 2  # along the side of the picture of the patch; blocks are shared out to threads
 Floats = NDArray[np.float64]
 Emitter = Callable[[Channels], dict[str, Any]]
+WAVELENGTHS_NM = np.arange(380.0, 781.0, 5.0)  # the colour matching functions' own table has steps of 5 nm (CIE 15)
+_REPLICATES = 8  # of the spectral mode
 
 
 @dataclass(frozen=True)
@@ -251,3 +253,60 @@ def _sensor(normal: Floats, spp: int) -> Any:
             "sampler": {"type": SAMPLER, "sample_count": spp},
         }
     )
+
+
+@dataclass(frozen=True, eq=False)
+class ChartImages:
+    """What a camera sees."""
+
+    wavelengths: NDArray[np.float32]  # (H, W, 81) W/m²/sr/nm
+    spectral: NDArray[np.float32]  # (H, W, 3) of the spectral mode, linear Rec. 709 in cd/m²
+    rgb: NDArray[np.float32]  # (H, W, 3) of the colour mode, likewise
+
+
+def render_chart(
+    spec: SceneSpec,
+    camera: Camera,
+    *,
+    samples: int,
+    max_depth: int,
+    seed: int,
+    progress: Progress,
+    sources: Callable[[Floats], Sequence[Source]] | None = None,
+) -> ChartImages:
+    """Render `camera`'s view.
+
+    Parameters
+    ----------
+    samples : of each pixel by each light in each mode's image; a quarter of them at each of the 81 wavelengths.
+    sources : lights in place of the scene's own, by the origin of the renderer's frame.
+    """
+    origin = origin_of(camera)
+    with using(SCALAR):
+        lights = sources(origin) if sources is not None else sources_of(spec, origin)
+        lit = Lit(spec, origin, lights)
+        integrators = [lit.integrator(row, max_depth=max_depth, block_px=BLOCK_PX) for row in range(len(lights))]
+        threes, passes = passes_at(WAVELENGTHS_NM), ColourBySpectrum().passes
+        fewer = max(1, samples // 4)
+
+        def view(channels: Channels, count: int, name: str, *number: int) -> Floats:
+            lit.show(channels)
+            images = [
+                capture(integrator, scene, camera, samples=count, seed=child_seed(seed, name, source.name, *number))
+                for integrator, scene, source in zip(integrators, lit.scenes, lights, strict=True)
+            ]
+            advance(1)
+            return np.asarray(np.sum(images, axis=0)[..., :3])
+
+        with progress.stage("chart", 1 + _REPLICATES * passes + len(threes)) as advance:
+            rgb = view(RGB, samples, "rgb")
+            spectral = np.zeros_like(rgb)
+            for replicate in range(_REPLICATES):
+                for index, one in enumerate(ColourBySpectrum().draw(child_rng(seed, "wavelengths"), replicate)):
+                    few = max(1, round(samples / _REPLICATES / passes))
+                    spectral += view(one.channels, few, "spectral", replicate, index) @ one.weight.T / _REPLICATES
+            wavelengths = np.empty((*rgb.shape[:2], len(WAVELENGTHS_NM)), dtype=np.float32)
+            for rows, channels in threes:
+                # All wavelengths follow the same random numbers: noise does not bend spectra.
+                wavelengths[..., rows] = view(channels, fewer, "wavelengths")
+    return ChartImages(wavelengths, spectral.astype(np.float32), rgb.astype(np.float32))

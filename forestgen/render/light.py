@@ -12,13 +12,62 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.render.settings import SKY_BESIDE_SUN_WEIGHT
-from forestgen.render.sky_radiance import SUN_RADIUS_DEG, sky_map, sun_radiance
-from forestgen.render.variant import mitsuba
+from forestgen.core.spectrum import LUMINANCE
+from forestgen.render.skies.model import MAP_COLUMNS, MAP_ROWS, daylight_of, sky_model_of
+from forestgen.render.variant import SKY_BESIDE_SUN_WEIGHT, mitsuba
 from forestgen.scene.channels import RGB, Channels
 from forestgen.scene.spec import Sky
 
+SUN_RADIUS_DEG = 0.2665  # at the earth's mean distance
+_SUN_SOLID_ANGLE_SR = float(np.pi * np.sin(np.radians(SUN_RADIUS_DEG)) ** 2)  # projected on a plane that faces it
+Floats = NDArray[np.float64]
 _SUN_DISTANCE_M = 1e6
+
+
+def along(values: NDArray[np.floating], direction: Floats) -> Floats:
+    """(..., C) values of a map (R, Q, C) along (..., 3) unit directions, bilinear as the renderer has its sky.
+
+    The map's directions are those of `map_directions`; one of a single row is the same at all heights.
+    """
+    rows, columns = values.shape[:2]
+    x, y, z = np.moveaxis(direction, -1, 0)
+    row = np.arctan2(np.hypot(x, y), z) / np.pi * (rows - 1)
+    column = np.arctan2(y, x) / (2.0 * np.pi) * columns - 0.5
+    top, left = np.clip(np.floor(row).astype(np.int64), 0, max(rows - 2, 0)), np.floor(column).astype(np.int64)
+    down, right = (row - top)[..., None], (column - left)[..., None]
+    below, first, second = np.minimum(top + 1, rows - 1), left % columns, (left + 1) % columns
+    upper = values[top, first] * (1.0 - right) + values[top, second] * right
+    lower = values[below, first] * (1.0 - right) + values[below, second] * right
+    return np.asarray(upper * (1.0 - down) + lower * down)
+
+
+def sky_map(sky: Sky, channels: Channels) -> NDArray[np.float32]:
+    """(MAP_ROWS, MAP_COLUMNS, 3) radiance of the sky without its sun, black below the horizon; see `map_directions`.
+
+    W/m²/sr/nm at the wavelengths; or linear Rec. 709 in cd/m².
+    """
+    result = np.zeros((MAP_ROWS, MAP_COLUMNS, 3), dtype=np.float32)
+    result[: MAP_ROWS // 2 + 1] = sky_model_of(sky).radiance(sky, daylight_of(sky).sky, channels)
+    return _within_gamut(result) if channels.wavelength_nm is None else result
+
+
+def sun_radiance(sky: Sky, channels: Channels) -> Floats:
+    """(3,) mean radiance of the sun's disc, in the same units; zero under an overcast sky."""
+    radiance = channels.of_light(daylight_of(sky).sun) / _SUN_SOLID_ANGLE_SR
+    return np.asarray(_within_gamut(radiance) if channels.wavelength_nm is None else radiance)
+
+
+def sun_irradiance(sky: Sky, channels: Channels) -> Floats:
+    """(3,) light of the disc on a plane that faces it: the radiance times its solid angle."""
+    return sun_radiance(sky, channels) * _SUN_SOLID_ANGLE_SR
+
+
+def _within_gamut(colour: NDArray[Any]) -> NDArray[Any]:
+    """(..., 3) colours without negative parts, of the same luminance and type."""
+    cut = np.maximum(colour, 0)
+    weight = np.array(LUMINANCE, dtype=colour.dtype)
+    scale = (colour @ weight) / np.maximum(cut @ weight, np.finfo(colour.dtype).tiny)
+    return np.asarray(cut * scale[..., None])
 
 
 def has_sun(sky: Sky) -> bool:

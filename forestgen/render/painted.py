@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from forestgen.render.settings import ROULETTE_DEPTH
 from forestgen.render.shot import Timer
 from forestgen.render.surfaces import Paints, repaint
-from forestgen.render.variant import BLOCK_PX, mitsuba
+from forestgen.render.variant import BLOCK_PX, ROULETTE_DEPTH, mitsuba
 from forestgen.scene.channels import RGB, Channels
 
 

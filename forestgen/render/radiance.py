@@ -1,33 +1,94 @@
 """Radiance of one camera, with its variance.
 
-An image is the mean of independent replicates (render/slices.py). A replicate is made of passes: one in colour, or
+An image is the mean of independent replicates (render/noise.py). A replicate is made of passes: one in colour, or
 several at three wavelengths each (render/wavelengths.py). Passes capture one scene that is built once
 (render/views.py). Replicates go on until there are as many samples, or as little noise, as was asked for
-(render/noise.py); an interrupted image goes on from its last replicate (render/unfinished.py).
+(render/noise.py); an interrupted image goes on from its last replicate (render/radiance.py).
 """
 
 from __future__ import annotations
 
+import hashlib
+import io
 import time
+import zipfile
 from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.core.code_hash import code_hash
+from forestgen.core.disk_cache import DiskCache, cache_root
 from forestgen.core.progress import Progress
 from forestgen.core.randomness import child_rng
+from forestgen.recipe.assets import scenes_dir
 from forestgen.render.capture import least_samples
 from forestgen.render.frame import Radiance
 from forestgen.render.identity import SceneTracer
-from forestgen.render.noise import Noise, Schedule, noise_of
+from forestgen.render.noise import Noise, Schedule, SliceSum, noise_of
 from forestgen.render.shot import Shot, Timer, View, is_exact
 from forestgen.render.skies.model import daylight_of
-from forestgen.render.slices import SliceSum
-from forestgen.render.unfinished import Unfinished
 from forestgen.render.views import build_view, pixels_of
 from forestgen.render.wavelengths import Quadrature, quadrature_of
 
+EVERY_S = 20.0  # at least, from one writing to the next
+_MOST_BYTES = 4_000_000_000
+# Layers that shape an image.
+_SOURCES = (
+    "architecture", "atmosphere", "community", "core", "geometry", "lsystem", "plants", "recipe", "render",
+    "scene", "stages",
+)  # fmt: skip
+_COMPUTE_WITH = ("numpy", "scipy", "numba", "pvlib", "mitsuba", "drjit")
 _STEPS = 1000  # of the progress of an image
+
+
+@dataclass
+class Unfinished:
+    """The place of one image's running sum. It is used in one thread."""
+
+    store: DiskCache
+    key: str
+    _written_s: float = 0.0
+
+    def read(self) -> tuple[SliceSum, float]:
+        """The sum so far and the seconds spent on it; an empty one if there is none that can be read."""
+        self._written_s = time.monotonic()
+        data = self.store.read(self.key)
+        if data is None:
+            return SliceSum(), 0.0
+        try:
+            with np.load(io.BytesIO(data.tobytes()), allow_pickle=False) as state:
+                return SliceSum.restored(state), float(state["elapsed_s"])
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+            self.store.drop(self.key)
+            return SliceSum(), 0.0
+
+    def write(self, total: SliceSum, elapsed_s: float, *, now: bool = False) -> None:
+        """Keep the sum; unless it must be `now`, at most every `EVERY_S` seconds."""
+        if not total.slices or not (now or time.monotonic() - self._written_s >= EVERY_S):
+            return
+        file = io.BytesIO()
+        arrays: dict[str, Any] = {"elapsed_s": np.array(elapsed_s), **total.state()}
+        np.savez(file, **arrays)
+        self.store.write(self.key, file.getvalue())
+        self.store.trim()
+        self._written_s = time.monotonic()
+
+    def drop(self) -> None:
+        """The image is done."""
+        self.store.drop(self.key)
+
+
+def unfinished(*identity: str | int) -> Unfinished | None:
+    """The place of an image, by all that it depends on besides the code; None if nothing can be kept here."""
+    root = cache_root()
+    if root is None:
+        return None
+    code = code_hash(_SOURCES, _COMPUTE_WITH, tuple(scenes_dir() / kind for kind in ("spectra", "modules")))
+    text = repr((code, *identity))
+    return Unfinished(DiskCache(root / "radiance", _MOST_BYTES), hashlib.sha256(text.encode()).hexdigest())
 
 
 def render_radiance(

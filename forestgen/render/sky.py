@@ -38,15 +38,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.atmosphere.grid import Phase
+from forestgen.atmosphere.grid import PhaseFunction
 from forestgen.core.bounded_cache import BoundedCache
 from forestgen.core.randomness import child_rng, child_seed
 from forestgen.render.cloud_heights import LEAST_GAP_M
 from forestgen.render.cloud_paths import ORDERS, CloudField, CloudLight, Gathered, field_of, gather
 from forestgen.render.cloud_shadow import content_key
-from forestgen.render.light import envmap
+from forestgen.render.light import SUN_RADIUS_DEG, envmap, sky_map, sun_irradiance
 from forestgen.render.skies.model import MAP_COLUMNS, MAP_ROWS
-from forestgen.render.sky_radiance import SUN_RADIUS_DEG, sky_map, sun_irradiance
 from forestgen.scene.channels import RGB, Channels
 from forestgen.scene.soil_colour import film_factor
 from forestgen.scene.spec import SceneSpec, Sky, Terrain
@@ -62,7 +61,7 @@ _HATS = np.eye(len(_BAKED_NM))
 _KEPT_BYTES = 100_000_000
 
 
-def phase_function(phase: Phase) -> dict[str, Any]:
+def phase_function(phase: PhaseFunction) -> dict[str, Any]:
     """Of a medium."""
     forward = {"type": "hg", "g": phase.forward}
     if phase.forward_share >= 1.0:

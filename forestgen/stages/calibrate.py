@@ -16,12 +16,10 @@ from forestgen.core.randomness import child_seed
 from forestgen.core.spectrum import Spectrum
 from forestgen.core.timing import Timings
 from forestgen.recipe.load import LoadedRecipe
-from forestgen.render.chart_pass import WAVELENGTHS_NM, ChartImages, render_chart
-from forestgen.render.cloud_heights import near_base_of
+from forestgen.render.cloud_heights import check_far_clouds, near_base_of
 from forestgen.render.identity import SceneTracer, trace_identity
-from forestgen.render.irradiance import Source, measure
+from forestgen.render.irradiance import WAVELENGTHS_NM, ChartImages, Source, measure, render_chart
 from forestgen.render.skies.model import sky_model_of
-from forestgen.render.transport import check_far_clouds
 from forestgen.scene import colour_checker as checker
 from forestgen.scene.spec import Camera, Instances, SceneSpec
 from forestgen.stages.light import LightMeter, Point, place, prepare, read

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from forestgen.atmosphere.haze import KOSCHMIEDER
 from forestgen.core.progress import Progress
 from forestgen.core.randomness import child_seed
 from forestgen.core.timing import Timings
@@ -14,15 +13,14 @@ from forestgen.dataset.formats.format import load_formats
 from forestgen.labels.channels.channel import ChannelView
 from forestgen.recipe.registries import LABEL_CHANNELS
 from forestgen.recipe.schema import Recipe
+from forestgen.render.cloud_heights import cloud_transport_of
 from forestgen.render.denoise import denoise, denoise_bands
 from forestgen.render.frame import Frame, Radiance, Surface
-from forestgen.render.haze import through_haze
+from forestgen.render.haze import KOSCHMIEDER, through_haze
 from forestgen.render.identity import SceneTracer, trace_guides, trace_identity
 from forestgen.render.noise import Until
-from forestgen.render.radiance import render_radiance
+from forestgen.render.radiance import render_radiance, unfinished
 from forestgen.render.shot import Shot
-from forestgen.render.transport import cloud_transport_of
-from forestgen.render.unfinished import unfinished
 from forestgen.scene.spec import Camera, SceneSpec
 
 View = tuple[Camera, SceneSpec]

@@ -9,14 +9,14 @@ import pytest
 
 from forestgen.core.progress import Silent
 from forestgen.core.timing import Timings
-from forestgen.render.cuda import cuda_devices
 from forestgen.render.frame import Identity, Radiance, Surface
 from forestgen.render.identity import SceneTracer, trace_identity
+from forestgen.render.light import sky_map
 from forestgen.render.noise import Until
-from forestgen.render.paths.lit_scene import LitScene
 from forestgen.render.radiance import render_radiance
 from forestgen.render.shot import Shot
-from forestgen.render.sky_radiance import sky_map
+from forestgen.render.variant import cuda_devices
+from forestgen.render.views import LitScene
 from forestgen.render.wavelengths import Mode
 from forestgen.scene.channels import RGB
 from forestgen.scene.spec import Camera, SceneSpec

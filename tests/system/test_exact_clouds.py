@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from forestgen.atmosphere.grid import CloudGrid, Phase
+from forestgen.atmosphere.grid import CloudGrid, PhaseFunction
 from forestgen.atmosphere.optical_depth import optical_depth
 from forestgen.core.errors import RenderError
 from forestgen.core.timing import Timings
@@ -15,15 +15,14 @@ from forestgen.render import exact_view
 from forestgen.render.build import load, origin_of, scene_dict
 from forestgen.render.capture import capture
 from forestgen.render.cloud_bricks import Bricks, brick_shapes, camera_shell, divide
-from forestgen.render.cloud_walks import WalkField
 from forestgen.render.exact_view import ExactView, clear_air_m, endless_tracer
-from forestgen.render.light import emitters_of, sky_light
+from forestgen.render.light import along, emitters_of, sky_light, sky_map
 from forestgen.render.noise import Until
 from forestgen.render.painted import path_tracer
 from forestgen.render.shot import Shot
-from forestgen.render.sky_radiance import along, sky_map
 from forestgen.render.surfaces import Paints
 from forestgen.render.variant import SCALAR, using
+from forestgen.render.volume_random_walk import WalkField
 from forestgen.scene.channels import RGB, Channels
 from forestgen.scene.spec import SceneSpec, Sky
 from support.cloud_box import cloud_volume
@@ -42,7 +41,7 @@ def field(seed: int = 1, low_m=(-500.0, -500.0, 100.0), high_m=(500.0, 500.0, 30
 
 def uniform_fog(sigma: float, half_m: float = 200.0, albedo: float = 0.0) -> CloudGrid:
     value = np.full((10, 20, 20), sigma, dtype=np.float32)
-    return CloudGrid(value, (-half_m, -half_m, -10.0), (half_m, half_m, 90.0), albedo=albedo, phase=Phase(0.5))
+    return CloudGrid(value, (-half_m, -half_m, -10.0), (half_m, half_m, 90.0), albedo=albedo, phase=PhaseFunction(0.5))
 
 
 def rays_up(count: int, least_deg: float = 8.0) -> np.ndarray:
@@ -179,7 +178,7 @@ def test_plants_in_fog_are_those_of_one_box(inside):
 def test_thick_clouds_that_absorb_nothing_are_white_under_a_white_sky(depth):
     """Through an optical depth of 100 light scatters hundreds of times: no path may be cut short, nor ended early."""
     value = np.full((10, 20, 20), depth / 400.0, np.float32)
-    clouds = CloudGrid(value, (-2000.0, -2000.0, 100.0), (2000.0, 2000.0, 500.0), albedo=1.0, phase=Phase(0.85))
+    clouds = CloudGrid(value, (-2000.0, -2000.0, 100.0), (2000.0, 2000.0, 500.0), albedo=1.0, phase=PhaseFunction(0.85))
     start, direction = np.zeros((1500, 3)), np.repeat(np.array([[0.2, 0.1, 0.975]]), 1500, axis=0)
     with using(SCALAR):
         shapes, _ = brick_shapes(clouds, divide(clouds, np.zeros(3)), np.zeros(3))

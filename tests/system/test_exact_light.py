@@ -15,10 +15,9 @@ from forestgen.render.build import load, origin_of, scene_dict
 from forestgen.render.capture import capture
 from forestgen.render.identity import SceneTracer, trace_identity
 from forestgen.render.light import sky_light, sun_disc
-from forestgen.render.settings import ROULETTE_DEPTH
 from forestgen.render.skies.model import daylight_of
 from forestgen.render.surfaces import Paints, repaint
-from forestgen.render.variant import BLOCK_PX, SCALAR, using
+from forestgen.render.variant import BLOCK_PX, ROULETTE_DEPTH, SCALAR, using
 from forestgen.scene.channels import RGB, Channels
 from forestgen.scene.spec import Instances, Material, SceneSpec, Sky
 from support.radiometry import (

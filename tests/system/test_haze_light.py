@@ -10,12 +10,11 @@ import pytest
 from shots import radiance, seen
 
 from forestgen.atmosphere.grid import CloudGrid
-from forestgen.atmosphere.haze import ASYMMETRY, Haze
 from forestgen.core.parts import Part
 from forestgen.core.spectrum import Band, Spectrum
 from forestgen.core.timing import Timings
 from forestgen.render.frame import Radiance
-from forestgen.render.haze import airlight_of, extinction_of, through_haze, trace_seen, under_clouds
+from forestgen.render.haze import ASYMMETRY, Haze, airlight_of, extinction_of, through_haze, trace_seen, under_clouds
 from forestgen.render.identity import SceneTracer
 from forestgen.render.identity.tracer import sample_offsets
 from forestgen.render.light import lights

@@ -12,11 +12,9 @@ from forestgen.core.progress import Silent
 from forestgen.core.timing import Timings
 from forestgen.render import radiance as radiance_module
 from forestgen.render import unfinished as unfinished_module
-from forestgen.render.noise import Noise, Schedule, Until, noise_of
-from forestgen.render.radiance import render_radiance
+from forestgen.render.noise import Estimate, Noise, Schedule, SliceSum, Until, noise_of
+from forestgen.render.radiance import render_radiance, unfinished
 from forestgen.render.shot import Shot
-from forestgen.render.slices import Estimate, SliceSum
-from forestgen.render.unfinished import unfinished
 from forestgen.scene.spec import SceneSpec
 from support.scenes import plain_ground, scattered_scene
 

@@ -22,17 +22,14 @@ from forestgen.recipe.species import Bark
 from forestgen.render.capture import capture
 from forestgen.render.cloud_shadow import Sheet
 from forestgen.render.identity import SceneTracer
-from forestgen.render.paths.light import Sky as SkyOnDevice
-from forestgen.render.paths.light import Sun
-from forestgen.render.paths.lit_scene import LitScene
-from forestgen.render.paths.scattering import Local, Surfaces
-from forestgen.render.paths.sequence import sequence_of
-from forestgen.render.paths.surface_tables import face_tangents, paint_of, relief_tables
-from forestgen.render.paths.tracer import PathTracer
+from forestgen.render.light import along, sky_map
+from forestgen.render.paths.scattering import Local, Surfaces, face_tangents, paint_of, relief_tables
+from forestgen.render.paths.tracer import PathTracer, Sun, sequence_of
+from forestgen.render.paths.tracer import Sky as SkyOnDevice
 from forestgen.render.skies.model import MAP_COLUMNS, MAP_ROWS, daylight_of
-from forestgen.render.sky_radiance import along, sky_map
 from forestgen.render.surfaces import surface_bsdf
 from forestgen.render.variant import CUDA, LLVM, SCALAR, drjit, mitsuba, using
+from forestgen.render.views import LitScene
 from forestgen.scene.channels import RGB, Channels
 from forestgen.scene.spec import Lens, Material, SceneSpec, Sky, WetGround
 from support.bark_post import REFLECTANCE, TILE_M, leaning_texture, post_scene

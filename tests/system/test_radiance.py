@@ -13,16 +13,14 @@ from forestgen.core.parts import Part
 from forestgen.core.spectrum import Spectrum
 from forestgen.render import sky
 from forestgen.render.build import load, origin_of, scene_dict
+from forestgen.render.capture import sensor_of
 from forestgen.render.cloud_heights import base_of
 from forestgen.render.cloud_paths import gather
-from forestgen.render.light import lights, sky_light, sun_disc
-from forestgen.render.sensors import sensor_of
-from forestgen.render.sky_pixels import SkyPixels
-from forestgen.render.sky_radiance import sky_map, sun_irradiance
-from forestgen.render.slices import SliceSum, slice_sizes
+from forestgen.render.light import lights, sky_light, sky_map, sun_disc, sun_irradiance
+from forestgen.render.noise import SliceSum, slice_sizes
 from forestgen.render.surfaces import Paints
 from forestgen.render.variant import SCALAR, mitsuba, using
-from forestgen.render.views import pixels_of
+from forestgen.render.views import SkyPixels, pixels_of
 from forestgen.scene.channels import RGB, Channels
 from forestgen.scene.projection import world_rays
 from forestgen.scene.spec import Instances, SceneSpec, Sky, WetGround

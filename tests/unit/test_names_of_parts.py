@@ -60,11 +60,11 @@ OTHER_MEANINGS = {  # file -> names that are no part's in it, or a default
     "recipe/sky.py": {"clear"},  # the default
     "recipe/suggestions.py": {"grass"},  # a species
     "recipe/terrain.py": {"flat"},  # the default
-    "render/clear_view.py": {"clear"},  # a stream of random numbers
+    "render/views.py": {"clear"},  # a stream of random numbers
     "scene/spec.py": {"clear"},  # the default
     "scene/terrain.py": {"litter"},  # the default
     "render/irradiance.py": {"perspective"},  # a plugin of the renderer
-    "render/sensors.py": {"perspective"},  # the same
+    "render/capture.py": {"perspective"},  # the same
     "stages/light.py": {"points"},  # a stage of the progress bar, and a key of a table
     "stages/resume.py": {"flat"},  # a history's word for ground without a height function
 }

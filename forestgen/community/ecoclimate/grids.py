@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.atmosphere.weather import AirGrid
+from forestgen.atmosphere.grid import AirGrid
 from forestgen.community.soil_water.ground import Floats, Ground
 
 

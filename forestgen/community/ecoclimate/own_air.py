@@ -9,9 +9,8 @@ import hashlib
 from typing import Any
 
 from forestgen.atmosphere.fluid.parameters import UnstableError
-from forestgen.atmosphere.kept_weather import read_weather, weather_store
-from forestgen.atmosphere.simulate import described
-from forestgen.atmosphere.weather import Weather
+from forestgen.atmosphere.grid import Weather
+from forestgen.atmosphere.simulate import described, read_weather, weather_store
 from forestgen.community.branch_modules.changes import parameters_at
 from forestgen.community.ecoclimate.air import hours_of
 from forestgen.community.ecoclimate.months import air_over

@@ -8,10 +8,18 @@ further ray through the pixel's centre gives depth, position, normals, colour an
 
 from __future__ import annotations
 
-from forestgen.render.identity.guides import Guides, trace_guides
-from forestgen.render.identity.samples import trace_identity
-from forestgen.render.identity.tables import HitTables, face_normals, hit_tables
-from forestgen.render.identity.tracer import Hits, SceneTracer, camera_rays, pixel_rays, sample_offsets
+from forestgen.render.denoise import Guides, trace_guides
+from forestgen.render.identity.surface import trace_identity
+from forestgen.render.identity.tracer import (
+    Hits,
+    HitTables,
+    SceneTracer,
+    camera_rays,
+    face_normals,
+    hit_tables,
+    pixel_rays,
+    sample_offsets,
+)
 
 __all__ = [
     "Guides",

@@ -9,10 +9,10 @@ import pytest
 
 from forestgen.atmosphere.grid import CloudGrid
 from forestgen.render.build import load, origin_of, scene_dict
+from forestgen.render.capture import sensor_of
 from forestgen.render.cloud_heights import base_of
 from forestgen.render.cloud_shadow import shadow_of, sheet_edges, sun_sheet, sun_transmittance
 from forestgen.render.light import sun_disc
-from forestgen.render.sensors import sensor_of
 from forestgen.render.surfaces import Paints
 from forestgen.render.variant import SCALAR, mitsuba
 from forestgen.scene.channels import RGB

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from forestgen.atmosphere.daylight import illuminance
 from forestgen.render import sky_radiance
+from forestgen.render.light import SUN_RADIUS_DEG, sky_map, sun_radiance
 from forestgen.render.skies import clear, model
 from forestgen.render.skies.model import daylight_of, map_directions
-from forestgen.render.sky_radiance import SUN_RADIUS_DEG, sky_map, sun_radiance
 from forestgen.render.variant import drjit
 from forestgen.scene.channels import RGB, Channels
 from forestgen.scene.spec import Sky

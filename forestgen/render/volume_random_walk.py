@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.atmosphere.grid import CloudGrid
-from forestgen.atmosphere.voxel_march import advanced, clipped, corners, entered, inside, mixed, piece
+from forestgen.atmosphere.optical_depth import advanced, clipped, corners, entered, inside, mixed, piece
 from forestgen.core.compiled import borrowed, compiled
 from forestgen.core.threads import over_ranges
 
