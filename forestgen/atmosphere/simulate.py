@@ -80,7 +80,7 @@ def regridded(weather: Weather, fresh: Weather) -> Weather:
     old, new = weather.grid, fresh.grid
 
     faces = {"east_m_per_s": 2, "north_m_per_s": 1, "up_m_per_s": 0}
-    moved = {
+    moved: dict[str, Any] = {
         name: _moved(getattr(weather, name), getattr(fresh, name), old, new, faces.get(name))
         for name in (*faces, "potential_temperature_k", "vapour", "cloud", "rain")
     }

@@ -1,8 +1,21 @@
-"""How high the clouds of a scene are above what stands below them, and where their shadow's sheet lies.
+"""How high the clouds of a scene are, where the plane of their shadow lies, and which transport of light they allow.
 
 A thunderhead two kilometres off rains to the ground. Its rain is far from the site, as its cloud is: light from it
 comes to all parts of the site from about the same direction. So rain counts within a distance of the site and the
 cameras, and is left out beyond. Clouds and fog count all over the field: ground out there would stand in them.
+
+`farfield` renders the clouds once, as seen from one place, and has their light and shadow fall on the scene from
+outside. That holds where the clouds are high above all that the cameras see near them: nothing of the scene stands in
+or above them, and light from one cloud reaches all parts of the site from about the same direction. The condition is a
+gap between the highest plant, ground or camera and the clouds' lowest layer: of at least 100 m, and of at least half of
+the site's diagonal; rain counts within as much of the site. `exact` has no condition, and costs more for each camera.
+Of rain farther off `farfield` shows what stands before the sky, and its shadow, but not that it veils the ground behind
+it.
+
+The condition is on the safe side of what was measured: above a stand of 100 x 100 m under broken clouds from 60 m on, a
+gap of a third of the diagonal, the forest's mean radiance differed from `exact` by 0.1 +- 0.7% and parts of the image
+by 6% RMS, noise included; with clouds from 150 m on by 0.2 +- 0.8% and 4%. What breaks down first is the light's
+direction, which is that at the middle of the site; how much light there is follows the place (render/sky.py).
 """
 
 from __future__ import annotations
@@ -16,7 +29,7 @@ from numpy.typing import NDArray
 from forestgen.atmosphere.grid import CloudGrid
 from forestgen.core.errors import RecipeError
 from forestgen.render.build import ray_corners_m
-from forestgen.render.shot import CloudTransport
+from forestgen.render.job import CloudTransport
 from forestgen.scene.spec import Camera, SceneSpec
 
 LEAST_GAP_M = 100.0
@@ -32,12 +45,8 @@ def base_of(
 ) -> float | None:
     """World height of the clouds' base in metres, None if there are none.
 
-    Layers whose largest optical depths add up to less than a hundredth count as empty: they would not be seen.
-
-    Parameters
-    ----------
-    within : (2,) lowest and highest x and y, world: other columns do not count.
-    thicker_than_per_m : cells of no more extinction do not count.
+    Only columns between the two places `within`, (2,) world x and y, count, and cells `thicker_than_per_m`. Layers
+    whose largest optical depths add up to less than a hundredth count as empty: they would not be seen.
     """
     extinction = clouds.extinction_per_m
     if within is not None:
@@ -112,15 +121,13 @@ def tops_of(cameras: Sequence[Camera]) -> list[tuple[str, float]]:
     return [(f"camera {one.name!r}", float(ray_corners_m(one)[:, 2].max())) for one in cameras]
 
 
-def sheet_height_m(spec: SceneSpec, eye_m: float) -> float | None:
-    """World height of the sheet that the clouds' shadow is drawn on; None if there are no clouds.
+def shadow_height_m(spec: SceneSpec, eye_m: float) -> float | None:
+    """World height of the plane that the clouds' shadow is drawn on; None if there are no clouds.
 
     The clouds' base; where rain falls beside the site, just above the highest of the scene and an eye at height
-    `eye_m`. Of the way to the sun the sheet holds all that is above it.
+    `eye_m`. Of the way to the sun the plane holds all that is above it.
     """
-    if spec.clouds is None:
-        return None
-    base_m = base_of(spec.clouds)
+    base_m = None if spec.clouds is None else base_of(spec.clouds)
     if base_m is None:
         return None
     return max(base_m, highest(spec, [*tops_of(spec.cameras), ("the eye", eye_m)])[1] + _ABOVE_ALL_M)
@@ -133,16 +140,7 @@ def cloud_transport_of(
     *,
     where: str = "render.clouds",
 ) -> CloudTransport:
-    """The transport for the images of some cameras.
-
-    Parameters
-    ----------
-    where : the key that asked, for the message.
-
-    Raises
-    ------
-    RecipeError : farfield was asked for, and the clouds are too near.
-    """
+    """The transport for the images of some cameras. `RecipeError`: farfield was asked for, and clouds are too near."""
     if asked == "exact":
         return "exact"
     near = _too_near(spec, tops_of(cameras), [ray_corners_m(one) for one in cameras])
@@ -161,11 +159,9 @@ def cloud_transport_of(
 
 
 def check_far_clouds(spec: SceneSpec, point_m: Sequence[float]) -> None:
-    """Light at a point is measured under clouds that are far above it and the scene, and no others.
+    """Raise `RecipeError` where clouds are too near to measure light at a point.
 
-    Raises
-    ------
-    RecipeError : the clouds are too near. The sheet of their shadow would lie among the plants, or below the point.
+    The plane of their shadow would lie among the plants, or below the point.
     """
     near = _too_near(spec, [("the point", float(point_m[2]))], [np.asarray(point_m)])
     if near is not None:

@@ -1,9 +1,9 @@
-"""The clouds' shadow: a partly transparent sheet at their base, which the sun's disc shines through.
+"""The clouds' shadow: a partly transparent rectangle at their base, which the sun's disc shines through.
 
-Where rain falls beside the site the sheet lies lower (render/cloud_heights.py). It holds the share of the sun's light
+Where rain falls beside the site the plane lies lower (render/cloud_heights.py). It holds the share of the sun's light
 that comes down to each place of it, mean over the disc and over the place's own area, by exact integrals of the field
 above it (atmosphere/optical_depth.py). It reaches as far as the field and, away from the sun, as far as the shadow of
-its tops: land beyond the site sends its light to it, and shadows on it are seen. Between sheet and ground the disc that
+its tops: land beyond the site sends its light to it, and shadows on it are seen. Between plane and ground the disc that
 light is sampled on makes the penumbra, so shadows soften as they should and sunflecks under the canopy stay discs.
 """
 
@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 from forestgen.atmosphere.grid import CloudGrid
 from forestgen.atmosphere.optical_depth import optical_depth
 from forestgen.core.bounded_cache import BoundedCache
-from forestgen.render.cloud_heights import sheet_height_m
+from forestgen.render.cloud_heights import shadow_height_m
 from forestgen.render.light import SUN_RADIUS_DEG
 from forestgen.render.variant import mitsuba
 from forestgen.scene.spec import SceneSpec
 
-_RAYS = 8  # of a cell of the sheet
+_RAYS = 8  # of a cell of the plane
 _MOST_CELLS = 640  # along its side
 _LOWEST_SUN = 0.05  # sine of elevation below which shadows reach no further
 _CALL_ROWS = 64
@@ -34,8 +34,8 @@ _kept: BoundedCache[Floats] = BoundedCache(_KEPT_BYTES, lambda one: one.nbytes)
 
 
 @dataclass(frozen=True)
-class Sheet:
-    """The clouds' shadow on a level sheet above the scene, world."""
+class ShadowPlane:
+    """The clouds' shadow on a level plane above the scene, world."""
 
     transmittance: Floats  # (Y, X) share of the sun's light that comes through to each cell
     low_m: Floats  # (2,)
@@ -51,7 +51,7 @@ def content_key(clouds: CloudGrid) -> str:
     return digest.hexdigest()
 
 
-def sheet_edges(clouds: CloudGrid, to_sun: Floats, base_m: float) -> tuple[Floats, Floats]:
+def plane_edges(clouds: CloudGrid, to_sun: Floats, base_m: float) -> tuple[Floats, Floats]:
     """(2,) lowest and highest x and y of the plane at the base from which the sun is seen through the field's box."""
     reach = -to_sun[:2] / max(float(to_sun[2]), _LOWEST_SUN) * (clouds.high_m[2] - base_m)
     low, high = np.array(clouds.low_m[:2]), np.array(clouds.high_m[:2])
@@ -86,38 +86,36 @@ def sun_transmittance(
 
 
 def shadow_of(clouds: CloudGrid, to_sun: Floats, base_m: float) -> tuple[Floats, Floats, Floats]:
-    """(Y, X) transmittance of all the sheet, and its (2,) lowest and highest x and y; kept for those who ask again."""
-    low, high = sheet_edges(clouds, to_sun, base_m)
+    """(Y, X) transmittance of all the plane, and its (2,) lowest and highest x and y; kept for those who ask again."""
+    low, high = plane_edges(clouds, to_sun, base_m)
     fine = min(clouds.cell_m[:2]) / 2.0
     columns, rows = (int(np.clip(np.ceil(length / fine), 8, _MOST_CELLS)) for length in high - low)
     key = (content_key(clouds), tuple(to_sun.tolist()), base_m)
     return _kept.get(key, lambda: sun_transmittance(clouds, to_sun, base_m, low, high, (columns, rows))), low, high
 
 
-def sheet_of(spec: SceneSpec, eye_m: Floats) -> Sheet | None:
-    """The sheet above a scene and an eye at (3,) world metres; None where no cloud is."""
+def shadow_plane_of(spec: SceneSpec, eye_m: Floats) -> ShadowPlane | None:
+    """The plane above a scene and an eye at (3,) world metres; None where no cloud is."""
     assert spec.clouds is not None
-    height_m, to_sun = sheet_height_m(spec, float(eye_m[2])), spec.sky.to_sun
+    height_m, to_sun = shadow_height_m(spec, float(eye_m[2])), spec.sky.to_sun
     if height_m is None or to_sun[2] <= 0.0:
         return None
-    return Sheet(*shadow_of(spec.clouds, to_sun, height_m), height_m)
+    return ShadowPlane(*shadow_of(spec.clouds, to_sun, height_m), height_m)
 
 
-def sun_sheet(spec: SceneSpec, origin_m: Floats) -> dict[str, Any] | None:
-    """The sheet as a dictionary of the renderer's, in its frame; None where no cloud is."""
-    sheet = sheet_of(spec, origin_m)
-    if sheet is None:
+def shadow_rectangle(spec: SceneSpec, origin_m: Floats) -> dict[str, Any] | None:
+    """The plane as a dictionary of the renderer's, in its frame; None where no cloud is."""
+    plane = shadow_plane_of(spec, origin_m)
+    if plane is None:
         return None
     mi = mitsuba()
-    centre, half = (sheet.low_m + sheet.high_m) / 2 - origin_m[:2], (sheet.high_m - sheet.low_m) / 2
-    place = mi.ScalarTransform4f().translate([centre[0], centre[1], sheet.height_m - origin_m[2]])
-    bitmap = mi.Bitmap(np.ascontiguousarray((1.0 - sheet.transmittance)[..., None].astype(np.float32)))
+    centre, half = (plane.low_m + plane.high_m) / 2 - origin_m[:2], (plane.high_m - plane.low_m) / 2
+    place = mi.ScalarTransform4f().translate([centre[0], centre[1], plane.height_m - origin_m[2]])
+    bitmap = mi.Bitmap(np.ascontiguousarray((1.0 - plane.transmittance)[..., None].astype(np.float32)))
+    opacity = {"type": "bitmap", "bitmap": bitmap, "raw": True, "wrap_mode": "clamp"}
+    black = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.0, 0.0, 0.0]}}
     return {
         "type": "rectangle",
         "to_world": place.scale([half[0], half[1], 1.0]),
-        "bsdf": {
-            "type": "mask",
-            "opacity": {"type": "bitmap", "bitmap": bitmap, "raw": True, "wrap_mode": "clamp"},
-            "nested": {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.0, 0.0, 0.0]}},
-        },
+        "bsdf": {"type": "mask", "opacity": opacity, "nested": black},
     }

@@ -35,10 +35,10 @@ from forestgen.core.randomness import child_rng, child_seed
 from forestgen.render import cloud_bricks
 from forestgen.render.build import load, origin_of, ray_corners_m, scene_dict
 from forestgen.render.capture import FilmWindow, capture, is_assembled
+from forestgen.render.job import RenderJob, Timer
 from forestgen.render.light import along, emitters_of, has_sun, sky_map, sun_disc, sun_radiance
-from forestgen.render.painted import Painted, path_tracer
-from forestgen.render.shot import Shot, Timer
-from forestgen.render.variant import CLOUD_ROULETTE_DEPTH, SCALAR, mitsuba, using
+from forestgen.render.surfaces import SpectralBsdfs
+from forestgen.render.variant import CLOUD_ROULETTE_DEPTH, SCALAR, mitsuba, path_tracer, using
 from forestgen.render.volume_random_walk import SunDisc, WalkField
 from forestgen.scene.channels import Channels
 from forestgen.scene.spec import Camera, SceneSpec
@@ -178,32 +178,33 @@ def _show(box: Any, order: tuple[int, ...] | None) -> None:
 class ExactView:
     """A scene with its clouds, ready to be captured."""
 
-    def __init__(self, shot: Shot, timer: Timer) -> None:
-        self._shot, self._timer = shot, timer
-        spec, camera = shot.spec, shot.camera
+    def __init__(self, job: RenderJob, timer: Timer) -> None:
+        self._job, self._timer = job, timer
+        spec, camera = job.spec, job.camera
         assert spec.clouds is not None
         self._origin = origin = origin_of(camera)
-        self._painted = painted = Painted(timer)
+        self._bsdfs = bsdfs = SpectralBsdfs()
         with timer("radiance: build"):
-            surfaces = scene_dict(spec, origin, painted.paints)
+            surfaces = scene_dict(spec, origin, bsdfs)
             bricks = cloud_bricks.divide(spec.clouds, origin)
             shapes, media = cloud_bricks.brick_shapes(spec.clouds, bricks, origin)
             shell = cloud_bricks.camera_shell(spec.clouds, bricks, media, camera)
-            emitters = {name: painted.light(emitter) for name, emitter in emitters_of(spec.sky).items()}
+            emitters = {name: bsdfs.add(emitter) for name, emitter in emitters_of(spec.sky).items()}
             self._whole = load({**surfaces, **shapes, **shell, **emitters})
             self._tracer = endless_tracer()
             gap = None if is_assembled(camera) else clear_air_m(spec, float(ray_corners_m(camera)[:, 2].max()))
-            self._parts = None if gap is None else _Parts(shot, painted, surfaces, bricks, gap, timer)
+            self._parts = None if gap is None else _Parts(job, bsdfs, surfaces, bricks, gap, timer)
 
     def take(self, channels: Channels, samples: int, number: tuple[int, int]) -> Floats:
         with using(SCALAR):
             return self._take(channels, samples, number)
 
     def _take(self, channels: Channels, samples: int, number: tuple[int, int]) -> Floats:
-        self._painted.show(channels)
+        with self._timer("radiance: repaint"):
+            self._bsdfs.repaint(channels)
         if self._parts is None:
             with self._timer("light paths"):
-                return _captured(self._tracer, self._whole, self._shot, samples, ("whole", *number))
+                return _captured(self._tracer, self._whole, self._job, samples, ("whole", *number))
         # In the scenes that were looked at the sun's own light was much less noisy than that of clouds and sky.
         image = self._parts.by_sun((samples + 1) // 2, number)
         return image + self._parts.by_clouds(channels, samples, number, self._followed)
@@ -265,29 +266,29 @@ class _Parts:
 
     def __init__(
         self,
-        shot: Shot,
-        painted: Painted,
+        job: RenderJob,
+        bsdfs: SpectralBsdfs,
         surfaces: dict[str, Any],
         bricks: cloud_bricks.Bricks,
         gap_m: tuple[float, float],
         timer: Timer,
     ) -> None:
-        self._shot, self._timer = shot, timer
-        spec, origin = shot.spec, origin_of(shot.camera)
+        self._job, self._timer = job, timer
+        spec, origin = job.spec, origin_of(job.camera)
         assert spec.clouds is not None
         self._field = WalkField.of(spec.clouds, origin)
         self._disc, self._by_sun = None, None
         if has_sun(spec.sky):
             self._disc = _disc_of(spec)
             shapes, _ = cloud_bricks.brick_shapes(spec.clouds, bricks, origin, albedo=0.0)
-            sun = painted.light(lambda channels: sun_disc(spec.sky, channels))
+            sun = bsdfs.add(lambda channels: sun_disc(spec.sky, channels))
             self._by_sun = load({**surfaces, **shapes, "sun": sun})
-            self._thinned = path_tracer("volpath", shot.max_depth)
+            self._thinned = path_tracer("volpath", job.max_depth)
         top, lowest = gap_m
         ground = spec.terrain.mesh.vertices_m - origin
         self._escapes = EscapeScene(
             surfaces,
-            path_tracer("path", shot.max_depth),
+            path_tracer("path", job.max_depth),
             top_m=min((top + lowest) / 2, top + 20.0) - origin[2],
             half_m=max(1000.0, 1.02 * float(np.abs(ground[:, :2]).max())),
             bottom_m=float(ground[:, 2].min()) - 100.0,
@@ -295,17 +296,17 @@ class _Parts:
 
     def by_sun(self, samples: int, number: tuple[int, int]) -> Floats:
         """(H, W, 3) light that no cloud has scattered since it left the sun, on its way to its first surface."""
-        camera = self._shot.camera
+        camera = self._job.camera
         if self._by_sun is None:
             return np.zeros((camera.size_px[1], camera.size_px[0], 3))
         with self._timer("light paths"):
-            return _captured(self._thinned, self._by_sun, self._shot, samples, ("sun", *number))
+            return _captured(self._thinned, self._by_sun, self._job, samples, ("sun", *number))
 
     def by_clouds(self, channels: Channels, samples: int, number: tuple[int, int], followed: Any) -> Floats:
         """(H, W, 3) all other light."""
-        camera = self._shot.camera
+        camera = self._job.camera
         width, height = camera.size_px
-        sky, sun = sky_map(self._shot.spec.sky, channels), sun_radiance(self._shot.spec.sky, channels)
+        sky, sun = sky_map(self._job.spec.sky, channels), sun_radiance(self._job.spec.sky, channels)
         kinds = (
             ("seen", self._escapes.seen, _SEEN_TIMES * samples, _SEEN_WALKS),
             ("scattered", self._escapes.scattered, samples, _SCATTERED_WALKS),
@@ -316,7 +317,7 @@ class _Parts:
                 name = (kind, *number, index)
                 finer = replace(camera, size_px=(width * fine, height * fine))
                 with self._timer("light paths"):
-                    paths = trace(finer, child_seed(self._shot.seed, *name), window)
+                    paths = trace(finer, child_seed(self._job.seed, *name), window)
                 light = np.zeros((len(paths.pixel), 3))
                 for walk in range(each):
                     light += self._walked(paths, sky, sun, (*name, walk), followed) / each
@@ -333,22 +334,22 @@ class _Parts:
     def _walked(self, paths: Escapes, sky: Any, sun: Floats, name: tuple[str | int, ...], followed: Any) -> Floats:
         """(N, 3) radiance that one walk each finds for paths that left the scene."""
         with self._timer("clouds"):
-            seed = child_seed(self._shot.seed, "walks", *name)
+            seed = child_seed(self._job.seed, "walks", *name)
             walks = self._field.walk(paths.place_m, paths.direction, self._disc, seed)
             light = walks.sun[:, None] * sun
             down = (walks.direction[:, 2] <= 0) & (walks.leaves_m[:, 2] > paths.place_m[:, 2])
             light += np.where(down, 0.0, walks.weight)[:, None] * along(sky, walks.direction)
         chosen = np.flatnonzero(down & (walks.weight > 0))
-        rng = child_rng(self._shot.seed, "down", *name)
+        rng = child_rng(self._job.seed, "down", *name)
         chosen = chosen[rng.random(len(chosen)) < 1.0 / _DOWN_EVERY]
         with self._timer("light paths"):
-            seed = child_seed(self._shot.seed, "followed", *name)
+            seed = child_seed(self._job.seed, "followed", *name)
             met = followed(walks.leaves_m[chosen], walks.direction[chosen], seed)
         light[chosen] += _DOWN_EVERY * walks.weight[chosen, None] * met
         return light
 
 
-def _captured(tracer: Any, scene: Any, shot: Shot, samples: int, name: tuple[str | int, ...]) -> Floats:
+def _captured(tracer: Any, scene: Any, job: RenderJob, samples: int, name: tuple[str | int, ...]) -> Floats:
     """(H, W, 3) image of the volume path tracer.
 
     Now and then a path of the renderer's through bricks ends in no number (one in half a million was seen; why is not
@@ -358,7 +359,7 @@ def _captured(tracer: Any, scene: Any, shot: Shot, samples: int, name: tuple[str
     ------
     RenderError : there are many such paths, so that something else is wrong.
     """
-    image = capture(tracer, scene, shot.camera, samples=samples, seed=child_seed(shot.seed, *name))[..., :3]
+    image = capture(tracer, scene, job.camera, samples=samples, seed=child_seed(job.seed, *name))[..., :3]
     count = 0
     for attempt in range(_TRIES):
         broken = np.argwhere(~np.isfinite(image).all(axis=2)).tolist()
@@ -367,9 +368,9 @@ def _captured(tracer: Any, scene: Any, shot: Shot, samples: int, name: tuple[str
         if not broken:
             return image
         for row, column in broken:
-            seed = child_seed(shot.seed, *name, "again", attempt, row, column)
+            seed = child_seed(job.seed, *name, "again", attempt, row, column)
             window = FilmWindow(column, row, 1, 1)
-            again = capture(tracer, scene, shot.camera, samples=samples, seed=seed, window=window)
+            again = capture(tracer, scene, job.camera, samples=samples, seed=seed, window=window)
             image[row, column] = again[0, 0, :3]
     raise _no_number()
 

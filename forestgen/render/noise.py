@@ -1,4 +1,4 @@
-"""How noisy an image is, and how many samples it still needs.
+"""Independent replicates of an image, how noisy their mean is, and how many samples it still needs.
 
 The relative error of a pixel is its standard error over its value, both over all channels:
 
@@ -13,6 +13,9 @@ see nothing, outside of a fisheye's circle, do not count.
 e falls as 1 / sqrt(n). So an image with error e after n samples needs n (e / target)²; slices are at most a sixteenth
 of that, and the need is judged anew after each, by all slices so far. The last slice is what is left: an image is not
 carried far beyond its target.
+
+No samples need be independent inside a slice (a stratified sampler's are not): the scatter of slices gives the variance
+of the mean.
 """
 
 from __future__ import annotations
@@ -25,6 +28,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.render.job import StoppingCriterion
 from forestgen.render.variant import MOST_SLICE_SAMPLES, SLICES
 
 _FLOOR = 0.1
@@ -86,21 +90,6 @@ class Noise:
     relative_error_p95: float
 
 
-@dataclass(frozen=True)
-class Until:
-    """When an image is done. Samples are light paths a pixel, over all passes."""
-
-    samples: int  # exactly; with a target or a time budget the first ones, from which the noise is judged
-    target_error: float | None = None  # relative error
-    target_error_p95: float | None = None  # its 95th percentile
-    time_budget_s: float | None = None
-    most_samples: int = 65536  # with a target or a time budget
-
-    @property
-    def open_ended(self) -> bool:
-        return not (self.target_error is None and self.target_error_p95 is None and self.time_budget_s is None)
-
-
 def noise_of(estimate: Estimate, seen: NDArray[np.bool_]) -> Noise:
     """Of (H, W, C) mean and variance; `seen` are the (H, W) pixels that count."""
     from scipy.ndimage import uniform_filter
@@ -125,7 +114,7 @@ def noise_of(estimate: Estimate, seen: NDArray[np.bool_]) -> Noise:
 class Schedule:
     """Which slice comes next. A function of what has been done alone: interrupted work goes on the same."""
 
-    def __init__(self, until: Until, passes: int, least: int = 1) -> None:
+    def __init__(self, until: StoppingCriterion, passes: int, least: int = 1) -> None:
         """`least` is the number of samples below which a camera takes no pass."""
         self._until, self._least = until, least
         self._first = [max(size, least) for size in slice_sizes(-(-until.samples // passes))]

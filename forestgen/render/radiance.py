@@ -2,8 +2,13 @@
 
 An image is the mean of independent replicates (render/noise.py). A replicate is made of passes: one in colour, or
 several at three wavelengths each (render/wavelengths.py). Passes capture one scene that is built once
-(render/views.py). Replicates go on until there are as many samples, or as little noise, as was asked for
-(render/noise.py); an interrupted image goes on from its last replicate (render/radiance.py).
+(render/views.py). Replicates go on until there are as many samples, or as little noise, as was asked for.
+
+Running sums are kept on disk, so that an interrupted image goes on from its last replicate. They lie in the folder
+`radiance` of the cache (core/disk_cache.py), under the hash of all that the image depends on: the drawn recipe, the
+image's seed, the camera, and the code, tables and packages that make it. A sum is written when work is interrupted, and
+at times while it goes on, so that a process that is killed loses little; it is removed when the image is done. What is
+continued has the bytes of what was never interrupted: a replicate's seeds belong to its number.
 """
 
 from __future__ import annotations
@@ -27,11 +32,12 @@ from forestgen.recipe.assets import scenes_dir
 from forestgen.render.capture import least_samples
 from forestgen.render.frame import Radiance
 from forestgen.render.identity import SceneTracer
+from forestgen.render.job import RenderJob, Timer, View
 from forestgen.render.noise import Noise, Schedule, SliceSum, noise_of
-from forestgen.render.shot import Shot, Timer, View, is_exact
 from forestgen.render.skies.model import daylight_of
-from forestgen.render.views import build_view, pixels_of
+from forestgen.render.views import build_view
 from forestgen.render.wavelengths import Quadrature, quadrature_of
+from forestgen.scene.projection import image_circle
 
 EVERY_S = 20.0  # at least, from one writing to the next
 _MOST_BYTES = 4_000_000_000
@@ -92,22 +98,24 @@ def unfinished(*identity: str | int) -> Unfinished | None:
 
 
 def render_radiance(
-    shot: Shot, *, progress: Progress, timer: Timer, kept: Unfinished | None = None, tracer: SceneTracer | None = None
+    job: RenderJob,
+    *,
+    progress: Progress,
+    timer: Timer,
+    kept: Unfinished | None = None,
+    tracer: SceneTracer | None = None,
 ) -> Radiance:
-    """Radiance of a shot, not yet denoised.
+    """Radiance of a job, not yet denoised.
 
-    Parameters
-    ----------
-    timer : context manager that books time under a name; "light paths" is time without what is set up for them.
-    kept : where an interrupted image's sum is kept; None: nowhere.
-    tracer : of the shot's scene, if there is one already.
+    `timer` books time under a name; "light paths" is time without what is set up for them. `kept` is where an
+    interrupted image's sum is kept; None: nowhere. `tracer` is that of the job's scene, if there is one already.
     """
-    open_light = daylight_of(shot.spec.sky).on_level
-    quadrature = quadrature_of(shot.camera, shot.mode, open_light)
-    schedule = Schedule(shot.until, quadrature.passes, least_samples(shot.camera) if is_exact(shot) else 1)
-    view = build_view(shot, progress, timer, tracer)
+    open_light = daylight_of(job.spec.sky).on_level
+    quadrature = quadrature_of(job.camera, job.mode, open_light)
+    schedule = Schedule(job.until, quadrature.passes, least_samples(job.camera) if job.is_exact else 1)
+    view = build_view(job, progress, timer, tracer)
     with progress.stage("radiance", _STEPS) as advance:
-        total, noise = _replicates(shot, view, quadrature, schedule, advance, kept)
+        total, noise = _replicates(job, view, quadrature, schedule, advance, kept)
     estimate = total.estimate()
     return Radiance(
         mean=estimate.mean.astype(np.float32),
@@ -125,7 +133,7 @@ def render_radiance(
 
 
 def _replicates(
-    shot: Shot,
+    job: RenderJob,
     view: View,
     quadrature: Quadrature,
     schedule: Schedule,
@@ -133,7 +141,7 @@ def _replicates(
     kept: Unfinished | None,
 ) -> tuple[SliceSum, Noise]:
     """Replicates until the schedule says that the image is done."""
-    seen = pixels_of(shot.camera).seen
+    seen = image_circle(job.camera)
     total, before_s = (SliceSum(), 0.0) if kept is None else kept.read()
     start_s, shown = time.monotonic(), 0
     try:
@@ -146,7 +154,7 @@ def _replicates(
             size = schedule.next_size(total, noise, elapsed_s)
             if not size:
                 break
-            total = total.added(_replicate(shot, view, quadrature, total.slices, size), size)
+            total = total.added(_replicate(job, view, quadrature, total.slices, size), size)
             if kept is not None:
                 kept.write(total, before_s + time.monotonic() - start_s)
     except BaseException:
@@ -166,10 +174,10 @@ def _noise(total: SliceSum, schedule: Schedule, seen: NDArray[np.bool_]) -> Nois
     return noise_of(total.estimate(), seen)
 
 
-def _replicate(shot: Shot, view: View, quadrature: Quadrature, number: int, samples: int) -> NDArray[np.float64]:
+def _replicate(job: RenderJob, view: View, quadrature: Quadrature, number: int, samples: int) -> NDArray[np.float64]:
     """(H, W, C) image of one replicate, its passes' samples each."""
-    rng = child_rng(shot.seed, "wavelengths")
-    width, height = shot.camera.size_px
+    rng = child_rng(job.seed, "wavelengths")
+    width, height = job.camera.size_px
     image = np.zeros((height, width, len(quadrature.names)))
     for index, one in enumerate(quadrature.draw(rng, number)):
         image += view.take(one.channels, samples, (number, index)) @ one.weight.T

@@ -3,7 +3,7 @@
 Clouds are traced on their own (render/cloud_paths.py), over a plain of the region's albedo, and only once for a sky:
 into a map of the radiance by direction at one place of the site, at the height of the canopy. The map lights the scene
 from infinitely far away. It holds the sky and what clouds scatter of it and of the sun; the sun's disc shines through
-the sheet of render/cloud_shadow.py.
+the plane of render/cloud_shadow.py.
 
 Decisions
 ---------

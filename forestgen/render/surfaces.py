@@ -1,7 +1,22 @@
 """What surfaces do with light, and their BSDFs for Mitsuba, which change when a pass is for other wavelengths.
 
 `surface_of` describes the surface of an organ. `surface_bsdf` turns it into a BSDF for Mitsuba's integrators, and
-`paths/surface_tables.py` into tables for the light paths; tests/system/test_paths.py compares the two.
+`paths/scattering.py` into tables for the light paths; tests/system/test_paths.py compares the two.
+
+The gloss of a leaf's skin
+--------------------------
+A tabled reflectance is one number: what an integrating sphere measured under light from 8 degrees. So that a leaf with
+a gloss has that reflectance under any light, the gloss must take the same share of it everywhere. A rough mirror of
+index n has two tendencies: Fresnel's reflectance rises toward grazing light, and the facets' shadows take it away
+again. For each roughness there is an index at which they cancel: light from 8 degrees, and light from the whole
+hemisphere, lose the same share to it. In between the share varies by 2% of itself up to 60 degrees, and by 6%
+up to 75. That index is above that of wax (1.45), so the highlight of grazing light is weaker than a wet leaf's.
+
+References
+----------
+Walter et al. 2007, "Microfacet models for refraction through rough surfaces": GGX, eqs. 33 and 34.
+Heitz 2018, "Sampling the GGX distribution of visible normals".
+Burley 2012, "Physically based shading at Disney": alpha = roughness².
 """
 
 from __future__ import annotations
@@ -50,9 +65,8 @@ def gloss_of(roughness: float) -> Gloss:
     sphere = _reflected(np.cos(np.radians(SPHERE_DEG)), alpha)
 
     def excess(index: float) -> float:
-        return float(sum(w / 2 * _albedo(ring, index) for w, ring in zip(weight, rings, strict=True))) - _albedo(
-            sphere, index
-        )
+        hemisphere = float(sum(w / 2 * _albedo(ring, index) for w, ring in zip(weight, rings, strict=True)))
+        return hemisphere - _albedo(sphere, index)
 
     index = float(brentq(excess, 1.2, 50.0, xtol=1e-5))
     albedo = _albedo(sphere, index)
@@ -95,11 +109,11 @@ def _albedo(reflected: tuple[Floats, Floats], index: float) -> float:
 
 
 @dataclass
-class Paints:
-    """The BSDFs of a scene: built once, shared by its meshes, and given other colours between passes."""
+class SpectralBsdfs:
+    """The BSDFs of a scene, and its emitters: built once, and given the values of other channels between passes."""
 
     channels: Channels = RGB
-    _painted: list[tuple[Any, Recipe]] = field(default_factory=list)
+    _made: list[tuple[Any, Recipe]] = field(default_factory=list)
     _plants: dict[tuple[int, bool, bool], Any] = field(default_factory=dict)
 
     def plant(self, part: Part, material: Material, *, has_uv: bool) -> Any:
@@ -114,17 +128,19 @@ class Paints:
         return self.add(lambda channels: ground_bsdf(terrain, channels))
 
     def add(self, recipe: Recipe) -> Any:
-        """A BSDF that is made, and later repainted, by a function of the channels to a dictionary."""
+        """A BSDF or emitter that is made, and later repainted, by a function of the channels to a dictionary."""
         # Unoptimised: lobes that happen to be equal in one pass must not become one object for all.
-        bsdf = mitsuba().load_dict(recipe(self.channels), optimize=False)
-        self._painted.append((bsdf, recipe))
-        return bsdf
+        made = mitsuba().load_dict(recipe(self.channels), optimize=False)
+        self._made.append((made, recipe))
+        return made
 
     def repaint(self, channels: Channels) -> None:
-        """Give all BSDFs the values of other channels, in place: scenes that hold them need no new building."""
+        """Give all objects the values of other channels, in place: scenes that hold them need no new building."""
+        if channels == self.channels:
+            return
         mi = mitsuba()
-        for bsdf, recipe in self._painted:
-            repaint(bsdf, mi.load_dict(recipe(channels), optimize=False))
+        for made, recipe in self._made:
+            repaint(made, mi.load_dict(recipe(channels), optimize=False))
         self.channels = channels
 
 
@@ -257,27 +273,16 @@ def _reflector(surface: Surface, share: float) -> dict[str, Any]:
     if lobe is None:
         return {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": _unbounded(sides.matt, share)}}
     glossy = sides.shares[1]
-    return {
-        "type": "twosided",
-        "bsdf": {
-            "type": "blendbsdf",
-            "weight": glossy,
-            "d": {"type": "diffuse", "reflectance": _unbounded(sides.matt, share * (1.0 - glossy))},
-            "g": {
-                "type": "roughconductor",
-                "distribution": "ggx",
-                "alpha": lobe.alpha,
-                "eta": lobe.index,
-                "k": 0.0,
-                "specular_reflectance": _unbounded(np.full(3, sides.gloss / lobe.albedo), share * glossy),
-            },
-        },
+    matt = {"type": "diffuse", "reflectance": _unbounded(sides.matt, share * (1.0 - glossy))}
+    mirror = {
+        "type": "roughconductor",
+        "distribution": "ggx",
+        "alpha": lobe.alpha,
+        "eta": lobe.index,
+        "k": 0.0,
+        "specular_reflectance": _unbounded(np.full(3, sides.gloss / lobe.albedo), share * glossy),
     }
-
-
-def diffuse(reflectance: NDArray[np.float64]) -> dict[str, Any]:
-    """A Lambertian surface of one colour, (3,)."""
-    return {"type": "diffuse", "reflectance": {"type": "rgb", "value": [float(x) for x in reflectance]}}
+    return {"type": "twosided", "bsdf": {"type": "blendbsdf", "weight": glossy, "d": matt, "g": mirror}}
 
 
 def relief_colour(material: Material, channels: Channels) -> NDArray[np.floating]:
@@ -295,19 +300,15 @@ def relief_colour(material: Material, channels: Channels) -> NDArray[np.floating
 
 
 def _textured(material: Material, channels: Channels) -> dict[str, Any]:
-    """Diffuse surface with a colour and a normal map. The renderer's shading of the terminator stays off: the colours
-    of the facets already contain it.
-    """
+    """Diffuse surface with a colour and a normal map."""
     assert material.texture is not None
-    return {
-        "type": "twosided",
-        "bsdf": {
-            "type": "normalmap",
-            "use_shadowing_function": False,
-            "normalmap": _bitmap(0.5 + 0.5 * material.texture.normals()),
-            "bsdf": {"type": "diffuse", "reflectance": _bitmap(relief_colour(material, channels))},
-        },
+    relief = {
+        "type": "normalmap",
+        "use_shadowing_function": False,  # the facets' colours already contain the terminator's shading
+        "normalmap": _bitmap(0.5 + 0.5 * material.texture.normals()),
+        "bsdf": {"type": "diffuse", "reflectance": _bitmap(relief_colour(material, channels))},
     }
+    return {"type": "twosided", "bsdf": relief}
 
 
 def _bitmap(image: NDArray[Any]) -> dict[str, Any]:
@@ -327,20 +328,12 @@ def ground_bsdf(terrain: Terrain, channels: Channels = RGB) -> dict[str, Any]:
             "dry": near,
             "wet": _painted_ground(colour * film_factor(terrain, channels).astype(np.float32)),
         }
-    return {
-        "type": "twosided",
-        "bsdf": {
-            "type": "blendbsdf",
-            "weight": {"type": "mesh_attribute", "name": "vertex_far_share"},
-            "near": near,
-            "far": diffuse(channels.of_surface(terrain.far_reflectance, terrain.far_spectrum)),
-        },
-    }
+    far_share = {"type": "mesh_attribute", "name": "vertex_far_share"}
+    far_colour = channels.of_surface(terrain.far_reflectance, terrain.far_spectrum).tolist()
+    far = {"type": "diffuse", "reflectance": {"type": "rgb", "value": far_colour}}
+    return {"type": "twosided", "bsdf": {"type": "blendbsdf", "weight": far_share, "near": near, "far": far}}
 
 
 def _painted_ground(colour: NDArray[np.float32]) -> dict[str, Any]:
     bitmap = mitsuba().Bitmap(np.ascontiguousarray(colour))
-    return {
-        "type": "diffuse",
-        "reflectance": {"type": "bitmap", "bitmap": bitmap, "raw": True, "wrap_mode": "repeat"},
-    }
+    return {"type": "diffuse", "reflectance": {"type": "bitmap", "bitmap": bitmap, "raw": True, "wrap_mode": "repeat"}}

@@ -225,3 +225,9 @@ def check_llvm() -> str:
         if total != 4950:
             raise RuntimeError(f"the sum of 0 to 99 came out as {total}")
     return f"works, {library}"
+
+
+def path_tracer(kind: str, max_depth: int, **more: Any) -> Any:
+    """A path tracer of Mitsuba's, with the settings of all images."""
+    settings = {"type": kind, "max_depth": max_depth, "rr_depth": ROULETTE_DEPTH, "block_size": BLOCK_PX}
+    return mitsuba().load_dict(settings | more)

@@ -18,9 +18,8 @@ from forestgen.render.denoise import denoise, denoise_bands
 from forestgen.render.frame import Frame, Radiance, Surface
 from forestgen.render.haze import KOSCHMIEDER, through_haze
 from forestgen.render.identity import SceneTracer, trace_guides, trace_identity
-from forestgen.render.noise import Until
+from forestgen.render.job import RenderJob, StoppingCriterion
 from forestgen.render.radiance import render_radiance, unfinished
-from forestgen.render.shot import Shot
 from forestgen.scene.spec import Camera, SceneSpec
 
 View = tuple[Camera, SceneSpec]
@@ -72,10 +71,10 @@ def _radiance(
 ) -> Radiance:
     """With its denoised copy where that is asked for."""
     settings = recipe.render
-    shot = Shot(
+    shot = RenderJob(
         spec=tracer.spec,
         camera=camera,
-        until=Until(
+        until=StoppingCriterion(
             samples=settings.samples,
             target_error=settings.target_error,
             target_error_p95=settings.target_error_p95,

@@ -9,8 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.parts import Part
+from forestgen.core.spectrum import Spectrum
+from forestgen.render.irradiance import Source
 from forestgen.render.light import envmap
 from forestgen.render.variant import mitsuba
+from forestgen.scene.channels import Channels
 from forestgen.scene.spec import SceneSpec
 
 Floats = NDArray[np.float64]
@@ -165,3 +168,16 @@ def light_on(scene: Any, integrator: Any, facets: Facets, *, sides: int, rays: i
             means.append(radiance(scene, integrator, points + side * normals * 1e-5, direction, number).mean(axis=0))
         total = total + mean_of(np.array(means)) * (np.pi * area)
     return total
+
+
+def uniform_sky(irradiance: Spectrum) -> Source:
+    """A sky that is equally bright in all directions, by its light on a level plane in W/m²/nm."""
+
+    def emitter(channels: Channels) -> dict[str, Any]:
+        radiance = [float(value) for value in channels.of_light(irradiance) / np.pi]
+        return {"type": "constant", "radiance": {"type": "rgb", "value": radiance}, "sampling_weight": 0.0}
+
+    # All light samples go to a lamp without light: paths find the sky by themselves. All directions of a flat surface
+    # then see the same, and its image has no noise. (A scene of weight 0 in all is refused.)
+    lamp = {"type": "point", "position": [0.0, 0.0, 0.0], "intensity": {"type": "rgb", "value": 0.0}}
+    return Source("sky", irradiance, emitter, {"lamp": lamp}, roulette_from=64)

@@ -19,11 +19,11 @@ from forestgen.core.progress import Silent
 from forestgen.core.spectrum import Spectrum
 from forestgen.geometry.mesh import Mesh
 from forestgen.plants.exemplar import Exemplar, OrganMesh
-from forestgen.render.irradiance import uniform
 from forestgen.scene.spec import Instances, Material, SceneSpec, Sky, Terrain
 from forestgen.stages import calibrate as stage
 from forestgen.stages.light import Quantity
 from forestgen.stages.light_text import told
+from support.radiometry import uniform_sky
 
 
 def level(half_m: float, z_m: float) -> Mesh:
@@ -53,7 +53,7 @@ def calibrated(spec: SceneSpec, name: str | None, samples: int = 4) -> stage.Cal
     sources = None
     if name is not None:
         light = illuminant(name)
-        sources = lambda origin: [uniform(light)]  # noqa: E731
+        sources = lambda origin: [uniform_sky(light)]  # noqa: E731
     return stage.measure_chart(
         spec,
         (0.0, 0.0, 1.0),

@@ -15,10 +15,9 @@ from forestgen.core.spectrum import Spectrum
 from forestgen.recipe.load import load_recipe
 from forestgen.render.capture import capture
 from forestgen.render.light import lights, sun_irradiance
-from forestgen.render.painted import path_tracer
 from forestgen.render.skies.model import daylight_of, map_directions
 from forestgen.render.skies.overcast import overcast_illuminance
-from forestgen.render.variant import SCALAR, drjit, mitsuba, using
+from forestgen.render.variant import SCALAR, drjit, mitsuba, path_tracer, using
 from forestgen.scene.channels import RGB, Channels
 from forestgen.scene.spec import Camera, Sky
 from forestgen.stages.sky import sky_of

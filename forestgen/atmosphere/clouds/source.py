@@ -61,18 +61,21 @@ def cloud_statistics(weather: Weather, *, droplet_radius_um: float = 10.0) -> Cl
     cloudy = weather.cloud >= CLOUDY
     columns = cloudy.any(axis=0)
     low_m, side_m = weather.grid.low_m[2], weather.grid.cell_m[2]
-    heights: list[float | None] = [None] * 4
+    base_m, top_m, mean_base_m, mean_top_m = (None,) * 4
     if columns.any():
         first = np.argmax(cloudy, axis=0)[columns]
         last = len(cloudy) - np.argmax(cloudy[::-1], axis=0)[columns]
         layers = np.percentile(first, _LOW_PERCENT), np.percentile(last, _HIGH_PERCENT), first.mean(), last.mean()
-        heights = [low_m + side_m * float(one) for one in layers]
+        base_m, top_m, mean_base_m, mean_top_m = (low_m + side_m * float(one) for one in layers)
     path = weather.cloud_water_kg_per_m3.sum(axis=0, dtype=np.float64) * side_m
     depth = 1.5 * path / (_WATER_KG_PER_M3 * droplet_radius_um * 1e-6)
     return CloudStatistics(
         weather.time_s,
         float(columns.mean()),
-        *heights,
+        base_m,
+        top_m,
+        mean_base_m,
+        mean_top_m,
         cloud_kg_per_m2=float(path.mean()),
         rain_kg_per_m2=float(weather.rain_water_kg_per_m3.sum(axis=0, dtype=np.float64).mean() * side_m),
         fallen_kg_per_m2=float(weather.fallen_kg_per_m2.mean()),

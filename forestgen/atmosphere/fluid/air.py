@@ -77,7 +77,8 @@ class Air:
         u, v, w, *middle = np.zeros((6, *padded), np.float32)
         self._wind: Velocity = (u, v, w)
         self._middle: Velocity = (middle[0], middle[1], middle[2])
-        self._ratios = tuple(np.zeros((4, *padded), np.float32))  # heat (K from rest), vapour, cloud, rain
+        heat, vapour, cloud, rain = np.zeros((4, *padded), np.float32)
+        self._ratios = (heat, vapour, cloud, rain)  # heat: K from rest
         self._lift = np.zeros((grid.cells[2] + 1, *grid.shape[1:]), np.float32)
         self._fixed_limit_s = fixed_limit_s(grid, self.background, physics)
         self._calm = _calm_per_s(grid, physics)

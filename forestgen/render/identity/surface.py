@@ -76,11 +76,11 @@ def _trace_samples(tracer: SceneTracer, camera: Camera, samples: int, rows: slic
     byte = dr.uint8_array_t(mi.UInt32)
     hits = tracer.trace(camera, sample_offsets(samples), rows.start, rows.stop - rows.start)
     found = {
-        "plant_id": dr.gather(mi.UInt32, tracer.plant_id, hits.instance, hits.valid),
-        "part": byte(dr.gather(mi.UInt32, tracer.part, hits.organ, hits.valid)),
+        "plant_id": dr.gather(mi.UInt32, tracer.table.plant_id, hits.instance, hits.valid),
+        "part": byte(dr.gather(mi.UInt32, tracer.table.part, hits.organ, hits.valid)),
     }
     if identity.face is not None:
-        found["exemplar"] = dr.gather(mi.UInt32, tracer.exemplar, hits.instance, hits.valid)
+        found["exemplar"] = dr.gather(mi.UInt32, tracer.table.exemplar, hits.instance, hits.valid)
         found["face"] = tracer.face_in_exemplar(hits)
     dr.eval(found)
     for name, values in found.items():
@@ -112,9 +112,9 @@ def trace_rows(tracer: SceneTracer, camera: Camera, rows: slice, surface: Surfac
     hits = tracer.trace(camera, np.array([0.5, 0.5]), rows.start, count)
     normal = tracer.geometric_normal(hits)
     found = {
-        "plant_id": dr.gather(mi.UInt32, tracer.plant_id, hits.instance, hits.valid),
-        "part": dr.gather(mi.UInt32, tracer.part, hits.organ, hits.valid),
-        "exemplar": dr.gather(mi.UInt32, tracer.exemplar, hits.instance, hits.valid),
+        "plant_id": dr.gather(mi.UInt32, tracer.table.plant_id, hits.instance, hits.valid),
+        "part": dr.gather(mi.UInt32, tracer.table.part, hits.organ, hits.valid),
+        "exemplar": dr.gather(mi.UInt32, tracer.table.exemplar, hits.instance, hits.valid),
         "face": tracer.face_in_exemplar(hits),
         "depth_m": dr.select(hits.valid, hits.distance_m * hits.rays.depth_share, dr.inf),
         "distance_m": dr.select(hits.valid, hits.distance_m, dr.inf),
@@ -150,7 +150,7 @@ def positions(camera: Camera, rows: slice, distance_m: NDArray[np.float32]) -> N
 def corners_of(tracer: SceneTracer, hits: Hits, active: Any) -> list[Any]:
     """The triangle's three vertices, counted within the organ's mesh."""
     mi, dr = mitsuba(), drjit()
-    return [dr.gather(mi.UInt32, tracer.corner, hits.face * 3 + k, active) for k in range(3)]
+    return [dr.gather(mi.UInt32, tracer.table.corner, hits.face * 3 + k, active) for k in range(3)]
 
 
 def barycentric_weights(hits: Hits) -> tuple[Any, Any, Any]:
@@ -169,11 +169,11 @@ def interpolated_normal(
 ) -> Any:
     """`shading_normal` of hits whose corners and weights are known."""
     mi, dr = mitsuba(), drjit()
-    first = dr.gather(mi.UInt32, tracer.first_normal, hits.organ, hits.valid)
+    first = dr.gather(mi.UInt32, tracer.table.first_normal, hits.organ, hits.valid)
     smooth = hits.valid & (first != NONE)
     local = mi.Vector3f(0.0)
     for weight, corner in zip(weights, corners, strict=True):
-        local += weight * dr.gather(mi.Vector3f, tracer.vertex_normal, first + corner, smooth)
+        local += weight * dr.gather(mi.Vector3f, tracer.table.vertex_normal, first + corner, smooth)
     smooth &= dr.squared_norm(local) > 1e-12
     world = tracer.to_world(local, hits)
     world = dr.select(dr.dot(world, normal) < 0, -world, world)
@@ -183,14 +183,14 @@ def interpolated_normal(
 def albedo(tracer: SceneTracer, hits: Hits) -> Any:
     """Reflectance + transmittance at the hits, textures and the ground's distant colour included; 0 for the sky."""
     mi, dr = mitsuba(), drjit()
-    mean = dr.gather(mi.Color3f, tracer.mean_albedo, hits.organ, hits.valid)
-    first = dr.gather(mi.UInt32, tracer.first_uv, hits.organ, hits.valid)
+    mean = dr.gather(mi.Color3f, tracer.table.albedo, hits.organ, hits.valid)
+    first = dr.gather(mi.UInt32, tracer.table.first_uv, hits.organ, hits.valid)
     textured = hits.valid & (first != NONE)
     corners, weights = corners_of(tracer, hits, hits.valid), barycentric_weights(hits)
     u, v = vertex_uv(tracer, hits, corners, weights, textured)
-    offset, width, height = (dr.gather(mi.UInt32, tracer.texture, hits.organ * 3 + k, textured) for k in range(3))
-    colour = dr.select(textured, bilinear(tracer.texel, offset, width, height, u, v, textured), mean)
-    ground = ground_colour(tracer, hits, corners, weights, colour, (tracer.far_albedo, tracer.film_factor))
+    offset, width, height = (dr.gather(mi.UInt32, tracer.table.texture, hits.organ * 3 + k, textured) for k in range(3))
+    colour = dr.select(textured, bilinear(tracer.table.texel, offset, width, height, u, v, textured), mean)
+    ground = ground_colour(tracer, hits, corners, weights, colour, (tracer.table.far_albedo, tracer.table.film_factor))
     return dr.select(hits.valid, ground, 0.0)
 
 
@@ -218,8 +218,12 @@ def ground_colour(
             share += weight * dr.gather(mi.Float, by_vertex, corner, ground)
         return dr.clip(share, 0.0, 1.0)
 
-    far = share_of(tracer.far_share)
-    near = colour if tracer.wet_share is None else colour * (1.0 - share_of(tracer.wet_share) * (1.0 - film_factor))
+    far = share_of(tracer.table.far_share)
+    near = (
+        colour
+        if tracer.table.wet_share is None
+        else colour * (1.0 - share_of(tracer.table.wet_share) * (1.0 - film_factor))
+    )
     return dr.select(ground, near * (1.0 - far) + far_colour * far, colour)
 
 
@@ -228,10 +232,10 @@ def vertex_uv(
 ) -> tuple[Any, Any]:
     """u and v of hits on textured meshes."""
     mi, dr = mitsuba(), drjit()
-    first = dr.gather(mi.UInt32, tracer.first_uv, hits.organ, textured)
+    first = dr.gather(mi.UInt32, tracer.table.first_uv, hits.organ, textured)
     u, v = (
         sum(
-            weight * dr.gather(mi.Float, tracer.uv, (first + corner) * 2 + axis, textured)
+            weight * dr.gather(mi.Float, tracer.table.uv, (first + corner) * 2 + axis, textured)
             for weight, corner in zip(weights, corners, strict=True)
         )
         for axis in range(2)

@@ -1,9 +1,15 @@
-"""One scene in a tracing variant, with the tables of its hits on the device."""
+"""One scene in a tracing variant, with the tables of its hits on the device.
+
+Flat tables tell what a hit means: instance -> plant, (exemplar, organ) -> part and colour, face -> vertices. Entry 0 of
+instances and organs is the terrain's. Bytes: 48 an instance, 24 a triangle, 12 a vertex with a normal, 8 a vertex of a
+textured mesh, 12 a texel: 77 MB for the 10,000 instances of benchmarks/labels.py.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -62,69 +68,31 @@ def face_normals(mesh: Mesh) -> NDArray[np.float32]:
     return np.ascontiguousarray(normal.T, dtype=np.float32)
 
 
+def organs_of(spec: SceneSpec) -> Iterator[tuple[Part, Mesh, Material]]:
+    """Organs in the order of the tables, the terrain left out."""
+    for exemplar in spec.exemplars:
+        for organ in exemplar.organs:
+            yield organ.part, organ.mesh, spec.materials[exemplar.species, organ.material]
+
+
 def albedo_of(part: Part, material: Material) -> NDArray[np.float64]:
     """(3,) reflectance, and of a thin leaf the transmittance too: what `render.surfaces.surface_bsdf` makes of it."""
     reflectance = np.asarray(material.reflectance, dtype=np.float64)
     return reflectance + material.transmittance if part in LEAFLIKE else reflectance
 
 
-class _Organs:
-    """Tables by organ and by face, grown mesh by mesh."""
-
-    def __init__(self) -> None:
-        self.part: list[int] = []
-        self.albedo: list[NDArray[np.float64]] = []
-        self.first_face: list[int] = []
-        self.first_normal: list[int] = []
-        self.first_uv: list[int] = []
-        self.texture: list[tuple[int, int, int]] = []
-        self.normal: list[NDArray[np.float32]] = []
-        self.corner: list[NDArray[np.uint32]] = []
-        # One row that nothing refers to: the device gathers from no empty table.
-        self.vertex_normal: list[NDArray[np.float32]] = [np.zeros((1, 3), dtype=np.float32)]
-        self.uv: list[NDArray[np.float32]] = [np.zeros((1, 2), dtype=np.float32)]
-        self.texel: list[NDArray[np.float32]] = [np.zeros((1, 3), dtype=np.float32)]
-        self._faces, self._normals, self._uvs, self._texels = 0, 1, 1, 1
-        self._first_texel: dict[int, int] = {}  # by the texture's identity: species share none, organs may
-
-    def add(self, part: Part, mesh: Mesh, albedo: NDArray[np.float64], image: NDArray[np.float32] | None) -> None:
-        """`image` is the colour texture; a mesh without uv has one colour."""
-        self.part.append(int(part))
-        self.albedo.append(albedo)
-        self.first_face.append(self._faces)
-        self.normal.append(face_normals(mesh))
-        self.corner.append(mesh.faces)
-        self._faces += len(mesh.faces)
-        self.first_normal.append(NONE if mesh.normals is None else self._normals)
-        if mesh.normals is not None:
-            self.vertex_normal.append(mesh.normals)
-            self._normals += len(mesh.normals)
-        if image is None or mesh.uv is None:
-            self.first_uv.append(NONE)
-            self.texture.append((0, 0, 0))
-            return
-        self.first_uv.append(self._uvs)
-        self.uv.append(mesh.uv)
-        self._uvs += len(mesh.uv)
-        if id(image) not in self._first_texel:
-            self._first_texel[id(image)] = self._texels
-            self.texel.append(np.asarray(image, dtype=np.float32).reshape(-1, 3))
-            self._texels += len(self.texel[-1])
-        self.texture.append((self._first_texel[id(image)], image.shape[1], image.shape[0]))
-
-
 def hit_tables(spec: SceneSpec) -> HitTables:
     """Tables of `spec`: O(instances + faces and vertices of exemplars + texels)."""
-    organs, terrain = _Organs(), spec.terrain
-    organs.add(Part.GROUND, terrain.mesh, terrain.texture.mean(axis=(0, 1), dtype=np.float64), terrain.texture)
-    organ_of_exemplar = np.zeros(len(spec.exemplars), dtype=np.uint32)
-    for index, exemplar in enumerate(spec.exemplars):
-        organ_of_exemplar[index] = len(organs.part)
-        for organ in exemplar.organs:
-            material = spec.materials[exemplar.species, organ.material]
-            textured = material.texture is not None and organ.part not in LEAFLIKE
-            image = material.texture.colour if textured and material.texture is not None else None
-            organs.add(organ.part, organ.mesh, albedo_of(organ.part, material), image)
+    terrain, organs = spec.terrain, list(organs_of(spec))
+    meshes = [terrain.mesh, *(mesh for _, mesh, _ in organs)]
+    ground_albedo = terrain.texture.mean(axis=(0, 1), dtype=np.float64)
+    images = [terrain.texture, *(_image(*organ) for organ in organs)]  # colour textures
+    images = [None if mesh.uv is None else image for mesh, image in zip(meshes, images, strict=True)]
+    shown = {id(image): image for image in images if image is not None}  # species share none, organs may
+    first_texel = dict(zip(shown, _first_rows(list(shown.values()), 1).tolist(), strict=True))
+    organ_of_exemplar = 1 + np.cumsum([0, *(len(exemplar.organs) for exemplar in spec.exemplars)])
+    normals, uvs = ([getattr(mesh, name) for mesh in meshes] for name in ("normals", "uv"))
+    uvs = [None if image is None else uv for uv, image in zip(uvs, images, strict=True)]
     # Normals go with the inverse transpose; for a rotation times a uniform scale that is the matrix itself up to scale.
     inverse_transpose = np.linalg.inv(spec.instances.transform[:, :, :3]).transpose(0, 2, 1)
     red, green, blue = film_factor(terrain, RGB).tolist()
@@ -133,22 +101,58 @@ def hit_tables(spec: SceneSpec) -> HitTables:
         exemplar=np.concatenate([[0], spec.instances.exemplar.astype(np.int64) + 1]).astype(np.uint32),
         rotation=np.concatenate([np.eye(3).reshape(1, 9), inverse_transpose.reshape(-1, 9)]).astype(np.float32),
         first_organ=np.concatenate([[0], organ_of_exemplar[spec.instances.exemplar]]).astype(np.uint32),
-        part=np.asarray(organs.part, dtype=np.uint8),
-        albedo=np.asarray(organs.albedo, dtype=np.float32),
-        first_face=np.asarray(organs.first_face, dtype=np.uint32),
-        normal=np.concatenate(organs.normal),
-        corner=np.concatenate(organs.corner),
-        first_normal=np.asarray(organs.first_normal, dtype=np.uint32),
-        vertex_normal=np.concatenate(organs.vertex_normal),
-        first_uv=np.asarray(organs.first_uv, dtype=np.uint32),
-        uv=np.concatenate(organs.uv),
-        texture=np.asarray(organs.texture, dtype=np.uint32).reshape(-1, 3),
-        texel=np.concatenate(organs.texel),
+        part=np.array([Part.GROUND, *(part for part, _, _ in organs)], dtype=np.uint8),
+        albedo=np.array([ground_albedo, *(albedo_of(part, one) for part, _, one in organs)], dtype=np.float32),
+        first_face=_first_rows([mesh.faces for mesh in meshes], 0),
+        normal=np.concatenate([face_normals(mesh) for mesh in meshes]),
+        corner=np.concatenate([mesh.faces for mesh in meshes]),
+        first_normal=_first_rows(normals, 1),
+        vertex_normal=_joined(normals, 3),
+        first_uv=_first_rows(uvs, 1),
+        uv=_joined(uvs, 2),
+        texture=np.array(
+            [(0, 0, 0) if one is None else (first_texel[id(one)], one.shape[1], one.shape[0]) for one in images],
+            dtype=np.uint32,
+        ),
+        texel=_joined([image.reshape(-1, 3) for image in shown.values()], 3),
         far_share=np.asarray(terrain.far_share, dtype=np.float32),
         far_albedo=terrain.far_reflectance,
         wet_share=None if terrain.wet is None else terrain.wet.share,
         film_factor=(red, green, blue),
     )
+
+
+def _image(part: Part, mesh: Mesh, material: Material) -> NDArray[np.float32] | None:
+    return None if material.texture is None or part in LEAFLIKE else material.texture.colour
+
+
+def _first_rows(blocks: Sequence[NDArray[Any] | None], first: int) -> NDArray[np.uint32]:
+    """Where each block begins in a table of them all, from a row on; NONE where there is no block."""
+    rows = []
+    for block in blocks:
+        rows.append(NONE if block is None else first)
+        first += 0 if block is None else block.size // block.shape[-1]
+    return np.array(rows, dtype=np.uint32)
+
+
+def _joined(blocks: Sequence[NDArray[np.float32] | None], width: int) -> NDArray[np.float32]:
+    """All blocks, after one row that nothing refers to: the device gathers from no empty table."""
+    return np.concatenate([np.zeros((1, width)), *(one for one in blocks if one is not None)], dtype=np.float32)
+
+
+def uploaded(tables: Any) -> Any:
+    """The fields of a dataclass on the device: arrays flat, and colours as opaque values."""
+    mi, dr = mitsuba(), drjit()
+    fields: dict[str, Any] = {}
+    for name, value in vars(tables).items():
+        if isinstance(value, tuple):
+            fields[name] = mi.Color3f(*[dr.opaque(mi.Float, float(one)) for one in value])
+        elif value is not None:
+            is_float = value.dtype.kind == "f"
+            fields[name] = mi.Float(value.ravel()) if is_float else mi.UInt32(value.astype(np.uint32).ravel())
+        else:
+            fields[name] = None
+    return SimpleNamespace(**fields)
 
 
 def sample_offsets(samples: int) -> NDArray[np.float64]:
@@ -276,25 +280,9 @@ class SceneTracer:
         scene["terrain"] = to_mesh(spec.terrain.mesh, None, self.origin_m, "terrain")
         self.scene = load(_slim(scene) if self.variant == LLVM else scene)
         self._row_of_registry = self._registry_rows(len(spec.instances))
-        self._upload(hit_tables(spec))
-
-    def _upload(self, tables: HitTables) -> None:
-        mi, dr = mitsuba(), drjit()
-        self.table_bytes = tables.nbytes
-        self.plant_id, self.exemplar = mi.UInt32(tables.plant_id), mi.UInt32(tables.exemplar)
-        self.rotation = mi.Float(tables.rotation.ravel())
-        self.first_organ, self.part = mi.UInt32(tables.first_organ), mi.UInt32(tables.part.astype(np.uint32))
-        self.mean_albedo = mi.Float(tables.albedo.ravel())
-        self.first_face, self.face_normal = mi.UInt32(tables.first_face), mi.Float(tables.normal.ravel())
-        self.corner = mi.UInt32(tables.corner.ravel())
-        self.first_normal, self.vertex_normal = mi.UInt32(tables.first_normal), mi.Float(tables.vertex_normal.ravel())
-        self.first_uv, self.uv = mi.UInt32(tables.first_uv), mi.Float(tables.uv.ravel())
-        self.texture, self.texel = mi.UInt32(tables.texture.ravel()), mi.Float(tables.texel.ravel())
-        self.far_share = mi.Float(tables.far_share)
-        self.far_albedo = mi.Color3f(*[dr.opaque(mi.Float, float(value)) for value in tables.far_albedo])
-        self.wet_share = None if tables.wet_share is None else mi.Float(tables.wet_share)
-        self.film_factor = mi.Color3f(*[dr.opaque(mi.Float, value) for value in tables.film_factor])
-        self.to_sun = mi.Vector3f(*[dr.opaque(mi.Float, float(value)) for value in self.spec.sky.to_sun])
+        self.table = uploaded(hit_tables(spec))
+        dr = drjit()
+        self.to_sun = mitsuba().Vector3f(*[dr.opaque(mitsuba().Float, float(value)) for value in spec.sky.to_sun])
         dr.eval()
 
     def _registry_rows(self, instances: int) -> Any:
@@ -326,7 +314,7 @@ class SceneTracer:
         known = valid & (registry < dr.opaque(mi.UInt32, dr.width(self._row_of_registry)))
         instance = dr.gather(mi.UInt32, self._row_of_registry, registry, known)
         inside = dr.select(valid & (instance > 0), hit.shape_index, 0)
-        organ = dr.gather(mi.UInt32, self.first_organ, instance, valid) + inside
+        organ = dr.gather(mi.UInt32, self.table.first_organ, instance, valid) + inside
         return Hits(
             rays=rays,
             valid=valid,
@@ -334,7 +322,7 @@ class SceneTracer:
             instance=instance,
             organ=organ,
             primitive=hit.prim_index,
-            face=dr.gather(mi.UInt32, self.first_face, organ, valid) + hit.prim_index,
+            face=dr.gather(mi.UInt32, self.table.first_face, organ, valid) + hit.prim_index,
             uv=hit.prim_uv,
         )
 
@@ -347,14 +335,14 @@ class SceneTracer:
     def face_in_exemplar(self, hits: Hits) -> Any:
         """Triangle of the exemplar with its organs one after another, or of the ground; 0 for the sky."""
         mi, dr = mitsuba(), drjit()
-        organ = dr.gather(mi.UInt32, self.first_organ, hits.instance, hits.valid)
-        first = dr.gather(mi.UInt32, self.first_face, organ, hits.valid)
+        organ = dr.gather(mi.UInt32, self.table.first_organ, hits.instance, hits.valid)
+        first = dr.gather(mi.UInt32, self.table.first_face, organ, hits.valid)
         return dr.select(hits.valid, hits.face - first, 0)
 
     def to_world(self, normal: Any, hits: Hits) -> Any:
         """Unit normals, world, of normals in their instances' frames."""
         mi, dr = mitsuba(), drjit()
-        m = [dr.gather(mi.Float, self.rotation, hits.instance * 9 + k, hits.valid) for k in range(9)]
+        m = [dr.gather(mi.Float, self.table.rotation, hits.instance * 9 + k, hits.valid) for k in range(9)]
         turned = mi.Vector3f(
             *[m[3 * r] * normal.x + m[3 * r + 1] * normal.y + m[3 * r + 2] * normal.z for r in range(3)]
         )
@@ -363,7 +351,7 @@ class SceneTracer:
     def direction_to_world(self, direction: Any, hits: Hits) -> Any:
         """World directions, of no special length, of directions in their instances' frames."""
         mi, dr = mitsuba(), drjit()
-        m = [dr.gather(mi.Float, self.rotation, hits.instance * 9 + k, hits.valid) for k in range(9)]
+        m = [dr.gather(mi.Float, self.table.rotation, hits.instance * 9 + k, hits.valid) for k in range(9)]
         rows = [mi.Vector3f(*m[3 * r : 3 * r + 3]) for r in range(3)]
         # Of an inverse transpose the cofactors are the matrix itself, but for its scale.
         return mi.Vector3f(*[dr.dot(dr.cross(rows[(r + 1) % 3], rows[(r + 2) % 3]), direction) for r in range(3)])
@@ -371,5 +359,5 @@ class SceneTracer:
     def geometric_normal(self, hits: Hits) -> Any:
         """Unit normals, world, towards the camera; 0 for the sky."""
         mi, dr = mitsuba(), drjit()
-        normal = self.to_world(dr.gather(mi.Vector3f, self.face_normal, hits.face, hits.valid), hits)
+        normal = self.to_world(dr.gather(mi.Vector3f, self.table.normal, hits.face, hits.valid), hits)
         return dr.select(hits.valid, dr.select(dr.dot(normal, hits.rays.direction) > 0, -normal, normal), 0.0)

@@ -1,15 +1,13 @@
-"""Surfaces on the device: what light does where paths meet them."""
+"""What light does where paths meet surfaces (`render/surfaces.py`): tables on the device, in the channels of a pass."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.core.parts import Part
 from forestgen.geometry.mesh import Mesh
 from forestgen.render.identity import Hits, SceneTracer
 from forestgen.render.identity.surface import (
@@ -20,12 +18,12 @@ from forestgen.render.identity.surface import (
     interpolated_normal,
     vertex_uv,
 )
-from forestgen.render.identity.tracer import NONE
+from forestgen.render.identity.tracer import NONE, organs_of, uploaded
 from forestgen.render.surfaces import is_textured, relief_colour, surface_of
 from forestgen.render.variant import drjit, mitsuba
 from forestgen.scene.channels import Channels
 from forestgen.scene.soil_colour import film_factor
-from forestgen.scene.spec import Material, SceneSpec
+from forestgen.scene.spec import SceneSpec
 
 Array = NDArray[np.float32]
 
@@ -53,13 +51,6 @@ class Paint:
     film_factor: tuple[float, float, float]  # of the wet ground's colour
 
 
-def _organs(spec: SceneSpec) -> Iterator[tuple[Part, Mesh, Material]]:
-    """In the order of the identity pass' tables, the terrain left out."""
-    for exemplar in spec.exemplars:
-        for organ in exemplar.organs:
-            yield organ.part, organ.mesh, spec.materials[exemplar.species, organ.material]
-
-
 def relief_tables(spec: SceneSpec) -> ReliefTables:
     """O(faces of textured organs + texels)."""
     ground = spec.terrain.texture
@@ -67,7 +58,7 @@ def relief_tables(spec: SceneSpec) -> ReliefTables:
     whole = (0, ground.shape[1], ground.shape[0]) if spec.terrain.mesh.uv is not None else (0, 0, 0)
     texture, first_tangent, tangents = [whole], [NONE], []
     texels, faces, known = len(normals[0]), 0, dict[int, int]()
-    for part, mesh, material in _organs(spec):
+    for part, mesh, material in organs_of(spec):
         if not is_textured(part, material, has_uv=mesh.uv is not None):
             texture.append((0, 0, 0))
             first_tangent.append(NONE)
@@ -109,7 +100,7 @@ def paint_of(spec: SceneSpec, channels: Channels) -> Paint:
     texels = [np.maximum(ground, 0.0).reshape(-1, 3)]
     matt, through, gloss, chance = [ground.mean(axis=(0, 1))], [np.zeros(3)], [np.zeros(3)], [np.zeros(2)]
     known: set[int] = set()
-    for part, mesh, material in _organs(spec):
+    for part, mesh, material in organs_of(spec):
         surface = surface_of(part, material, channels, has_uv=mesh.uv is not None)
         if surface.textured and id(material) not in known:
             known.add(id(material))
@@ -120,16 +111,16 @@ def paint_of(spec: SceneSpec, channels: Channels) -> Paint:
         passing, glossy = sides.shares
         gloss.append(np.zeros(3) if lobe is None else np.array([sides.gloss / lobe.albedo, lobe.alpha, lobe.index]))
         chance.append(np.array([passing if sides.through.any() else 0.0, 0.0 if lobe is None else glossy]))
-    far = channels.of_surface(terrain.far_reflectance, terrain.far_spectrum).tolist()
-    film = film_factor(terrain, channels).tolist()
+    far_red, far_green, far_blue = channels.of_surface(terrain.far_reflectance, terrain.far_spectrum).tolist()
+    red, green, blue = film_factor(terrain, channels).tolist()
     return Paint(
-        matt=np.asarray(matt, np.float32),
-        through=np.asarray(through, np.float32),
-        gloss=np.asarray(gloss, np.float32),
-        chance=np.asarray(chance, np.float32),
-        texel=np.concatenate(texels, dtype=np.float32),
-        far=(far[0], far[1], far[2]),
-        film_factor=(film[0], film[1], film[2]),
+        np.asarray(matt, np.float32),
+        np.asarray(through, np.float32),
+        np.asarray(gloss, np.float32),
+        np.asarray(chance, np.float32),
+        np.concatenate(texels, dtype=np.float32),
+        (far_red, far_green, far_blue),
+        (red, green, blue),
     )
 
 
@@ -244,21 +235,12 @@ def _visible_facet(view: Any, width: Any, first: Any, second: Any) -> Any:
 class Surfaces:
     """The tables of a scene on the device; its paint changes with the channels."""
 
-    def __init__(self, tracer: SceneTracer, tables: ReliefTables) -> None:
-        mi = mitsuba()
-        self._tracer = tracer
-        self._texture, self._relief = mi.UInt32(tables.texture.ravel()), mi.Float(tables.normal.ravel())
-        self._first_tangent, self._tangent = mi.UInt32(tables.first_tangent), mi.Float(tables.tangent.ravel())
+    def __init__(self, tracer: SceneTracer) -> None:
+        self._tracer, self._relief = tracer, uploaded(relief_tables(tracer.spec))
 
-    def show(self, paint: Paint) -> None:
+    def show(self, channels: Channels) -> None:
         """Have the paint of a pass' channels."""
-        mi, dr = mitsuba(), drjit()
-        self._matt, self._through = mi.Float(paint.matt.ravel()), mi.Float(paint.through.ravel())
-        self._gloss, self._chance = mi.Float(paint.gloss.ravel()), mi.Float(paint.chance.ravel())
-        self._texel = mi.Float(paint.texel.ravel())
-        self._far, self._film_factor = (
-            mi.Color3f(*[dr.opaque(mi.Float, value) for value in colour]) for colour in (paint.far, paint.film_factor)
-        )
+        self._paint = uploaded(paint_of(self._tracer.spec, channels))
 
     def at(self, hits: Hits) -> Local:
         """The surfaces at hits; where none is hit, anything."""
@@ -269,16 +251,18 @@ class Surfaces:
         corners, weights = corners_of(tracer, hits, valid), barycentric_weights(hits)
         normal = interpolated_normal(tracer, hits, corners, weights, geometric)
         normal = dr.select(dr.dot(normal, towards) < 0, -normal, normal)
-        matt = dr.gather(mi.Color3f, self._matt, hits.organ, valid)
-        offset, width, height = (dr.gather(mi.UInt32, self._texture, hits.organ * 3 + k, valid) for k in range(3))
+        matt = dr.gather(mi.Color3f, self._paint.matt, hits.organ, valid)
+        offset, width, height = (
+            dr.gather(mi.UInt32, self._relief.texture, hits.organ * 3 + k, valid) for k in range(3)
+        )
         textured = valid & (width > 0)
         u, v = vertex_uv(tracer, hits, corners, weights, textured)
         places = bilinear_places(offset, width, height, u, v)
         colour, relief = mi.Color3f(0.0), mi.Vector3f(0.0)
         for weight, texel in places:
-            colour += weight * dr.gather(mi.Color3f, self._texel, texel, textured)
-            relief += weight * dr.gather(mi.Vector3f, self._relief, texel, textured)
-        colour = ground_colour(tracer, hits, corners, weights, colour, (self._far, self._film_factor))
+            colour += weight * dr.gather(mi.Color3f, self._paint.texel, texel, textured)
+            relief += weight * dr.gather(mi.Vector3f, self._relief.normal, texel, textured)
+        colour = ground_colour(tracer, hits, corners, weights, colour, (self._paint.far, self._paint.film_factor))
         matt = dr.select(textured, colour, matt)
         return Local(
             towards,
@@ -286,17 +270,17 @@ class Surfaces:
             normal,
             self._facet(hits, normal, towards, relief, textured),
             matt,
-            dr.gather(mi.Color3f, self._through, hits.organ, valid),
-            dr.gather(mi.Vector3f, self._gloss, hits.organ, valid),
-            dr.gather(mi.Vector2f, self._chance, hits.organ, valid),
+            dr.gather(mi.Color3f, self._paint.through, hits.organ, valid),
+            dr.gather(mi.Vector3f, self._paint.gloss, hits.organ, valid),
+            dr.gather(mi.Vector2f, self._paint.chance, hits.organ, valid),
         )
 
     def _facet(self, hits: Hits, normal: Any, towards: Any, relief: Any, textured: Any) -> Any:
         """Normals of the relief; one that leans away from where the path came from is turned about the surface's."""
         mi, dr = mitsuba(), drjit()
-        first = dr.gather(mi.UInt32, self._first_tangent, hits.organ, textured)
+        first = dr.gather(mi.UInt32, self._relief.first_tangent, hits.organ, textured)
         rough = textured & (first != NONE)
-        local = dr.gather(mi.Vector3f, self._tangent, first + hits.primitive, rough)
+        local = dr.gather(mi.Vector3f, self._relief.tangent, first + hits.primitive, rough)
         along = self._tracer.direction_to_world(local, hits)
         along = dr.normalize(along - normal * dr.dot(normal, along))
         across = dr.cross(normal, along)

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.render.cloud_shadow import Sheet
+from forestgen.render.cloud_shadow import ShadowPlane
 from forestgen.render.identity import SceneTracer
 from forestgen.render.identity.surface import LIFT
 from forestgen.render.identity.tracer import pixel_rays
@@ -172,13 +172,13 @@ class Sun:
     """The sun's disc."""
 
     def __init__(
-        self, to_sun: Floats, irradiance: Floats, radiance: Floats, sheet: Sheet | None, origin_m: Floats
+        self, to_sun: Floats, irradiance: Floats, radiance: Floats, shadow: ShadowPlane | None, origin_m: Floats
     ) -> None:
         """
         Parameters
         ----------
         irradiance, radiance : (3,) on a surface that faces the sun, and of its disc.
-        sheet : what clouds let through; None: all.
+        shadow : what clouds let through; None: all.
         origin_m : (3,) world, of the paths' coordinates.
         """
         mi, dr = mitsuba(), drjit()
@@ -188,14 +188,14 @@ class Sun:
         )
         self._axes = mi.Frame3f(self.centre)
         self._radius = dr.opaque(mi.Float, float(np.tan(np.radians(SUN_RADIUS_DEG))))
-        self._sheet = sheet
-        if sheet is not None:
-            self._texel = mi.Float(np.ascontiguousarray(sheet.transmittance, dtype=np.float32).ravel())
-            size = (sheet.high_m - sheet.low_m) / sheet.transmittance.shape[::-1]
-            self._low = [dr.opaque(mi.Float, float(value)) for value in sheet.low_m - origin_m[:2]]
+        self._shadow = shadow
+        if shadow is not None:
+            self._texel = mi.Float(np.ascontiguousarray(shadow.transmittance, dtype=np.float32).ravel())
+            size = (shadow.high_m - shadow.low_m) / shadow.transmittance.shape[::-1]
+            self._low = [dr.opaque(mi.Float, float(value)) for value in shadow.low_m - origin_m[:2]]
             self._per_m = [dr.opaque(mi.Float, float(1.0 / value)) for value in size]
-            self._cells = [dr.opaque(mi.Float, float(count)) for count in sheet.transmittance.shape[::-1]]
-            self._height = dr.opaque(mi.Float, float(sheet.height_m - origin_m[2]))
+            self._cells = [dr.opaque(mi.Float, float(count)) for count in shadow.transmittance.shape[::-1]]
+            self._height = dr.opaque(mi.Float, float(shadow.height_m - origin_m[2]))
 
     def sample(self, first: Any, second: Any) -> Any:
         """Vector3f, a direction to a point of the disc, all alike."""
@@ -213,7 +213,7 @@ class Sun:
     def share(self, point: Any, direction: Any, active: Any) -> Any:
         """Float, what clouds let through of the light that comes to points from directions."""
         mi, dr = mitsuba(), drjit()
-        if self._sheet is None:
+        if self._shadow is None:
             return mi.Float(1.0)
         reach = (self._height - point.z) / dr.maximum(direction.z, 1e-6)
         place = [point[k] + reach * direction[k] - self._low[k] for k in range(2)]

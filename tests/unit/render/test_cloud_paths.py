@@ -204,7 +204,7 @@ def test_the_renderers_volume_path_tracer_finds_the_same() -> None:
     from forestgen.render.capture import sensor_of
     from forestgen.render.light import SUN_RADIUS_DEG, sky_light, sky_map, sun_disc, sun_irradiance
     from forestgen.render.variant import SCALAR, mitsuba
-    from forestgen.render.views import camera_rays
+    from forestgen.render.views import lens_rays
     from forestgen.scene.channels import RGB
     from forestgen.scene.spec import Camera, Sky
     from support.cloud_box import cloud_volume
@@ -241,7 +241,7 @@ def test_the_renderers_volume_path_tracer_finds_the_same() -> None:
     for run in range(runs):
         total = np.zeros((len(row), 3))
         for number in range(64):
-            origin, way, _ = camera_rays(camera, row, column, rng.random((4, len(row))))
+            origin, way, _ = lens_rays(camera, row, column, rng.random((4, len(row))))
             found = gather(field, lit, origin, way, seed=1000 * run + number)
             total += found.radiance(np.full(3, albedo), sun)
         own.append(total.reshape(size[1], size[0], 3) / 64)
