@@ -19,11 +19,11 @@ from forestgen.core.timing import Timings
 from forestgen.render.build import load, origin_of, plants_dict, scene_dict, to_mesh
 from forestgen.render.capture import sensor_of
 from forestgen.render.identity import SceneTracer, trace_identity
-from forestgen.render.light import lights
 from forestgen.render.surfaces import SpectralBsdfs
 from forestgen.render.variant import SCALAR, mitsuba
 from forestgen.scene.channels import RGB
 from forestgen.scene.spec import SceneSpec
+from support.radiometry import lights
 from support.scenes import scattered_scene
 from support.twins import trace_twin
 

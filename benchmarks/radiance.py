@@ -42,9 +42,9 @@ from forestgen.core.progress import Silent
 from forestgen.core.timing import Timings
 from forestgen.geometry.mesh import Mesh
 from forestgen.recipe.load import load_recipe
-from forestgen.render.denoise import denoise
+from forestgen.render.denoise import denoise, trace_guides
 from forestgen.render.frame import Identity, Radiance
-from forestgen.render.identity import SceneTracer, trace_guides, trace_identity
+from forestgen.render.identity import SceneTracer, trace_identity
 from forestgen.render.job import RenderJob, StoppingCriterion
 from forestgen.render.noise import Estimate, noise_of
 from forestgen.render.radiance import render_radiance

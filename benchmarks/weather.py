@@ -24,9 +24,8 @@ from time import perf_counter, process_time
 import numpy as np
 
 from forestgen.atmosphere.fluid.advection import Transport
-from forestgen.atmosphere.fluid.air import Air
+from forestgen.atmosphere.fluid.air import Air, at_rest
 from forestgen.atmosphere.fluid.parameters import Physics, Surface
-from forestgen.atmosphere.fluid.start import at_rest
 from forestgen.atmosphere.grid import AirGrid, Weather
 from forestgen.atmosphere.sounding import Sounding
 from forestgen.core.threads import cores

@@ -87,8 +87,7 @@ def cloud_grid_of(
 
     Parameters
     ----------
-    centre_m : world x and y of the middle of the field; None: where the weather's own grid lies. Weather over terrain
-        belongs where it is.
+    centre_m : world x and y of the middle of the field; None: where the weather's own grid lies, as over terrain.
     droplet_radius_um : effective radius.
     tiles : copies of a periodic field side by side, along x and along y.
     """

@@ -55,7 +55,9 @@ def outlines(hull: Hull, transform: NDArray[np.float64], camera: Camera) -> Outl
         rows = slice(first, first + step)
         seen = _in_camera(hull.vertices_m, transform[rows], camera)
         box[rows], anywhere[rows] = projection_of(camera).hull_boxes(camera, seen, hull.edges)
-    return Outlines(_windows(box, anywhere, camera.size_px), _cut(box, camera.size_px))
+    # A leaf before the lens would reach to infinity, and leave nothing else of `truncation`.
+    limit = BEYOND * np.tile(np.asarray(camera.size_px, dtype=np.float64), 2)
+    return Outlines(_windows(box, anywhere, camera.size_px), np.clip(box, -limit, limit))
 
 
 def _in_camera(points_m: NDArray[np.float64], transform: NDArray[np.float64], camera: Camera) -> NDArray[np.float64]:
@@ -76,12 +78,6 @@ def _windows(box: NDArray[np.float64], anywhere: NDArray[np.bool_], size_px: tup
     shown = (high > low).all(axis=1) & (anywhere | ~np.isnan(box[:, 0]))
     window = np.concatenate([low, high - low], axis=1)
     return np.where(shown[:, None], window, 0).astype(np.int32)
-
-
-def _cut(box: NDArray[np.float64], size_px: tuple[int, int]) -> NDArray[np.float64]:
-    """Boxes within BEYOND: a leaf before the lens would reach to infinity, and leave nothing else of `truncation`."""
-    limit = BEYOND * np.tile(np.asarray(size_px, dtype=np.float64), 2)
-    return np.clip(box, -limit, limit)
 
 
 class _Alone:

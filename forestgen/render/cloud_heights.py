@@ -75,23 +75,14 @@ def _cells_between(low: float, high: float, start: float, cell: float, count: in
 
 def near_base_of(spec: SceneSpec, points_m: Sequence[Floats] = ()) -> float | None:
     """Base of the clouds and rain near plants, cameras and further (3,) points; None if there are none."""
-    return None if spec.clouds is None else base_of(spec.clouds, _near(spec, points_m))
-
-
-def far_base_of(spec: SceneSpec) -> float | None:
-    """Base of the clouds and fog anywhere, without rain; None if there are none."""
-    return None if spec.clouds is None else base_of(spec.clouds, thicker_than_per_m=THICKEST_RAIN_PER_M)
-
-
-def _near(spec: SceneSpec, points_m: Sequence[Floats]) -> tuple[Floats, Floats]:
-    """(2,) lowest and highest x and y around plants, cameras and points, with the least gap all around."""
+    if spec.clouds is None:
+        return None
     places = [spec.instances.transform[:, :2, 3], *(np.atleast_2d(one)[:, :2] for one in points_m)]
     places += [ray_corners_m(camera)[:, :2] for camera in spec.cameras]
     every, gap_m = np.concatenate(places).astype(np.float64), least_gap_m(spec)
     if not len(every):  # ground alone, seen by nobody
-        assert spec.clouds is not None
-        return np.array(spec.clouds.low_m[:2]), np.array(spec.clouds.high_m[:2])
-    return every.min(axis=0) - gap_m, every.max(axis=0) + gap_m
+        return base_of(spec.clouds)
+    return base_of(spec.clouds, (every.min(axis=0) - gap_m, every.max(axis=0) + gap_m))
 
 
 def least_gap_m(spec: SceneSpec) -> float:
@@ -176,7 +167,10 @@ def check_far_clouds(spec: SceneSpec, point_m: Sequence[float]) -> None:
 
 def _too_near(spec: SceneSpec, tops: Sequence[tuple[str, float]], points_m: Sequence[Floats]) -> tuple[str, str] | None:
     """What was expected of the clouds and what they are, in words; None if they are far from all."""
-    for what, base_m in (("clouds", far_base_of(spec)), ("clouds or rain near it", near_base_of(spec, points_m))):
+    if spec.clouds is None:
+        return None
+    far_m = base_of(spec.clouds, thicker_than_per_m=THICKEST_RAIN_PER_M)  # clouds and fog anywhere, without rain
+    for what, base_m in (("clouds", far_m), ("clouds or rain near it", near_base_of(spec, points_m))):
         if base_m is None:
             continue
         name, top_m = highest(spec, tops)

@@ -115,17 +115,10 @@ def gather(
     seed: int,
     samples: int = 1,
     disc: bool = True,
-    same_paths: bool = False,
 ) -> Gathered:
-    """Radiance that arrives along rays.
+    """Radiance that arrives at (3,) or (N, 3) origins, world, from (N, 3) unit directions, by `samples` paths of each.
 
-    Parameters
-    ----------
-    origin_m : (3,) or (N, 3) world.
-    direction : (N, 3) unit, from the origin to where light comes from.
-    samples : paths of each ray.
-    disc : whether rays that point at the sun see its disc; without it they still see the light around it.
-    same_paths : whether all rays use the same random numbers, so that differences between them have less noise.
+    With `disc`, rays that point at the sun see its disc; without, they still see the light around it.
     """
     count, channels = len(direction), len(light.sky)
     start = np.ascontiguousarray(np.broadcast_to((np.asarray(origin_m) - field.low_m), (count, 3)), dtype=np.float64)
@@ -136,16 +129,13 @@ def gather(
     goes_on = max(light.ground_albedo, _GOES_ON)
     ground = np.array([light.ground_albedo, light.ground_m - field.low_m[2], goes_on])
     rays = max(1, _CALL_PATHS // samples)
-    flags = (bool(disc), bool(same_paths))
+    given = (field.value, field.most, field.per_m, field.scattering, sky, sun, ground, start, way, np.uint64(seed))
     for begin in range(0, count, rays):
         here = min(rays, count - begin)
 
         def work(first: int, end: int, begin: int = begin) -> None:  # in paths, so that few rays of many paths spread
             first, end = begin - (-first // samples), begin - (-end // samples)
-            _gather(
-                field.value, field.most, field.per_m, field.scattering, sky, sun, ground, start, way,
-                np.uint64(seed), samples, flags, first, end, out,
-            )  # fmt: skip
+            _gather(*given, samples, disc, first, end, out)
 
         over_ranges(here * samples, work)
     out /= samples
@@ -153,19 +143,19 @@ def gather(
 
 
 @compiled
-def _gather(value, most, per_m, scattering, sky, sun, ground, start, way, seed, samples, flags, first, end, out):  # type: ignore[no-untyped-def]
+def _gather(value, most, per_m, scattering, sky, sun, ground, start, way, seed, samples, disc, first, end, out):  # type: ignore[no-untyped-def]
     """Add the light of rays `first` to `end` to `out` (N, 3, C + 1); lengths are from the grid's low corner."""
     value, most = borrowed(value), borrowed(most)
     per_x, per_y, per_z = per_m
     albedo, forward, backward, share = scattering
     sun_x, sun_y, sun_z, sun_cos = sun
     ground_albedo, ground_m, goes_on = ground
-    disc, same_paths = flags
+
     facing_sr = np.pi * (1.0 - sun_cos * sun_cos)
     channels = sky.shape[2]
     for ray in range(first, end):
         for sample in range(samples):
-            state = _begun(seed, np.uint64(0 if same_paths else ray), np.uint64(sample))
+            state = _begun(seed, np.uint64(ray), np.uint64(sample))
             x, y, z = start[ray, 0], start[ray, 1], start[ray, 2]
             dx, dy, dz = way[ray, 0], way[ray, 1], way[ray, 2]
             weight, order, reflections = 1.0, 0, 0

@@ -1,4 +1,10 @@
-"""Denoising with Intel Open Image Denoise."""
+"""Denoising with Intel Open Image Denoise, and what guides it.
+
+Guides are nearly noise-free pictures of the scene's colours in sun and shade, and of its normals. Tracing a ray is much
+cheaper than a light path, so they can have many samples. The sun's share is in the colours since its shadows are edges
+too: a denoiser that knows albedo alone takes them for noise and smears them. Clouds and what lies between are left to
+the denoiser.
+"""
 
 from __future__ import annotations
 
@@ -31,19 +37,15 @@ class Guides:
 def trace_guides(tracer: SceneTracer, camera: Camera, *, timer: Callable[[str], Any]) -> Guides:
     """Guides of what `camera` sees of the tracer's scene."""
     width, height = camera.size_px
-    colour, normal = (np.zeros((height, width, 3), dtype=np.float32) for _ in range(2))
     rows = max(1, _RAYS_AT_ONCE // (width * SAMPLES))
     with using(tracer.variant), timer("identity: guides"):
-        for first in range(0, height, rows):
-            last = min(first + rows, height)
-            found = _trace_rows(tracer, camera, first, last - first)
-            for field, value in zip((colour, normal), found, strict=True):
-                field[first:last] = np.array(value).reshape(last - first, width, 3)
+        blocks = [_trace_rows(tracer, camera, first, min(rows, height - first)) for first in range(0, height, rows)]
         drjit().flush_malloc_cache()
+    colour, normal = (np.concatenate(parts).reshape(height, width, 3) for parts in zip(*blocks, strict=True))
     return Guides(colour, normal)
 
 
-def _trace_rows(tracer: SceneTracer, camera: Camera, first: int, count: int) -> tuple[Any, Any]:
+def _trace_rows(tracer: SceneTracer, camera: Camera, first: int, count: int) -> list[NDArray[np.float32]]:
     mi, dr = mitsuba(), drjit()
     hits = tracer.trace(camera, sample_offsets(SAMPLES), first, count)
     facing = tracer.geometric_normal(hits)
@@ -60,7 +62,7 @@ def _trace_rows(tracer: SceneTracer, camera: Camera, first: int, count: int) -> 
         for value in (colour, smooth)
     ]
     dr.eval(means)
-    return means[0], means[1]
+    return [np.array(mean) for mean in means]
 
 
 def denoise(

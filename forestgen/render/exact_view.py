@@ -12,7 +12,7 @@ scene to the clouds or back, and each part is left to whoever is good at it:
 1. Light that comes from the sun straight to a surface, however thinned by clouds, and on from surface to surface to the
    camera. The volume path tracer, with clouds that only take away.
 2. All other light enters a path, seen from the camera, where it leaves the scene. Paths among surfaces are the
-   renderer's (render/exact_view.py tells where they leave); walks through the clouds from there on are our own
+   renderer's (`EscapeScene` tells where they leave); random walks through the clouds from there on are our own
    (render/volume_random_walk.py), and find the sun, scattered, and the sky.
 3. A walk that leaves the clouds downwards meets the scene again. One in `_DOWN_EVERY` is followed there, at that many
    times its weight, in the whole way.
@@ -39,9 +39,9 @@ from forestgen.render.job import RenderJob, Timer
 from forestgen.render.light import along, emitters_of, has_sun, sky_map, sun_disc, sun_radiance
 from forestgen.render.surfaces import SpectralBsdfs
 from forestgen.render.variant import CLOUD_ROULETTE_DEPTH, SCALAR, mitsuba, path_tracer, using
-from forestgen.render.volume_random_walk import SunDisc, WalkField
-from forestgen.scene.channels import Channels
-from forestgen.scene.spec import Camera, SceneSpec
+from forestgen.render.volume_random_walk import WalkField, disc_parameters
+from forestgen.scene.channels import RGB, Channels
+from forestgen.scene.spec import SceneSpec
 
 Floats = NDArray[np.float64]
 _CODE = "vertex_code"
@@ -68,57 +68,61 @@ class Escapes:
 
 
 class EscapeScene:
-    """A scene's surfaces, closed in boxes.
+    """A scene's surfaces, without light, closed in boxes: where paths from a camera leave it.
 
-    Parameters
-    ----------
-    scene : its surfaces, without light, as `build.scene_dict` gives them.
-    top_m : of the inner box: above all surfaces and the camera, the renderer's frame.
-    half_m, bottom_m : the box' sides and floor.
+    The renderer tells nothing about single paths. But a scene closed in a box that shines tells it: the image of a box
+    that shines with radiance 1, one path a pixel, is the paths' throughput; the image of the same box, shining with its
+    own coordinates, by the same paths, is the throughput times where they leave; and a second, larger box tells where
+    they go. No other light is in the scene, so no path knows which of the three it is part of: same seed, same path.
+
+    The inner box has half-widths `half_m` and a floor; its top lies above all surfaces and the camera, in the
+    renderer's frame.
     """
 
     def __init__(
         self, scene: Mapping[str, Any], integrator: Any, *, top_m: float, half_m: float, bottom_m: float
     ) -> None:
-        self._integrator = integrator
-        self._at_once = path_tracer("path", 1)
-        self._top_m, self._half_m = top_m, half_m
-        boxes = [_box(top_m, half_m, bottom_m), _box(top_m + _MARGIN_M, 2 * half_m, bottom_m - _MARGIN_M)]
-        self._inner, self._outer = boxes
-        lamp = _lamp(top_m + 2 * _MARGIN_M)
-        self._scenes = [load({**scene, "lamp": lamp, "box": box}) for box in boxes]
+        self._scattering, self._straight = integrator, path_tracer("path", 1)
+        self._sizes = ((top_m, half_m), (top_m + _MARGIN_M, 2 * half_m))
+        bottoms = (bottom_m, bottom_m - _MARGIN_M)
+        self._boxes = [_box(*size, bottom) for size, bottom in zip(self._sizes, bottoms, strict=True)]
+        # It takes all light samples, so that paths find the box by scattering alone, at full weight. It is above
+        # everything and shines upwards: from below it has no light to give, which costs no shadow ray.
+        lamp = {
+            "type": "rectangle",
+            "to_world": mitsuba().ScalarTransform4f().translate([0.0, 0.0, top_m + 2 * _MARGIN_M]),
+            "emitter": {"type": "area", "radiance": {"type": "rgb", "value": 1.0}},
+        }
+        self._scenes = [load({**scene, "lamp": lamp, "box": box}) for box in self._boxes]
 
-    def seen(self, camera: Camera, seed: int, window: FilmWindow | None = None) -> Escapes:
-        """The rays through each pixel of a camera that meet no surface; of one that is not assembled."""
-        image = self._image(self._at_once, 0, None, camera, seed, window)
-        return self._found(self._at_once, np.flatnonzero(image.any(axis=1)), image, camera, seed, window)
+    def seen(self, *film: Any) -> Escapes:
+        """The rays that meet no surface, through each pixel of a film: a camera, a seed and a window of its image."""
+        image = self._image(self._straight, 0, None, film)
+        return self._found(self._straight, np.flatnonzero(image.any(axis=1)), image, film)
 
-    def scattered(self, camera: Camera, seed: int, window: FilmWindow | None = None) -> Escapes:
-        """One path through each pixel, of those that leave the scene after they met a surface."""
-        image = self._image(self._integrator, 0, None, camera, seed, window)
-        at_once = self._image(self._at_once, 0, None, camera, seed, window)
-        pixel = np.flatnonzero(image.any(axis=1) & ~at_once.any(axis=1))
-        return self._found(self._integrator, pixel, image, camera, seed, window)
+    def scattered(self, *film: Any) -> Escapes:
+        """One path through each pixel of a film, of those that leave the scene after they met a surface."""
+        image, straight = (self._image(tracer, 0, None, film) for tracer in (self._scattering, self._straight))
+        return self._found(self._scattering, np.flatnonzero(image.any(axis=1) & ~straight.any(axis=1)), image, film)
 
-    def _image(
-        self, tracer: Any, which: int, order: tuple[int, ...] | None, camera: Camera, seed: int, window: Any
-    ) -> Floats:
+    def _image(self, tracer: Any, which: int, order: tuple[int, ...] | None, film: tuple[Any, ...]) -> Floats:
         """(pixels, 3) of the inner or outer box, which shines with its coordinates in an order or with 1."""
-        _show((self._inner, self._outer)[which], order)
+        parameters = mitsuba().traverse(self._boxes[which])
+        vertices = np.array(parameters["vertex_positions"]).reshape(-1, 3)
+        code = np.ones_like(vertices) if order is None else vertices[:, list(order)]
+        parameters[_CODE] = np.ascontiguousarray(code, dtype=np.float32).ravel()
+        parameters.update()
+        camera, seed, window = film
         image = capture(tracer, self._scenes[which], camera, samples=1, seed=seed, window=window)
         return image[..., :3].reshape(-1, 3)
 
-    def _found(
-        self, tracer: Any, pixel: NDArray[np.int64], image: Floats, camera: Camera, seed: int, window: Any
-    ) -> Escapes:
+    def _found(self, tracer: Any, pixel: NDArray[np.int64], image: Floats, film: tuple[Any, ...]) -> Escapes:
         throughput, places = image[pixel], []
-        for which, (top_m, half_m) in enumerate(
-            ((self._top_m, self._half_m), (self._top_m + _MARGIN_M, 2 * self._half_m))
-        ):
+        for which, (top_m, half_m) in enumerate(self._sizes):
             place = np.full((len(pixel), 3), np.nan)
             # A coordinate is read from a channel in which the path has any throughput; blue may well have none.
             for order in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-                code = self._image(tracer, which, order, camera, seed, window)[pixel]
+                code = self._image(tracer, which, order, film)[pixel]
                 for channel, coordinate in enumerate(order):
                     usable = np.isnan(place[:, coordinate]) & (throughput[:, channel] > 0)
                     place[usable, coordinate] = code[usable, channel] / throughput[usable, channel]
@@ -136,43 +140,18 @@ def _box(top_m: float, half_m: float, bottom_m: float) -> Any:
     """A black box that shines inwards."""
     mi = mitsuba()
     middle, reach = (top_m + bottom_m) / 2, (top_m - bottom_m) / 2
+    code = {"type": "mesh_attribute", "name": _CODE}
     box = mi.load_dict(
         {
             "type": "cube",
             "flip_normals": True,
             "to_world": mi.ScalarTransform4f().translate([0.0, 0.0, middle]).scale([half_m, half_m, reach]),
             "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.0}},
-            "emitter": {
-                "type": "area",
-                "radiance": {"type": "mesh_attribute", "name": _CODE},
-                "sampling_weight": 0.0,
-            },
+            "emitter": {"type": "area", "radiance": code, "sampling_weight": 0.0},
         }
     )
-    vertices = np.array(mi.traverse(box)["vertex_positions"])
-    box.add_attribute(_CODE, 3, np.ones_like(vertices))
+    box.add_attribute(_CODE, 3, np.ones_like(np.array(mi.traverse(box)["vertex_positions"])))
     return box
-
-
-def _lamp(height_m: float) -> dict[str, Any]:
-    """What takes all light samples, so that paths find the box by scattering alone, at full weight.
-
-    It is above everything and shines upwards: from below it has no light to give, which costs no shadow ray.
-    """
-    return {
-        "type": "rectangle",
-        "to_world": mitsuba().ScalarTransform4f().translate([0.0, 0.0, height_m]),
-        "emitter": {"type": "area", "radiance": {"type": "rgb", "value": 1.0}},
-    }
-
-
-def _show(box: Any, order: tuple[int, ...] | None) -> None:
-    """Let a box shine with its coordinates in an order, or with 1."""
-    parameters = mitsuba().traverse(box)
-    vertices = np.array(parameters["vertex_positions"]).reshape(-1, 3)
-    code = np.ones_like(vertices) if order is None else vertices[:, list(order)]
-    parameters[_CODE] = np.ascontiguousarray(code, dtype=np.float32).ravel()
-    parameters.update()
 
 
 class ExactView:
@@ -222,10 +201,11 @@ class ExactView:
                 result[row] = self._tracer.sample(self._whole, sampler, ray)[0]
             rows = np.flatnonzero(~np.isfinite(result).all(axis=1)).tolist()
             broken += len(rows)
-            _check_broken(broken, len(place_m))
             if not rows:
                 return result
-        raise _no_number()
+            if broken > _FEW_BROKEN + _BROKEN_SHARE * len(place_m):
+                break
+        raise _broken(broken, len(place_m))
 
 
 def endless_tracer() -> Any:
@@ -236,9 +216,7 @@ def endless_tracer() -> Any:
 def clear_air_m(spec: SceneSpec, camera_m: float) -> tuple[float, float] | None:
     """World heights of the top of all surfaces and the camera, and of the lowest cloud; None if they meet.
 
-    Parameters
-    ----------
-    camera_m : height at which the camera's highest ray starts.
+    `camera_m` is where the camera's highest ray starts.
     """
     assert spec.clouds is not None
     clouds = spec.clouds
@@ -353,47 +331,36 @@ def _captured(tracer: Any, scene: Any, job: RenderJob, samples: int, name: tuple
     """(H, W, 3) image of the volume path tracer.
 
     Now and then a path of the renderer's through bricks ends in no number (one in half a million was seen; why is not
-    known). Its pixel is taken once more.
-
-    Raises
-    ------
-    RenderError : there are many such paths, so that something else is wrong.
+    known). Its pixel is taken once more. `RenderError`: there are many such paths, so that something else is wrong.
     """
     image = capture(tracer, scene, job.camera, samples=samples, seed=child_seed(job.seed, *name))[..., :3]
-    count = 0
+    count, paths = 0, samples * image[..., 0].size
     for attempt in range(_TRIES):
         broken = np.argwhere(~np.isfinite(image).all(axis=2)).tolist()
         count += len(broken)
-        _check_broken(count, samples * image[..., 0].size)
         if not broken:
             return image
+        if count > _FEW_BROKEN + _BROKEN_SHARE * paths:
+            break
         for row, column in broken:
             seed = child_seed(job.seed, *name, "again", attempt, row, column)
             window = FilmWindow(column, row, 1, 1)
             again = capture(tracer, scene, job.camera, samples=samples, seed=seed, window=window)
             image[row, column] = again[0, 0, :3]
-    raise _no_number()
+    raise _broken(count, paths)
 
 
-def _check_broken(broken: int, paths: int) -> None:
-    """Few paths end in no number: those are drawn once more."""
-    if broken > _FEW_BROKEN + _BROKEN_SHARE * paths:
-        raise _no_number(f"{broken} of {paths}")
-
-
-def _no_number(count: str = "some") -> RenderError:
+def _broken(count: int, paths: int) -> RenderError:
     return RenderError(
-        f"{count} paths of light through the clouds end in no number",
+        f"{count} of {paths} paths of light through the clouds end in no number",
         hint="the image would be wrong; move the camera by a few metres, or choose coarser clouds",
     )
 
 
-def _disc_of(spec: SceneSpec) -> SunDisc:
-    """The sun as the renderer has it."""
-    from forestgen.scene.channels import RGB
-
+def _disc_of(spec: SceneSpec) -> Floats:
+    """(13,) the sun as the renderer has it, for walks."""
     matrix = np.array(sun_disc(spec.sky, RGB)["to_world"].matrix, dtype=np.float64)
-    return SunDisc(matrix[:3, 3], float(np.linalg.norm(matrix[:3, 0])))
+    return disc_parameters(matrix[:3, 3], float(np.linalg.norm(matrix[:3, 0])))
 
 
 def _films(width: int, height: int, samples: int) -> list[tuple[int, FilmWindow]]:

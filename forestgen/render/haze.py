@@ -30,6 +30,23 @@ airlight serves all: that some of the haze lies in the sun and some in shadow is
 Clouds fade into the clear sky behind them, by the haze on the way to where half of what they take of the light is
 taken. On this way, which leads upwards, the haze gets thinner with height, by e in 1500 m. Where clouds shade the haze,
 its airlight stands in for the clear sky, by the share of the sun that they take.
+
+Extinction
+----------
+Koschmieder (1924): a black thing at the meteorological range V is just seen against the horizon, with a contrast of
+2%, so the extinction at 550 nm is 3.912 / V. It has two parts. At 50 km the sum falls as wavelength^-1.7 in the
+visible, where Kruse has 1.6.
+
+- Air's molecules: 1.16e-5 /m at 550 nm and sea level (V = 337 km), as wavelength^-4; Rayleigh's phase function.
+- Aerosol: the rest, as wavelength^-q. q is 1.3, as in atmosphere/daylight.py, and 0.585 V^(1/3), V in kilometres, below
+  6 km, where particles are large (Kruse, McGlauchlin and McQuistan 1962); a Henyey-Greenstein lobe of g = 0.65, as in
+  atmosphere/daylight.py.
+
+References
+----------
+Koschmieder, H. (1924): Theorie der horizontalen Sichtweite. Beitr. Phys. freien Atmos. 12, 33-53, 171-181.
+Kruse, P. W., McGlauchlin, L. D., McQuistan, R. B. (1962): Elements of Infrared Technology. Wiley.
+Bucholtz, A. (1995): Rayleigh-scattering calculations for the terrestrial atmosphere. Appl. Opt. 34, 2765-2773.
 """
 
 from __future__ import annotations
@@ -307,12 +324,7 @@ def cloud_veil(clouds: CloudGrid, camera: Camera, extinction_per_m: Floats) -> F
 
 
 def hazed(radiance: Radiance, seen: Seen, light: Airlight, camera: Camera, veil: Floats | None) -> Radiance:
-    """The image through the haze; see the module.
-
-    Parameters
-    ----------
-    veil : of `cloud_veil`; None: the sky has no clouds, and is the sky model's.
-    """
+    """The image through the haze and a `cloud_veil`; None: there are no clouds, and the sky is the sky model's."""
     direction = world_rays(camera).direction
     above = np.maximum(direction, [-1.0, -1.0, 0.0])
     clear = along(light.open_sky, above / np.maximum(np.linalg.norm(above, axis=-1, keepdims=True), 1e-9))

@@ -1,6 +1,11 @@
-"""Emitters: sky and sun.
+"""Radiance of the sky by direction, and of the sun's disc, and their emitters; sky models are parts (render/skies).
 
-The sun is a disc of its own, far away, so that penumbrae are right, and shadow rays go to it alone.
+Decisions
+---------
+- The sun is a disc of its own, far away, so that penumbrae are right, and shadow rays go to it alone. It has one
+  radiance, the mean; in truth its middle is up to a quarter brighter than that and its limb half as bright, which only
+  penumbrae could show. Its size is that of the mean distance.
+- A colour outside of Rec. 709, as of a sun at the horizon, is cut off at its edge, its luminance kept.
 """
 
 from __future__ import annotations
@@ -79,22 +84,13 @@ def emitters_of(sky: Sky) -> dict[str, Callable[[Channels], dict[str, Any]]]:
     """All lights of a cloudless scene by name, as functions of the channels."""
     if not has_sun(sky):
         return {"sky": partial(sky_light, sky)}
-    return {"sky": partial(sky_beside_sun, sky), "sun": partial(sun_disc, sky)}
-
-
-def lights(sky: Sky, channels: Channels) -> dict[str, dict[str, Any]]:
-    """All lights of a cloudless scene by name."""
-    return {name: emitter(channels) for name, emitter in emitters_of(sky).items()}
+    weight = {"sampling_weight": SKY_BESIDE_SUN_WEIGHT}  # light samples are better spent on the sun
+    return {"sky": lambda channels: sky_light(sky, channels) | weight, "sun": partial(sun_disc, sky)}
 
 
 def sky_light(sky: Sky, channels: Channels) -> dict[str, Any]:
     """The sky without its sun."""
     return envmap(sky_map(sky, channels))
-
-
-def sky_beside_sun(sky: Sky, channels: Channels) -> dict[str, Any]:
-    """The same for a scene that the sun lights too, where light samples are better spent on the sun."""
-    return sky_light(sky, channels) | {"sampling_weight": SKY_BESIDE_SUN_WEIGHT}
 
 
 def sun_disc(sky: Sky, channels: Channels) -> dict[str, Any]:
@@ -114,7 +110,7 @@ def sun_disc(sky: Sky, channels: Channels) -> dict[str, Any]:
 
 
 def envmap(image: NDArray[np.float32]) -> dict[str, Any]:
-    """An `envmap` dictionary of an equirectangular image; see `sky_radiance.map_directions`."""
+    """An `envmap` dictionary of an equirectangular image; see `skies.model.map_directions`."""
     mi = mitsuba()
     # Mitsuba's map is y-up: its direction for (u, v) is (sin(2 pi u) sin(pi v), cos(pi v), -cos(2 pi u) sin(pi v)).
     # Rotating y to z by 90 degrees about x turns that into azimuth 90 degrees - 2 pi u, measured from x over y.

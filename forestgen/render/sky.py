@@ -204,7 +204,10 @@ class Overland:
         total = self.baked.of(self.here.clouds, channels)
         middle = level_irradiance(self.here.radiance(channels))
         half = _NODES // 2
-        total = total + _noise_in_common()[..., None] * (middle - total[half, half])
+        # Correlation of a smoothed node's noise with that of the one in the middle.
+        from_middle = (np.arange(_NODES) - half) / (2.0 * _BLUR_NODES)
+        in_common = np.exp(-(from_middle[:, None] ** 2) - from_middle**2)
+        total = total + in_common[..., None] * (middle - total[half, half])
         known = np.isfinite(position_m).all(axis=-1)
         result = np.ones((*known.shape, 3))
         i, u = _between(self.east_m, position_m[known][:, 0].astype(np.float64))
@@ -288,12 +291,6 @@ def _bake_land(clouds: TracedClouds, place_m: Floats, offset_m: Floats) -> Baked
     parts = np.moveaxis((np.pi / _NODE_PATHS * total).reshape(_NODES, _NODES, ORDERS, 10), (0, 1), (2, 3))
     smooth = gaussian_filter(parts, (0, 0, _BLUR_NODES, _BLUR_NODES), mode="nearest")
     return Baked(smooth.astype(np.float32))
-
-
-def _noise_in_common() -> Floats:
-    """(_NODES, _NODES) correlation of a smoothed node's noise with that of the one in the middle."""
-    from_middle = (np.arange(_NODES) - _NODES // 2) / (2.0 * _BLUR_NODES)
-    return np.exp(-(from_middle[:, None] ** 2) - from_middle**2)
 
 
 def _joined(found: Gathered) -> Floats:

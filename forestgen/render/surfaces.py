@@ -208,12 +208,6 @@ def gloss_share(material: Material) -> float:
     return float(max(min(material.gloss, darkest, room), 0.0))
 
 
-def has_transmittance(material: Material) -> bool:
-    """Whether light passes a leaf of the material, in any channels."""
-    spectrum = material.transmittance_spectrum
-    return max(material.transmittance) > 0 or (spectrum is not None and float(spectrum.value.max()) > 0)
-
-
 def _unbounded(colour: NDArray[np.float64], share: float) -> dict[str, Any]:
     """A lobe's colour over its share of the paths: a reflectance that may pass 1."""
     return {"type": "srgb", "color": (colour / max(share, 1e-9)).tolist(), "unbounded": True}
@@ -240,7 +234,9 @@ def surface_of(part: Part, material: Material, channels: Channels, *, has_uv: bo
     if part not in LEAFLIKE:
         material = replace(material, transmittance=(0.0, 0.0, 0.0), transmittance_spectrum=None)
     lobe = gloss_of(material.roughness) if not textured and gloss_share(material) > 0 else None
-    return Surface(sides_of(material, channels), lobe, has_transmittance(material), textured)
+    spectrum = material.transmittance_spectrum
+    transmits = max(material.transmittance) > 0 or (spectrum is not None and float(spectrum.value.max()) > 0)
+    return Surface(sides_of(material, channels), lobe, transmits, textured)
 
 
 def surface_bsdf(part: Part, material: Material, channels: Channels = RGB, *, has_uv: bool = False) -> dict[str, Any]:

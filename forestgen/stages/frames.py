@@ -14,10 +14,10 @@ from forestgen.labels.channels.channel import ChannelView
 from forestgen.recipe.registries import LABEL_CHANNELS
 from forestgen.recipe.schema import Recipe
 from forestgen.render.cloud_heights import cloud_transport_of
-from forestgen.render.denoise import denoise, denoise_bands
+from forestgen.render.denoise import denoise, denoise_bands, trace_guides
 from forestgen.render.frame import Frame, Radiance, Surface
 from forestgen.render.haze import KOSCHMIEDER, through_haze
-from forestgen.render.identity import SceneTracer, trace_guides, trace_identity
+from forestgen.render.identity import SceneTracer, trace_identity
 from forestgen.render.job import RenderJob, StoppingCriterion
 from forestgen.render.radiance import render_radiance, unfinished
 from forestgen.scene.spec import Camera, SceneSpec

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from forestgen.core.parts import Part
 from forestgen.core.spectrum import Spectrum
 from forestgen.render.irradiance import Source
-from forestgen.render.light import envmap
+from forestgen.render.light import emitters_of, envmap
 from forestgen.render.variant import mitsuba
 from forestgen.scene.channels import Channels
-from forestgen.scene.spec import SceneSpec
+from forestgen.scene.spec import SceneSpec, Sky
 
 Floats = NDArray[np.float64]
 _REPLICATES = 16  # of which a mean is made, and its error
@@ -181,3 +181,8 @@ def uniform_sky(irradiance: Spectrum) -> Source:
     # then see the same, and its image has no noise. (A scene of weight 0 in all is refused.)
     lamp = {"type": "point", "position": [0.0, 0.0, 0.0], "intensity": {"type": "rgb", "value": 0.0}}
     return Source("sky", irradiance, emitter, {"lamp": lamp}, roulette_from=64)
+
+
+def lights(sky: Sky, channels: Channels) -> dict[str, dict[str, Any]]:
+    """All lights of a cloudless scene by name."""
+    return {name: emitter(channels) for name, emitter in emitters_of(sky).items()}

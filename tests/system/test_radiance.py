@@ -16,7 +16,7 @@ from forestgen.render.build import load, origin_of, scene_dict
 from forestgen.render.capture import sensor_of
 from forestgen.render.cloud_heights import base_of
 from forestgen.render.cloud_paths import gather
-from forestgen.render.light import lights, sky_light, sky_map, sun_disc, sun_irradiance
+from forestgen.render.light import sky_light, sky_map, sun_disc, sun_irradiance
 from forestgen.render.noise import SliceSum, slice_sizes
 from forestgen.render.surfaces import SpectralBsdfs
 from forestgen.render.variant import SCALAR, mitsuba, using
@@ -25,6 +25,7 @@ from forestgen.scene.channels import RGB, Channels
 from forestgen.scene.projection import image_circle, rays, world_rays
 from forestgen.scene.spec import Camera, Instances, SceneSpec, Sky, WetGround
 from support.cloud_box import cloud_volume
+from support.radiometry import lights
 from support.scenes import camera_at, plain_ground, scattered_scene
 
 

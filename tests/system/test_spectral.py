@@ -19,8 +19,8 @@ from forestgen.core.timing import Timings
 from forestgen.recipe.load import load_recipe
 from forestgen.render import wavelengths
 from forestgen.render.capture import capture
-from forestgen.render.denoise import denoise, denoise_bands
-from forestgen.render.identity import SceneTracer, trace_guides
+from forestgen.render.denoise import denoise, denoise_bands, trace_guides
+from forestgen.render.identity import SceneTracer
 from forestgen.render.job import RenderJob, StoppingCriterion
 from forestgen.render.radiance import _replicate
 from forestgen.render.variant import SCALAR, mitsuba, using

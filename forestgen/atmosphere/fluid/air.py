@@ -50,11 +50,64 @@ from forestgen.atmosphere.fluid.parameters import (
 )
 from forestgen.atmosphere.fluid.pressure import Boundaries, Pressure, solid_cells
 from forestgen.atmosphere.grid import AirGrid, Weather
-from forestgen.atmosphere.sounding import Sounding
+from forestgen.atmosphere.sounding import Sounding, saturation_ratio
 from forestgen.core.threads import at_once
 
+_NOISE_SHARE = 0.25  # of the box's height, at least four layers
+_OVER = 1.01  # saturation that a sounding may show between its levels
 _HALVINGS = 6  # of a step of the solver's own choice, when the air speeds up within it
 _INNER = (slice(2, -2),) * 3
+
+
+def at_rest(
+    grid: AirGrid, sounding: Sounding, surface: Surface | None, *, rng: np.random.Generator, noise_k: float = 0.0
+) -> Weather:
+    """Air in hydrostatic balance that moves with the sounding's wind, around the terrain.
+
+    Potential temperature near the ground is even between plus and minus `noise_k`, cell by cell; there is none at a
+    quarter of the box's height. Without any, air above an even ground does not know where to rise.
+
+    Raises ValueError if the sounding is supersaturated in a layer, or the terrain reaches the top layer.
+    """
+    air = background(grid, sounding)
+    most = saturation_ratio(air.potential_temperature_k * air.temperature_ratio, air.pressure_pa)
+    worst = int(np.argmax(air.vapour / most))
+    if air.vapour[worst] > _OVER * most[worst]:
+        raise ValueError(
+            f"the sounding is supersaturated at {grid.layer_heights_m[worst]:.0f} m:"
+            f" {air.vapour[worst]:.2e} kg/kg of vapour; expected at most {most[worst]:.2e}"
+        )
+    solid = solid_cells(grid, surface)
+    noise = rng.uniform(-noise_k, noise_k, grid.shape)
+    fade = np.maximum(1 - np.arange(grid.cells[2]) / max(4, _NOISE_SHARE * grid.cells[2]), 0)[:, None, None]
+    u, v, w = _wind_around(grid, air, solid)
+    return Weather(
+        grid=grid,
+        time_s=0.0,
+        east_m_per_s=u,
+        north_m_per_s=v,
+        up_m_per_s=w,
+        potential_temperature_k=air.rest_k + (noise * fade).astype(np.float32),
+        vapour=np.broadcast_to(air.vapour.astype(np.float32)[:, None, None], grid.shape).copy(),
+        cloud=np.zeros(grid.shape, np.float32),
+        rain=np.zeros(grid.shape, np.float32),
+        fallen_kg_per_m2=np.zeros(grid.shape[1:]),
+        density_kg_per_m3=air.density_kg_per_m3,
+        temperature_ratio=air.temperature_ratio,
+        solid=solid,
+    )
+
+
+def _wind_around(grid: AirGrid, air: Background, solid: NDArray[np.bool_] | None) -> Velocity:
+    """The sounding's wind, made to flow around terrain."""
+    u, v, w = (np.zeros(tuple(n + 4 for n in grid.shape), np.float32) for _ in range(3))
+    u[2:-2], v[2:-2] = air.wind_m_per_s.T.astype(np.float32)[:, :, None, None]
+    sides = Boundaries(solid)
+    sides.apply((u, v, w))
+    if solid is not None and air.wind_m_per_s.any():
+        Pressure(grid, sides.openness).project((u, v, w))
+        sides.apply((u, v, w))
+    return u[2:-2, 2:-2, 2:-1].copy(), v[2:-2, 2:-1, 2:-2].copy(), w[2:-1, 2:-2, 2:-2].copy()
 
 
 class Air:
@@ -81,7 +134,10 @@ class Air:
         self._ratios = (heat, vapour, cloud, rain)  # heat: K from rest
         self._lift = np.zeros((grid.cells[2] + 1, *grid.shape[1:]), np.float32)
         self._fixed_limit_s = fixed_limit_s(grid, self.background, physics)
-        self._calm = _calm_per_s(grid, physics)
+        # (Z + 1,) rate at which vertical motion dies out at the faces: rises as a sine squared to the ceiling.
+        height = np.arange(grid.cells[2] + 1) / grid.cells[2]
+        within = np.clip(1 - (1 - height) / physics.sponge_share, 0, 1) if physics.sponge_share else 0.0 * height
+        self._calm = physics.sponge_per_s * np.sin(np.pi / 2 * within) ** 2
         self._made: Weather | None = None  # the weather that the work space holds, from the last step
 
     def step(self, weather: Weather, step_s: float | None = None) -> Weather:
@@ -92,17 +148,14 @@ class Air:
         self._load(weather)
         return self._careful(weather, self._limit_s()) if step_s is None else self._stepped(weather, step_s)
 
-    def run(
-        self, weather: Weather, until_s: float, *, advance: Callable[[float], None] = lambda seconds: None
-    ) -> Weather:
-        """The weather at a time. `advance` is told of the seconds of each step."""
+    def run(self, weather: Weather, until_s: float) -> Weather:
+        """The weather at a time."""
         while weather.time_s < until_s:
             self._load(weather)
             left = until_s - weather.time_s
             after = self._careful(weather, min(left, self._limit_s()))
             if until_s - after.time_s < 1e-9 * max(1.0, until_s):
                 after = replace(after, time_s=float(until_s))
-            advance(after.time_s - weather.time_s)
             weather = after
         return weather
 
@@ -249,15 +302,6 @@ def _fields(weather: Weather) -> dict[str, Field]:
         "cloud": weather.cloud,
         "rain": weather.rain,
     }
-
-
-def _calm_per_s(grid: AirGrid, physics: Physics) -> NDArray[np.float64]:
-    """(Z + 1,) rate at which vertical motion dies out at the faces: rises as a sine squared to the ceiling."""
-    height = np.arange(grid.cells[2] + 1) / grid.cells[2]
-    if physics.sponge_share == 0:
-        return 0.0 * height
-    within = np.clip(1 - (1 - height) / physics.sponge_share, 0, 1)
-    return np.asarray(physics.sponge_per_s * np.sin(np.pi / 2 * within) ** 2)
 
 
 class Ground:

@@ -26,9 +26,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.atmosphere.conditions import Layers, wind_towards
-from forestgen.atmosphere.fluid.air import Air
+from forestgen.atmosphere.fluid.air import Air, at_rest
 from forestgen.atmosphere.fluid.parameters import Physics, Surface
-from forestgen.atmosphere.fluid.start import at_rest
 from forestgen.atmosphere.grid import AirGrid, Weather
 from forestgen.atmosphere.sounding import LATENT_HEAT_J_PER_KG, Sounding
 from forestgen.community.ecoclimate.climate import MONTHS_PER_YR, Month

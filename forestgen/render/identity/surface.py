@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -31,20 +32,18 @@ def trace_identity(
     advance: Callable[[int], None],
     faces: bool = False,
 ) -> tuple[Identity, Surface]:
-    """What `camera` sees of the tracer's scene.
+    """What `camera` sees of the tracer's scene, by a number of samples a pixel that is a perfect square.
 
-    Time O(pixels x samples x log triangles); memory 5 bytes a sample (13 with faces), 94 bytes a pixel, and about
-    60 bytes a ray of a block of two million rays.
-
-    Parameters
-    ----------
-    samples : a pixel; a perfect square.
-    timer : context manager that books time under a name.
-    advance : is told of rows that are done.
-    faces : tell each sample's exemplar and face too.
+    Time O(pixels x samples x log triangles); memory 5 bytes a sample (13 with `faces`, each sample's exemplar and
+    face), 94 bytes a pixel, and about 60 bytes a ray of a block of two million rays. `timer` books time under a name;
+    `advance` is told of rows that are done.
     """
     width, height = camera.size_px
-    identity, surface = _empty(height, width, samples, faces), empty_surface(height, width)
+    shape = (height, width, samples)
+    identity = Identity(np.zeros(shape, np.uint32), np.zeros(shape, np.uint8))
+    if faces:
+        identity = replace(identity, exemplar=np.zeros(shape, np.uint32), face=np.zeros(shape, np.uint32))
+    surface = empty_surface(height, width)
     with using(tracer.variant):
         with timer("identity: trace"):
             block = max(1, _RAYS_AT_ONCE // (width * samples))
@@ -58,16 +57,6 @@ def trace_identity(
                 trace_rows(tracer, camera, slice(first, min(first + block, height)), surface)
         drjit().flush_malloc_cache()
     return identity, surface
-
-
-def _empty(height: int, width: int, samples: int, faces: bool) -> Identity:
-    shape = (height, width, samples)
-    return Identity(
-        plant_id=np.zeros(shape, dtype=np.uint32),
-        part=np.zeros(shape, dtype=np.uint8),
-        exemplar=np.zeros(shape, dtype=np.uint32) if faces else None,
-        face=np.zeros(shape, dtype=np.uint32) if faces else None,
-    )
 
 
 def _trace_samples(tracer: SceneTracer, camera: Camera, samples: int, rows: slice, identity: Identity) -> None:
@@ -90,18 +79,19 @@ def _trace_samples(tracer: SceneTracer, camera: Camera, samples: int, rows: slic
 
 def empty_surface(height: int, width: int) -> Surface:
     """Sky alone."""
+    shape = (height, width)
     return Surface(
-        plant_id=np.zeros((height, width), dtype=np.uint32),
-        part=np.zeros((height, width), dtype=np.uint8),
-        exemplar=np.zeros((height, width), dtype=np.uint32),
-        face=np.zeros((height, width), dtype=np.uint32),
-        depth_m=np.full((height, width), np.inf, dtype=np.float32),
-        distance_m=np.full((height, width), np.inf, dtype=np.float32),
-        position_m=np.full((height, width, 3), np.nan, dtype=np.float32),
-        normal=np.zeros((height, width, 3), dtype=np.float32),
-        shading_normal=np.zeros((height, width, 3), dtype=np.float32),
-        albedo=np.zeros((height, width, 3), dtype=np.float32),
-        sun_visible=np.zeros((height, width), dtype=np.bool_),
+        plant_id=np.zeros(shape, dtype=np.uint32),
+        part=np.zeros(shape, dtype=np.uint8),
+        exemplar=np.zeros(shape, dtype=np.uint32),
+        face=np.zeros(shape, dtype=np.uint32),
+        depth_m=np.full(shape, np.inf, dtype=np.float32),
+        distance_m=np.full(shape, np.inf, dtype=np.float32),
+        position_m=np.full((*shape, 3), np.nan, dtype=np.float32),
+        normal=np.zeros((*shape, 3), dtype=np.float32),
+        shading_normal=np.zeros((*shape, 3), dtype=np.float32),
+        albedo=np.zeros((*shape, 3), dtype=np.float32),
+        sun_visible=np.zeros(shape, dtype=np.bool_),
     )
 
 
@@ -204,9 +194,7 @@ def ground_colour(
 ) -> Any:
     """`colour` of hits; the ground's is dimmed where it is wet, and that of the distance where it lies far.
 
-    Parameters
-    ----------
-    of_ground : in the channels of `colour`: the distant ground's colour, and the factor of a film of water.
+    `of_ground` are, in the channels of `colour`, the distant ground's colour, and the factor of a film of water.
     """
     mi, dr = mitsuba(), drjit()
     ground = hits.valid & (hits.instance == 0)

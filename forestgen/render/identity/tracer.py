@@ -165,13 +165,11 @@ def sample_offsets(samples: int) -> NDArray[np.float64]:
 
 
 def camera_rays(camera: Camera, offset: NDArray[np.float64], first_row: int, rows: int) -> DeviceRays:
-    """Rays through sub-pixel positions of `rows` rows.
+    """Rays through sub-pixel positions of `rows` rows: an offset (2,), or `sample_offsets` (S, 2).
 
-    Parameters
-    ----------
-    offset : (2,) for the pixels' centres, or (S, 2), of `sample_offsets`. Rays run row by row, pixel by pixel, and then
-        over the S positions: neighbours on the device stay neighbours in the scene, which makes tracing 2.5 times as
-        fast as position by position. A lens' rays of (2,) go through its middle, those of (S, 2) through all of it.
+    Rays run row by row, pixel by pixel, and then over the S positions: neighbours on the device stay neighbours in the
+    scene, which makes tracing 2.5 times as fast as position by position. A lens' rays of (2,) go through its middle,
+    those of (S, 2) through all of it.
     """
     mi, dr = mitsuba(), drjit()
     offsets, width = np.atleast_2d(offset), camera.size_px[0]
@@ -188,11 +186,8 @@ def pixel_rays(camera: Camera, column: Any, row: Any, dx: Any, dy: Any, number: 
     """Rays through positions (dx, dy) in [0, 1] of pixels; scene/projection.py has their definition.
 
     All passes take their rays from here, so that theirs are equal to the last bit. What changes from camera to camera
-    goes in as opaque values: one compiled kernel serves all cameras of a kind.
-
-    Parameters
-    ----------
-    number : of the sample in its pixel, which chooses the point of the lens; None: through the lens' middle.
+    goes in as opaque values: one compiled kernel serves all cameras of a kind. The `number` of the sample in its pixel
+    chooses the point of the lens; None: its middle.
     """
     mi, dr = mitsuba(), drjit()
     width, height = camera.size_px
@@ -261,10 +256,7 @@ def _slim(scene: dict[str, Any]) -> dict[str, Any]:
 class SceneTracer:
     """One scene in a tracing variant with its tables on the device: set up once, for all cameras.
 
-    Parameters
-    ----------
-    timer : context manager that books time under a name.
-    variant : `render.variant.LLVM` or `CUDA`; by default the one that `tracing_variant` chooses.
+    `timer` books time under a name. `variant` is by default the one that `tracing_variant` chooses.
     """
 
     def __init__(self, spec: SceneSpec, timer: Callable[[str], Any], variant: str | None = None) -> None:

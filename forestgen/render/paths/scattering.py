@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.geometry.mesh import Mesh
-from forestgen.render.identity import Hits, SceneTracer
 from forestgen.render.identity.surface import (
     barycentric_weights,
     bilinear_places,
@@ -18,7 +17,7 @@ from forestgen.render.identity.surface import (
     interpolated_normal,
     vertex_uv,
 )
-from forestgen.render.identity.tracer import NONE, organs_of, uploaded
+from forestgen.render.identity.tracer import NONE, Hits, SceneTracer, organs_of, uploaded
 from forestgen.render.surfaces import is_textured, relief_colour, surface_of
 from forestgen.render.variant import drjit, mitsuba
 from forestgen.scene.channels import Channels
@@ -171,12 +170,7 @@ class Local:
         return dr.select(up > 0, above, self.chance.x * (-up / np.pi))
 
     def sample(self, lobe: Any, first: Any, second: Any) -> tuple[Any, Any]:
-        """Unit directions in which paths go on, and Color3f by which their light is multiplied.
-
-        Parameters
-        ----------
-        lobe, first, second : (P,) each in [0, 1).
-        """
+        """Unit directions in which paths go on, and Color3f by which their light is multiplied, of (P,) in [0, 1)."""
         mi, dr = mitsuba(), drjit()
         passes = lobe < self.chance.x
         rest = (lobe - self.chance.x) / dr.maximum(1.0 - self.chance.x, 1e-6)

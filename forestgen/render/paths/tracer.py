@@ -1,9 +1,18 @@
-"""The light of an image, path by path, in rounds: every round takes all paths that still go on one scattering further.
+"""The light of an image, path by path, over the same flat tables as the identity pass.
+
+All paths of a block of pixels go one scattering further together, as arrays of Dr.Jit, and those that ended are
+dropped. A kernel knows no instance and no material: what a hit means is looked up (`render/identity/tracer.py`,
+`scattering.py`). So one kernel serves any scene. It runs on LLVM; on CUDA it has not been tried. ADR 0013 has the
+measurements.
 
 Light of the sun is sampled at each scattering, and that of a sky with clouds; all skies are met where a path leaves the
-scene. From the second
-scattering on, paths end by chance, the sooner the less light they carry. Each path has its own places in the sums, so
-the image does not depend on the number of threads.
+scene. From the second scattering on, paths end by chance, the sooner the less light they carry. Each path has its own
+places in the sums, so the image does not depend on the number of threads.
+
+Random numbers are points that fill the unit square evenly, for each pixel and each choice of a path its own: Sobol's
+first two dimensions, scrambled by hashes as Owen scrambles (Burley 2020, "Practical hash-based Owen scrambling"). Any
+first N points are spread evenly, best where N is a power of two, and every choice shuffles them anew. A point is a
+function of seed, pixel, number and choice: it does not depend on other points, nor on where work is cut.
 
 Work is O(pixels x samples x scatterings x log triangles). Memory: some 250 bytes a path of a block of pixels, of
 `_PATHS_AT_ONCE` paths, and 40 bytes a pixel.
@@ -47,10 +56,11 @@ class Sequence:
         """(P,) each in [0, 1): the point of one choice, a UInt32."""
         mi, dr = mitsuba(), drjit()
         seeds = [hashed(self.key + mi.UInt32(choice) * _GOLDEN + (k * 0x85EBCA6B & 0xFFFFFFFF)) for k in range(3)]
-        first = _scrambled(dr.brev(self.number), seeds[0])  # the shuffled number's bits, reversed
-        second = second_dimension(first)
+        first = second = _scrambled(dr.brev(self.number), seeds[0])  # the shuffled number's bits, reversed
+        for shift, mask in _SQUARES:  # Sobol's second number: Pascal's triangle modulo 2
+            second = second ^ ((second & mi.UInt32(mask)) << shift)
         one, other = (
-            to_unit(dr.brev(_scrambled(dr.brev(bits), seed)))
+            mi.Float(dr.brev(_scrambled(dr.brev(bits), seed)) >> 8) * 2.0**-24
             for bits, seed in zip((first, second), seeds[1:], strict=True)
         )
         return one, other
@@ -69,14 +79,6 @@ def hashed(value: Any) -> Any:
     return value ^ (value >> 16)
 
 
-def second_dimension(first: Any) -> Any:
-    """Bits of Sobol's second number of those of the first: Pascal's triangle modulo 2."""
-    mi = mitsuba()
-    for shift, mask in _SQUARES:
-        first = first ^ ((first & mi.UInt32(mask)) << shift)
-    return first
-
-
 def _scrambled(reversed_bits: Any, seed: Any) -> Any:
     """Each bit flipped by a hash of those after it (Laine and Karras; constants of Burley's paper)."""
     value = reversed_bits + seed
@@ -85,19 +87,11 @@ def _scrambled(reversed_bits: Any, seed: Any) -> Any:
     return value
 
 
-def to_unit(bits: Any) -> Any:
-    """Float in [0, 1) of 32 bits."""
-    mi = mitsuba()
-    return mi.Float(bits >> 8) * 2.0**-24
-
-
 class Sky:
-    """The sky's radiance by direction, on the device; see `sky_radiance.map_directions`.
+    """The sky's radiance by direction, on the device; see `skies.model.map_directions`.
 
-    Parameters
-    ----------
-    sampled : whether paths look for its light at every scattering, where it is bright; else they find it by chance,
-        which costs less and is as good where a sky is nearly even.
+    If it is `sampled`, paths look for its light at every scattering, where it is bright; else they find it by chance,
+    which costs less and is as good where a sky is nearly even.
     """
 
     def __init__(self, radiance: NDArray[np.float32], *, sampled: bool = False) -> None:
@@ -174,12 +168,9 @@ class Sun:
     def __init__(
         self, to_sun: Floats, irradiance: Floats, radiance: Floats, shadow: ShadowPlane | None, origin_m: Floats
     ) -> None:
-        """
-        Parameters
-        ----------
-        irradiance, radiance : (3,) on a surface that faces the sun, and of its disc.
-        shadow : what clouds let through; None: all.
-        origin_m : (3,) world, of the paths' coordinates.
+        """By (3,) irradiance on a surface that faces the sun, and radiance of its disc.
+
+        `shadow` is what clouds let through; None: all. `origin_m` (3,), world, is that of the paths' coordinates.
         """
         mi, dr = mitsuba(), drjit()
         self.centre = mi.Vector3f(*[dr.opaque(mi.Float, float(value)) for value in to_sun])

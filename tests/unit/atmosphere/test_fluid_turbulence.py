@@ -4,9 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from forestgen.atmosphere.fluid.air import Air
+from forestgen.atmosphere.fluid.air import Air, at_rest
 from forestgen.atmosphere.fluid.parameters import Physics, Surface
-from forestgen.atmosphere.fluid.start import at_rest
 from forestgen.atmosphere.grid import AirGrid
 from support.air_balance import divergence_per_s, energies_j
 from support.soundings import sounding_of_lapse_rates
