@@ -32,8 +32,7 @@ from forestgen.core.progress import Silent
 from forestgen.core.timing import Timings
 from forestgen.render import sky
 from forestgen.render.capture import sensor_of
-from forestgen.render.cloud_heights import base_of, cloud_transport_of
-from forestgen.render.cloud_shadow import shadow_of
+from forestgen.render.cloud_shadow import base_of, cloud_transport_of, shadow_of
 from forestgen.render.frame import Radiance
 from forestgen.render.identity import SceneTracer, trace_identity
 from forestgen.render.job import CloudTransport, RenderJob, StoppingCriterion

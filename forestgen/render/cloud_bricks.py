@@ -1,21 +1,18 @@
 """A cloud field as bricks, each a medium of its own, for the renderer's volume path tracer.
 
-The renderer steps through a medium by the largest extinction in it. One box around all clouds makes it look up
-thousands of places in clear air; small bricks with a largest value each, and none where there is no cloud, leave it
-few.
+The renderer steps through a medium by its largest extinction. In one box around all clouds it would look up thousands
+of places in clear air; small bricks with a largest value each, and none where there is no cloud, need few.
 
 Decisions
 ---------
-- Between two bricks there is one rectangle, with a medium on either side. Two boxes that touch leak: a ray that is
-  lifted off the face of one may land inside the other without having entered it. Where a brick borders on
-  nothing, the rectangle has one medium.
-- A brick holds its cells and one more on every side, so that what is interpolated between two bricks comes out the same
-  from both; at the border of the field those are the cells at the border once more, as the renderer has it for the
-  whole field.
+- Between two bricks there is one rectangle, with a medium on either side, or on one where a brick borders on nothing.
+  Two boxes that touch leak: a ray that is lifted off the face of one may land inside the other without entering it.
+- A brick holds its cells and one more on every side, so that interpolation between two bricks is the same from both; at
+  the border of the field those are the cells at the border once more, as the renderer has it for the whole field.
 - A ray that passes a face starts again behind it, by up to 9e-5 of its largest coordinate along the face's normal, and
   what lies between is not counted. Bricks are therefore large where the field has many cells.
-- The camera stands in nothing: a small sphere around it, with the medium outside. It must not cut a face. So faces are
-  laid such that the camera's brick has it near its middle.
+- The camera stands in a small sphere of nothing, with the medium outside. The sphere must not cut a face, so faces are
+  placed such that the camera is near the middle of its brick.
 """
 
 from __future__ import annotations

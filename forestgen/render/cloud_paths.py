@@ -6,12 +6,11 @@ draws collisions at that rate, of which the share sigma / largest is real. The f
 the one that atmosphere/optical_depth.py integrates and that the renderer reads. At a collision the light of the sun
 is gathered through the clouds by ratio tracking (Novak et al. 2014) from a random point of its disc, and the path goes
 on in a direction drawn from the phase function. Where it leaves the clouds upwards it takes the sky's radiance of that
-direction; downwards it meets a level Lambertian plain without end.
+direction; downwards it meets a level Lambertian plain without end, which stands for the land around.
 
-Clouds are grey, so one path serves all channels. Sun and sky are kept apart: of the sun a path tells its share, to be
-multiplied with the sun's light in whatever channels. And light is kept apart by how often the plain has reflected it,
-never, once, or more often, as from a white plain: radiance is a polynomial of the plain's albedo, which can so have
-any colour, afterwards.
+Clouds are grey, so one path serves all channels. Of the sun a path yields its share, to be multiplied by the sun's
+light in any channels. Light is kept apart by how often the plain has reflected it, never, once, or more often, as from
+a white plain: radiance is a polynomial of the plain's albedo, so that the plain can have any colour afterwards.
 
 Decisions
 ---------
@@ -21,7 +20,6 @@ Decisions
 - A third and later reflection has the plain's mean albedo in all channels.
 - Random numbers belong to a ray's number and the number of its path (SplitMix64 from a hash of both), so results
   do not depend on threads.
-- Rays that point below the horizon meet the plain, which stands for the land around; it is level and does not curve.
 
 References
 ----------
@@ -330,7 +328,8 @@ def _add_sky(sky, dx, dy, dz, weight, channels, out):  # type: ignore[no-untyped
 
 
 @inlined
-def _mixed(number):  # type: ignore[no-untyped-def]
+def scrambled(number):  # type: ignore[no-untyped-def]
+    """A 64-bit number scrambled (Steele et al. 2014, SplitMix64)."""
     number = (number ^ (number >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     number = (number ^ (number >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
     return number ^ (number >> np.uint64(31))
@@ -340,11 +339,11 @@ def _mixed(number):  # type: ignore[no-untyped-def]
 def _begun(seed, ray, sample):  # type: ignore[no-untyped-def]
     """The random stream of one path."""
     step = np.uint64(0x9E3779B97F4A7C15)
-    return _mixed(_mixed(_mixed(seed + step) ^ (ray + step)) ^ (sample + step))
+    return scrambled(scrambled(scrambled(seed + step) ^ (ray + step)) ^ (sample + step))
 
 
 @inlined
 def _draw(state):  # type: ignore[no-untyped-def]
     """The stream's next state, and a number in (0, 1)."""
     state = state + np.uint64(0x9E3779B97F4A7C15)
-    return state, (np.float64(_mixed(state) >> np.uint64(11)) + 0.5) * (1.0 / 9007199254740992.0)
+    return state, (np.float64(scrambled(state) >> np.uint64(11)) + 0.5) * (1.0 / 9007199254740992.0)

@@ -1,24 +1,19 @@
-"""A scene and the volume of its clouds, traced together: no approximation.
-
-Two ways, of the same mean.
+"""A scene and the volume of its clouds, traced together: no approximation. There are two ways, of the same mean.
 
 Whole: all in one scene, clouds as bricks (render/cloud_bricks.py), by the renderer's volume path tracer. For fog, for
-cameras in or above the clouds, and for those that are assembled from others. A path ends where it leaves the world or
-by chance, never by a number of scatterings: through clouds of an optical depth of 100 it takes hundreds of them.
+cameras in or above the clouds, and for assembled cameras. A path ends where it leaves the world or by chance, never by
+a number of scatterings: through clouds of an optical depth of 100 it takes hundreds of them.
 
 Parted: where all plants, the ground and the camera lie below the lowest cloud. A path is cut where it passes from the
-scene to the clouds or back, and each part is left to whoever is good at it:
+scene to the clouds or back:
 
 1. Light that comes from the sun straight to a surface, however thinned by clouds, and on from surface to surface to the
-   camera. The volume path tracer, with clouds that only take away.
+   camera: by the volume path tracer, with clouds that only absorb.
 2. All other light enters a path, seen from the camera, where it leaves the scene. Paths among surfaces are the
-   renderer's (`EscapeScene` tells where they leave); random walks through the clouds from there on are our own
+   renderer's (`EscapeScene` finds where they leave); random walks through the clouds from there on are our own
    (render/volume_random_walk.py), and find the sun, scattered, and the sky.
-3. A walk that leaves the clouds downwards meets the scene again. One in `_DOWN_EVERY` is followed there, at that many
-   times its weight, in the whole way.
-
-Light that goes to and fro between forest and clouds, any number of times, is counted once, so the mean is that of the
-whole way.
+3. A walk that leaves the clouds downwards meets the scene again. One in `_DOWN_EVERY` is followed there in the whole
+   way, at that many times its weight. So light that goes to and fro between forest and clouds is counted once.
 """
 
 from __future__ import annotations

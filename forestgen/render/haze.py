@@ -63,8 +63,7 @@ from forestgen.atmosphere.grid import CloudGrid
 from forestgen.atmosphere.optical_depth import distance_into, optical_depth
 from forestgen.core.randomness import child_rng
 from forestgen.core.spectrum import Spectrum
-from forestgen.render.cloud_heights import base_of
-from forestgen.render.cloud_shadow import shadow_of
+from forestgen.render.cloud_shadow import base_of, shadow_of
 from forestgen.render.frame import Radiance
 from forestgen.render.identity.tracer import SceneTracer, sample_offsets
 from forestgen.render.light import along, sky_map, sun_irradiance

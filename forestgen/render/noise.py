@@ -115,22 +115,20 @@ class Schedule:
     """Which slice comes next. A function of what has been done alone: interrupted work goes on the same."""
 
     def __init__(self, until: StoppingCriterion, passes: int, least: int = 1) -> None:
-        """`least` is the number of samples below which a camera takes no pass."""
-        self._until, self._least = until, least
-        self._first = [max(size, least) for size in slice_sizes(-(-until.samples // passes))]
-        self._most = max(-(-until.most_samples // passes), sum(self._first))
-        self.stopped_by = ""
+        """`least` is the number of samples below which a camera takes no pass.
 
-    @property
-    def first(self) -> list[int]:
-        """Sizes of the slices that are always rendered (but for a time budget)."""
-        return self._first
+        `first` are sizes of the slices that are always rendered (but for a time budget).
+        """
+        self._until, self._least = until, least
+        self.first = [max(size, least) for size in slice_sizes(-(-until.samples // passes))]
+        self._most = max(-(-until.most_samples // passes), sum(self.first))
+        self.stopped_by = ""
 
     def next_size(self, total: SliceSum, noise: Noise, elapsed_s: float) -> int:
         """Samples of the next slice in each pass, 0 when the image is done: `stopped_by` then tells the key why."""
         size = self._wanted(total, noise)
         budget_s = self._until.time_budget_s
-        if size and budget_s is not None and total.slices >= min(2, len(self._first)):
+        if size and budget_s is not None and total.slices >= min(2, len(self.first)):
             fits = int((budget_s - elapsed_s) / (elapsed_s / total.samples)) if elapsed_s > 0 else size
             if fits < 1:
                 self.stopped_by = "time_budget_s"
@@ -140,45 +138,39 @@ class Schedule:
     def asks_for_noise(self, total: SliceSum) -> bool:
         """Whether the next slice depends on the noise so far."""
         targets = (self._until.target_error, self._until.target_error_p95)
-        return targets != (None, None) and total.slices >= len(self._first)
+        return targets != (None, None) and total.slices >= len(self.first)
 
     def progress(self, total: SliceSum, noise: Noise, elapsed_s: float) -> float:
         """Share of the work that is done, at a guess."""
         if not total.samples:
             return 0.0
-        need = min(self._need(total, noise), float(self._most)) if self._until.open_ended else float(sum(self._first))
+        need = min(self._need(total, noise), float(self._most)) if self._until.open_ended else float(sum(self.first))
         if self._until.time_budget_s is not None and elapsed_s > 0:
             need = min(need, total.samples * self._until.time_budget_s / elapsed_s)
-        return min(total.samples / max(need, sum(self._first), 1.0), 1.0)
+        return min(total.samples / max(need, sum(self.first), 1.0), 1.0)
 
     def _wanted(self, total: SliceSum, noise: Noise) -> int:
-        if total.slices < len(self._first):
-            return self._first[total.slices]
+        if total.slices < len(self.first):
+            return self.first[total.slices]
+        need = self._need(total, noise)
         if not self._until.open_ended:
             self.stopped_by = "samples"
-            return 0
-        need = self._need(total, noise)
-        if need <= total.samples:
+        elif need <= total.samples:
             self.stopped_by = "target_error"
-            return 0
-        if total.samples >= self._most:
+        elif total.samples >= self._most:
             self.stopped_by = "most_samples"
+        if self.stopped_by:
             return 0
         need = min(need, float(self._most))
-        size = max(self._first[0], min(int(need / _SHARE_OF_NEED), MOST_SLICE_SAMPLES))
+        size = max(self.first[0], min(int(need / _SHARE_OF_NEED), MOST_SLICE_SAMPLES))
         size = max(min(size, math.ceil(need - total.samples)), total.samples // _FINEST)
         return max(min(size, self._most - total.samples), self._least)
 
     def _need(self, total: SliceSum, noise: Noise) -> float:
         """Samples in each pass that the targets ask for."""
-        ratios = [
-            error / target
-            for error, target in (
-                (noise.relative_error, self._until.target_error),
-                (noise.relative_error_p95, self._until.target_error_p95),
-            )
-            if target is not None
-        ]
+        errors = (noise.relative_error, noise.relative_error_p95)
+        targets = (self._until.target_error, self._until.target_error_p95)
+        ratios = [error / target for error, target in zip(errors, targets, strict=True) if target is not None]
         if not ratios or math.isnan(max(ratios)):
             return math.inf
         return total.samples * max(ratios) ** 2

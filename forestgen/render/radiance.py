@@ -147,7 +147,8 @@ def _replicates(
     try:
         while True:
             elapsed_s = before_s + time.monotonic() - start_s
-            noise = _noise(total, schedule, seen)
+            decides = schedule.asks_for_noise(total)
+            noise = noise_of(total.estimate(), seen) if decides else Noise(np.nan, np.nan)
             done = int(_STEPS * schedule.progress(total, noise, elapsed_s))
             advance(max(done - shown, 0))
             shown = max(done, shown)
@@ -165,13 +166,6 @@ def _replicates(
     if kept is not None:
         kept.drop()
     return total, noise_of(total.estimate(), seen)
-
-
-def _noise(total: SliceSum, schedule: Schedule, seen: NDArray[np.bool_]) -> Noise:
-    """Of the image so far, where it decides anything."""
-    if not schedule.asks_for_noise(total):
-        return Noise(np.nan, np.nan)
-    return noise_of(total.estimate(), seen)
 
 
 def _replicate(job: RenderJob, view: View, quadrature: Quadrature, number: int, samples: int) -> NDArray[np.float64]:

@@ -8,7 +8,7 @@ Under far clouds three parts add up: light of the sky on the scene, from a map t
 and corrected for what lies elsewhere; light of the sun on the scene, through the clouds' shadow
 (render/cloud_shadow.py), found by the same paths; and the sky itself in the share of each pixel that the scene leaves
 open (`sky_pixels`). Clouds never enter the scene that paths meet, so a view costs about what it costs under a clear
-sky. When that holds: render/cloud_heights.py.
+sky. When that holds: render/cloud_shadow.py.
 """
 
 from __future__ import annotations
@@ -25,9 +25,8 @@ from forestgen.core.progress import Progress
 from forestgen.core.randomness import child_rng, child_seed
 from forestgen.render import sky
 from forestgen.render.build import origin_of
-from forestgen.render.cloud_heights import base_of
 from forestgen.render.cloud_paths import gather
-from forestgen.render.cloud_shadow import ShadowPlane, shadow_plane_of
+from forestgen.render.cloud_shadow import ShadowPlane, base_of, shadow_plane_of
 from forestgen.render.identity import SceneTracer
 from forestgen.render.job import RenderJob, Timer, View
 from forestgen.render.light import has_sun, sky_map, sun_irradiance, sun_radiance

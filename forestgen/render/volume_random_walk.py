@@ -27,6 +27,7 @@ from forestgen.atmosphere.grid import CloudGrid
 from forestgen.atmosphere.optical_depth import advanced, clipped, corners, entered, inside, mixed, piece
 from forestgen.core.compiled import borrowed, compiled
 from forestgen.core.threads import over_ranges
+from forestgen.render.cloud_paths import scrambled
 
 _BOX_CELLS = 4  # along the side of a box with one largest extinction
 _CERTAIN_DEPTH = 1.5
@@ -103,7 +104,9 @@ def _walk(value, most, low, cell, optics, disc, seed, first_ray, end_ray, leaves
     state = np.zeros(1, dtype=np.uint64)
     turned = np.zeros(3)
     for ray in range(first_ray, end_ray):
-        state[0] = _mixed(seed ^ _mixed(np.uint64(ray) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(0x632BE59BD9B4E019)))
+        state[0] = scrambled(
+            seed ^ scrambled(np.uint64(ray) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(0x632BE59BD9B4E019))
+        )
         # Place and direction in cells; t is in metres.
         x = (leaves[ray, 0] - low[0]) * scale_x
         y = (leaves[ray, 1] - low[1]) * scale_y
@@ -140,18 +143,10 @@ def _walk(value, most, low, cell, optics, disc, seed, first_ray, end_ray, leaves
 
 
 @compiled
-def _mixed(number):  # type: ignore[no-untyped-def]
-    """A 64-bit number scrambled (Steele et al. 2014, SplitMix64)."""
-    number = (number ^ (number >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    number = (number ^ (number >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    return number ^ (number >> np.uint64(31))
-
-
-@compiled
 def _random(state):  # type: ignore[no-untyped-def]
     """The next number in [0, 1)."""
     state[0] += np.uint64(0x9E3779B97F4A7C15)
-    return np.float64(_mixed(state[0]) >> np.uint64(11)) * (1.0 / 9007199254740992.0)
+    return np.float64(scrambled(state[0]) >> np.uint64(11)) * (1.0 / 9007199254740992.0)
 
 
 @compiled

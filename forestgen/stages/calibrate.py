@@ -16,7 +16,7 @@ from forestgen.core.randomness import child_seed
 from forestgen.core.spectrum import Spectrum
 from forestgen.core.timing import Timings
 from forestgen.recipe.load import LoadedRecipe
-from forestgen.render.cloud_heights import check_far_clouds, near_base_of
+from forestgen.render.cloud_shadow import check_far_clouds, near_base_of
 from forestgen.render.identity import SceneTracer, trace_identity
 from forestgen.render.irradiance import WAVELENGTHS_NM, ChartImages, Source, measure, render_chart
 from forestgen.render.skies.model import sky_model_of

@@ -13,7 +13,7 @@ from forestgen.dataset.formats.format import load_formats
 from forestgen.labels.channels.channel import ChannelView
 from forestgen.recipe.registries import LABEL_CHANNELS
 from forestgen.recipe.schema import Recipe
-from forestgen.render.cloud_heights import cloud_transport_of
+from forestgen.render.cloud_shadow import cloud_transport_of
 from forestgen.render.denoise import denoise, denoise_bands, trace_guides
 from forestgen.render.frame import Frame, Radiance, Surface
 from forestgen.render.haze import KOSCHMIEDER, through_haze

@@ -22,7 +22,7 @@ from forestgen.core.randomness import child_seed
 from forestgen.core.spectrum import LUMINANCE, Spectrum
 from forestgen.core.timing import Timings
 from forestgen.recipe.load import LoadedRecipe
-from forestgen.render.cloud_heights import check_far_clouds
+from forestgen.render.cloud_shadow import check_far_clouds
 from forestgen.render.irradiance import REPLICATES, PointLight, measure
 from forestgen.scene.colour_checker import temperature_of
 from forestgen.stages.community import final_population

@@ -365,7 +365,7 @@ def _located(cause: RecipeError | ResourceError, drawn: DrawnRecipe) -> RecipeEr
 
 def _may_be_exact(drawn: DrawnRecipe) -> bool:
     """Whether the light of a recipe with clouds may be traced through them; see `render.transport`."""
-    from forestgen.render.cloud_heights import GAP_OF_SITE, LEAST_GAP_M
+    from forestgen.render.cloud_shadow import GAP_OF_SITE, LEAST_GAP_M
 
     recipe, base_m = drawn.recipe, cloud_source_of(drawn).known_base_m(drawn)
     if recipe.render.clouds != "auto" or base_m is None:

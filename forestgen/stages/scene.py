@@ -20,7 +20,7 @@ from forestgen.plants.growing import grow_exemplars
 from forestgen.plants.levels import level_for, level_of_index
 from forestgen.plants.registry import GENERATORS
 from forestgen.plants.solids import as_solids
-from forestgen.render.cloud_heights import cloud_transport_of
+from forestgen.render.cloud_shadow import cloud_transport_of
 from forestgen.scene.assemble import pixel_size_m, place_instances, stand_on
 from forestgen.scene.camera_path import next_frame
 from forestgen.scene.exemplar_plan import ExemplarPlan

@@ -14,8 +14,8 @@ from forestgen.core.spectrum import Spectrum
 from forestgen.render import sky
 from forestgen.render.build import load, origin_of, scene_dict
 from forestgen.render.capture import sensor_of
-from forestgen.render.cloud_heights import base_of
 from forestgen.render.cloud_paths import gather
+from forestgen.render.cloud_shadow import base_of
 from forestgen.render.light import sky_light, sky_map, sun_disc, sun_irradiance
 from forestgen.render.noise import SliceSum, slice_sizes
 from forestgen.render.surfaces import SpectralBsdfs

@@ -61,10 +61,10 @@ class Transport:
         cx, cy, cz = self._per_m
         between, squeeze, opened = self._between, self._squeeze, self.openness
         flat = (u, v, squeeze, cx, cy, opened, low)
-        over_slabs(z, y * x, lambda a, b: _x_then_y(ratio, between, *flat, a + 2, b + 2))
+        over_slabs(z, y * x, lambda a, b: _sweep_flat(ratio, between, True, *flat, a + 2, b + 2))
         over_slabs(y, z * x, lambda a, b: _along_z(between, w, squeeze, cz, opened, low, a + 2, b + 2))
         fill_sides(between[2:-2])
-        over_slabs(z, y * x, lambda a, b: _y_then_x(between, ratio, *flat, a + 2, b + 2))
+        over_slabs(z, y * x, lambda a, b: _sweep_flat(between, ratio, False, *flat, a + 2, b + 2))
 
 
 @unchecked
@@ -79,36 +79,24 @@ def _squeeze(out, u, v, cx, cy, first, end):  # type: ignore[no-untyped-def]
 
 
 @unchecked
-def _x_then_y(ratio, out, u, v, squeeze, cx, cy, opened, least, first, end):  # type: ignore[no-untyped-def]
+def _sweep_flat(ratio, out, x_first, u, v, squeeze, cx, cy, opened, least, first, end):  # type: ignore[no-untyped-def]
+    """Half a step along x and then y, or along y and then x."""
     ratio, out, u, v, squeeze = borrowed(ratio), borrowed(out), borrowed(u), borrowed(v), borrowed(squeeze)
     rows = ratio.shape[1]
     plane, work = np.empty(ratio.shape[1:], np.float32), np.empty((6, ratio.shape[2]), np.float32)
     x, y = _HALF * cx, _HALF * cy
     for k in range(first, end):
         plane[:] = ratio[k]
-        _sweep_x(plane, u[k], squeeze[:, k], _ZERO, -_ONE, x, _opened(opened, 0, k), least, 0, rows, work)
-        _sweep_y(plane, v[k], squeeze[0, k], squeeze[1, k], -_ONE, y, _opened(opened, 1, k), least, work)
+        opened_x = None if opened is None else opened[0][k]
+        opened_y = None if opened is None else opened[1][k]
+        by_x, by_both = squeeze[0, k], squeeze[1, k]
+        if x_first:
+            _sweep_x(plane, u[k], squeeze[:, k], _ZERO, -_ONE, x, opened_x, least, 0, rows, work)
+            _sweep_y(plane, v[k], by_x, by_both, -_ONE, y, opened_y, least, work)
+        else:
+            _sweep_y(plane, v[k], by_both, by_x, _ONE, y, opened_y, least, work)
+            _sweep_x(plane, u[k], squeeze[:, k], _ONE, _ZERO, x, opened_x, least, 2, rows - 2, work)
         out[k, 2:-2, 2:-2] = plane[2:-2, 2:-2]
-
-
-@unchecked
-def _y_then_x(ratio, out, u, v, squeeze, cx, cy, opened, least, first, end):  # type: ignore[no-untyped-def]
-    ratio, out, u, v, squeeze = borrowed(ratio), borrowed(out), borrowed(u), borrowed(v), borrowed(squeeze)
-    rows = ratio.shape[1]
-    plane, work = np.empty(ratio.shape[1:], np.float32), np.empty((6, ratio.shape[2]), np.float32)
-    x, y = _HALF * cx, _HALF * cy
-    for k in range(first, end):
-        plane[:] = ratio[k]
-        _sweep_y(plane, v[k], squeeze[1, k], squeeze[0, k], _ONE, y, _opened(opened, 1, k), least, work)
-        _sweep_x(plane, u[k], squeeze[:, k], _ONE, _ZERO, x, _opened(opened, 0, k), least, 2, rows - 2, work)
-        out[k, 2:-2, 2:-2] = plane[2:-2, 2:-2]
-
-
-@unchecked
-def _opened(opened, axis, k):  # type: ignore[no-untyped-def]
-    if opened is None:
-        return None
-    return opened[axis][k]
 
 
 @unchecked

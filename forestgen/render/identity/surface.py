@@ -61,19 +61,26 @@ def trace_identity(
 
 def _trace_samples(tracer: SceneTracer, camera: Camera, samples: int, rows: slice, identity: Identity) -> None:
     """Fill `rows`, all samples of all their pixels in one launch."""
-    mi, dr = mitsuba(), drjit()
-    byte = dr.uint8_array_t(mi.UInt32)
     hits = tracer.trace(camera, sample_offsets(samples), rows.start, rows.stop - rows.start)
-    found = {
+    wanted = {name for name, field in vars(identity).items() if field is not None}
+    _fill(identity, rows, {name: values for name, values in _ids(tracer, hits).items() if name in wanted})
+
+
+def _ids(tracer: SceneTracer, hits: Hits) -> dict[str, Any]:
+    """What is hit, by the names of the fields of `Identity` and `Surface`."""
+    mi, dr = mitsuba(), drjit()
+    return {
         "plant_id": dr.gather(mi.UInt32, tracer.table.plant_id, hits.instance, hits.valid),
-        "part": byte(dr.gather(mi.UInt32, tracer.table.part, hits.organ, hits.valid)),
+        "part": dr.uint8_array_t(mi.UInt32)(dr.gather(mi.UInt32, tracer.table.part, hits.organ, hits.valid)),
+        "exemplar": dr.gather(mi.UInt32, tracer.table.exemplar, hits.instance, hits.valid),
+        "face": tracer.face_in_exemplar(hits),
     }
-    if identity.face is not None:
-        found["exemplar"] = dr.gather(mi.UInt32, tracer.table.exemplar, hits.instance, hits.valid)
-        found["face"] = tracer.face_in_exemplar(hits)
-    dr.eval(found)
+
+
+def _fill(target: Identity | Surface, rows: slice, found: dict[str, Any]) -> None:
+    drjit().eval(found)
     for name, values in found.items():
-        field = getattr(identity, name)
+        field = getattr(target, name)
         field[rows] = np.array(values).reshape(field[rows].shape)
 
 
@@ -98,14 +105,9 @@ def empty_surface(height: int, width: int) -> Surface:
 def trace_rows(tracer: SceneTracer, camera: Camera, rows: slice, surface: Surface) -> None:
     """Fill `rows` of `surface`."""
     mi, dr = mitsuba(), drjit()
-    width, count = camera.size_px[0], rows.stop - rows.start
-    hits = tracer.trace(camera, np.array([0.5, 0.5]), rows.start, count)
+    hits = tracer.trace(camera, np.array([0.5, 0.5]), rows.start, rows.stop - rows.start)
     normal = tracer.geometric_normal(hits)
-    found = {
-        "plant_id": dr.gather(mi.UInt32, tracer.table.plant_id, hits.instance, hits.valid),
-        "part": dr.gather(mi.UInt32, tracer.table.part, hits.organ, hits.valid),
-        "exemplar": dr.gather(mi.UInt32, tracer.table.exemplar, hits.instance, hits.valid),
-        "face": tracer.face_in_exemplar(hits),
+    found = _ids(tracer, hits) | {
         "depth_m": dr.select(hits.valid, hits.distance_m * hits.rays.depth_share, dr.inf),
         "distance_m": dr.select(hits.valid, hits.distance_m, dr.inf),
         "normal": dr.ravel(normal),
@@ -113,10 +115,7 @@ def trace_rows(tracer: SceneTracer, camera: Camera, rows: slice, surface: Surfac
         "albedo": dr.ravel(albedo(tracer, hits)),
         "sun_visible": dr.select(sun_visible(tracer, camera, hits, normal), mi.UInt32(1), 0),
     }
-    dr.eval(found)
-    for name, values in found.items():
-        field = getattr(surface, name)
-        field[rows] = np.array(values).reshape(count, width, *field.shape[2:])
+    _fill(surface, rows, found)
     surface.position_m[rows] = positions(camera, rows, surface.distance_m[rows])
 
 

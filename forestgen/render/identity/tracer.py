@@ -262,20 +262,17 @@ class SceneTracer:
     def __init__(self, spec: SceneSpec, timer: Callable[[str], Any], variant: str | None = None) -> None:
         self.variant = tracing_variant() if variant is None else variant
         require(self.variant)
-        with using(self.variant), timer("identity: build"):
-            self._load(spec)
-
-    def _load(self, spec: SceneSpec) -> None:
         # Of the cameras' own surroundings: a single camera stands in the origin, where coordinates are exact.
         self.spec, self.origin_m = spec, np.mean([origin_of(camera) for camera in spec.cameras], axis=0)
-        scene = plants_dict(spec, self.origin_m, None)
-        scene["terrain"] = to_mesh(spec.terrain.mesh, None, self.origin_m, "terrain")
-        self.scene = load(_slim(scene) if self.variant == LLVM else scene)
-        self._row_of_registry = self._registry_rows(len(spec.instances))
-        self.table = uploaded(hit_tables(spec))
-        dr = drjit()
-        self.to_sun = mitsuba().Vector3f(*[dr.opaque(mitsuba().Float, float(value)) for value in spec.sky.to_sun])
-        dr.eval()
+        with using(self.variant) as mi, timer("identity: build"):
+            dr = drjit()
+            scene = plants_dict(spec, self.origin_m, None)
+            scene["terrain"] = to_mesh(spec.terrain.mesh, None, self.origin_m, "terrain")
+            self.scene = load(_slim(scene) if self.variant == LLVM else scene)
+            self._row_of_registry = self._registry_rows(len(spec.instances))
+            self.table = uploaded(hit_tables(spec))
+            self.to_sun = mi.Vector3f(*[dr.opaque(mi.Float, float(value)) for value in spec.sky.to_sun])
+            dr.eval()
 
     def _registry_rows(self, instances: int) -> Any:
         """Table from the renderer's registry id of an instance to its row + 1; anything else maps to 0."""

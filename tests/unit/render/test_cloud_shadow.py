@@ -10,8 +10,7 @@ import pytest
 from forestgen.atmosphere.grid import CloudGrid
 from forestgen.render.build import load, origin_of, scene_dict
 from forestgen.render.capture import sensor_of
-from forestgen.render.cloud_heights import base_of
-from forestgen.render.cloud_shadow import plane_edges, shadow_of, shadow_rectangle, sun_transmittance
+from forestgen.render.cloud_shadow import base_of, plane_edges, shadow_of, shadow_rectangle, sun_transmittance
 from forestgen.render.light import sun_disc
 from forestgen.render.surfaces import SpectralBsdfs
 from forestgen.render.variant import SCALAR, mitsuba

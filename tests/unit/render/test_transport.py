@@ -9,15 +9,15 @@ import pytest
 
 from forestgen.atmosphere.grid import CloudGrid
 from forestgen.core.errors import RecipeError
-from forestgen.render.cloud_heights import (
+from forestgen.render.cloud_shadow import (
     base_of,
     check_far_clouds,
     cloud_transport_of,
     highest,
     least_gap_m,
     shadow_height_m,
+    shadow_of,
 )
-from forestgen.render.cloud_shadow import shadow_of
 from forestgen.scene.spec import SceneSpec
 from support.scenes import camera_at, plain_ground, scattered_scene
 
