@@ -35,7 +35,7 @@ from forestgen.community.soil_water.ground import Ground
 from forestgen.community.soil_water.model import SoilWater
 from forestgen.core.timing import Timings
 from forestgen.recipe.load import load_recipe
-from forestgen.stages.plan import check_plan
+from forestgen.scene.planning import check_plan
 
 Floats = NDArray[np.float64]
 RECIPES = Path(__file__).resolve().parents[1] / "recipes" / "ecoclimates"
@@ -79,9 +79,14 @@ def grown(overrides: tuple[str, ...]) -> dict[int, Stand]:
     """A stand by step."""
     plan = check_plan(load_recipe(RECIPES / "stand.yaml", overrides))
     course = simulate(
-        plan.model, plan.model_parameters, plan.site, plan.ecologies, plan.drawn.image_seed, steps=plan.steps
+        plan.community.model,
+        plan.community.parameters,
+        plan.community.site,
+        plan.community.ecologies,
+        plan.drawn.image_seed,
+        steps=plan.community.steps,
     )
-    return {one.step: _stand(one, plan.site.area_m2) for one in course}
+    return {one.step: _stand(one, plan.community.site.area_m2) for one in course}
 
 
 def _stand(one: Population, area_m2: float) -> Stand:
@@ -236,7 +241,14 @@ def year(report: Report, quick: bool, seeds: range) -> Figure:
     seconds: list[float] = []
     last: Population | None = None
     with parts_timed() as times:
-        for one in simulate(plan.model, plan.model_parameters, plan.site, plan.ecologies, seeds[0], steps=12):
+        for one in simulate(
+            plan.community.model,
+            plan.community.parameters,
+            plan.community.site,
+            plan.community.ecologies,
+            seeds[0],
+            steps=12,
+        ):
             seconds.append(perf_counter() - start)
             if last is None:
                 times.seconds.clear()  # those of the start

@@ -121,15 +121,17 @@ def judge_patch(report: Report, stands: Sequence[Stand]) -> None:
 
 def top_height_m(stand: Stand, population: Population) -> float:
     """Mean height of the tallest trees, a hundred a hectare."""
-    count = max(1, round(TOP_PER_HA * stand.plan.site.area_ha))
+    count = max(1, round(TOP_PER_HA * stand.plan.community.site.area_ha))
     return float(np.sort(population.height_m)[-count:].mean())
 
 
 def bare_wetness(stand: Stand) -> Floats:
     """(rows, cols) soil water before anything grew, mm a year; nan where nothing can grow."""
     wet = wetness(stand.plan, stand.moments[0])
-    x, y = np.moveaxis(middles(stand.plan.site.size_m, wet.shape), -1, 0)
-    blocked = is_blocked(parameters_of(stand.plan).blocked_soil(), x.ravel(), y.ravel(), stand.plan.site.size_m)
+    x, y = np.moveaxis(middles(stand.plan.community.site.size_m, wet.shape), -1, 0)
+    blocked = is_blocked(
+        parameters_of(stand.plan).blocked_soil(), x.ravel(), y.ravel(), stand.plan.community.site.size_m
+    )
     return np.where(blocked.reshape(wet.shape), np.nan, wet)
 
 
@@ -145,7 +147,7 @@ def judge_hills(report: Report, stands: Sequence[Stand], steady: Sequence[Stand]
     check = checker(report)
     stages = [[one.at(year) for year in DIEBACK_YR.values()] for one in stands]
     trees = [[int(tall(one).sum()) for one in each] for each in stages]
-    leaf = [[float(leaves(one).sum()) / stands[0].plan.site.area_m2 for one in each] for each in stages]
+    leaf = [[float(leaves(one).sum()) / stands[0].plan.community.site.area_m2 for one in each] for each in stages]
     top = [[top_height_m(stand, one) for one in each] for stand, each in zip(stands, stages, strict=True)]
     wet = [[wettest_share(stand, one) for one in each] for stand, each in zip(stands, stages, strict=True)]
     for a, b, c, d in zip(trees, leaf, top, wet, strict=True):
@@ -169,7 +171,11 @@ def judge_hills(report: Report, stands: Sequence[Stand], steady: Sequence[Stand]
 
 def optimum_mm(stand: Stand, population: Population) -> Floats:
     """(N,) rain that each plant's species likes best, mm a year."""
-    best = {one.name: one.modules.precipitation_mm_per_yr for one in stand.plan.ecologies if one.modules is not None}
+    best = {
+        one.name: one.modules.precipitation_mm_per_yr
+        for one in stand.plan.community.ecologies
+        if one.modules is not None
+    }
     return np.array([best[name] for name in population.species_names])[population.species]
 
 
@@ -192,7 +198,7 @@ def judge_tropics(report: Report, stands: Sequence[Stand]) -> None:
     liked = [[liked_mm(stand, one) for one in each] for stand, each in zip(stands, stages, strict=True)]
     apart = [[segregation(stand, one) for one in each] for stand, each in zip(stands, stages, strict=True)]
     wanting = [
-        [(leaves(one).sum() - _leaf_m2(one, "shrub")) / stand.plan.site.area_m2 for one in each]
+        [(leaves(one).sum() - _leaf_m2(one, "shrub")) / stand.plan.community.site.area_m2 for one in each]
         for stand, each in zip(stands, stages, strict=True)
     ]
     stages_mm = list(ARIDITY_YR)
@@ -242,7 +248,7 @@ def _draw_patch(row: Any, stand: Stand) -> None:
     left, right = row.subplots(1, 2)
     years = [one.time_yr for one in stand.moments]
     for name, leaf in stand.leaf_m2().items():
-        left.plot(years, leaf / stand.plan.site.area_m2, color=COLOURS[name], lw=1.8, label=name)
+        left.plot(years, leaf / stand.plan.community.site.area_m2, color=COLOURS[name], lw=1.8, label=name)
         if name != "shrub":
             right.plot(years, modules_each(stand, name), color=COLOURS[name], lw=1.8, label=name)
     for axes, label in ((left, "leaves (m²/m²)"), (right, "branch modules a tree")):

@@ -32,7 +32,7 @@ from forestgen.community.ecoclimate.months import local_climate
 from forestgen.community.ecoclimate.state import Ecoclimate
 from forestgen.community.plots import new_figure
 from forestgen.community.population import Population
-from forestgen.stages.plan import Plan
+from forestgen.scene.plan import Plan
 from support.stand_measures import shares_in_bands
 
 MIDDLE_M = np.array([50.0, 40.0])  # of the circle that the recipe sows
@@ -99,7 +99,9 @@ def climax_share(population: Population, distance_m: Floats, least_m: float, mos
 
 
 def state_of(plan: Plan, population: Population) -> Ecoclimate:
-    state = plan.model.resume(parameters_of(plan), plan.site, plan.ecologies, plan.drawn.image_seed, population)
+    state = plan.community.model.resume(
+        parameters_of(plan), plan.community.site, plan.community.ecologies, plan.drawn.image_seed, population
+    )
     assert isinstance(state, Ecoclimate)
     return state
 
@@ -111,7 +113,7 @@ def microclimate_of(stand: Stand, population: Population) -> tuple[Floats, Float
     stature = stature_of(state.forest.modules, state.forest.plants.species, kinds.tables, kinds.traits)
     around = surroundings_of(state.forest, kinds, stature.leaves)
     shape = population.maps["soil_mean_mm"].shape
-    place = middles(stand.plan.site.size_m, shape).reshape(-1, 2)
+    place = middles(stand.plan.community.site.size_m, shape).reshape(-1, 2)
     warm, wet = local_climate(state).at(place, around.light_at(place))
     return warm.reshape(shape), wet.reshape(shape)
 
@@ -122,7 +124,7 @@ def canopy_m(stand: Stand, population: Population) -> Floats:
     modules, plants = state.forest.modules, state.forest.plants
     centre, radius = spheres(kinds_at(state.forest).tables, modules, plants.species)
     foot = np.repeat(plants.position_m, np.diff(modules.first), axis=0)
-    cols, rows = (round(side) for side in stand.plan.site.size_m)
+    cols, rows = (round(side) for side in stand.plan.community.site.size_m)
     out = np.zeros((rows, cols))
     reach = int(np.ceil(radius.max(initial=0.0)))
     corner = np.floor(foot + centre[:, :2]).astype(np.int64)
@@ -215,7 +217,7 @@ def judge_edges(report: Report, stands: dict[str, list[Stand]]) -> None:
     warmer, drier = [], []
     for stand, one in zip(on, full, strict=True):
         warm, wet = microclimate_of(stand, one)
-        place = middles(stand.plan.site.size_m, warm.shape).reshape(-1, 2)
+        place = middles(stand.plan.community.site.size_m, warm.shape).reshape(-1, 2)
         depth = at_feet(to_edge_m(stand, one), stand.plan, place).reshape(warm.shape)
         rim, within = (depth > 0) & (depth < EDGE_M), depth > INSIDE_M
         warmer.append(float(warm[rim].mean() - warm[within].mean()))
@@ -239,7 +241,7 @@ def judge_edges(report: Report, stands: dict[str, list[Stand]]) -> None:
     warmer, drier = [], []
     for stand in on:
         warm, wet = microclimate_of(stand, stand.at(OPEN_YR))
-        far = strip_distance(*np.moveaxis(middles(stand.plan.site.size_m, warm.shape), -1, 0))
+        far = strip_distance(*np.moveaxis(middles(stand.plan.community.site.size_m, warm.shape), -1, 0))
         rim, within = np.abs(far) <= EDGE_M, (far > EDGE_M) & (far <= STRIP_BANDS_M[-1])
         warmer.append(float(warm[rim].mean() - warm[within].mean()))
         drier.append(float(wet[rim].mean() / wet[within].mean()))
@@ -285,7 +287,7 @@ def edges_picture(stands: dict[str, list[Stand]]) -> Figure:
         draw_stand(axis, stand, stand.at(FULL_YR), f"{name}, year {FULL_YR}", wettest=1200)
     figure.colorbar(shown, ax=axes[0, :], label="soil water (mm a year)", shrink=0.8, pad=0.01)
     warm, _ = microclimate_of(on, on.at(FULL_YR))
-    width, depth = on.plan.site.size_m
+    width, depth = on.plan.community.site.size_m
     heat = axes[1, 2].imshow(warm, origin="lower", extent=(0, width, 0, depth), cmap="inferno")
     axes[1, 2].set(title=f"warmth at the ground, year {FULL_YR}", xticks=[], yticks=[])
     figure.colorbar(heat, ax=axes[1, 2], label="°C", shrink=0.8)

@@ -38,7 +38,7 @@ class Side:
 
 def sides_of(stand: Stand) -> tuple[Side, Side]:
     """The windward side, which is the western one, and the lee."""
-    last, site = stand.moments[-1], stand.plan.site
+    last, site = stand.moments[-1], stand.plan.community.site
     assert site.height is not None
     shape = last.maps["warmth_mean_k"].shape
     place = middles(site.size_m, shape)
@@ -111,7 +111,7 @@ def judge_foehn(report: Report, stands: dict[str, list[Stand]]) -> None:
 
 def foehn_picture(stands: dict[str, list[Stand]]) -> Figure:
     stand = stands["microclimate"][0]
-    maps, site = stand.moments[-1].maps, stand.plan.site
+    maps, site = stand.moments[-1].maps, stand.plan.community.site
     assert site.height is not None
     width, depth = site.size_m
     x = middles(site.size_m, maps["wetness"].shape)[0, :, 0]

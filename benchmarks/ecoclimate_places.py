@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 from forestgen.community.ecoclimate.months import worth_mm_per_yr
 from forestgen.community.ecoclimate.parameters import EcoclimateParameters
 from forestgen.community.population import Population
+from forestgen.community.simulation import snapshots
 from forestgen.core.progress import Silent
 from forestgen.recipe.load import load_recipe
-from forestgen.stages.community import snapshots
-from forestgen.stages.plan import Plan, check_plan
+from forestgen.scene.plan import Plan
+from forestgen.scene.planning import check_plan
 
 Floats = NDArray[np.float64]
 Places = NDArray[np.float64]  # (N, 2) world x and y, metres
@@ -60,7 +61,11 @@ class Stand:
 def grown(recipe: str, seed: int, settings: Sequence[str] = ()) -> Stand:
     start = perf_counter()
     plan = check_plan(load_recipe(RECIPES / recipe, [f"seed={seed}", *settings]), simulate_only=True)
-    kept = [one for one in snapshots(plan, Silent()) if one.time_yr % STEP_YR == 0 or one.step == plan.steps]
+    kept = [
+        one
+        for one in snapshots(plan.community, Silent())
+        if one.time_yr % STEP_YR == 0 or one.step == plan.community.steps
+    ]
     return Stand(plan, tuple(kept), perf_counter() - start)
 
 
@@ -69,8 +74,8 @@ def leaves(population: Population) -> Floats:
 
 
 def parameters_of(plan: Plan) -> EcoclimateParameters:
-    assert isinstance(plan.model_parameters, EcoclimateParameters)
-    return plan.model_parameters
+    assert isinstance(plan.community.parameters, EcoclimateParameters)
+    return plan.community.parameters
 
 
 def wetness(plan: Plan, population: Population) -> Floats:
@@ -82,7 +87,7 @@ def wetness(plan: Plan, population: Population) -> Floats:
 def at_feet(values: Floats, plan: Plan, place: Places) -> Floats:
     """(N,) of a map over the site."""
     shape = values.shape[::-1]
-    cell = np.minimum((place / plan.site.size_m * shape).astype(np.int64), np.array(shape) - 1)
+    cell = np.minimum((place / plan.community.site.size_m * shape).astype(np.int64), np.array(shape) - 1)
     return np.asarray(values[cell[:, 1], cell[:, 0]])
 
 
@@ -96,7 +101,7 @@ def draw_stand(axes: Any, stand: Stand, population: Population, title: str, *, w
     """Crowns over the soil's water; large ones below."""
     from matplotlib.collections import EllipseCollection
 
-    width, depth = stand.plan.site.size_m
+    width, depth = stand.plan.community.site.size_m
     shown = axes.imshow(
         wetness(stand.plan, population), origin="lower", extent=(0, width, 0, depth), cmap="Blues", vmin=0, vmax=wettest
     )

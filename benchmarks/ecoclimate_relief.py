@@ -28,7 +28,7 @@ from silviculture_stands import Report
 
 from forestgen.community.plots import new_figure
 from forestgen.community.population import Population
-from forestgen.stages.plan import Plan
+from forestgen.scene.plan import Plan
 
 LAKE_M = 10.0  # of the site's south, where nothing grows
 PIONEER, WET = "shrub", "poplar"
@@ -43,10 +43,10 @@ SETTLED_M2_PER_HA = 200.0  # of leaves, of a species that has established itself
 
 def rise_above_floor(plan: Plan, place: Places) -> Floats:
     """(N,) metres above the lowest ground at the same distance from the lake: how far up the valley's side."""
-    assert plan.site.height is not None
-    x = np.arange(0.5, plan.site.size_m[0])
-    along = plan.site.height(*np.meshgrid(x, place[:, 1]))
-    return np.asarray(plan.site.height(place[:, 0], place[:, 1]) - along.min(axis=1))
+    assert plan.community.site.height is not None
+    x = np.arange(0.5, plan.community.site.size_m[0])
+    along = plan.community.site.height(*np.meshgrid(x, place[:, 1]))
+    return np.asarray(plan.community.site.height(place[:, 0], place[:, 1]) - along.min(axis=1))
 
 
 def weighted(values: Floats, weight: Floats) -> float:
@@ -64,7 +64,7 @@ class Relief:
 
 def relief_of(stand: Stand, population: Population) -> Relief:
     plan, wet = stand.plan, wetness(stand.plan, population)
-    ground = middles(plan.site.size_m, wet.shape).reshape(-1, 2)
+    ground = middles(plan.community.site.size_m, wet.shape).reshape(-1, 2)
     ground = ground[ground[:, 1] > LAKE_M]
     site_rise = rise_above_floor(plan, ground)
     low = float(np.quantile(site_rise, 0.25))
@@ -80,7 +80,7 @@ def relief_of(stand: Stand, population: Population) -> Relief:
 
 def established_yr(stand: Stand, name: str) -> float:
     """When a species first has so many leaves, years; inf: never."""
-    enough = SETTLED_M2_PER_HA * stand.plan.site.area_ha
+    enough = SETTLED_M2_PER_HA * stand.plan.community.site.area_ha
     years = [one.time_yr for one, leaf in zip(stand.moments, stand.leaf_m2()[name], strict=True) if leaf >= enough]
     return years[0] if years else float("inf")
 

@@ -17,10 +17,11 @@ from forestgen.community.ecoclimate.leaves import leaf_area_index
 from forestgen.community.ecoclimate.months import soil_of
 from forestgen.community.ecoclimate.parameters import EcoclimateParameters
 from forestgen.community.population import Population
+from forestgen.community.simulation import snapshots
 from forestgen.core.progress import Silent
 from forestgen.recipe.load import load_recipe
-from forestgen.stages.community import snapshots
-from forestgen.stages.plan import Plan, check_plan
+from forestgen.scene.plan import Plan
+from forestgen.scene.planning import check_plan
 from support.field_measures import FieldMeasures, measure_field
 from support.persistence import field_features, holes
 
@@ -86,7 +87,7 @@ def plan_of(settings: Sequence[str], seed: int, *, rain: float | None = None, ov
 
 
 def parameters_of(plan: Plan) -> EcoclimateParameters:
-    parameters = plan.model_parameters
+    parameters = plan.community.parameters
     assert isinstance(parameters, EcoclimateParameters)
     return parameters
 
@@ -98,18 +99,18 @@ def rain_of(plan: Plan) -> float:
 
 def wet_stand(settings: Sequence[str], seed: int) -> Population:
     """The stand after its wet years, from which every change begins."""
-    *_, last = snapshots(plan_of([*settings, f"community.steps={WET_YR}"], seed), Silent())
+    *_, last = snapshots(plan_of([*settings, f"community.steps={WET_YR}"], seed).community, Silent())
     return last
 
 
 def grown_on(plan: Plan, start: Population, years: Sequence[int]) -> Course:
     """The stand from `start` to the plan's last step, looked at closely in some years."""
     time_yr, plants, leaves, moments = [], [], [], {}
-    for population in snapshots(plan, Silent(), start):
+    for population in snapshots(plan.community, Silent(), start):
         time_yr.append(population.time_yr)
         plants.append(int(is_grown(population).sum()))
         mass_g = float(population.columns["leaf_area_m2"].sum()) * parameters_of(plan).soil_water.leaf_mass_g_per_m2
-        leaves.append(mass_g / plan.site.area_m2)
+        leaves.append(mass_g / plan.community.site.area_m2)
         if population.step in years:
             moments[population.step] = moment_of(plan, population)
     return Course(np.array(time_yr), np.array(plants), np.array(leaves), moments)
@@ -122,12 +123,14 @@ def is_grown(population: Population) -> NDArray[np.bool_]:
 
 def moment_of(plan: Plan, population: Population) -> Moment:
     parameters, grown = parameters_of(plan), is_grown(population)
-    ground = soil_of(parameters, plan.site).ground
-    state = plan.model.resume(parameters, plan.site, plan.ecologies, plan.drawn.image_seed, population)
+    ground = soil_of(parameters, plan.community.site).ground
+    state = plan.community.model.resume(
+        parameters, plan.community.site, plan.community.ecologies, plan.drawn.image_seed, population
+    )
     leaf = leaf_area_index(state.forest, ground) * parameters.soil_water.leaf_mass_g_per_m2
     return Moment(
         population.time_yr,
-        plan.site.size_m,
+        plan.community.site.size_m,
         population.position_m[grown, :2],
         population.radius_m[grown],
         np.asarray(population.columns["leaf_area_m2"][grown], dtype=np.float64),

@@ -14,16 +14,16 @@ from pathlib import Path
 from statistics import fmean
 from time import perf_counter
 
+from forestgen.community.simulation import final_population
 from forestgen.core.progress import Silent
 from forestgen.core.threads import limit_cores
 from forestgen.plants.growing import forget_shared
 from forestgen.recipe.load import LoadedRecipe, load_recipe
-from forestgen.scene.assemble import stand_on
-from forestgen.stages.community import final_population
-from forestgen.stages.ground import height_field
-from forestgen.stages.plan import make_plan
-from forestgen.stages.scene import choose_exemplars, grow_planned
-from forestgen.stages.views import drawn_cameras
+from forestgen.scene.build import stand_on
+from forestgen.scene.ground import height_field
+from forestgen.scene.growth import choose_exemplars, grow_planned
+from forestgen.scene.planning import make_plan
+from forestgen.scene.views import drawn_cameras
 
 RECIPE = Path(__file__).resolve().parents[1] / "recipes" / "mixed_stand.yaml"
 IMAGES, QUICK_IMAGES = 60, 8
@@ -32,7 +32,7 @@ IMAGES, QUICK_IMAGES = 60, 8
 def plants_s(loaded: LoadedRecipe, index: int) -> float:
     """Seconds for an image's exemplars."""
     plan = make_plan(loaded.draw(index))
-    population = stand_on(final_population(plan, Silent()), height_field(plan.drawn))
+    population = stand_on(final_population(plan.community, Silent()), height_field(plan.drawn))
     cameras = [camera for entry in drawn_cameras(plan.drawn) for camera in entry]
     start = perf_counter()
     grow_planned(plan, choose_exemplars(plan, population, cameras), Silent(), population)

@@ -29,7 +29,7 @@ from forestgen.geometry.sweep import Polylines, sweep
 from forestgen.plants import build, meshing
 from forestgen.plants.exemplar import Exemplar
 from forestgen.recipe.load import load_recipe_data
-from forestgen.stages.plan import make_plan
+from forestgen.scene.planning import make_plan
 
 ROUNDS, PEER_ROUNDS = 9, 30
 SWEEP_BOUND, PEER_BOUND, PLAIN_BOUND, TREE_BOUND_S = 3e6, 2.0, 1.5, 0.5
@@ -152,7 +152,7 @@ def tree(name: str, height_m: float, spent: dict[str, float]) -> Exemplar:
     read = perf_counter()
     spent["read"] = read - start
     rng = child_rng(3, "exemplar", name)
-    exemplar = build.build_exemplar(name, species, plan.generator_parameters[name], radius, rng)
+    exemplar = build.build_exemplar(name, species, plan.plants.generators[name], radius, rng)
     spent["grow, place, mesh"] = perf_counter() - read
     return exemplar
 

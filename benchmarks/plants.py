@@ -16,11 +16,10 @@ from time import perf_counter
 import numpy as np
 
 from forestgen.core.disk_cache import DiskCache
-from forestgen.plants.cache import ExemplarRequest
 from forestgen.plants.exemplar import Exemplar
-from forestgen.plants.growing import grow_exemplars
+from forestgen.plants.growing import ExemplarRequest, grow_exemplars
 from forestgen.recipe.load import load_recipe_data
-from forestgen.stages.plan import make_plan
+from forestgen.scene.planning import make_plan
 
 SPECIES = Path(__file__).resolve().parents[1] / "scenes" / "species"
 EXEMPLARS, WORKERS, ROUNDS = 60, 2, 2
@@ -38,7 +37,7 @@ def requests() -> list[ExemplarRequest]:
         share = np.linspace(0.1, 1.0, -(-EXEMPLARS // len(names)))[number // len(names)]
         species = plan.drawn.species[name]
         radius_m = float(share * species.ecology.max_radius_m)
-        parameters = plan.generator_parameters[name]
+        parameters = plan.plants.generators[name]
         wanted.append(ExemplarRequest(name, species, parameters, radius_m, 1, ("benchmark", name, number)))
     return wanted
 

@@ -36,6 +36,7 @@ import numpy as np
 from cycles_peer import WAYS, Cycles, scene_of
 from numpy.typing import NDArray
 
+from forestgen.community.simulation import final_population
 from forestgen.core.frames import look_at
 from forestgen.core.parts import Part
 from forestgen.core.progress import Silent
@@ -50,10 +51,9 @@ from forestgen.render.noise import Estimate, noise_of
 from forestgen.render.radiance import render_radiance
 from forestgen.render.variant import drjit, mitsuba
 from forestgen.render.wavelengths import Mode
+from forestgen.scene.build import build_scene
+from forestgen.scene.planning import make_plan
 from forestgen.scene.spec import Camera, SceneSpec
-from forestgen.stages.community import final_population
-from forestgen.stages.plan import make_plan
-from forestgen.stages.scene import build_scene
 
 RECIPE = Path(__file__).parents[1] / "recipes" / "quickstart.yaml"
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
@@ -116,7 +116,7 @@ def stand(size_m: float | None) -> SceneSpec:
             f"cameras.0.look_at_m=[{size_m / 2 + 2}, 60, 8]",
         ]
     plan = make_plan(load_recipe(RECIPE, options).draw(0))
-    return build_scene(plan, final_population(plan, Silent()), Silent(), Timings()).spec
+    return build_scene(plan, final_population(plan.community, Silent()), Silent(), Timings()).spec
 
 
 def plain(spec: SceneSpec) -> SceneSpec:

@@ -14,7 +14,7 @@ import argparse
 import json
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -32,10 +32,10 @@ from forestgen.community.branch_modules.boxes import NO_BOXES, Boxes
 from forestgen.community.branch_modules.crowding import SphereGrid, intersection_ratio, overlap_volumes
 from forestgen.community.plots import save_figure
 from forestgen.community.population import Population
+from forestgen.community.simulation import snapshots
 from forestgen.core.progress import Silent
 from forestgen.recipe.load import load_recipe
-from forestgen.stages.community import snapshots
-from forestgen.stages.plan import check_plan
+from forestgen.scene.planning import check_plan
 
 MOST_RATIO = 0.05  # 18a
 LEAST_WIDER, LEAST_ASYMMETRY = 1.3, 1.5  # 15: in the open over crowded; at a group's edge over in the open
@@ -129,14 +129,20 @@ class Moment:
 
 
 def moments(
-    species: tuple[str, ...], community: dict[str, Any], size_m: tuple[float, float], *, seed: int, every: int
+    species: tuple[str, ...],
+    community: dict[str, Any],
+    size_m: tuple[float, float],
+    *,
+    seed: int,
+    every: int,
+    buildings: Sequence[dict[str, Any]] = (),
 ) -> Iterator[Moment]:
     """Snapshots of a simulation, every so many steps and the last."""
     recipe = {
         "forestgen": 1,
         "seed": seed,
-        "site": {"size_m": list(size_m)},
-        "species": {name: None if name == "house" else {"from": name, "modules": NONE} for name in species},
+        "site": {"size_m": list(size_m), "buildings": list(buildings)},
+        "species": {name: {"from": name, "modules": NONE} for name in species},
         "community": {"model": "branch_modules", **community},
     }
     with tempfile.TemporaryDirectory() as folder:
@@ -144,12 +150,12 @@ def moments(
         path.write_text(json.dumps(recipe))
         plan = check_plan(load_recipe(path, []), simulate_only=True)
     # A house has no modules, and so none in any row: any type stands in for it.
-    types = [one.modules for one in plan.ecologies if one.modules is not None]
-    held: list[PlantType] = [one.modules or types[0] for one in plan.ecologies]
+    types = [one.modules for one in plan.community.ecologies if one.modules is not None]
+    held: list[PlantType] = [one.modules or types[0] for one in plan.community.ecologies]
     tables = tables_of(load_prototypes(), held)
     period = size_m if community.get("periodic") else None
-    for population in snapshots(plan, Silent()):
-        if population.modules is not None and (population.step % every == 0 or population.step == plan.steps):
+    for population in snapshots(plan.community, Silent()):
+        if population.modules is not None and (population.step % every == 0 or population.step == plan.community.steps):
             centre, radius = spheres(tables, population.modules, population.species)
             yield Moment(population, centre.astype(np.float64), radius.astype(np.float64), period)
 
@@ -275,10 +281,8 @@ def beside_a_house(report: Report, quick: bool) -> Figure:
             for built in (True, False):
                 at = np.array([20 + side * (size[0] / 2 + 1.5), 20.0])
                 course = planted(species, at[None], years)
-                if built:
-                    course["obstacles"] = [{"species": "house", "position_m": [20, 20], "size_m": list(size)}]
-                names = (species, "house") if built else (species,)
-                moment = last(names, course, (40.0, 40.0), seed=seed)
+                houses = [{"position_m": [20, 20], "size_m": list(size)}] if built else []
+                moment = last((species,), course, (40.0, 40.0), seed=seed, buildings=houses)
                 crown = moment.crown(moment.nearest(*at))
                 low = crown.below(size[2])
                 (away if built else free).append(low.reach_towards_m(side) / low.reach_towards_m(-side))

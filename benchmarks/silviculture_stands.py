@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from forestgen.community.model import Site
 from forestgen.community.population import Population, Status
+from forestgen.community.simulation import snapshots
 from forestgen.core.progress import Silent
 from forestgen.recipe.load import load_recipe
-from forestgen.stages.community import snapshots
-from forestgen.stages.plan import check_plan
+from forestgen.scene.planning import check_plan
 
 WOOD_KG_PER_M3 = 500.0  # homogeneous, as the paper assumes
 LEAF_KG_PER_M2 = 0.2  # dry mass of foliage over its area
@@ -111,11 +111,11 @@ def grow_recipe(path: Path, settings: list[str], *, every: int = 1) -> Course:
     plan = check_plan(load_recipe(path, settings), simulate_only=True)
     kept: list[Plants] = []
     names: tuple[str, ...] = ()
-    for population in snapshots(plan, Silent()):
+    for population in snapshots(plan.community, Silent()):
         names = population.species_names
-        if population.step % every == 0 or population.step == plan.steps:
+        if population.step % every == 0 or population.step == plan.community.steps:
             kept.append(plants_of(population))
-    return Course(names, plan.site, tuple(kept), perf_counter() - start)
+    return Course(names, plan.community.site, tuple(kept), perf_counter() - start)
 
 
 def grow(

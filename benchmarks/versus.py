@@ -3,7 +3,7 @@
 Both do the same alternately, in an order that turns round, and the table gives the median of the pairs' ratios:
 
 - quickstart, cold: `forestgen render recipes/quickstart.yaml` with empty caches (plants, communities, DrJit's kernels).
-  Numba's code is there, as `warm_up` leaves it.
+  Numba's code and Python's bytecode are there, as `warm_up` leaves them.
 - quickstart, warm: the same again.
 - training_set: a batch of `--images` images by two workers of one thread each, from empty caches of plants and
   communities; start-up and end are in it.
@@ -81,6 +81,7 @@ class Checkout:
         words = [str(self._python), "-m", "forestgen", verb, f"recipes/{recipe}.yaml", *options, str(target)]
         words += [word for override in overrides for word in ("--set", override)]
         environment = {**os.environ, "FORESTGEN_CACHE": str(self._work / "cache"), "HOME": str(home)}
+        environment.pop("PYTHONDONTWRITEBYTECODE", None)  # users' interpreters keep bytecode: `warm_up` leaves it
         with (self._work / "log").open("wb") as log:
             start = perf_counter()
             process = subprocess.Popen(words, cwd=self._folder, env=environment, stdout=log, stderr=log)

@@ -26,8 +26,9 @@ from forestgen.plants.variation.model import Variation
 from forestgen.recipe.assets import list_assets
 from forestgen.recipe.curves import CURVE_SCHEMA
 from forestgen.recipe.plant_type import PlantType
+from forestgen.recipe.registries import BUILDINGS, RIGS
 from forestgen.recipe.schema import Recipe
-from forestgen.stages.single_plant import drawn_of
+from forestgen.runs.single_plant import drawn_of
 
 DOCS = Path(__file__).parent
 NUMBERS = DOCS / "species.json"
@@ -36,6 +37,7 @@ _SECTIONS = {
     "Recipe": "The recipe",
     "Site": "site",
     "Terrain": "site.terrain",
+    "Building": "site.buildings (each)",
     "Community": "community",
     "Plants": "plants",
     "SkySection": "sky",
@@ -48,10 +50,6 @@ _SECTIONS = {
     "Chapter": "sky.clouds: story (each)",
     "Camera": "cameras (each)",
     "CameraPath": "cameras: path",
-    "Stereo": "cameras: rig of kind stereo",
-    "Orbit": "cameras: rig of kind orbit",
-    "Walk": "cameras: rig of kind walk",
-    "DroneGrid": "cameras: rig of kind drone_grid",
     "Exposure": "cameras: exposure",
     "Render": "render",
     "Labels": "labels",
@@ -79,7 +77,7 @@ def pages() -> dict[Path, str]:
     made[DOCS / "reference" / "api.md"] = f"{_NOTICE}\n{generate_reference.api_page()}"
     made[DOCS / "reference" / "community_models.md"] = f"{_NOTICE}\n{generate_reference.parts_page()}"
     made[DOCS / "reference" / "command_line.md"] = f"{_NOTICE}\n{generate_reference.command_line_page()}"
-    for registry in (COMMUNITY_MODELS, COMPETITION_MODELS, GENERATORS):
+    for registry in (COMMUNITY_MODELS, COMPETITION_MODELS, GENERATORS, BUILDINGS):
         for name in registry.ids():
             made[DOCS / "models" / page_name(registry, name)] = model_page(registry, name)
     return made
@@ -113,8 +111,12 @@ def recipe_page() -> str:
         "`{sequence: [a, b, c]}`, one value after another, by the image's number.",
         "[Randomisation](randomisation.md) has the details.\n",
     ]
-    for name, title in _SECTIONS.items():
-        definition = definitions[name]
+    sections = [(title, definitions[name]) for name, title in _SECTIONS.items()]
+    after_paths = next(k for k, (title, _) in enumerate(sections) if title == "cameras: path") + 1
+    sections[after_paths:after_paths] = [
+        (f"cameras: rig of kind {name}", RIGS.load(name).Parameters.model_json_schema()) for name in RIGS
+    ]
+    for title, definition in sections:
         text += [
             f"## {title}\n",
             definition.get("description", "").split("\n\n")[0] + "\n",

@@ -20,6 +20,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image
 
+from forestgen.community.history_files import map_colours
 from forestgen.community.model import Site
 from forestgen.community.placement.asked_and_placed import Densities, asked_densities, deformed
 from forestgen.community.placement.densities import grid_shape
@@ -27,12 +28,12 @@ from forestgen.community.placement.kernels import KernelTable, kernel_matrix
 from forestgen.community.plot_densities import draw_field
 from forestgen.community.plots import colours_of, darker, new_figure
 from forestgen.community.population import Population
+from forestgen.community.simulation import final_population
 from forestgen.community.statistics import hopkins_index
 from forestgen.core.progress import Silent
 from forestgen.recipe.load import load_recipe
-from forestgen.stages.community import final_population
-from forestgen.stages.history import map_colours
-from forestgen.stages.plan import Plan, check_plan
+from forestgen.scene.plan import Plan
+from forestgen.scene.planning import check_plan
 
 ROOT = Path(__file__).parents[1]
 PICTURES = ROOT / "docs" / "pictures"
@@ -69,7 +70,7 @@ class Stand:
 
     @property
     def site(self) -> Site:
-        return self.plan.site
+        return self.plan.community.site
 
     def first(self, n: int) -> Population:
         """The first n plants, in the order in which they were placed."""
@@ -87,12 +88,12 @@ class Stand:
 
     @property
     def kernels(self) -> Sequence[Sequence[KernelTable]]:
-        return kernel_matrix(self.plan.model_parameters.kernels, list(self.plants.species_names))
+        return kernel_matrix(self.plan.community.parameters.kernels, list(self.plants.species_names))
 
     def densities(self, placed: Population | None = None) -> Densities:
         """What was asked for; with some plants, the field that they leave too."""
         cells = grid_shape(self.site, FIELD_CELLS)
-        parameters, species = self.plan.model_parameters, self.plan.ecologies
+        parameters, species = self.plan.community.parameters, self.plan.community.ecologies
         asked = asked_densities(parameters, self.site, species, cells)
         if placed is None:
             return asked
@@ -100,14 +101,14 @@ class Stand:
 
     @property
     def colours(self) -> Mapping[str, str]:
-        return colours_of(map_colours(self.plan), self.plants.species_names)
+        return colours_of(map_colours(self.plan.community), self.plants.species_names)
 
 
 @cache
 def stand(name: str, *settings: str) -> Stand:
     """A reproduction's plants."""
     plan = check_plan(load_recipe(REPRODUCTIONS / f"{name}.yaml", list(settings)), simulate_only=True)
-    return Stand(plan, final_population(plan, Silent()))
+    return Stand(plan, final_population(plan.community, Silent()))
 
 
 def stand_of(community: str, size_m: float = 20.0, seed: int = 4) -> Stand:
@@ -120,7 +121,7 @@ def stand_of(community: str, size_m: float = 20.0, seed: int = 4) -> Stand:
         path = Path(folder) / "recipe.yaml"
         path.write_text(text, encoding="utf-8")
         plan = check_plan(load_recipe(path), simulate_only=True)
-        return Stand(plan, final_population(plan, Silent()))
+        return Stand(plan, final_population(plan.community, Silent()))
 
 
 def sheet(columns: int, heights: Sequence[float], width_in: float = PANEL_IN) -> tuple[Figure, NDArray[Any]]:

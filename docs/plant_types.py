@@ -12,14 +12,17 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
+from forestgen.community.simulation import final_population
 from forestgen.core.progress import Silent
+from forestgen.dataset.tonemap import tone_map
 from forestgen.plants.exemplar import Exemplar
 from forestgen.recipe.biome import shipped_plant_types
 from forestgen.recipe.load import load_recipe_data
-from forestgen.stages.community import final_population
-from forestgen.stages.plan import Plan, make_plan
-from forestgen.stages.scene import choose_exemplars, grow_planned, materials_of
-from forestgen.stages.studio import Shot, camera_of, photograph
+from forestgen.render.studio import EXPOSURE, PictureSettings, camera_of, photograph
+from forestgen.scene.growth import choose_exemplars, grow_planned
+from forestgen.scene.plan import Plan
+from forestgen.scene.planning import make_plan
+from forestgen.scene.surfaces import materials_of
 
 PICTURES = Path(__file__).parent / "pictures"
 SEED = 2
@@ -72,7 +75,7 @@ def plan_of(name: str, years: int) -> Plan:
 def grown(name: str, years: int) -> tuple[Plan, Exemplar]:
     """The plant with the branches that it grew, and its foliage."""
     plan = plan_of(name, years)
-    population = final_population(plan, Silent())
+    population = final_population(plan.community, Silent())
     chosen = choose_exemplars(plan, population, [])
     return plan, grow_planned(plan, chosen, Silent(), population)[0]
 
@@ -81,8 +84,9 @@ def picture(row: str) -> Image.Image:
     """A type's photograph with its caption."""
     name, years = TYPES[row]
     plan, plant = grown(name, years)
-    camera = camera_of(plant, Shot(VIEW_PX, samples=SAMPLES))
-    seen = photograph(plant, materials_of(plan.drawn.species), camera, plan.drawn.recipe, SAMPLES, SEED, Silent())
+    camera = camera_of(plant, PictureSettings(VIEW_PX, samples=SAMPLES))
+    materials, recipe = materials_of(plan.drawn.species), plan.drawn.recipe
+    seen = tone_map(photograph(plant, materials, camera, recipe, SAMPLES, SEED, Silent()), EXPOSURE)
     tile = Image.new("RGB", (VIEW_PX[0], VIEW_PX[1] + CAPTION_PX), "white")
     tile.paste(Image.fromarray(np.asarray(seen)), (0, CAPTION_PX))
     text = f"{row}  {name}, {years} years: {plant.height_m:.1f} m"

@@ -23,12 +23,13 @@ import numpy as np
 from PIL import Image
 
 from forestgen.core.progress import Silent
+from forestgen.dataset.tonemap import tone_map
 from forestgen.geometry.mesh import Mesh
 from forestgen.plants.exemplar import Exemplar
-from forestgen.stages.plan import Plan
-from forestgen.stages.scene import materials_of
-from forestgen.stages.single_plant import described, grow, plan_of
-from forestgen.stages.studio import Shot, camera_of, photograph, size_of_m
+from forestgen.plants.plan import PlantPlan
+from forestgen.render.studio import EXPOSURE, PictureSettings, camera_of, photograph, size_of_m
+from forestgen.runs.single_plant import described, grow, plan_of
+from forestgen.scene.surfaces import materials_of
 
 PICTURES = Path(__file__).parent / "pictures"
 SEED = 3
@@ -62,10 +63,10 @@ CLOSE: dict[str, tuple[float, float]] = {
 }
 
 
-def close_up(name: str, height_m: float, size_m: float) -> Shot:
+def close_up(name: str, height_m: float, size_m: float) -> PictureSettings:
     """A window in the lower half of a tree's crown, or on a herb's upper half."""
     share, window_m = CLOSE.get(name, (0.45 if height_m > 2 else 0.7, float(np.clip(0.05 * size_m, 0.12, 0.7))))
-    return Shot(VIEW_PX, samples=48, look_at_m=share * height_m, window_m=window_m)
+    return PictureSettings(VIEW_PX, samples=48, look_at_m=share * height_m, window_m=window_m)
 
 
 def measure_and_photograph(name: str) -> dict[str, float]:
@@ -76,13 +77,15 @@ def measure_and_photograph(name: str) -> dict[str, float]:
     finest = mature(plan_of(name, SEED, FINEST), name)
     shots = (
         (finest, close_up(name, finest.height_m, size_of_m(finest))),
-        (exemplar, Shot(VIEW_PX, samples=48, distance_m=FAR_M)),
+        (exemplar, PictureSettings(VIEW_PX, samples=48, distance_m=FAR_M)),
     )
     views = []
     for plant, shot in shots:
         seen = turned(plant, TURNED_DEG.get(name, 0.0))
         materials, camera = materials_of(plan.drawn.species), camera_of(seen, shot)
-        views.append(photograph(seen, materials, camera, plan.drawn.recipe, shot.samples, SEED, Silent()))
+        views.append(
+            tone_map(photograph(seen, materials, camera, plan.drawn.recipe, shot.samples, SEED, Silent()), EXPOSURE)
+        )
     save(np.concatenate(views, axis=1), PICTURES / "species" / f"{name}.jpg")
     sys.stdout.write(f"{name}: {exemplar.triangles:,} triangles, {time.perf_counter() - began:.1f} s\n")
     return numbers_of(plan, exemplar)
@@ -102,12 +105,12 @@ def turned(exemplar: Exemplar, angle_deg: float) -> Exemplar:
     return replace(exemplar, organs=tuple(replace(organ, mesh=mesh(organ.mesh)) for organ in exemplar.organs))
 
 
-def mature(plan: Plan, name: str) -> Exemplar:
+def mature(plan: PlantPlan, name: str) -> Exemplar:
     """The plant that is shown."""
     return grow(plan, name, plan.drawn.species[name].ecology.max_radius_m, SEED)
 
 
-def numbers_of(plan: Plan, exemplar: Exemplar) -> dict[str, float]:
+def numbers_of(plan: PlantPlan, exemplar: Exemplar) -> dict[str, float]:
     """What the page's table says of a plant, to four digits."""
     one = described(exemplar, plan.drawn.species[exemplar.species], SEED, {})
     values = {

@@ -18,12 +18,15 @@ from forestgen.geometry.export import MESH_EXPORTERS
 from forestgen.plants.registry import GENERATORS
 from forestgen.recipe.assets import find_asset, list_assets
 from forestgen.recipe.registries import (
+    BUILDINGS,
     CLOUD_SOURCES,
     DATASET_FORMATS,
     GROUND_COVERS,
+    INSTRUMENTS,
     LABEL_CHANNELS,
     PACKS,
     PROJECTIONS,
+    RIGS,
     SKIES,
     TERRAINS,
 )
@@ -44,6 +47,9 @@ _REGISTRIES: dict[str, Registry] = {
     "terrain": TERRAINS,
     "ground_cover": GROUND_COVERS,
     "projection": PROJECTIONS,
+    "rig": RIGS,
+    "instrument": INSTRUMENTS,
+    "building": BUILDINGS,
     "mesh_exporter": MESH_EXPORTERS,
 }
 _WITHOUT_COMMENT = {  # files of a format that has none
@@ -141,7 +147,7 @@ class SpeciesEntry:
 
 def species() -> list[SpeciesEntry]:
     """The species that come with forestgen."""
-    from forestgen.stages.single_plant import drawn_of, mature_size_m
+    from forestgen.runs.single_plant import drawn_of, mature_size_m
 
     found = []
     for name in list_assets("species"):

@@ -277,8 +277,8 @@ def verify(
 
 def write_report(folder: PathLike, out: PathLike | None = None, *, overwrite: bool = False) -> Path:
     """Write the page of a data set, finished or not; the path of it. See `Dataset.report`."""
+    from forestgen.dataset.file_set import check_writable
     from forestgen.dataset.report import page
-    from forestgen.stages.plant_files import check_writable
 
     root = path_of(folder, "folder")
     own = root / page.REPORT_NAME

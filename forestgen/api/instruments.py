@@ -1,78 +1,62 @@
-"""Light meters, colour charts and weather: measurements in a recipe's scene that are no pictures."""
+"""Measurements in a recipe's scene that are no pictures; and weather."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 from forestgen.api.display import display_of
 from forestgen.api.rendering import free_folder
-from forestgen.atmosphere.clouds.source import WeatherReport as Weather
-from forestgen.atmosphere.clouds.source import cloud_source_of
-from forestgen.core.arguments import listed, number_of, path_of, shown, whole_of
+from forestgen.atmosphere.clouds.source import WeatherReport, cloud_source_of
+from forestgen.core.arguments import path_of, whole_of
 from forestgen.core.errors import OutputError, RecipeError
 from forestgen.core.progress import Progress
 from forestgen.core.timing import Timings
-from forestgen.recipe.camera_keys import DIRECTIONS
+from forestgen.dataset.file_set import FileSet, check_writable
+from forestgen.instruments.calibration import Calibration
+from forestgen.instruments.instrument import Instrument, Reading, ReadingT, read_keys
+from forestgen.pipeline import measure
 from forestgen.recipe.load import LoadedRecipe
-from forestgen.stages.light import Point
-from forestgen.stages.light_text import LightReadings
-from forestgen.stages.plant_files import FileSet, check_writable
+from forestgen.recipe.registries import INSTRUMENTS
 
-if TYPE_CHECKING:
-    from forestgen.stages.calibrate import Calibration
-
-_LIGHT_FILES = (".csv", ".json")
 _WEATHER_FILES = (".nc", ".vol", ".vdb")
-_SPECTRUM_NM = (1.0, 1100.0)  # steps that can be asked for
-_LEAST_SAMPLES, _MOST_SAMPLES = 512, 100_000_000
 
 
-def measure_light(
+def measured_by(
     loaded: LoadedRecipe,
-    at: Sequence[Sequence[float | str]],
-    normals: str | Sequence[str | Sequence[float]],
-    *,
-    samples: int,
-    absolute_z: bool,
+    name: str,
+    keys: Mapping[str, Any],
     out: Path | None,
-    spectrum: float | None,
     overwrite: bool,
     progress: bool | Progress | None,
-) -> LightReadings:
-    """See `Recipe.light`."""
-    from forestgen.stages import light
+) -> Reading:
+    """See `Recipe.measure`."""
+    INSTRUMENTS.check(name, parameter="instrument")
+    instrument: Instrument[Any, Reading] = INSTRUMENTS.load(name)
+    return measured(loaded, instrument, keys, out, overwrite, progress)
 
-    samples = whole_of(samples, "samples", _LEAST_SAMPLES, _MOST_SAMPLES)
-    if spectrum is not None:
-        spectrum = number_of(spectrum, "spectrum", *_SPECTRUM_NM)
+
+def measured(
+    loaded: LoadedRecipe,
+    instrument: Instrument[Any, ReadingT],
+    keys: Mapping[str, Any],
+    out: Path | None,
+    overwrite: bool,
+    progress: bool | Progress | None,
+) -> ReadingT:
+    """Measure, and write a file of it."""
+    section = read_keys(instrument, keys)
     if out is not None:
-        _check_ending(out, _LIGHT_FILES)
+        _check_ending(out, instrument.endings)
         check_writable([out], overwrite=overwrite)
-    points = [point_of(one) for one in listed(at, "at", "points")]
-    directions = [normal_of(one, "normals") for one in listed(normals, "normals", "directions")]
     display = display_of(progress)
     with display.running():
-        meters = light.light_at(
-            loaded,
-            points,
-            directions,
-            samples=samples,
-            above_ground=not absolute_z,
-            progress=display,
-            timings=Timings(),
-        )
+        reading = measure(loaded, instrument, section, display, Timings())
     if out is not None:
-        content = (
-            light.as_json(meters, loaded, samples=samples, step_nm=spectrum or 10.0)
-            if out.suffix.lower() == ".json"
-            else light.as_csv(meters, step_nm=spectrum)
-        )
         with FileSet(overwrite=overwrite) as files:
-            files.write(out, content)
-    return LightReadings(meters, spectrum)
+            files.write(out, reading.content(out.suffix.lower(), loaded))
+    return reading
 
 
 def simulate_weather(
@@ -83,9 +67,9 @@ def simulate_weather(
     picture: Path | None,
     overwrite: bool,
     progress: bool | Progress | None,
-) -> list[Weather]:
+) -> list[WeatherReport]:
     """See `Recipe.weather`."""
-    from forestgen.stages.weather import plot_weather
+    from forestgen.community.plot_weather import plot_weather
 
     for one in out:
         _check_ending(one, _WEATHER_FILES)
@@ -108,37 +92,22 @@ def simulate_weather(
 def calibrate(
     loaded: LoadedRecipe,
     out: Path | None,
-    *,
-    at: Sequence[float | str] | None,
-    normal: str | Sequence[float],
-    width_px: int,
-    samples: int,
-    absolute_z: bool,
+    keys: Mapping[str, Any],
     overwrite: bool,
     progress: bool | Progress | None,
 ) -> tuple[Calibration, Path]:
     """See `Recipe.calibrate`; what was measured, and the folder of its sheet."""
     from forestgen.dataset.folder import OutputFolder
     from forestgen.dataset.manifest import build_manifest, write_manifest
-    from forestgen.stages import calibrate as stage
-    from forestgen.stages.calibration_files import write_calibration
+    from forestgen.instruments.calibration import write_calibration
+    from forestgen.instruments.colour_chart import INSTRUMENT
 
-    width_px, samples = whole_of(width_px, "width_px", 64, 1024), whole_of(samples, "samples", 4, 65536)
-    point, towards = (None if at is None else point_of(at)), normal_of(normal, "normal")
+    section = read_keys(INSTRUMENT, keys)
     folder = out or path_of(free_folder(Path("outputs") / f"{loaded.path.stem}-calibration"), "out", output=True)
     timings, display = Timings(), display_of(progress)
     with display.running(), OutputFolder(folder, overwrite=overwrite) as staging:
-        found = stage.calibrate(
-            loaded,
-            at=point,
-            normal=towards,
-            above_ground=not absolute_z,
-            width_px=width_px,
-            samples=samples,
-            progress=display,
-            timings=timings,
-        )
-        write_calibration(staging, found, loaded, samples)
+        found = measure(loaded, INSTRUMENT, section, display, timings)
+        write_calibration(staging, found, loaded)
         manifest = build_manifest(
             staging,
             recipe_hash=loaded.hash,
@@ -151,36 +120,7 @@ def calibrate(
     return found, folder
 
 
-def point_of(values: Sequence[float | str]) -> Point:
-    """A point of three numbers, metres, whose place is not checked. Raises `RecipeError`."""
-    try:
-        x, y, z = (float(one) for one in values)
-    except (TypeError, ValueError, OverflowError):
-        several = values if isinstance(values, list | tuple) else [values]
-        got = " ".join(f"{one:.100}" if isinstance(one, str) else shown(one) for one in several)
-        raise RecipeError(
-            "this is no point", parameter="at", expected="three numbers, metres, such as 30 40 1.5", got=got
-        ) from None
-    return x, y, z
-
-
-def normal_of(direction: str | Sequence[float], parameter: str) -> Point:
-    """Unit vector of a direction, by its name or its components. Raises `RecipeError`."""
-    if isinstance(direction, str) and direction.lower() in DIRECTIONS:
-        return DIRECTIONS[direction.lower()]
-    try:
-        x, y, z = (float(one) for one in (direction.split(",") if isinstance(direction, str) else direction))
-        length = math.sqrt(x * x + y * y + z * z)
-    except (TypeError, ValueError, OverflowError):
-        length = math.nan
-    if not (math.isfinite(length) and length > 1e-9):
-        expected = ", ".join(DIRECTIONS) + ", or x,y,z such as 0,0.5,1"
-        got = direction if isinstance(direction, str) else shown(direction)
-        raise RecipeError("this is no direction", parameter=parameter, expected=expected, got=got)
-    return x / length, y / length, z / length
-
-
-def _save_weather(path: Path, report: Weather) -> None:
+def _save_weather(path: Path, report: WeatherReport) -> None:
     from forestgen.atmosphere.extinction import cloud_grid_of
     from forestgen.atmosphere.weather_files import write_clouds, write_weather
 
@@ -197,6 +137,3 @@ def _save_weather(path: Path, report: Weather) -> None:
 def _check_ending(path: Path, endings: Sequence[str]) -> None:
     if path.suffix.lower() not in endings:
         raise RecipeError("no such kind of file", parameter="out", expected=" or ".join(endings), got=str(path))
-
-
-__all__ = ["LightReadings", "Weather", "calibrate", "measure_light", "normal_of", "point_of", "simulate_weather"]

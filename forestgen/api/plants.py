@@ -14,13 +14,15 @@ from forestgen.api.display import display_of
 from forestgen.core.arguments import path_of, paths_of
 from forestgen.core.progress import Progress
 from forestgen.core.randomness import child_rng
+from forestgen.dataset.file_set import FileSet, check_writable
 from forestgen.geometry.export import model_files
 from forestgen.geometry.mesh import Mesh
 from forestgen.geometry.model import png
 from forestgen.plants.exemplar import Exemplar
-from forestgen.stages.plan import Plan
-from forestgen.stages.plant_files import FileSet, check_writable
-from forestgen.stages.single_plant import (
+from forestgen.plants.plan import PlantPlan
+from forestgen.plants.sway import check_sways, sway
+from forestgen.render.studio import PictureSettings, camera_of
+from forestgen.runs.single_plant import (
     PICTURE,
     Order,
     SinglePlant,
@@ -36,8 +38,6 @@ from forestgen.stages.single_plant import (
     plan_of,
     radius_of_m,
 )
-from forestgen.stages.studio import Shot, camera_of
-from forestgen.stages.sway import check_sways, sway
 
 _REPR_SAMPLES = 16
 
@@ -109,7 +109,7 @@ def grow_files(
         frames_per_s,
         detail,
         wood_triangles,
-        Shot(size_px, samples, distance_m, look_at_m).check(),
+        PictureSettings(size_px, samples, distance_m, look_at_m).check(),
         overwrite,
     )
     display = display_of(progress)
@@ -120,7 +120,7 @@ def grow_files(
 class Plant:
     """One plant: origin at the foot of the stem, z up, metres."""
 
-    def __init__(self, plan: Plan, exemplar: Exemplar, seed: int) -> None:
+    def __init__(self, plan: PlantPlan, exemplar: Exemplar, seed: int) -> None:
         self._plan, self._exemplar, self.seed = plan, exemplar, seed
 
     @property
@@ -209,11 +209,11 @@ class Plant:
         distance_m : from the camera to the plant; by default as far as a normal lens asks for.
         look_at_m : look at this height through a normal lens, not at the whole plant.
         """
-        shot = Shot(size_px, samples, distance_m, look_at_m).check()
+        settings = PictureSettings(size_px, samples, distance_m, look_at_m).check()
         display = display_of(progress)
         with display.running():
             return picture_of(
-                self._plan, self._exemplar, camera_of(self._exemplar, shot), shot.samples, self.seed, display
+                self._plan, self._exemplar, camera_of(self._exemplar, settings), settings.samples, self.seed, display
             )
 
     def sway(self, frames: int, frames_per_s: float = 12.0) -> list[Plant]:
@@ -224,7 +224,7 @@ class Plant:
         RecipeError : plants of this species do not move.
         """
         check_numbers(Order(self.species, (), frames=frames, frames_per_s=frames_per_s))
-        parameters = self._plan.generator_parameters[self.species]
+        parameters = self._plan.generators[self.species]
         check_sways(self.species, parameters)
         rng = partial(child_rng, self.seed, "exemplar", self.species)
         species = self._plan.drawn.species[self.species]

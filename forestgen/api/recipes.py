@@ -7,19 +7,21 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from forestgen.core.arguments import PathLike, address_of, listed, path_of, paths_of, plain_copy, shown, texts_of
+from forestgen.core.arguments import PathLike, address_of, path_of, paths_of, plain_copy, shown, texts_of
 from forestgen.core.errors import RecipeError
 from forestgen.core.progress import Progress
-from forestgen.stages.load_checked import load_checked
+from forestgen.scene.load_checked import load_checked
 
 if TYPE_CHECKING:
     from forestgen.api.datasets import Run
-    from forestgen.api.instruments import LightReadings, Weather
     from forestgen.api.stands import Stand
     from forestgen.api.validation import Validation
+    from forestgen.atmosphere.clouds.source import WeatherReport
     from forestgen.dataset.frame import Frame
+    from forestgen.instruments.calibration import Calibration
+    from forestgen.instruments.instrument import Reading
+    from forestgen.instruments.light_meter import LightReadings
     from forestgen.runs.start import DryRun
-    from forestgen.stages.calibrate import Calibration
 
 Overrides = Mapping[str, Any] | Sequence[str] | None
 
@@ -70,6 +72,19 @@ def _yaml(key: str, value: Any) -> str:
         raise RecipeError(
             "this value cannot be set", where=f"set: {key}", expected=expected, got=shown(value)
         ) from error
+
+
+def _values(texts: Sequence[str]) -> dict[str, Any]:
+    """Key -> value of texts ``key=YAML``."""
+    from forestgen.recipe.yaml_source import parse_yaml
+
+    found = {}
+    for text in texts:
+        key, equals, written = text.partition("=")
+        if not equals:
+            raise RecipeError("this gives no key a value", parameter="keys", expected="key=value", got=shown(text))
+        found[key.strip()], _ = parse_yaml(written, f"keys: {key.strip()}", lines=False)
+    return found
 
 
 class Recipe:
@@ -356,19 +371,37 @@ class Recipe:
         spectrum : step in nm of the spectra in `out`.
         overwrite : replace an existing file.
         """
-        from forestgen.api.instruments import measure_light
+        from forestgen.api.instruments import measured
+        from forestgen.instruments.light_meter import INSTRUMENT
 
-        return measure_light(
-            self._loaded,
-            at,
-            listed(normals, "normals", "directions"),
-            samples=samples,
-            absolute_z=absolute_z,
-            out=None if out is None else path_of(out, "out", output=True),
-            spectrum=spectrum,
-            overwrite=overwrite,
-            progress=progress,
-        )
+        keys = {"at": at, "normals": normals, "samples": samples, "absolute_z": absolute_z, "spectrum": spectrum}
+        target = None if out is None else path_of(out, "out", output=True)
+        return measured(self._loaded, INSTRUMENT, keys, target, overwrite, progress)
+
+    def measure(
+        self,
+        instrument: str,
+        keys: Overrides = None,
+        *,
+        out: PathLike | None = None,
+        overwrite: bool = False,
+        progress: bool | Progress | None = None,
+    ) -> Reading:
+        """Measure in the first image's scene with an instrument; `print` shows what it measured.
+
+        Parameters
+        ----------
+        instrument : one of `forestgen.models(kind="instrument")`, whose page has its keys.
+        keys : of the measurement: ``{"at": [[30, 40, 1.5]]}``, or texts ``["at=[[30, 40, 1.5]]"]`` whose values are
+            YAML.
+        out : a file, in one of the formats of the instrument; most write .json.
+        overwrite : replace an existing file.
+        """
+        from forestgen.api.instruments import measured_by
+
+        values = keys if isinstance(keys, Mapping) else _values(texts_of(keys or (), "keys"))
+        target = None if out is None else path_of(out, "out", output=True)
+        return measured_by(self._loaded, instrument, values, target, overwrite, progress)
 
     def weather(
         self,
@@ -378,7 +411,7 @@ class Recipe:
         picture: PathLike | None = None,
         overwrite: bool = False,
         progress: bool | Progress | None = None,
-    ) -> list[Weather]:
+    ) -> list[WeatherReport]:
         """Simulate the weather alone, of each of `count` images.
 
         Parameters
@@ -428,13 +461,9 @@ class Recipe:
         return calibrate(
             self._loaded,
             None if out is None else path_of(out, "out", output=True),
-            at=at,
-            normal=normal,
-            width_px=width_px,
-            samples=samples,
-            absolute_z=absolute_z,
-            overwrite=overwrite,
-            progress=progress,
+            {"at": at, "normal": normal, "width_px": width_px, "samples": samples, "absolute_z": absolute_z},
+            overwrite,
+            progress,
         )
 
     def __repr__(self) -> str:

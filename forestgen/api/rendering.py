@@ -13,6 +13,7 @@ from forestgen.core.arguments import address_of, whole_of
 from forestgen.core.progress import Progress
 from forestgen.core.threads import cores, limit_cores
 from forestgen.core.timing import Timings
+from forestgen.dataset.data_set import data_set_of
 from forestgen.dataset.frame import Frame
 from forestgen.pipeline import assemble_image, image_frames
 from forestgen.recipe.load import LoadedRecipe
@@ -20,8 +21,8 @@ from forestgen.recipe.splits import NUMBERS_END
 from forestgen.render.variant import mitsuba, tracing_on
 from forestgen.runs import start
 from forestgen.runs.start import DryRun, RunOptions
-from forestgen.stages.data_set import data_set_of
-from forestgen.stages.plan import check_memory, check_plan, make_plan
+from forestgen.scene.plan import check_memory
+from forestgen.scene.planning import check_plan, make_plan
 
 
 def frames_of(
@@ -48,7 +49,7 @@ def _frames(
         with _tracing(threads, device), display.running():
             plan = make_plan(loaded.draw(index))
             check_memory(plan)
-            image = assemble_image(plan, loaded.seed, display, Timings())
+            image = assemble_image(plan, display, Timings())
         made = image_frames(image, display, Timings())
         while True:
             with _tracing(threads, device), display.running():

@@ -13,15 +13,15 @@ from numpy.typing import NDArray
 
 from forestgen import pipeline
 from forestgen.api.display import display_of
+from forestgen.community.history_files import map_colours
 from forestgen.community.population import Population, Status
+from forestgen.community.summary import SimulationSummary
 from forestgen.core.arguments import listed, shown, whole_of
 from forestgen.core.errors import RecipeError
 from forestgen.core.progress import Progress
 from forestgen.core.timing import Timings
 from forestgen.recipe.load import LoadedRecipe
 from forestgen.recipe.suggestions import did_you_mean
-from forestgen.stages.history import map_colours
-from forestgen.stages.simulation_summary import SimulationSummary
 
 _MOST_STEPS = 10**9
 
@@ -106,7 +106,7 @@ class Stand:
             plan.obstacles.left_out_of(self.population),
             plan.site,
             map_colours(plan),
-            periodic=plan.model_parameters.periodic,
+            periodic=plan.parameters.periodic,
             obstacles=plan.obstacles,
             axes=_axes_of(ax),
         )

@@ -9,8 +9,8 @@ from typing import Any
 from forestgen.core.figures import count, show_bytes
 from forestgen.recipe.load import LoadedRecipe
 from forestgen.recipe.sources import dotted
-from forestgen.stages.plan import Plan, check_plan, estimate_bytes, views_below_ground, why_barren
-from forestgen.stages.views import check_outside_of_houses
+from forestgen.scene.plan import Plan, estimate_bytes
+from forestgen.scene.planning import check_plan
 
 _MOST_CAMERAS = 5
 
@@ -90,7 +90,7 @@ def validation_of(loaded: LoadedRecipe) -> Validation:
         site_size_m=(drawn.site.size_m[0], drawn.site.size_m[1]),
         terrain=drawn.site.terrain.kind,
         community=drawn.community.model,
-        steps=plan.steps,
+        steps=plan.community.steps,
         species=tuple(drawn.species),
         drawn=tuple(dotted(keys) for keys in loaded.distributions),
         sampling=None if loaded.draws.sampler is None else loaded.draws.sampler.describe(),
@@ -102,9 +102,9 @@ def validation_of(loaded: LoadedRecipe) -> Validation:
 
 
 def _notes(plan: Plan) -> Iterator[str]:
-    reason = why_barren(plan)
+    reason = plan.community.empty_reason
     if reason:
         yield reason
-    for name in views_below_ground(plan):
+    for name in plan.views.below_ground:
         yield f"the camera {name} stands below the ground"
-    yield from check_outside_of_houses(plan.drawn, plan.obstacles.entries)
+    yield from plan.views.check_outside_of_buildings()

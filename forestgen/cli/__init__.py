@@ -17,6 +17,7 @@ from forestgen.cli.help_pages import show_plainly
 from forestgen.cli.inspect import doctor, models, schema, validate
 from forestgen.cli.light import PointsCommand, light
 from forestgen.cli.lsystem import lsystem
+from forestgen.cli.measure import measure
 from forestgen.cli.option_names import names_of
 from forestgen.cli.plant import plant
 from forestgen.cli.render import batch, render
@@ -110,6 +111,7 @@ _COMMANDS: tuple[tuple[Callable[..., None], str, type[typer.core.TyperCommand] |
     (light, "light recipes/quickstart.yaml --at 60 40 1.5", PointsCommand),
     (weather, "weather recipes/weather_cumulus.yaml --picture sky.png", None),
     (calibrate, "calibrate recipes/quickstart.yaml", PointsCommand),
+    (measure, 'measure light_meter recipes/quickstart.yaml --key "at=[[60, 40, 1.5]]"', None),
     (doctor, "doctor", None),
 )
 for _function, _example, _class in _COMMANDS:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -14,7 +13,7 @@ from forestgen.cli.console import Printer
 from forestgen.core.figures import seconds
 
 if TYPE_CHECKING:
-    from forestgen.stages.calibrate import Calibration
+    from forestgen.instruments.calibration import Calibration
 
 Folder = Annotated[
     Path | None,
@@ -65,7 +64,7 @@ def calibrate(
     """
     from forestgen import load
     from forestgen.core.errors import RecipeError
-    from forestgen.stages.calibration_files import SHEET
+    from forestgen.instruments.calibration import SHEET
 
     if at is not None and len(at) > 1:
         raise RecipeError("one chart at a time", where="--at", expected="one point", got=f"{len(at)}")
@@ -80,32 +79,10 @@ def calibrate(
         overwrite=overwrite,
         progress=progress_of(quiet),
     )
-    _print(found, say)
+    say(str(found))
     say(f"calibrated in {seconds(time.perf_counter() - started)}")
     say(f"files: {folder}/ (look at {folder / SHEET})")
     _fail_if_missed(found, folder)
-
-
-def _print(found: Calibration, say: Printer) -> None:
-    from forestgen.stages.calibrate import MODES
-
-    x, y, _ = found.point_m
-    say(f"chart at {x:g} {y:g}, {found.above_ground_m:.2f} m above the ground")
-    say(f"{'delta E 2000':<24}" + "".join(f"{title:>16}" for title in MODES.values()))
-    for patch in found.patches:
-        say(f"{patch.name:<24}" + "".join(f"{patch.delta_e[mode]:>16.2f}" for mode in MODES))
-    for word in ("mean", "max"):
-        values = (float(getattr(found.delta_e(mode), word)()) for mode in MODES)
-        say(f"{word:<24}" + "".join(f"{value:>16.2f}" for value in values))
-    meter, white = found.meter, found.white
-    say(
-        f"illuminance {found.illuminance_lux:,.0f} lux by the grey card, {meter.illuminance_lux.value:,.0f} ± "
-        f"{meter.illuminance_lux.error:,.0f} by a light meter; {100 * meter.from_sun.value:.0f}% straight from the sun"
-    )
-    cct = "none" if math.isnan(white.cct_k) else f"{white.cct_k:,.0f} K"
-    say(f"correlated colour temperature {cct}, Duv {white.duv:+.4f}")
-    for note in found.notes:
-        say(f"note: {note}")
 
 
 def _fail_if_missed(found: Calibration, folder: Path) -> None:

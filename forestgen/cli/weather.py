@@ -14,7 +14,7 @@ from forestgen.cli.console import Printer
 from forestgen.core.figures import seconds, table_lines
 
 if TYPE_CHECKING:
-    from forestgen.api.instruments import Weather
+    from forestgen.atmosphere.clouds.source import WeatherReport
 
 
 def weather(
@@ -58,7 +58,7 @@ def weather(
         say(f"file: {one}")
 
 
-def _print(reports: Sequence[Weather], say: Printer) -> None:
+def _print(reports: Sequence[WeatherReport], say: Printer) -> None:
     names = ("image", "type", "time", "cover", "base", "top", "depth", "cloud", "rain", "fallen", "up")
     units = ("", "", "s", "%", "m", "m", "", "g/m²", "g/m²", "mm", "m/s")
     rows = [names, units]

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from forestgen.atmosphere.grid import AirGrid, Weather
     from forestgen.community.ecology import SpeciesEcology
     from forestgen.community.model import Site
-    from forestgen.community.obstacles import Obstacle
     from forestgen.community.placement.asked_and_placed import Densities
     from forestgen.community.population import Population
     from forestgen.core.progress import Progress
@@ -38,11 +37,9 @@ class PlanChecks(Protocol):
 
 @runtime_checkable
 class HasObstacles(Protocol):
-    """Buildings that block light and plants."""
+    """Buildings of the site block light and plants, and are the first rows of every population: plant_id 1, 2, ..."""
 
-    def obstacles(self, parameters: Any) -> tuple[Obstacle, ...]:
-        """The obstacles, in the order in which every population has them: plant_id 1, 2, ..."""
-        ...
+    has_obstacles: bool
 
 
 @runtime_checkable

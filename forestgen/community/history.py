@@ -2,10 +2,10 @@
 
 Columns: ``time_yr``, ``step`` and those of `Population` (position as ``x_m``, ``y_m``, ``z_m``), with ``species_name``
 beside the index ``species``, as text with a dictionary; a model's own columns follow, with ``model.`` before their
-name. The file's metadata, JSON under ``forestgen.community``, names the species, each
-snapshot's time, number of plants (a snapshot without plants has no rows), step and state, and the origin: what the
-simulation was started with, so that `forestgen.stages.resume` can tell whether a recipe continues it. A snapshot is one
-row group, and is read alone. The same snapshots give the same bytes.
+name. The file's metadata, JSON under ``forestgen.community``, names the species, each snapshot's time, number of plants
+(a snapshot without plants has no rows), step and state, and the origin: what the simulation was started with, so that
+`forestgen.community.resume` can tell whether a recipe continues it. A snapshot is one row group, and is read alone. The
+same snapshots give the same bytes.
 
 Maps of the ground, where a model has any, lie beside it (`community.map_history`); the metadata then names them.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, Protocol, Self, TypeVar
 
 import numpy as np
@@ -15,6 +15,7 @@ from forestgen.community.disturbance import Disturbance, Ground, Planting
 from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.population import Population
 from forestgen.core.randomness import child_rng
+from forestgen.recipe.buildings import Building
 from forestgen.recipe.fields import Whole, mistake
 from forestgen.recipe.messages import show
 from forestgen.recipe.sources import Keys
@@ -31,6 +32,7 @@ class Site:
     altitude_m: float = 0.0  # of z = 0 above sea level
     latitude_deg: float = 50.0  # north is positive
     wind_from_deg: float = 270.0  # where the prevailing wind comes from, clockwise from north
+    buildings: tuple[Building, ...] = field(default=(), hash=False)
 
     def __post_init__(self) -> None:
         if len(self.size_m) != 2 or not all(math.isfinite(side) and side > 0 for side in self.size_m):
@@ -165,7 +167,7 @@ class CommunityModel(Protocol[P, S]):
         """Upper bound of the mean number of plants at any step; 0: no plant can ever grow."""
         ...
 
-    def why_barren(self, parameters: P, site: Site, species: Sequence[SpeciesEcology]) -> str | None:
+    def empty_reason(self, parameters: P, site: Site, species: Sequence[SpeciesEcology]) -> str | None:
         """Why no plant can ever grow, or None if one may."""
         ...
 

@@ -1,76 +1,44 @@
-"""What stands on a site and is no plant: a recipe's entry, its checks, and what it changes about a population."""
+"""What stands on a site and is no plant: buildings, as rows of a population."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
-from pydantic import Field
 
-from forestgen.community.disturbance import PointOnGround
+from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.population import Population
-from forestgen.core.errors import RecipeError
-from forestgen.plants.registry import is_built
-from forestgen.recipe.fields import Name, Number, Positive, Section
-from forestgen.recipe.load import DrawnRecipe
-
-_Side = Annotated[Positive, Field(ge=0.5, le=200)]
-
-
-class Obstacle(Section):
-    """A building: plants neither grow into it nor get light through it."""
-
-    species: Name = Field(description="Its species, whose generator shows it: house.")
-    position_m: PointOnGround = Field(description="Middle of its ground plan: x, y, metres; on the site.")
-    azimuth_deg: Number = Field(
-        0.0, ge=-360, le=360, description="Turn of its width from east, clockwise from above, degrees."
-    )
-    size_m: tuple[_Side, _Side, _Side] = Field(
-        (10.0, 8.0, 7.0), description="Width along its ridge, depth, and height to the ridge, metres."
-    )
-
-    @property
-    def turn_rad(self) -> float:
-        """The same anticlockwise, as world axes turn, radians."""
-        return -math.radians(self.azimuth_deg)
-
-    def corners_m(self) -> NDArray[np.float64]:
-        """(4, 2) world x and y of its ground plan's corners."""
-        x, y = 0.5 * self.size_m[0], 0.5 * self.size_m[1]
-        cos, sin = math.cos(self.turn_rad), math.sin(self.turn_rad)
-        plan = np.array([[-x, -y], [x, -y], [x, y], [-x, y]])
-        return np.asarray(plan @ np.array([[cos, sin], [-sin, cos]]) + self.position_m)
+from forestgen.recipe.buildings import Building
 
 
 @dataclass(frozen=True)
 class Obstacles:
-    """The obstacles of a site, and the species that are none but such."""
+    """The buildings of a site, where its community knows of them."""
 
-    entries: tuple[Obstacle, ...] = ()  # a population has them in its first rows by plant_id, in this order
-    species: frozenset[str] = frozenset()
+    entries: tuple[Building, ...] = ()  # a population has them in its first rows by plant_id, in this order
 
-    @cached_property
+    @property
     def counts(self) -> dict[str, int]:
-        """How many there are of each species that has some."""
-        names = [one.species for one in self.entries]
-        return {name: names.count(name) for name in dict.fromkeys(names)}
+        """How many there are of each kind."""
+        kinds = [one.kind for one in self.entries]
+        return {kind: kinds.count(kind) for kind in dict.fromkeys(kinds)}
 
-    def rows_of(self, population: Population) -> dict[int, Obstacle]:
-        """Row of the population -> the obstacle that stands there."""
+    def ecologies(self) -> list[SpeciesEcology]:
+        """What stands for each kind among the species of a community: it neither grows nor spreads."""
+        return [SpeciesEcology(kind, 0.0, 1.0, 1.0, 1.0, 0.0, 1.0, 1.0, 0.0) for kind in self.counts]
+
+    def rows_of(self, population: Population) -> dict[int, Building]:
+        """Row of the population -> the building that stands there."""
         rows = np.searchsorted(population.plant_id, np.arange(1, len(self.entries) + 1))
         return {int(row): one for row, one in zip(rows, self.entries, strict=True)}
 
     def left_out_of(self, population: Population) -> Population:
-        """The plants of a snapshot: no row is an obstacle, and no species' name; modules are left out, too."""
-        return _without_species(population, self.species) if self.species else population
+        """The plants of a snapshot: no row is a building, and no species' name; modules are left out, too."""
+        return _without_species(population, self.counts) if self.entries else population
 
     def turned(self, population: Population) -> Population:
-        """The population with obstacles' azimuths in the column `azimuth_deg`, which the scene places plants by."""
+        """The population with buildings' azimuths in the column `azimuth_deg`, which the scene places plants by."""
         if not self.entries:
             return population
         azimuth_deg = population.columns.get("azimuth_deg", np.full(len(population), np.nan)).astype(np.float64)
@@ -80,54 +48,6 @@ class Obstacles:
 
 
 NO_OBSTACLES = Obstacles()
-
-
-def check_obstacles(drawn: DrawnRecipe, obstacles: Obstacles) -> None:
-    """Refuse obstacles that are plants or that stand beyond the site, and buildings that stand nowhere.
-
-    Raises
-    ------
-    RecipeError : with the line of the key.
-    """
-    for index, one in enumerate(obstacles.entries):
-        _check_obstacle(drawn, index, one)
-    for name in sorted(obstacles.species):
-        if name not in obstacles.counts:
-            raise RecipeError(
-                f"{name} is no plant, and none stands anywhere",
-                where=drawn.where("species", name),
-                expected="an obstacle of this species, or no such species",
-                got="obstacles of " + ", ".join(sorted(obstacles.counts)) if obstacles.counts else "no obstacle",
-                hint=f"community.obstacles: [{{species: {name}, position_m: [...]}}], or leave {name} out",
-            )
-
-
-def _check_obstacle(drawn: DrawnRecipe, index: int, obstacle: Obstacle) -> None:
-    """A species that is built, and a ground plan on the site."""
-    keys = ("community", "obstacles", index)
-    if not is_built(drawn.species[obstacle.species].plant.generator):
-        buildings = [name for name, one in drawn.species.items() if is_built(one.plant.generator)]
-        raise RecipeError(
-            "this species is a plant, and no obstacle",
-            where=drawn.where(*keys, "species"),
-            expected="one of " + (", ".join(buildings) or "the recipe's species with plant.generator: house"),
-            got=obstacle.species,
-            hint="species: {house: }" if not buildings else None,
-        )
-    width, depth = drawn.recipe.site.size_m
-    corners = obstacle.corners_m()
-    if np.any(corners < 0) or np.any(corners > (width, depth)):
-        x, y = obstacle.position_m
-        raise RecipeError(
-            "this obstacle does not lie on the site",
-            where=drawn.where(*keys, "position_m"),
-            expected=f"all of its ground plan within x from 0 to {width:g} and y from 0 to {depth:g} metres",
-            got=f"[{x:g}, {y:g}], from [{_point(corners.min(axis=0))}] to [{_point(corners.max(axis=0))}]",
-        )
-
-
-def _point(xy_m: np.ndarray[tuple[int], np.dtype[np.float64]]) -> str:
-    return ", ".join(f"{one:.1f}" for one in xy_m)
 
 
 def _without_species(population: Population, left_out: Collection[str]) -> Population:

@@ -99,7 +99,7 @@ class StaticModel(FixedPopulation, ABC, Generic[P]):
         """Who is placed, and who will be planted."""
         return float(self.most_plants(parameters, site, species) + planted(parameters.disturbances))
 
-    def why_barren(self, parameters: P, site: Site, species: Sequence[SpeciesEcology]) -> str | None:
+    def empty_reason(self, parameters: P, site: Site, species: Sequence[SpeciesEcology]) -> str | None:
         """Why no plant will ever stand there, or None if some may."""
         return None if self.expected_plants(parameters, site, species) > 0 else "the model places no plant"
 

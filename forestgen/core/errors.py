@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import unicodedata
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, Self
 
 MOST_SHOWN = 50
 
@@ -67,6 +67,10 @@ class ForestgenError(Exception):
         self.got = got
         self.hint = hint
         super().__init__(str(self))
+
+    def at(self, where: str) -> Self:
+        """The same error at another place, for one of code that does not know it."""
+        return type(self)(self.problem, where=where, expected=self.expected, got=self.got, hint=self.hint)
 
     @property
     def place(self) -> str | None:

@@ -60,19 +60,11 @@ class Registry:
     entries : id -> (dotted path, one line of description).
     contract : ``module:class`` whose attributes each part has; the annotation of its `Parameters`, if it has some,
         names their base class.
-    instead : attribute of the contract -> another one that a part may have in its place.
     """
 
-    def __init__(
-        self,
-        kind: str,
-        entries: Mapping[str, tuple[str, str]],
-        *,
-        contract: str,
-        instead: Mapping[str, str] | None = None,
-    ) -> None:
+    def __init__(self, kind: str, entries: Mapping[str, tuple[str, str]], *, contract: str) -> None:
         self.kind = kind
-        self._contract, self._instead = contract, dict(instead or {})
+        self._contract = contract
         self._shipped = frozenset(entries)
         self._entries = dict(entries)
         self._entries |= {one.name: (one.path, one.description) for one in _registered if one.kind == kind}
@@ -181,7 +173,7 @@ class Registry:
             raise RecipeError("this is a class", parameter="part", expected="an object", got=shown(part), hint=hint)
         own = {**getattr(contract, "__annotations__", {}), **vars(contract)}
         names = sorted(one for one in own if not one.startswith("_"))
-        missing = [one for one in names if not (hasattr(part, one) or hasattr(part, self._instead.get(one, one)))]
+        missing = [one for one in names if not hasattr(part, one)]
         if missing:
             problem, expected = f"this is no {self.kind}: it has no {', '.join(missing)}", f"what {self._contract} has"
             raise RecipeError(problem, parameter="part", expected=expected, got=shown(part))

@@ -7,15 +7,15 @@ from pathlib import Path
 
 from forestgen.dataset import png
 from forestgen.dataset.camera import write_camera
-from forestgen.dataset.canopy import write_canopy
 from forestgen.dataset.exr import write_exr
-from forestgen.dataset.files import make_folder, write_bytes
+from forestgen.dataset.files import make_folder, write_bytes, write_json
 from forestgen.dataset.formats.format import load_formats
 from forestgen.dataset.legend import write_legend
 from forestgen.dataset.raw import raw_image, write_raw
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.dataset.tables import write_plants
 from forestgen.dataset.tonemap import preview_of
+from forestgen.labels.gap_fraction import gap_fraction_of, looks_up
 from forestgen.labels.labelled import LabelledFrame
 
 # Uncompressed, so never too few: 60 EXR channels of 4 bytes, three RGB pictures, a mask and a raw image a pixel.
@@ -72,7 +72,8 @@ def write_frame(
         write_raw(folder, raw_image(radiance, camera, camera.exposure, int(attributes.get("image_seed", "0"))))
     write_plants(folder / "plants.parquet", labelled)
     write_camera(folder / "camera.json", camera)
-    write_canopy(folder, labelled.frame)
+    if looks_up(camera):
+        write_json(folder / "canopy.json", gap_fraction_of(camera, labelled.frame.identity).as_dict())
     write_bytes(folder / "recipe.yaml", recipe_yaml.encode())
     for one in load_formats(settings.formats):
         one.write_frame(folder, labelled, settings)

@@ -23,12 +23,16 @@ Warren Wilson 1963, "Estimation of foliage denseness and foliage angle by inclin
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.parts import Part
+from forestgen.render.frame import Identity
+from forestgen.render.identity import sample_offsets
 from forestgen.scene.projection import projection_of
 from forestgen.scene.spec import Camera
 
@@ -50,12 +54,33 @@ class GapFraction:
     hinge_lai: float  # of the ring that holds 57.5 degrees; NaN where the image does not show it
     openness: float  # share of the whole sky's solid angle that is seen, of what the image shows of it
 
+    def as_dict(self) -> dict[str, Any]:
+        """The fields of canopy.json, which instruments/gap_fraction.py explains."""
+        return {
+            "zenith_deg": [round(edge, 9) for edge in self.edges_deg.tolist()],
+            "gap_fraction": [_known(share) for share in self.gap_fraction.tolist()],
+            "samples": self.samples.tolist(),
+            "gaps": self.gaps.tolist(),
+            "effective_lai": _known(self.effective_lai),
+            "hinge_lai": _known(self.hinge_lai),
+            "openness": _known(self.openness),
+        }
+
+
+def _known(value: float) -> float | None:
+    return None if math.isnan(value) else value
+
 
 def looks_up(camera: Camera) -> bool:
     """Whether it is a fisheye that looks to the zenith, within a degree."""
     return projection_of(camera).is_equidistant and bool(
         camera.world_from_camera[2, 2] >= np.cos(np.radians(LEVEL_DEG))
     )
+
+
+def gap_fraction_of(camera: Camera, identity: Identity) -> GapFraction:
+    """Gap fraction of a fisheye that looks up, by its identity pass."""
+    return gap_fraction(camera, identity.plant_id, identity.part, sample_offsets(identity.plant_id.shape[2]))
 
 
 def gap_fraction(

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from forestgen.core.errors import RecipeError
 from forestgen.geometry.vectors import any_perpendicular, rotate, unit
 from forestgen.plants.budget import check_budget
-from forestgen.recipe.curves import Function, evaluate
+from forestgen.plants.skeleton import Skeleton
+from forestgen.recipe.curves import Curve, FallingCurve, PositiveCurve, StrictlyPositiveCurve, evaluate
+from forestgen.recipe.fields import Section
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -21,35 +23,34 @@ _LAST_INTERNODE = 0.4  # a rest shorter than this share of an internode joins th
 _MOST_INTERNODES = 20_000  # of one axis
 _NODE_BYTES = 600  # of an internode while it grows and is meshed
 _WANDER_MEMORY = 0.6  # correlation of one internode's turn with the turn before
+_PARENT_SHARE = 0.7  # a branch is at most this share of the radius of what bears it
 
 
-class OrderRules(Protocol):
-    """The functions of one branch order; `Order` in generators/silhouette.py documents each."""
+class Order(Section):
+    """One branch order. Curves run over rel, from 0 at the base of the longest branch to 1 at the tip."""
 
-    @property
-    def longest_m(self) -> float: ...
-    @property
-    def internode_m(self) -> Function: ...
-    @property
-    def internode_jitter(self) -> float: ...
-    @property
-    def upturn_deg_per_m(self) -> Function: ...
-    @property
-    def wander_deg(self) -> float: ...
-    @property
-    def branch_angle_deg(self) -> Function: ...
-    @property
-    def branch_angle_jitter_deg(self) -> float: ...
-    @property
-    def branches_per_node(self) -> int: ...
-    @property
-    def nodes_per_whorl(self) -> int: ...
-    @property
-    def phyllotaxis_deg(self) -> float: ...
-    @property
-    def phyllotaxis_jitter_deg(self) -> float: ...
-    @property
-    def planar(self) -> bool: ...
+    longest_m: float = Field(gt=0, le=1000, description="max_len[o]: length of the longest branch, metres")
+    internode_m: StrictlyPositiveCurve = Field(description="int_len(o, rel), metres")
+    internode_jitter: float = Field(0.0, ge=0, le=2, description="standard deviation of the internodes' logarithm")
+    diameter_m: FallingCurve = Field(((0.0, 0.01),), description="int_width(o, rel), metres; order 0 has `trunk`")
+    upturn_deg_per_m: Curve = Field(((0.0, 0.0),), description="bend to the sky, of a horizontal axis, degrees/metre")
+    wander_deg: float = Field(0.0, ge=0, description="random bend, degrees per square root of a metre")
+    branch_angle_deg: Curve = Field(((0.0, 50.0),), description="branch_ang(o, rel), degrees from the bearing axis")
+    branch_angle_jitter_deg: float = Field(0.0, ge=0, description="standard deviation of that angle, degrees")
+    branch_length: PositiveCurve = Field(
+        ((0.0, 1.0),), description="branch_len(o, rel): share of max_len[o+1]; order 0: of the silhouette's length"
+    )
+    branch_length_jitter: float = Field(0.0, ge=0, lt=0.5, description="standard deviation of that length, as a share")
+    shortest_m: float = Field(0.05, gt=0, description="a branch on this axis that would be shorter does not grow")
+    branches_per_node: int = Field(1, ge=0, le=1000, description="branches of a whorl")
+    nodes_per_whorl: int = Field(
+        1, ge=1, le=1000, description="a whorl every so many nodes; one branch on those between"
+    )
+    between_length: float = Field(1.0, gt=0, le=1, description="length of the branches between whorls, as a share")
+    missing: float = Field(0.0, ge=0, lt=1, description="share of branches that failed")
+    phyllotaxis_deg: float = Field(137.5, description="phyllo_ang[o]: turn from one node to the next, degrees")
+    phyllotaxis_jitter_deg: float = Field(0.0, ge=0, description="standard deviation of that turn, degrees")
+    planar: bool = Field(False, description="the first branch stands out horizontally: with 180 degrees, flat sprays")
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,7 @@ class Grown:
     first: Ints  # (A,) each axis' first node
 
 
-def grow(shoots: Shoots, rules: OrderRules, rng: np.random.Generator) -> Grown:
+def grow(shoots: Shoots, rules: Order, rng: np.random.Generator) -> Grown:
     """Production 1 of L-system 6.1, applied to all axes of an order at once.
 
     An axis of length l starts at s = longest - l, so a short axis is the top of a longer one.
@@ -98,7 +99,7 @@ def grow(shoots: Shoots, rules: OrderRules, rng: np.random.Generator) -> Grown:
     return _by_axis(rows, count, rules.longest_m)
 
 
-def _check_size(shoots: Shoots, rules: OrderRules) -> None:
+def _check_size(shoots: Shoots, rules: Order) -> None:
     """Refuse axes of more internodes than memory, or patience, holds."""
     if not len(shoots.length_m):
         return
@@ -116,14 +117,14 @@ def _check_size(shoots: Shoots, rules: OrderRules) -> None:
         )
 
 
-def _internodes(s: Floats, rules: OrderRules, rng: np.random.Generator) -> Floats:
+def _internodes(s: Floats, rules: Order, rng: np.random.Generator) -> Floats:
     length = evaluate(rules.internode_m, np.clip(s / rules.longest_m, 0.0, 1.0))
     length = length * np.exp(rules.internode_jitter * rng.normal(size=len(s)))
     rest = rules.longest_m - s
     return np.where(rest - length < _LAST_INTERNODE * length, rest, length)
 
 
-def _bend(direction: Floats, turn: Floats, step: Floats, s: Floats, rules: OrderRules) -> Floats:
+def _bend(direction: Floats, turn: Floats, step: Floats, s: Floats, rules: Order) -> Floats:
     """Turn towards the sky (or, for a negative upturn, the ground) as a torque does, and wander."""
     rate = evaluate(rules.upturn_deg_per_m, np.clip(s / rules.longest_m, 0.0, 1.0))
     lever = np.cross(direction, _UP)
@@ -163,7 +164,7 @@ class Sites:
     in_whorl: NDArray[np.bool_]  # (M,) False for the single branches between whorls
 
 
-def lateral_sites(grown: Grown, rules: OrderRules, rng: np.random.Generator) -> Sites:
+def lateral_sites(grown: Grown, rules: Order, rng: np.random.Generator) -> Sites:
     """Directions of the branches of every node but the tips: branch_ang(o, rel) and phyllo_ang[o]."""
     axes = len(grown.first)
     phase = rng.uniform(0.0, 2.0 * np.pi, axes)
@@ -187,6 +188,39 @@ def lateral_sites(grown: Grown, rules: OrderRules, rng: np.random.Generator) -> 
     )
     direction = around(grown.direction[node], azimuth, angle)
     return Sites(node, direction, angle, whorl[node])
+
+
+class Assembly:
+    """Nodes of a skeleton, collected order by order."""
+
+    def __init__(self, wood: Skeleton, axes: int) -> None:
+        self.axes = axes
+        self.radius_m = wood.radius_m.astype(np.float64)
+        self._columns = [(wood.parent, wood.position_m, wood.order, wood.axis)]
+        self._mark = wood.mark
+
+    def add(self, order: int, grown: Grown, shoots: Shoots, radius_m: Floats) -> Ints:
+        """Append the axes of an order; returns the (N,) skeleton indices of their nodes."""
+        index = len(self.radius_m) + np.arange(len(grown.axis))
+        parent = index - 1
+        parent[grown.first] = shoots.parent
+        self._columns.append((parent, grown.position_m, np.full(len(index), order), self.axes + grown.axis))
+        self.radius_m = np.concatenate([self.radius_m, radius_m])
+        self.axes += len(grown.first)
+        if self._mark is not None:
+            self._mark = np.concatenate([self._mark, self._mark[shoots.parent][grown.axis]])
+        return index
+
+    def add_branches(self, order: int, grown: Grown, shoots: Shoots, rules: Order) -> Ints:
+        """As `add`. A short branch is the top of a longer one, and no thicker than what bears it allows."""
+        radius = 0.5 * evaluate(rules.diameter_m, grown.relative)
+        foot = 0.5 * evaluate(rules.diameter_m, np.clip(1.0 - shoots.length_m / rules.longest_m, 0.0, 1.0))
+        cap = _PARENT_SHARE * self.radius_m[shoots.parent]
+        return self.add(order, grown, shoots, radius * np.minimum(1.0, cap / np.maximum(foot, 1e-9))[grown.axis])
+
+    def skeleton(self) -> Skeleton:
+        parent, position, order, axis = (np.concatenate(column) for column in zip(*self._columns, strict=True))
+        return Skeleton.of(parent, position, self.radius_m, order, axis, mark=self._mark)
 
 
 def around(axis: Floats, azimuth_rad: Floats, angle_rad: Floats) -> Floats:

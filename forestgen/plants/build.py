@@ -14,21 +14,21 @@ from forestgen.geometry.mesh import Mesh, surface_area_m2
 from forestgen.plants.budget import check_budget
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.plants.fitting import fit
-from forestgen.plants.foliage import place
-from forestgen.plants.generators.house import DEPTH_SHARE
+from forestgen.plants.grown import ModuleWood
 from forestgen.plants.levels import FULL, Level, simplified
 from forestgen.plants.meshing import organ_meshes
 from forestgen.plants.organs.base import OrganForm
-from forestgen.plants.parameters import Fit, PlantParameters
+from forestgen.plants.parameters import Fit
 from forestgen.plants.registry import GENERATORS
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
-from forestgen.plants.variation.courses import vary
+from forestgen.plants.variation.growth import vary
 from forestgen.recipe.species import Species
 
 _TRIANGLE_BYTES = 150  # of an organ's triangle while it is meshed
 _LEAST_ORGAN_M = 5e-5  # single precision at a tree's top tells no points of a smaller organ apart
 _FITTED = (0.5, 2.0)  # height over the height asked for; beyond, the fit did not reach the plant
 _LARGEST_M = 1e4  # plant that keeps the size at which it grows
+_TRIANGLES_PER_NODE = 10  # of wood: twigs have three to five sides, stems more
 _FARTHEST = 1e15  # a grown point, in the generator's own unit; single precision squares no more
 
 
@@ -41,70 +41,45 @@ def size_m(species: Species, radius_m: float) -> tuple[float, float]:
 def build_exemplar(
     species_name: str,
     species: Species,
-    generator_parameters: Any,
+    plant: Any,
     radius_m: float,
     rng: np.random.Generator,
     *,
     level: Level = FULL,
+    wood: ModuleWood | None = None,
 ) -> Exemplar:
     """Grow and mesh one plant.
 
     Parameters
     ----------
-    generator_parameters : the generator's own `Parameters`; their `generator` names it in `GENERATORS`.
+    plant : the generator's own `Parameters`; their `generator` names it in `GENERATORS`.
     radius_m : community radius.
     level : how much detail; the plant is the same one at every level.
+    wood : branches that it has grown already: the generator clothes them, and they give its height.
+
+    Raises
+    ------
+    RecipeError : a plant too large for memory, or a material that the species does not have.
     """
-    height_m, width_m = size_m(species, radius_m)
-    wood_rng, foliage_rng, level_rng, variation_rng = rng.spawn(4)
-    plant = generator_parameters
-    generator = GENERATORS.load(plant.generator)
-    if hasattr(generator, "build"):  # what is no plant
-        size = (width_m, DEPTH_SHARE * width_m, height_m)
-        return built(species_name, species, plant, size, radius_m)
-    skeleton = generator.grow(plant, height_m, width_m, wood_rng)
-    if plant.variation is not None:
-        skeleton = vary(skeleton, plant.variation, variation_rng)
+    if wood is None:
+        height_m, width_m = size_m(species, radius_m)
+        wood_rng, foliage_rng, level_rng, variation_rng = rng.spawn(4)
+        skeleton = GENERATORS.load(plant.generator).grow(plant, height_m, width_m, wood_rng)
+        if plant.variation is not None:
+            skeleton = vary(skeleton, plant.variation, variation_rng)
+        _check_grown(species_name, skeleton)
+        placed = plant.place_foliage(skeleton, height_m, foliage_rng)
+        skeleton = replace(skeleton, organs=(*skeleton.organs, *placed))
+    else:
+        clothing_rng, level_rng = rng.spawn(2)
+        height_m, width_m = max(wood.height_m, 0.01), float(np.ptp(wood.position_m[:, :2], axis=0).max())
+        skeleton = GENERATORS.load(plant.generator).clothe(plant, wood, height_m, clothing_rng)
     _check_grown(species_name, skeleton)
-    rules = [rule for rule in plant.foliage if rule.suits(height_m)]
-    placed = tuple(place(rule, skeleton, height_m, foliage_rng) for rule in rules)
-    skeleton = replace(skeleton, organs=(*skeleton.organs, *placed))
-    return finished(species_name, species, plant, skeleton, (radius_m, height_m, width_m), level_rng, level=level)
-
-
-def built(
-    species_name: str, species: Species, plant: PlantParameters, size_m: tuple[float, float, float], radius_m: float
-) -> Exemplar:
-    """What a generator builds to a width, depth and height, metres, instead of growing it: a house."""
-    exemplar: Exemplar = GENERATORS.load(plant.generator).build(species_name, plant, size_m, radius_m)
-    _check_materials(species_name, exemplar.organs, species.materials)
-    return exemplar
-
-
-def finished(
-    species_name: str,
-    species: Species,
-    plant: PlantParameters,
-    skeleton: Skeleton,
-    size: tuple[float, float, float],
-    rng: np.random.Generator,
-    *,
-    level: Level = FULL,
-) -> Exemplar:
-    """Fit and mesh a plant that has grown, with its leaves.
-
-    Parameters
-    ----------
-    size : community radius, height and width that it is to have, metres.
-    rng : decides what a far version leaves out.
-    """
-    radius_m, height_m, width_m = size
-    _check_grown(species_name, skeleton)
-    templates = {name: shape.template() for name, shape in plant.shapes.items()}
+    templates = plant.templates()
     skeleton = _with_visible_organs(fit(skeleton, templates, plant.fit, height_m, width_m), templates)
     triangles = sum(len(organs.node) * templates[organs.shape].triangles for organs in skeleton.organs)
     check_budget("triangles in leaves and flowers", triangles, _TRIANGLE_BYTES, "fewer organs, a lower detail")
-    seen = simplified(skeleton, templates, level, rng)
+    seen = simplified(skeleton, templates, level, level_rng)
     organs = organ_meshes(seen, plant.shapes, plant.wood, pixel_m=level.pixel_m)
     _check_materials(species_name, organs, species.materials)
     low, high = _box(organs, species_name)
@@ -118,6 +93,13 @@ def finished(
         leaf_area_m2=leaf_area_m2(organs, plant.shapes),
         wood_volume_m3=skeleton.volume_m3(),
     )
+
+
+def estimate_triangles(plant: Any, wood: ModuleWood, rng: np.random.Generator) -> int:
+    """About how many triangles a plant with branches of its own will have, without meshing it."""
+    skeleton = GENERATORS.load(plant.generator).clothe(plant, wood, max(wood.height_m, 0.01), rng)
+    leaves = sum(len(one.node) * plant.shapes[one.shape].template().triangles for one in skeleton.organs)
+    return int(leaves + _TRIANGLES_PER_NODE * len(skeleton.parent))
 
 
 def _check_grown(species_name: str, skeleton: Skeleton) -> None:

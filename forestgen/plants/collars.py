@@ -6,9 +6,8 @@ continue one another. Near the bearer the normals turn into the bearer's, so tha
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import cos, pi, sin, sqrt
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,18 +34,13 @@ _LEAST_SINE = 0.4  # of the angle between branch and bearer, for the collar's le
 _LEAST_GAP = 0.15  # of the branch's radius, from a new ring to the next node
 
 
-@dataclass(frozen=True)
-class _Bearers:
+class _Bearers(NamedTuple):
     """The segments before and after C bearing nodes, as cones with round ends."""
 
     position_m: Floats  # (C, 3) of the node
     radius_m: Floats  # (C,)
     way_m: Floats  # (C, 2, 3) to the node before and to the node after
     end_radius_m: Floats  # (C, 2) at those nodes
-
-    @property
-    def arrays(self) -> tuple[Floats, Floats, Floats, Floats]:
-        return self.position_m, self.radius_m, self.way_m, self.end_radius_m
 
 
 def _bearers(skeleton: Skeleton, node: Ints) -> _Bearers:
@@ -88,12 +82,12 @@ def sweep_with_collars(
     factor = np.ones((len(lines.radius_m), int(sides.max())))
     _, normal, binormal = rotation_minimising_frames(lines)
     points = np.ascontiguousarray(lines.points_m)
-    _swell(points, lines.radius_m, lines.offset, sides, chosen, *surfaces.arrays, normal, binormal, factor)
+    _swell(points, lines.radius_m, lines.offset, sides, chosen, *surfaces, normal, binormal, factor)
     mesh, vertex_start = sweep_tubes(
         lines, sides, pointed=pointed, radial_factor=factor, height_ratio=height_ratio, tile_m=tile_m
     )
     if mesh.normals is not None:
-        _blend(mesh.vertices_m, mesh.normals, vertex_start, chosen, base[chosen], *surfaces.arrays)
+        _blend(mesh.vertices_m, mesh.normals, vertex_start, chosen, base[chosen], *surfaces)
     return mesh, vertex_start
 
 
@@ -184,18 +178,13 @@ def _stops(lines: Polylines, chosen: Ints, surfaces: _Bearers) -> Floats:
     return stops
 
 
-def _arcs(lines: Polylines) -> tuple[Floats, Floats]:
-    """(P,) arc length from each line's foot, and (A,) of each line in all."""
+def _with_rings(lines: Polylines, chosen: Ints, stops: Floats) -> Polylines:
+    """Points added at arc lengths `stops` (C, R) of the chosen lines, unless a line ends or has a node near there."""
     step = np.linalg.norm(np.diff(lines.points_m, axis=0, prepend=lines.points_m[:1]), axis=1)
     step[lines.offset[:-1]] = 0.0
     total = np.cumsum(step)
-    arc: Floats = total - np.repeat(total[lines.offset[:-1]], lines.lengths)
-    return arc, arc[lines.offset[1:] - 1]
-
-
-def _with_rings(lines: Polylines, chosen: Ints, stops: Floats) -> Polylines:
-    """Points added at arc lengths `stops` (C, R) of the chosen lines, unless a line ends or has a node near there."""
-    arc, length = _arcs(lines)
+    arc: Floats = total - np.repeat(total[lines.offset[:-1]], lines.lengths)  # from each line's foot
+    length = arc[lines.offset[1:] - 1]
     line = np.repeat(np.arange(len(length)), lines.lengths)
     start = np.concatenate([[0.0], np.cumsum(length + 1.0)[:-1]])  # all lines on one axis, a metre apart
     place = start[line] + arc

@@ -33,8 +33,8 @@ def fit(skeleton: Skeleton, templates: Mapping[str, Mesh], how: Fit, height_m: f
         case "scale":
             return _scale(skeleton, templates, height_m)
         case "scale_all":
-            _, _, high = _extents(skeleton.organs, templates, feet_added=True)
-            top = max(float(skeleton.position_m[:, 2].max()), float(high[:, 2].max()))
+            feet, _, high = _extents(skeleton.organs, templates)
+            top = max(float(skeleton.position_m[:, 2].max()), float((feet + high)[:, 2].max()))
             return _scaled(skeleton, height_m / max(top, 1e-9), organs_too=True)
         case "none":
             return skeleton
@@ -57,7 +57,7 @@ def _scaled(skeleton: Skeleton, factor: float, *, organs_too: bool) -> Skeleton:
         skeleton,
         position_m=(skeleton.position_m * np.float32(factor)).astype(np.float32),
         radius_m=(skeleton.radius_m * np.float32(factor)).astype(np.float32),
-        organs=tuple(_moved(placement, stretch, factor if organs_too else 1.0) for placement in skeleton.organs),
+        organs=tuple(moved(placement, stretch, factor if organs_too else 1.0) for placement in skeleton.organs),
     )
 
 
@@ -84,26 +84,23 @@ def _stretch(skeleton: Skeleton, templates: Mapping[str, Mesh], height_m: float,
     return replace(
         skeleton,
         position_m=(nodes * stretch).astype(np.float32),
-        organs=tuple(_moved(placement, stretch, organ_size) for placement in organs),
+        organs=tuple(moved(placement, stretch, organ_size) for placement in organs),
     )
 
 
-def _extents(
-    organs: Sequence[OrganPlacements], templates: Mapping[str, Mesh], *, feet_added: bool = False
-) -> tuple[Floats, Floats, Floats]:
-    """Feet of all organs and the corners of their boxes, relative to them or `feet_added`, each (M, 3)."""
+def _extents(organs: Sequence[OrganPlacements], templates: Mapping[str, Mesh]) -> tuple[Floats, Floats, Floats]:
+    """Feet of all organs and the corners of their boxes, relative to them, each (M, 3)."""
     feet, low, high = [np.zeros((1, 3))], [np.zeros((1, 3))], [np.zeros((1, 3))]
     for placement in organs:
         reach = templates[placement.shape].vertices_m @ placement.frame[:, :, :3].transpose(0, 2, 1)
         feet.append(placement.frame[:, :, 3].astype(np.float64))
         low.append(reach.min(axis=1).astype(np.float64))
         high.append(reach.max(axis=1).astype(np.float64))
-    foot = np.concatenate(feet)
-    base = foot if feet_added else 0.0
-    return foot, np.concatenate(low) + base, np.concatenate(high) + base
+    return np.concatenate(feet), np.concatenate(low), np.concatenate(high)
 
 
-def _moved(placement: OrganPlacements, stretch: Floats, organ_size: float) -> OrganPlacements:
+def moved(placement: OrganPlacements, stretch: NDArray[np.floating], organ_size: float) -> OrganPlacements:
+    """The organs with their feet stretched and their size multiplied."""
     frame = placement.frame.copy()
     frame[:, :, 3] *= stretch.astype(np.float32)
     frame[:, :, :3] *= np.float32(organ_size)

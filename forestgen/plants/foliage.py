@@ -6,7 +6,7 @@ from typing import Literal, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from forestgen.geometry.vectors import rotate, unit
 from forestgen.plants.branching import around
@@ -14,6 +14,7 @@ from forestgen.plants.budget import check_budget
 from forestgen.plants.organs.shapes import OrganShape
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
 from forestgen.recipe.curves import Curve, PositiveCurve, evaluate, evaluate_one
+from forestgen.recipe.fields import Section
 
 __all__ = ["Foliage", "OrganShape", "organ_frames", "place"]
 
@@ -26,10 +27,8 @@ _HINT = "foliage of the shape {!r}: a larger spacing_m, or a smaller within_m, c
 _DEEPEST_SEAT_M = 0.008  # an organ's foot sits on the bark, but no further than this from the axis
 
 
-class Foliage(BaseModel):
+class Foliage(Section):
     """Where organs of one shape sit: at even steps along the axes, from each axis' tip towards its base."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     shape: str = Field(description="name of an organ shape")
     heights_m: tuple[float, float] = Field(
@@ -97,7 +96,7 @@ def place(rule: Foliage, skeleton: Skeleton, height_m: float, rng: np.random.Gen
     azimuth = azimuth + np.radians(rule.turn_jitter_deg) * rng.normal(size=len(axis))
     angle = np.radians(evaluate(rule.angle_deg, share) + rule.angle_jitter_deg * rng.normal(size=len(axis)))
     angle = np.where(rank < 0, 0.0, angle)
-    along = _droop(around(tangent, azimuth, angle), np.radians(evaluate(rule.droop_deg, share)))
+    along = droop(around(tangent, azimuth, angle), np.radians(evaluate(rule.droop_deg, share)))
     along = unit(along * [1.0, 1.0, 1.0 - 0.999 * rule.light])
     radius = np.minimum(skeleton.radius_m[node].astype(np.float64), _DEEPEST_SEAT_M)
     seat = along - np.sum(along * tangent, axis=1, keepdims=True) * tangent
@@ -180,7 +179,8 @@ def _stations(rule: Foliage, axes: _Axes, spacing_m: float) -> _Stations:
     return _Stations(axis, distance, share, rank, member)
 
 
-def _droop(along: Floats, angle_rad: Floats) -> Floats:
+def droop(along: Floats, angle_rad: Floats | float) -> Floats:
+    """Directions turned to the ground, level ones by `angle_rad`."""
     lever = np.cross(along, -_UP)
     return rotate(along, unit(lever), angle_rad * np.linalg.norm(lever, axis=1))
 

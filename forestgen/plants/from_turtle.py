@@ -11,10 +11,7 @@ from numpy.typing import NDArray
 from forestgen.core.errors import LsystemError
 from forestgen.geometry.vectors import unit
 from forestgen.lsystem.derivation import MOST_MODULES, derive, interpret
-from forestgen.lsystem.parsing import parse_text
 from forestgen.lsystem.program import Program
-from forestgen.lsystem.syntax import Listing
-from forestgen.lsystem.sys_format import parse_sys_text
 from forestgen.lsystem.turtle import Drawing, Polygons, draw_word, options_from
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
 
@@ -54,24 +51,7 @@ def skeleton_of(drawing: Drawing, shapes: Mapping[str, str] | None = None, polyg
     organs = _organs(d, last_row, shapes or {})
     if polygons is not None and len(d.polygons.node):
         organs = (*organs, _triangles(d.polygons, last_row, polygons))
-    return Skeleton(
-        parent=parent.astype(np.int32),
-        position_m=position.astype(np.float32),
-        radius_m=radius.astype(np.float32),
-        order=np.minimum(order, 255).astype(np.uint8),
-        axis=axis,
-        organs=organs,
-    )
-
-
-def parse_program(text: str, name: str) -> Listing:
-    """The program in a text, in the language that its name's suffix tells, .sys or .lsys.
-
-    Raises
-    ------
-    LsystemError : the text is not understood; with line and column.
-    """
-    return parse_sys_text(text, name) if name.endswith(".sys") else parse_text(text, name)
+    return Skeleton.of(parent, position, radius, order, axis, organs=organs)
 
 
 def draw_program(

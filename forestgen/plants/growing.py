@@ -1,26 +1,115 @@
 """Several exemplars at once: from disk where they are kept, otherwise grown, on all cores.
 
-Threads, not processes: most of the time goes to NumPy and to compiled loops, which leave Python's lock; and a process
+Threads, not processes: most of the time goes to NumPy and to compiled loops, which release Python's lock; and a process
 would first spend seconds on imports, and would run a user's script again. What grows depends on the requests alone,
 never on the number of threads.
+
+On disk an exemplar is kept by the hash of all that it depends on: the generator's parameters, the allometry, the names
+of the materials, the radius, the level of detail and the seed; and the code that grows it, so that a change of a
+generator never shows an old plant. What comes from disk is the same as what would be grown, to the last bit.
 """
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass
+from typing import Any
 
 from forestgen.core.bounded_cache import BoundedCache
-from forestgen.core.disk_cache import DiskCache
+from forestgen.core.code_hash import code_hash
+from forestgen.core.disk_cache import DiskCache, cache_root
+from forestgen.core.packed import UnreadableError, pack, unpack
+from forestgen.core.parts import Part
 from forestgen.core.randomness import child_rng, child_seed
 from forestgen.core.threads import cores
-from forestgen.plants.build import build_exemplar, built, size_m
-from forestgen.plants.cache import ExemplarRequest, keep_exemplar, load_exemplar
-from forestgen.plants.exemplar import Exemplar
-from forestgen.plants.grown.build import build_grown
+from forestgen.geometry.mesh import Mesh
+from forestgen.plants.build import build_exemplar, size_m
+from forestgen.plants.exemplar import Exemplar, OrganMesh
+from forestgen.plants.grown import ModuleWood, wood_key
+from forestgen.plants.levels import FULL, Level
+from forestgen.plants.registry import GENERATORS, clothes_modules
+from forestgen.recipe.assets import scenes_dir
+from forestgen.recipe.species import Species
 
 SHARED_BYTES = 400_000_000  # of shared exemplars in memory, at most
+MOST_BYTES = 4_000_000_000  # on disk
+LIBRARY_BYTES = 12_000_000_000  # where images share a library: a thousand plants and more
+_SOURCES = ("architecture", "core", "geometry", "lsystem", "plants", "recipe")  # layers whose code shapes a plant
+_COMPUTE_WITH = ("numpy", "numba", "scipy", "pymeshlab")
+_CLASSES = (Exemplar, OrganMesh, Mesh, Part)
 _shared: BoundedCache[Exemplar] = BoundedCache(SHARED_BYTES, lambda exemplar: exemplar.nbytes)
+
+
+@dataclass(frozen=True)
+class ExemplarRequest:
+    """A plant to grow, complete: the same request gives the same plant."""
+
+    species_name: str
+    species: Species
+    parameters: Any  # of the generator
+    radius_m: float  # community radius
+    seed: int  # root seed
+    identity: tuple[str | int, ...]  # of its randomness, see `core.randomness.child_rng`
+    level: Level = FULL
+    wood: ModuleWood | None = None  # branches that its community grew; None: the generator grows it by the radius
+    is_kept: bool = True  # on disk: other runs may ask for the same
+    is_shared: bool = False  # in memory: this process' next images may ask for the same
+
+    @property
+    def grows_alone(self) -> bool:
+        """Whether its branches grow by the species' modules, without a community."""
+        return self.wood is None and clothes_modules(self.parameters.generator)
+
+    def key(self) -> str:
+        """Hash of everything that the exemplar depends on, hexadecimal."""
+        height, width = self.species.allometry.height_m, self.species.allometry.width_m
+        content: dict[str, Any] = {
+            "species": self.species_name,
+            "parameters": self.parameters.model_dump(mode="json", serialize_as_any=True),
+            "generator": f"{type(self.parameters).__module__}.{type(self.parameters).__qualname__}",
+            "allometry": [repr(float(x)) for x in (height.scale, height.exponent, width.scale, width.exponent)],
+            "materials": sorted(self.species.materials),
+            "radius_m": repr(float(self.radius_m)),
+            "seed": [int(self.seed), *self.identity],
+            "level": asdict(self.level),
+            "wood": None if self.wood is None else wood_key(self.wood),
+            "code": code_hash(_SOURCES, _COMPUTE_WITH),
+        }
+        if self.grows_alone:
+            content["modules"] = self.species.modules and self.species.modules.model_dump(mode="json")
+            content["growth"] = code_hash(("community",), _COMPUTE_WITH, (scenes_dir() / "modules",))
+        text = json.dumps(content, sort_keys=True, separators=(",", ":"))
+        return hashlib.blake2b(text.encode(), digest_size=20).hexdigest()
+
+
+def exemplar_store(most_bytes: int = MOST_BYTES) -> DiskCache | None:
+    """Where exemplars are kept; None if there is no place for them."""
+    root = cache_root()
+    return None if root is None else DiskCache(root / "exemplars", most_bytes)
+
+
+def load_exemplar(store: DiskCache, request: ExemplarRequest) -> Exemplar | None:
+    """The exemplar from disk, None if it is not there or unreadable, which removes it."""
+    key = request.key()
+    data = store.read(key)
+    if data is None:
+        return None
+    try:
+        found = unpack(data, _CLASSES)
+    except UnreadableError:
+        found = None
+    if isinstance(found, Exemplar):
+        return found
+    store.drop(key)
+    return None
+
+
+def keep_exemplar(store: DiskCache, request: ExemplarRequest, exemplar: Exemplar) -> bool:
+    """Write the exemplar to disk; False if that is not possible."""
+    return store.write(request.key(), pack(exemplar))
 
 
 def forget_shared() -> None:
@@ -30,28 +119,13 @@ def forget_shared() -> None:
 
 def grow_exemplar(request: ExemplarRequest) -> Exemplar:
     """The plant of a request, grown and meshed."""
-    if request.box_m is not None:
-        return built(request.species_name, request.species, request.parameters, request.box_m, request.radius_m)
-    rng, wood, parameters = child_rng(request.seed, *request.identity), request.wood, request.parameters
+    name, species, plant, wood = request.species_name, request.species, request.parameters, request.wood
     if request.grows_alone:
-        from forestgen.plants.grown.alone import wood_alone  # loads a community model
-
-        size, seed = size_m(request.species, request.radius_m), child_seed(request.seed, *request.identity, "wood")
-        wood = wood_alone(request.species_name, request.species, size, seed)
-        parameters = parameters.model_copy(update={"fit": "scale_all"})  # leaves reach beyond the wood
-    if wood is not None:
-        return build_grown(
-            request.species_name,
-            request.species,
-            parameters,
-            wood,
-            request.radius_m,
-            rng,
-            level=request.level,
-        )
-    return build_exemplar(
-        request.species_name, request.species, request.parameters, request.radius_m, rng, level=request.level
-    )
+        size, seed = size_m(species, request.radius_m), child_seed(request.seed, *request.identity, "wood")
+        wood = GENERATORS.load(plant.generator).wood_alone(name, species, size, seed)
+        plant = plant.model_copy(update={"fit": "scale_all"})  # leaves reach beyond the wood
+    rng = child_rng(request.seed, *request.identity)
+    return build_exemplar(name, species, plant, request.radius_m, rng, level=request.level, wood=wood)
 
 
 def grow_exemplars(
@@ -74,7 +148,6 @@ def grow_exemplars(
     RecipeError : a plant that cannot be grown: of several, the one that is asked for first.
     """
     threads = max(1, min(workers or cores(), len(requests)))
-
     written: list[bool] = []  # whether each exemplar that grew is on disk now
 
     def made(request: ExemplarRequest) -> Exemplar:

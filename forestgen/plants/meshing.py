@@ -27,8 +27,7 @@ from forestgen.geometry.sweep import Polylines, sides_for_radius, sweep, sweep_t
 from forestgen.geometry.vectors import concatenate, unit
 from forestgen.plants.collars import sweep_with_collars
 from forestgen.plants.exemplar import OrganMesh
-from forestgen.plants.far_organs import far_piece
-from forestgen.plants.levels import mean_size
+from forestgen.plants.levels import far_piece, mean_size
 from forestgen.plants.organs.shapes import OrganShape
 from forestgen.plants.parameters import Wood
 from forestgen.plants.skeleton import Skeleton
@@ -59,53 +58,42 @@ def wood_mesh(
 
     Parameters
     ----------
-    flare : widening at the root collar, as a share of the radius.
+    flare : widening of stems at the root collar, as a share of the radius.
     height_ratio : height over width of the branches' sections; stems are round.
     tile_m : extent of one repeat of the bark's texture, round and along an axis.
     plain : tubes as measured: no flare, relief, collars or domes.
     foot_m : of the branches, those alone whose diameter at the foot is within (first included, second not).
     """
-    tubes = _wood(skeleton, trunk, flare, height_ratio, tile_m, plain, foot_m)
-    mesh = concatenate([one for one, _, _, _ in tubes]) if tubes else sweep(_no_lines(), np.zeros(0, np.int64))
-    if skeleton.mark is None:
-        return mesh, None
-    marks = [tube_marks(one, start, line, skeleton.mark[node], tile_m[1]) for one, start, line, node in tubes]
-    return mesh, np.concatenate([np.zeros(0, dtype=np.uint32), *marks])
-
-
-def _wood(
-    skeleton: Skeleton,
-    trunk: bool,
-    flare: float,
-    height_ratio: float,
-    tile_m: tuple[float, float],
-    plain: bool,
-    foot_m: tuple[float, float],
-) -> list[tuple[Mesh, Ints, Polylines, Ints]]:
-    """Meshes of tubes, where each tube's vertices begin, and the polylines and their nodes that the tubes follow."""
     first, last = _axis_ranges(skeleton)
     standing = (skeleton.order[first] == 0) & (skeleton.parent[first] <= 0)
     bears = _bears_at_its_end(skeleton, first, last) & (not plain)
-    tubes = []
+    # Meshes of tubes, where each tube's vertices begin, and the polylines and their nodes that the tubes follow.
+    tubes: list[tuple[Mesh, Ints, Polylines, Ints]] = []
     if trunk:
         for a, b, forks in zip(first[standing], last[standing], bears[standing], strict=True):
-            line = stem_line(skeleton, int(a), int(b), rings=not plain)
-            if line is not None:
-                mesh = _stem(_domed(line, np.array([forks])), flare, tile_m, plain)
-                own = stem_line(skeleton, int(a), int(b))
-                assert own is not None
+            own = stem_line(skeleton, int(a), int(b))
+            ringed = own if plain else stem_line(skeleton, int(a), int(b), rings=True)
+            if own is not None and ringed is not None:
+                mesh = _stem(_domed(ringed, np.array([forks])), flare, tile_m, plain)
                 tubes.append((mesh, np.array([0, len(mesh.vertices_m)]), own, _stem_nodes(skeleton, int(a), own)))
     chosen = ~standing & ((skeleton.order[first] == 0) == trunk) & ~skeleton.is_thread()
     if not trunk:
         foot = 2.0 * skeleton.radius_m[first]
         chosen &= (foot >= foot_m[0]) & (foot < foot_m[1])
     if np.any(chosen):
-        ratio = 1.0 if trunk else height_ratio
         own = branch_lines(skeleton, first[chosen], last[chosen])
         lines = _domed(own, bears[chosen])
+        ratio = 1.0 if trunk else height_ratio
         mesh, start = _limbs(skeleton, lines, skeleton.parent[first[chosen]], ratio, tile_m, plain)
         tubes.append((mesh, start, own, _branch_nodes(skeleton, first[chosen], last[chosen])))
-    return tubes
+    if tubes:
+        mesh = concatenate([one for one, _, _, _ in tubes])
+    else:
+        mesh = sweep(Polylines(np.zeros((0, 3)), np.zeros(0), np.zeros(1, np.int64)), np.zeros(0, np.int64))
+    if skeleton.mark is None:
+        return mesh, None
+    marks = [tube_marks(one, start, line, skeleton.mark[node], tile_m[1]) for one, start, line, node in tubes]
+    return mesh, np.concatenate([np.zeros(0, dtype=np.uint32), *marks])
 
 
 def organ_meshes(
@@ -115,7 +103,7 @@ def organ_meshes(
 
     Parameters
     ----------
-    pixel_m : what a pixel covers of the plant, metres; collars do not show from far. 0 is all detail.
+    pixel_m : what a pixel covers of the plant, metres; 0 is all detail.
     """
     parts: dict[tuple[Part, str], list[tuple[Mesh, NDArray[np.uint32] | None]]] = {}
     stem, limb = (Part.DEAD_WOOD, Part.DEAD_WOOD) if wood.dead else (Part.TRUNK, Part.BRANCH)
@@ -125,15 +113,8 @@ def organ_meshes(
         ((0.0, thick), wood.branch_material or wood.material, wood.branch_tile_m),
         ((thick, np.inf), wood.material, wood.bark_tile_m),
     ):
-        branches = wood_mesh(
-            skeleton,
-            False,
-            wood.flare,
-            height_ratio=wood.branch_height_ratio,
-            tile_m=tile_m,
-            plain=pixel_m > 0.0,
-            foot_m=foot_m,
-        )
+        ratio, plain = wood.branch_height_ratio, pixel_m > 0.0  # collars do not show from far
+        branches = wood_mesh(skeleton, False, 0.0, height_ratio=ratio, tile_m=tile_m, plain=plain, foot_m=foot_m)
         parts.setdefault((limb, material), []).append(branches)
     for placement in skeleton.organs:
         organ_pixel_m = pixel_m / mean_size(placement.frame) if pixel_m else 0.0
@@ -283,10 +264,6 @@ def _is_standing(points: Floats) -> bool:
 def _is_pointed(lines: Polylines) -> NDArray[np.bool_]:
     end = lines.offset[1:] - 1
     return lines.radius_m[end] <= np.maximum(_POINTED_M, _POINTED * lines.radius_m[end - 1])
-
-
-def _no_lines() -> Polylines:
-    return Polylines(np.zeros((0, 3)), np.zeros(0), np.zeros(1, np.int64))
 
 
 def tube_marks(

@@ -2,26 +2,30 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, Protocol, Self
+from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, Self, runtime_checkable
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
 
-from forestgen.plants.foliage import Foliage, OrganShape
-from forestgen.plants.skeleton import Skeleton
+from forestgen.geometry.mesh import Mesh
+from forestgen.plants.foliage import Foliage, OrganShape, place
+from forestgen.plants.skeleton import OrganPlacements, Skeleton
 from forestgen.plants.variation.model import Variation
+from forestgen.recipe.fields import Section
 
-STRICT = ConfigDict(frozen=True, extra="forbid")
+if TYPE_CHECKING:
+    from forestgen.plants.grown import ModuleWood
+    from forestgen.recipe.species import Species
 
 Tile = Annotated[float, Field(ge=0.01, le=10)]
 
 Fit = Literal["stretch", "scale", "scale_all", "none"]
 
 
-class Wood(BaseModel):
+class Wood(Section):
     """Surface of stems and branches."""
-
-    model_config = STRICT
 
     material: str = Field(description="name of one of the species' materials")
     branch_material: str | None = Field(None, description="the same for branches; the trunk's if not given")
@@ -43,10 +47,8 @@ class Wood(BaseModel):
     branch_tile_m: tuple[Tile, Tile] = Field((0.25, 0.5), description="the same for branches")
 
 
-class PlantParameters(BaseModel):
+class PlantParameters(Section):
     """The `plant:` block of a species' file, less the generator's own keys."""
-
-    model_config = STRICT
 
     generator: str
     wood: Wood = Field(description="surface of stems and branches")
@@ -68,6 +70,16 @@ class PlantParameters(BaseModel):
                 raise ValueError(f"foliage names the shape {rule.shape!r}; there are: {', '.join(self.shapes)}")
         return self
 
+    def templates(self) -> dict[str, Mesh]:
+        """Each shape as one mesh, by name."""
+        return {name: shape.template() for name, shape in self.shapes.items()}
+
+    def place_foliage(
+        self, skeleton: Skeleton, height_m: float, rng: np.random.Generator
+    ) -> tuple[OrganPlacements, ...]:
+        """Organs by the rules that suit a plant of this height."""
+        return tuple(place(rule, skeleton, height_m, rng) for rule in self.foliage if rule.suits(height_m))
+
 
 def with_detail(parameters: PlantParameters, detail: int) -> PlantParameters:
     """The same plant with its organs drawn at a level of detail, 0 to 2, where their forms have one."""
@@ -79,10 +91,13 @@ def with_detail(parameters: PlantParameters, detail: int) -> PlantParameters:
 
 
 class Generator(Protocol):
-    """A plant generator: one file in plants/generators, one line in plants/registry.py."""
+    """A plant generator: one file in plants/generators, one line in plants/registry.py.
+
+    What it may offer besides are the protocols below; a generator has a capability if it has its methods.
+    """
 
     Parameters: type[PlantParameters]
-    has_crown: bool  # whether the species' crown width means anything to its plants: not to dead wood or a house
+    has_crown: bool  # whether the species' crown width means anything to its plants: not to dead wood
 
     def grow(self, parameters: Any, height_m: float, width_m: float, rng: np.random.Generator) -> Skeleton:
         """A plant about `height_m` tall and `width_m` wide, with the organs that the generator itself places.
@@ -92,5 +107,66 @@ class Generator(Protocol):
         Raises
         ------
         RecipeError : the parameters lead nowhere, or to a plant too large for memory (see `plants/budget.py`).
+        """
+        ...
+
+
+@runtime_checkable
+class CrownProfile(Protocol):
+    """A generator that knows the form of the crown."""
+
+    def crown_profile(
+        self, parameters: Any, height_m: float, width_m: float
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """(K,) heights and (K,) radii of the crown, metres, from its base to its top."""
+        ...
+
+
+@runtime_checkable
+class Lifeless(Protocol):
+    """A generator of what does not grow, such as dead wood."""
+
+    instead: str  # what communities that grow their plants have in its place, for messages
+
+
+@runtime_checkable
+class ClothesModules(Protocol):
+    """A generator of twigs and leaves on branches that a community grew."""
+
+    def clothe(self, parameters: Any, wood: ModuleWood, height_m: float, rng: np.random.Generator) -> Skeleton:
+        """The plant's wood with its twigs and leaves.
+
+        Parameters
+        ----------
+        wood : the plant's skeletal graph.
+        height_m : of the plant, by which rules of foliage and sizes are chosen.
+
+        Raises
+        ------
+        RecipeError : more twigs or leaves than memory holds.
+        """
+        ...
+
+    def wood_alone(self, species_name: str, species: Species, size_m: tuple[float, float], seed: int) -> ModuleWood:
+        """The wood of a plant of a height and width, metres, without a community; another seed is another plant."""
+        ...
+
+
+@runtime_checkable
+class Sways(Protocol):
+    """A generator that knows poses of its plants in the wind."""
+
+    def in_wind(self, parameters: Any) -> Any:
+        """The parameters with a wind that moves the plant, if their own does not."""
+        ...
+
+    def poses(
+        self, parameters: Any, height_m: float, width_m: float, rng: np.random.Generator, times_s: Iterable[float]
+    ) -> Iterator[Skeleton]:
+        """The plant that `plants.build.build_exemplar` makes of the same `rng`, at each time, ready to be meshed.
+
+        Raises
+        ------
+        RecipeError : the plant has a `variation`, whose bends a pose would have to carry along; or as `grow` does.
         """
         ...

@@ -27,25 +27,15 @@ GENERATORS = Registry(
             "forestgen.plants.generators.auxin_root:GENERATOR",
             "a bent axis: auxin transport, redistribution by gravity, growth of a root's or a shoot's sides",
         ),
-        "house": (
-            "forestgen.plants.generators.house:GENERATOR",
-            "no plant: a house with a gable roof, an obstacle that plants grow around",
-        ),
         "branch_modules": (
             "forestgen.plants.generators.branch_modules:GENERATOR",
             "twigs and leaves on the branches that the community model branch_modules grew (Makowski 2023)",
         ),
     },
     contract="forestgen.plants.parameters:Generator",
-    instead={"grow": "build"},  # what is built is no plant, and does not grow
 )
 
 
-def is_built(generator: str) -> bool:
-    """Whether a generator makes no plant but a building, to the size that it is given."""
-    return generator in GENERATORS and hasattr(GENERATORS.load(generator), "build")
-
-
 def clothes_modules(generator: str) -> bool:
-    """Whether a generator grows twigs and leaves on branches that a community grew."""
-    return generator in GENERATORS and getattr(GENERATORS.load(generator), "clothes_modules", False)
+    """Whether a generator grows twigs and leaves on branches that a community grew: see `ClothesModules`."""
+    return generator in GENERATORS and hasattr(GENERATORS.load(generator), "clothe")

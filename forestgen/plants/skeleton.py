@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 _LEAST_SINE = 0.3  # of the angle between a branch and its bearer: a narrower fork leaves it no deeper than this
-
-
 _THREAD_M = 2e-5  # axes no thicker than this join pieces that do not touch, and are not wood
 _THREAD_SHARE = 1e-4  # the same as a share of the plant's greatest radius
 
@@ -37,13 +37,36 @@ class Skeleton:
 
     def __post_init__(self) -> None:
         n = len(self.parent)
-        for name, shape in {"position_m": (n, 3), "radius_m": (n,), "order": (n,), "axis": (n,)}.items():
-            if getattr(self, name).shape != shape:
-                raise ValueError(f"{name} must have shape {shape}, got {getattr(self, name).shape}")
-        if self.mark is not None and self.mark.shape != (n,):
-            raise ValueError(f"mark must have shape {(n,)}, got {self.mark.shape}")
+        shapes = {"position_m": (n, 3), "radius_m": (n,), "order": (n,), "axis": (n,), "mark": (n,)}
+        for name, shape in shapes.items():
+            column = getattr(self, name)
+            if column is not None and column.shape != shape:
+                raise ValueError(f"{name} must have shape {shape}, got {column.shape}")
         if n and (self.parent[0] != -1 or np.any(self.parent >= np.arange(n))):
             raise ValueError("parents must precede children, and node 0 must be the root")
+
+    @classmethod
+    def of(
+        cls,
+        parent: NDArray[Any] | Sequence[int],
+        position_m: NDArray[Any],
+        radius_m: NDArray[Any],
+        order: NDArray[Any],
+        axis: NDArray[Any],
+        *,
+        organs: tuple[OrganPlacements, ...] = (),
+        mark: NDArray[np.uint32] | None = None,
+    ) -> Skeleton:
+        """The skeleton of arrays of any number type; higher orders than 255 become 255."""
+        return cls(
+            parent=np.asarray(parent, dtype=np.int32),
+            position_m=np.asarray(position_m, dtype=np.float32),
+            radius_m=np.asarray(radius_m, dtype=np.float32),
+            order=np.minimum(order, 255).astype(np.uint8),
+            axis=np.asarray(axis, dtype=np.int32),
+            organs=organs,
+            mark=mark,
+        )
 
     def is_thread(self) -> NDArray[np.bool_]:
         """(A,) which axes only join pieces that do not touch: nothing grows there, and nothing is to be seen."""

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from forestgen.core.errors import AssetError
 from forestgen.recipe.paths import inside
+from forestgen.recipe.registries import BUILDINGS
 from forestgen.recipe.suggestions import did_you_mean
 
 PACKAGE = Path(__file__).resolve().parents[1]
@@ -110,9 +111,13 @@ def find_asset(
             parameter=parameter,
             expected=f"one of {', '.join(names) or '(there are none)'}, or a path such as {path_like}",
             got=repr(name),
-            hint=did_you_mean(name, names),
+            hint=did_you_mean(name, names) if kind != "species" or name not in BUILDINGS else _as_building(name),
         )
     return _files(kind)[name]
+
+
+def _as_building(name: str) -> str:
+    return f"it is a building: site: {{buildings: [{{kind: {name}, position_m: [...]}}]}}"
 
 
 def _shipped(kind: str, name: str) -> Path | None:

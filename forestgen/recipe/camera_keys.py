@@ -2,7 +2,7 @@
 
 A camera with a path is as many images as the path has frames. Times run in equal steps over the whole path; each of
 the two lists of points is a polyline of its own over that time, every piece of it as long in time as the next.
-A camera with a rig (recipe/rigs.py) is several images, too.
+A camera with a rig (scene/rigs) is several images, too.
 """
 
 from __future__ import annotations
@@ -11,13 +11,13 @@ from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import AfterValidator, Field, field_validator, model_validator
+from pydantic import AfterValidator, Field, SerializeAsAny, field_validator, model_validator
 
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.exposure import Exposure
 from forestgen.recipe.fields import Flag, Name, Point, Section, Text, Whole, mistake, spelled_out
-from forestgen.recipe.registries import DEFAULT_PROJECTION, PROJECTIONS
-from forestgen.recipe.rigs import MOST_FRAMES, DroneGrid, FramesPerSecond, GroundPoint, Orbit, Rig, Stereo, Walk
+from forestgen.recipe.registries import DEFAULT_PROJECTION, PROJECTIONS, RIGS
+from forestgen.recipe.rigs import MOST_FRAMES, FramesPerSecond, RigKeys
 from forestgen.recipe.spectra import MOST_BYTES
 
 Pixels = Annotated[Whole, Field(ge=8, le=16384)]
@@ -126,7 +126,11 @@ class CameraKeys(Section):
         CameraPath | None, Field(description="Where it moves to; each frame is an image. None: it stands still.")
     ] = None
     rig: Annotated[
-        Rig | None, Field(description="Several images of one entry: stereo, orbit, walk or drone_grid. None: one.")
+        SerializeAsAny[RigKeys] | None,
+        Field(
+            description="Several images of one entry, of those that `forestgen models --kind rig` lists; its page has "
+            "its keys. None: one."
+        ),
     ] = None
     bands: Annotated[
         SensorFile | None,
@@ -145,11 +149,10 @@ class CameraKeys(Section):
         """What a projection has by default."""
         if not isinstance(data, Mapping):
             return data
-        filled, rig = dict(data), data.get("rig")
-        rigged = rig.get("kind") if isinstance(rig, Mapping) else None
+        filled, rig = dict(data), rig_of(data)
         if filled.get("size_px") is None:
             filled["size_px"] = cls.default_size_px
-        if all(filled.get(key) is None for key in ("look", "look_at_m")) and rigged in (None, "stereo"):
+        if all(filled.get(key) is None for key in ("look", "look_at_m")) and _keeps_view(data, rig):
             filled["look"] = cls.default_look
         return filled
 
@@ -183,28 +186,19 @@ class CameraKeys(Section):
         """What its projection needs beside these: `Camera.numbers` of the scene has them, and camera.json."""
         return {}
 
-    @property
-    def footprint_m(self) -> tuple[float, float]:
-        """Width and height of the level ground that a drone's image shows, if the projection `covers_ground`."""
+    def footprint_m(self, altitude_m: float) -> tuple[float, float]:
+        """Width and height of the level ground that an image shows from above, if the projection `covers_ground`."""
         raise NotImplementedError
 
     @property
-    def rig_middles_m(self) -> list[GroundPoint]:
-        """Middles of a drone grid's images, on the map."""
-        assert isinstance(self.rig, DroneGrid)
-        return self.rig.middles_m(self.footprint_m)
+    def rig_part(self) -> Any:
+        """The `forestgen.scene.rigs.rig.Rig`, if it has one."""
+        return None if self.rig is None else RIGS.load(self.rig.kind)
 
     @property
     def frames(self) -> int:
         """How many images it makes of one scene."""
-        if isinstance(self.rig, DroneGrid):
-            lines, images = self.rig.lines(self.footprint_m)
-            return lines * images
-        if isinstance(self.rig, Orbit):
-            return self.rig.count
-        if isinstance(self.rig, Walk):
-            return self.rig.frames
-        return self.steps * (1 if self.rig is None else 2)
+        return self.steps if self.rig is None else int(self.rig_part.frames(self))
 
     @property
     def steps(self) -> int:
@@ -213,15 +207,14 @@ class CameraKeys(Section):
 
     @property
     def frame_names(self) -> list[str]:
-        """Names of its images: its own, or NAME-0000, NAME-0001, ...; and -left and -right after NAME."""
-        names = [self.name] if not isinstance(self.rig, Stereo) else [f"{self.name}-left", f"{self.name}-right"]
-        if self.path is None and isinstance(self.rig, Stereo | None):
-            return names
-        return [f"{name}-{index:04d}" for index in range(self.frames // len(names)) for name in names]
+        """Names of its images: its own, NAME-0000, NAME-0001, ... along a path, or what its rig says."""
+        if self.rig is not None:
+            return list(self.rig_part.frame_names(self))
+        return [self.name] if self.path is None else [f"{self.name}-{index:04d}" for index in range(self.steps)]
 
     @property
     def positions_m(self) -> list[Point]:
-        """Where it stands in each step, as the recipe counts heights; of a stereo rig the middle."""
+        """Where it stands in each step, as the recipe counts heights."""
         assert self.position_m is not None
         return _along([self.position_m, *(self.path.position_m if self.path else ())], self.steps)
 
@@ -261,6 +254,18 @@ def _along(points: Sequence[Point], frames: int) -> list[Point]:
     return way
 
 
+def rig_of(camera: Mapping[str, Any]) -> Any:
+    """The rig that a recipe's camera names; None: it has none, or one that validation will refuse."""
+    keys = camera.get("rig")
+    kind = keys.get("kind") if isinstance(keys, Mapping) else None
+    return RIGS.load(kind) if isinstance(kind, str) and kind in RIGS else None
+
+
+def _keeps_view(camera: Mapping[str, Any], rig: Any) -> bool:
+    """Whether the camera stands and looks as it would without a rig."""
+    return bool(rig.keeps_view) if rig is not None else not isinstance(camera.get("rig"), Mapping)
+
+
 def default_view(camera: Mapping[str, Any], size_m: tuple[float, float], of_kind: type[CameraKeys]) -> dict[str, Any]:
     """Keys that a recipe's camera has by the site's extent, where it says nothing itself; metres.
 
@@ -268,16 +273,13 @@ def default_view(camera: Mapping[str, Any], size_m: tuple[float, float], of_kind
     ----------
     of_kind : the class of its projection's cameras.
     """
-    (width, depth), rig = size_m, camera.get("rig")
-    rigged = rig.get("kind") if isinstance(rig, Mapping) else None
-    if rigged == "drone_grid":
-        assert isinstance(rig, Mapping)
-        # A bad area is left for validation to name.
-        return {"rig": {**rig, "area_m": [[0.0, 0.0], [width, depth]]}} if rig.get("area_m") is None else {}
+    (width, depth), rig = size_m, rig_of(camera)
     view: dict[str, Any] = {}
-    if rigged not in ("orbit", "walk"):
+    if rig is not None and (keys := rig.with_defaults(camera["rig"], size_m)) != camera["rig"]:
+        view["rig"] = keys
+    if rig is None or "position_m" not in rig.decides:
         across, along, above_m = of_kind.default_place
         view["position_m"] = [across * width, along * depth, above_m]
-    if of_kind.default_look is None and rigged in (None, "stereo") and camera.get("look") is None:
+    if of_kind.default_look is None and _keeps_view(camera, rig) and camera.get("look") is None:
         view["look_at_m"] = [0.5 * width, 0.6 * depth, 6.0]
-    return {key: value for key, value in view.items() if camera.get(key) is None}
+    return {key: value for key, value in view.items() if key == "rig" or camera.get(key) is None}

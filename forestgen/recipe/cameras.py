@@ -12,15 +12,7 @@ from pydantic_core import PydanticCustomError
 from forestgen.recipe.camera_keys import CameraKeys
 from forestgen.recipe.fields import mistake
 from forestgen.recipe.registries import DEFAULT_PROJECTION, PROJECTIONS
-from forestgen.recipe.rigs import MOST_FRAMES, DroneGrid, Orbit, Stereo
-
-# What a rig decides itself.
-_NOT_WITH_RIG: dict[str, tuple[str, ...]] = {
-    "stereo": (),
-    "orbit": ("position_m", "look", "path"),
-    "walk": ("position_m", "path"),
-    "drone_grid": ("position_m", "look_at_m", "look", "path"),
-}
+from forestgen.recipe.rigs import MOST_FRAMES
 
 
 class Camera(CameraKeys):
@@ -123,8 +115,8 @@ def _rigged(camera: CameraKeys) -> PydanticCustomError | None:
                 "x, y, z in metres", problem=f"the key {missing[0]!r} is missing", got="nothing", at=(missing[0],)
             )
         return None
-    rig = camera.rig.kind
-    for key in _NOT_WITH_RIG[rig]:
+    rig, part = camera.rig.kind, camera.rig_part
+    for key in part.decides:
         if getattr(camera, key) is not None:
             return mistake(
                 "no such key beside this rig",
@@ -133,14 +125,8 @@ def _rigged(camera: CameraKeys) -> PydanticCustomError | None:
                 hint=f"leave {key} out",
                 at=(key,),
             )
-    if isinstance(camera.rig, Orbit) and camera.look_at_m is None:
-        return mistake("the circle's middle", problem="an orbit needs look_at_m", got="no look_at_m", at=("rig",))
-    if isinstance(camera.rig, DroneGrid) and not camera.covers_ground:
-        expected = " or ".join(name for name, part in PROJECTIONS.parts() if part.Parameters.covers_ground)
-        return mistake(expected, problem="no camera for a grid", got=camera.kind, at=("kind",))
-    if isinstance(camera.rig, DroneGrid) and camera.rig.area_m is None:
-        return mistake("two corners", problem="the grid needs an area_m", got="none", at=("rig",))
-    return None
+    wrong: PydanticCustomError | None = part.check(camera)
+    return wrong
 
 
 def _looking(camera: CameraKeys) -> PydanticCustomError | None:
@@ -160,7 +146,7 @@ def _looking(camera: CameraKeys) -> PydanticCustomError | None:
 
 
 def _looks_at_itself(camera: CameraKeys) -> PydanticCustomError | None:
-    if camera.look is not None or not isinstance(camera.rig, Stereo | None):
+    if camera.look is not None or not (camera.rig is None or camera.rig_part.keeps_view):
         return None
     # Heights above ground do not matter: a point above another has the same ground.
     flat = 2 if camera.is_level else 3  # of a level one only the direction on the map counts

@@ -1,4 +1,10 @@
-"""A camera's exposure and its sensor, for raw images beside the linear ones: see dataset/raw.py for the equations."""
+"""A camera's exposure and its sensor, for raw images beside the linear ones; dataset/raw.py applies them.
+
+Photographic relations (ISO 2720, ISO 12232), with f-number N, time t, luminance L, speed S:
+
+    exposure value   2^EV = N² / t at ISO 100;        N² / t = 2^EV S / 100 at another
+    a meter sets     N² / t = L S / K,  K = 12.5 cd s/m²/lx
+"""
 
 from __future__ import annotations
 
@@ -7,6 +13,8 @@ from typing import Annotated, Self
 from pydantic import Field, model_validator
 
 from forestgen.recipe.fields import Flag, Fraction, NonNegative, Number, Positive, Section, Whole, mistake
+
+_METER_CONSTANT = 12.5  # K of ISO 2720 for reflected light, as most makers set it
 
 
 class Exposure(Section):
@@ -68,3 +76,14 @@ class Exposure(Section):
                 at=("iso",),
             )
         return self
+
+    def shutter_for_s(self, luminance_cd_m2: float) -> float:
+        """Time that is set, or that a meter pointed at this mean luminance sets; 1 s in the dark."""
+        if self.shutter_s is not None:
+            return self.shutter_s
+        if self.ev is not None:
+            return float(self.f_number**2 / (2.0**self.ev * self.iso / 100.0))
+        if not luminance_cd_m2 > 0:
+            return 1.0
+        metered_s = _METER_CONSTANT * self.f_number**2 / (luminance_cd_m2 * self.iso)
+        return float(metered_s * 2.0**self.compensation_ev)

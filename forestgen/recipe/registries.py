@@ -7,6 +7,7 @@ from forestgen.recipe.fields import mistake
 
 DEFAULT_FORMATS = ("coco",)
 DEFAULT_PROJECTION = "perspective"
+DEFAULT_BUILDING = "house"
 
 # In the order in which their checks run.
 DATASET_FORMATS = Registry(
@@ -67,7 +68,7 @@ CLOUD_SOURCES = Registry(
             "simulated weather: a thundercloud up to 8 km, with its anvil",
         ),
         "community": (
-            "forestgen.stages.community_clouds:SOURCE",
+            "forestgen.community.own_clouds:SOURCE",
             "the air that the community simulates over itself",
         ),
         "noise": ("forestgen.atmosphere.clouds.noise:SOURCE", "small cumulus of noise, without weather"),
@@ -84,7 +85,7 @@ TERRAINS = Registry(
         "rolling": ("forestgen.scene.terrains.rolling:ROLLING", "gently rolling ground, with hills in the distance"),
         "map": ("forestgen.scene.terrains.mapped:SHAPE", "the ground of a map of heights"),
     },
-    contract="forestgen.scene.terrains.shape:TerrainShape",
+    contract="forestgen.scene.terrain:TerrainShape",
 )
 
 GROUND_COVERS = Registry(
@@ -98,7 +99,13 @@ GROUND_COVERS = Registry(
         "sand": ("forestgen.scene.grounds.uneven:SAND", "sand"),
         "snow": ("forestgen.scene.grounds.uneven:SNOW", "snow, also on a share of the land around"),
     },
-    contract="forestgen.scene.grounds.cover:GroundCover",
+    contract="forestgen.scene.terrain:GroundCover",
+)
+
+BUILDINGS = Registry(
+    "building",
+    {DEFAULT_BUILDING: ("forestgen.scene.buildings.house:BUILDING", "a detached house with a gable roof")},
+    contract="forestgen.scene.building:BuildingKind",
 )
 
 SKIES = Registry(
@@ -121,6 +128,27 @@ def each_once(names: tuple[str, ...]) -> tuple[str, ...]:
             raise mistake("each one once", problem="a part named twice", got=name, at=(index,))
     return names
 
+
+RIGS = Registry(
+    "rig",
+    {
+        "stereo": ("forestgen.scene.rigs.stereo:RIG", "two cameras side by side, axes parallel"),
+        "orbit": ("forestgen.scene.rigs.orbit:RIG", "a circle of cameras around look_at_m"),
+        "walk": ("forestgen.scene.rigs.walk:RIG", "at eye height over the ground, around trunks"),
+        "drone_grid": ("forestgen.scene.rigs.drone_grid:RIG", "straight down in lines over an area, overlapping"),
+    },
+    contract="forestgen.scene.rigs.rig:Rig",
+)
+
+INSTRUMENTS = Registry(
+    "instrument",
+    {
+        "light_meter": ("forestgen.instruments.light_meter:INSTRUMENT", "illuminance, colour and spectra at points"),
+        "colour_chart": ("forestgen.instruments.colour_chart:INSTRUMENT", "colours against those of colour science"),
+        "gap_fraction": ("forestgen.instruments.gap_fraction:INSTRUMENT", "the canopy's gaps in fisheyes that look up"),
+    },
+    contract="forestgen.instruments.instrument:Instrument",
+)
 
 PROJECTIONS = Registry(
     "projection",

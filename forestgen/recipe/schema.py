@@ -21,6 +21,7 @@ from pydantic import (
     model_validator,
 )
 
+from forestgen.recipe.buildings import Building
 from forestgen.recipe.camera_keys import default_view
 from forestgen.recipe.cameras import AnyCamera, Camera, check_cameras, check_motion
 from forestgen.recipe.classes import MOST_CLASSES, NO_SPECIES, check_classes
@@ -100,6 +101,12 @@ class Site(Section):
             "with a response to wind, and for the wind that plants lean and sway in.",
         ),
     ] = 270.0
+    buildings: Annotated[
+        tuple[SerializeAsAny[Building], ...],
+        Field(
+            max_length=1000, description="What people have built there; for community models that know of buildings."
+        ),
+    ] = ()
     wet_soil: Annotated[
         WetSoil | None,
         Field(
@@ -121,7 +128,24 @@ class Site(Section):
     @model_serializer(mode="wrap")
     def _without_what_few_need(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
         found: dict[str, Any] = handler(self)
-        return {key: value for key, value in found.items() if key != "wet_soil" or value is not None}
+        few = {"wet_soil": None, "buildings": ()}
+        return {key: value for key, value in found.items() if key not in few or value not in (few[key], [])}
+
+    @model_validator(mode="after")
+    def _buildings_stand_on_it(self) -> Self:
+        width, depth = self.size_m
+        for index, one in enumerate(self.buildings):
+            corners = one.corners_m()
+            low, high = (", ".join(f"{value:.1f}" for value in corner) for corner in (corners.min(0), corners.max(0)))
+            if (corners < 0).any() or (corners > (width, depth)).any():
+                x, y = one.position_m
+                raise mistake(
+                    f"all of its ground plan within x from 0 to {width:g} and y from 0 to {depth:g} metres",
+                    problem="this building does not lie on the site",
+                    got=f"[{x:g}, {y:g}], from [{low}] to [{high}]",
+                    at=("buildings", index, "position_m"),
+                )
+        return self
 
 
 class Community(OpenSection):
@@ -249,22 +273,27 @@ class Recipe(Section):
             )
         return self
 
-    @field_validator("species")
-    @classmethod
-    def _species_are_plants(cls, species: dict[str, Species]) -> dict[str, Species]:
-        for name in species:
-            if name.lower() in NO_SPECIES:
+    @property
+    def labelled_names(self) -> tuple[str, ...]:
+        """Names of what has instances: the species, and the kinds of buildings."""
+        return (*self.species, *dict.fromkeys(one.kind for one in self.site.buildings))
+
+    @model_validator(mode="after")
+    def _species_are_plants(self) -> Self:
+        reserved = (*NO_SPECIES, *(one.kind for one in self.site.buildings))
+        for name in self.species:
+            if name.lower() in reserved:
                 raise mistake(
-                    f"another name than {', '.join(NO_SPECIES)}",
+                    f"another name than {', '.join(reserved)}",
                     problem="labels use this name for what is no plant",
                     got=name,
-                    at=(name,),
+                    at=("species", name),
                 )
-        return species
+        return self
 
     @model_validator(mode="after")
     def _classes_hold_all(self) -> Self:
-        wrong = None if self.labels.classes is None else check_classes(self.labels.classes, list(self.species))
+        wrong = None if self.labels.classes is None else check_classes(self.labels.classes, self.labelled_names)
         if wrong is not None:
             at = ("labels", "classes", *wrong.at)
             raise mistake(wrong.expected, problem=wrong.problem, got=wrong.got, hint=wrong.hint, at=at)

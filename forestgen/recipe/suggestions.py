@@ -28,7 +28,6 @@ _CALLED = {
     "fireweed": "rosebay willowherb",
     "grass": "tussock deschampsia",
     "hemlock": "tsuga",
-    "house": "building obstacle",
     "juniper": "juniperus",
     "kapok": "ceiba",
     "larch": "larix tamarack",

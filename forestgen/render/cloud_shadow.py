@@ -35,6 +35,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.atmosphere.clouds.source import GAP_OF_SITE, LEAST_GAP_M
 from forestgen.atmosphere.grid import CloudGrid
 from forestgen.atmosphere.optical_depth import optical_depth
 from forestgen.core.bounded_cache import BoundedCache
@@ -45,8 +46,6 @@ from forestgen.render.light import SUN_RADIUS_DEG
 from forestgen.render.variant import mitsuba
 from forestgen.scene.spec import Camera, SceneSpec
 
-LEAST_GAP_M = 100.0
-GAP_OF_SITE = 0.5
 THICKEST_RAIN_PER_M = 0.01  # heavy rain, of 4 to 5 g/m^3; in the thinnest fog one sees as far
 _CLEAR = 0.01  # optical depth of all layers together that count as empty
 _ABOVE_ALL_M = 1.0

@@ -21,7 +21,7 @@ mean of the neighbours that see nothing but sky.
 
 Valid while the haze is thin over the scene: light on its way to a plant is not dimmed, blur and the shadows of clouds
 and plants in the haze are left out. Beyond an optical depth of about 1 to the farthest plants, fog should be simulated
-(`sky.clouds`): `haze_notes` in stages/frames.py says so.
+(`sky.clouds`): `haze_notes` in render/rendering.py says so.
 
 Under clouds the airlight is that of the sky through them, as it is at the middle of the site, and of the share of the
 sun that their shadow lets through in the mean; the ratio at the horizon counts by as much of it as this share. One

@@ -43,8 +43,7 @@ EVERY_S = 20.0  # at least, from one writing to the next
 _MOST_BYTES = 4_000_000_000
 # Layers that shape an image.
 _SOURCES = (
-    "architecture", "atmosphere", "community", "core", "geometry", "lsystem", "plants", "recipe", "render",
-    "scene", "stages",
+    "architecture", "atmosphere", "community", "core", "geometry", "lsystem", "plants", "recipe", "render", "scene",
 )  # fmt: skip
 _COMPUTE_WITH = ("numpy", "scipy", "numba", "pvlib", "mitsuba", "drjit")
 _STEPS = 1000  # of the progress of an image

@@ -37,11 +37,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.atmosphere.clouds.source import LEAST_GAP_M
 from forestgen.atmosphere.grid import PhaseFunction
 from forestgen.core.bounded_cache import BoundedCache
 from forestgen.core.randomness import child_rng, child_seed
 from forestgen.render.cloud_paths import ORDERS, CloudField, CloudLight, Gathered, field_of, gather
-from forestgen.render.cloud_shadow import LEAST_GAP_M, content_key
+from forestgen.render.cloud_shadow import content_key
 from forestgen.render.light import SUN_RADIUS_DEG, envmap, sky_map, sun_irradiance
 from forestgen.render.skies.model import MAP_COLUMNS, MAP_ROWS
 from forestgen.scene.channels import RGB, Channels

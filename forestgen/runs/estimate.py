@@ -25,7 +25,8 @@ from forestgen.recipe.load import DrawnRecipe, LoadedRecipe
 from forestgen.runs.contract import Place
 from forestgen.runs.places import LocalPlace
 from forestgen.runs.probes import Probe, Probed, probe_images
-from forestgen.stages.plan import estimate_bytes, make_plan
+from forestgen.scene.plan import estimate_bytes
+from forestgen.scene.planning import make_plan
 
 BUDGET_S = 60.0  # of the probes
 LEAST_IMAGES = 50  # a smaller batch is made as fast as it is estimated

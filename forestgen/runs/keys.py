@@ -12,14 +12,14 @@ from forestgen.recipe.load import DrawnRecipe
 # Everything that shapes a frame's files; the layers above only call it.
 _SOURCES = (
     "architecture", "atmosphere", "community", "core", "dataset", "geometry", "labels", "lsystem", "plants", "recipe",
-    "render", "scene", "stages", "__init__.py", "pipeline.py",
+    "render", "scene", "__init__.py", "pipeline.py",
 )  # fmt: skip
 # Of these, what only reads frames, writes the files over all of them, or checks and shows what people give and see.
 _WITHOUT = (
     "community/fitting/fit_text.py", "community/point_statistics.py", "core/streams.py",
     "dataset/balance.py", "dataset/card.py", "dataset/check", "dataset/checksums.py", "dataset/exr_chunks.py",
     "dataset/frame.py", "dataset/index.py", "dataset/index_values.py", "dataset/pack", "dataset/report",
-    "stages/light_text.py", "stages/simulation_summary.py",
+    "community/summary.py",
 )  # fmt: skip
 _COMPUTE_WITH = (
     "numpy", "scipy", "numba", "pvlib", "mitsuba", "drjit", "mitsuba-oidn", "colour-science", "trimesh",

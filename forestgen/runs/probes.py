@@ -28,7 +28,8 @@ from forestgen.runs.engines.local import LocalEngine
 from forestgen.runs.keys import job_key, versions_hash
 from forestgen.runs.places import LocalPlace
 from forestgen.runs.work import make_job
-from forestgen.stages.plan import estimate_bytes, make_plan
+from forestgen.scene.plan import estimate_bytes
+from forestgen.scene.planning import make_plan
 
 MOST_PROBES = 6
 _MOST_PIXELS = 300_000  # of a probe, over all its frames

@@ -9,6 +9,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 
 from forestgen.core.errors import DatasetError, ForestgenError, OutputError, RecipeError
+from forestgen.dataset.data_set import check_one_data_set, check_splits, check_stands, data_set_of
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.recipe.load import LoadedRecipe
 from forestgen.recipe.splits import used_splits
@@ -25,8 +26,7 @@ from forestgen.runs.places import LocalPlace, place_of
 from forestgen.runs.records import done_keys, records_of
 from forestgen.runs.replace import recover, replacing
 from forestgen.runs.summary import RunSummary, write_jobs_table, write_summary
-from forestgen.stages.data_set import check_one_data_set, check_splits, check_stands, data_set_of
-from forestgen.stages.plan import check_plan
+from forestgen.scene.planning import check_plan
 
 _AHEAD = 2  # jobs that are drawn and handed on, for each worker; one by one where the first failure ends the run
 _WAIT_S = 1.0
@@ -180,7 +180,7 @@ def check_recipe(loaded: LoadedRecipe, images: range) -> tuple[DatasetSettings, 
             )
     used = used_splits(splits, images)
     check_splits(loaded, used)
-    check_stands(plan, loaded, used)
+    check_stands(plan.community, loaded, used)
     return settings, splits
 
 

@@ -103,16 +103,16 @@ def _check_image(
 
 def _render(source: Path, fresh: Path, progress: Progress) -> dict[str, dict[str, Any]]:
     """Render a drawn recipe again; the frames' rows of the index, by name."""
+    from forestgen.dataset.data_set import data_set_of
     from forestgen.pipeline import assemble_image, write_image
     from forestgen.recipe.load import load_recipe
     from forestgen.render.variant import mitsuba
-    from forestgen.stages.data_set import data_set_of
-    from forestgen.stages.plan import make_plan
+    from forestgen.scene.planning import make_plan
 
     mitsuba(None)
     loaded = load_recipe(source)
     plan = make_plan(loaded.draw(0))
-    scene = assemble_image(plan, loaded.seed, progress, Timings())
+    scene = assemble_image(plan, progress, Timings())
     image = write_image(scene, data_set_of(plan.drawn), fresh, progress, Timings())
     return {str(row["frame"]): row for row in image.rows}
 

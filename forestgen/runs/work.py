@@ -25,6 +25,7 @@ from forestgen.core.memory import whole_bytes
 from forestgen.core.progress import Progress, Silent
 from forestgen.core.threads import limit_cores
 from forestgen.core.timing import Timings
+from forestgen.dataset.data_set import check_one_data_set
 from forestgen.dataset.files import STORAGE_ERRNOS, output_error
 from forestgen.dataset.manifest import peak_memory_bytes
 from forestgen.dataset.thumbnails import thumbnail_name, write_thumbnail
@@ -36,8 +37,8 @@ from forestgen.render.variant import mitsuba
 from forestgen.runs.contract import Done, Failed, FailureKind, Job, JobRecord, JobRun, Outcome, Place, Work
 from forestgen.runs.keys import job_key
 from forestgen.runs.records import record_bytes, record_path
-from forestgen.stages.data_set import check_one_data_set
-from forestgen.stages.plan import check_memory, make_plan
+from forestgen.scene.plan import check_memory
+from forestgen.scene.planning import make_plan
 
 _FRAMES = "frames"  # of a staging folder: what belongs into the split's folder
 
@@ -52,7 +53,7 @@ def make_job(work: Work, job: Job, attempt: int) -> Outcome:
     timings = Timings()
     try:
         # What is free now says nothing: the estimate is an upper one, and the other workers hold their part already.
-        record = complete(work, job, Silent(), timings, room_bytes=whole_bytes())
+        record = complete(work, job, Silent(), timings, memory_budget_bytes=whole_bytes())
     except Exception as error:  # noqa: BLE001 - whatever an image breaks on, the other images go on
         return Failed(job, attempt, failure_kind(error), explained(error), time.perf_counter() - start, worker_name())
     return done(job, attempt, record, timings)
@@ -122,10 +123,12 @@ def explained(error: BaseException) -> str:
     return f"a bug in forestgen: {type(error).__name__}: {error}{place}"
 
 
-def complete(work: Work, job: Job, progress: Progress, timings: Timings, *, room_bytes: int | None = None) -> JobRecord:
+def complete(
+    work: Work, job: Job, progress: Progress, timings: Timings, *, memory_budget_bytes: int | None = None
+) -> JobRecord:
     """Do a job: draw, check, render, label, put into place. Any failure is an exception, and leaves no frame.
 
-    `room_bytes` is the memory that the image may take; None: what is free now.
+    `memory_budget_bytes` is the memory that the image may take; None: what is free now.
     """
     _settle(work, timings)
     with timings("recipe"):
@@ -133,12 +136,12 @@ def complete(work: Work, job: Job, progress: Progress, timings: Timings, *, room
         _check_unchanged(drawn, job, work)
         check_one_data_set(drawn, work.settings)
         plan = make_plan(drawn)
-        check_memory(plan, room_bytes=room_bytes)
+        check_memory(plan, memory_budget_bytes=memory_budget_bytes)
     staging = work.place.staging()
     try:
         frames = staging / _FRAMES
         frames.mkdir()
-        scene = assemble_image(plan, work.loaded.seed, progress, timings, room_bytes=room_bytes)
+        scene = assemble_image(plan, progress, timings, memory_budget_bytes=memory_budget_bytes)
         image = write_image(scene, work.settings, frames, progress, timings)
         with timings("write"):
             _add_thumbnails(staging, image.folders)

@@ -11,9 +11,7 @@ from forestgen.core.frames import look_at
 from forestgen.core.spectrum import Band
 from forestgen.recipe.camera_keys import SensorFile
 from forestgen.recipe.cameras import Camera as CameraSection
-from forestgen.recipe.rigs import Orbit, Stereo, Walk
-from forestgen.scene.exposure import exposure_of
-from forestgen.scene.rigs import poses_of
+from forestgen.scene.rigs.rig import Poses, path_poses
 from forestgen.scene.spec import Camera, Lens
 from forestgen.scene.terrain import HeightField
 from forestgen.scene.trunks import Trunks
@@ -38,35 +36,33 @@ def expand(
     trunks : that walks go around; without them they go straight.
     bands : of the sensors that cameras name.
     """
-    poses = poses_of(section, height, trunks)
-    stereo = section.rig if isinstance(section.rig, Stereo) else None
-    sides = (0.0,) if stereo is None else (-stereo.baseline_m / 2, stereo.baseline_m / 2)
-    names = section.frame_names
+    rig = section.rig_part
+    poses: Poses = path_poses(section, height) if rig is None else rig.poses(section, height, trunks)
     lens, focus_m = section.lens_mm, section.lens_focus_m
     cameras = []
-    for index, (position, target, time_s) in enumerate(
-        zip(poses.position_m, poses.target_m, poses.time_s, strict=True)
-    ):
+    for index, name in enumerate(section.frame_names):
+        position, target = poses.position_m[index], poses.target_m[index]
         axes = _axes(section, position, target)
-        for side, shift_m in enumerate(sides):
-            x, y, z = (float(value) for value in (position + shift_m * axes[:, 0] if stereo else position))
-            cameras.append(
-                Camera(
-                    name=names[index * len(sides) + side],
-                    position_m=(x, y, z),
-                    world_from_camera=axes,
-                    size_px=section.size_px,
-                    hfov_deg=section.field_of_view_deg,
-                    sequence=_sequence(section, side),
-                    time_s=float(time_s),
-                    projection=section.kind,
-                    width_m=section.view_width_m,
-                    lens=None if lens is None or focus_m is None else Lens(lens[0] / 1000, focus_m),
-                    bands=() if section.bands is None else bands.get(section.bands, ()),
-                    exposure=exposure_of(section.exposure),
-                    numbers=section.own_numbers,
-                )
+        if poses.right_m is not None:
+            position = position + poses.right_m[index] * axes[:, 0]
+        x, y, z = (float(value) for value in position)
+        cameras.append(
+            Camera(
+                name=name,
+                position_m=(x, y, z),
+                world_from_camera=axes,
+                size_px=section.size_px,
+                hfov_deg=section.field_of_view_deg,
+                sequence=_sequence(section, index),
+                time_s=float(poses.time_s[index]),
+                projection=section.kind,
+                width_m=section.view_width_m,
+                lens=None if lens is None or focus_m is None else Lens(lens[0] / 1000, focus_m),
+                bands=() if section.bands is None else bands.get(section.bands, ()),
+                exposure=section.exposure,
+                numbers=section.own_numbers,
             )
+        )
     return cameras
 
 
@@ -75,12 +71,12 @@ def _axes(section: CameraSection, position_m: Floats, target_m: Floats) -> Float
     return look_at(position_m.tolist(), target.tolist())
 
 
-def _sequence(section: CameraSection, side: int) -> str | None:
+def _sequence(section: CameraSection, index: int) -> str | None:
     """Name of the images that follow each other in time; None for stills."""
-    if isinstance(section.rig, Stereo):
-        return None if section.path is None else f"{section.name}-{('left', 'right')[side]}"
-    timed = isinstance(section.rig, Walk) or (isinstance(section.rig, Orbit) and section.rig.frames_per_s is not None)
-    return section.name if timed or section.path is not None else None
+    if section.rig is None:
+        return None if section.path is None else section.name
+    named: str | None = section.rig_part.sequence(section, index)
+    return named
 
 
 def next_frame(cameras: Sequence[Camera], camera: Camera) -> Camera | None:

@@ -9,6 +9,14 @@ deviation 1) and multiplied by `TRAIT_WEIGHT` times the standard deviation of th
 `LEAST_SPREAD`: a trait counts half as much as the size, since the size is what the geometry follows. Values that are no
 numbers count as the mean.
 
+Clusters fit one image's plants best, and no other image asks for the same sizes. A library's sizes, which many images
+share, are the rungs of a ladder instead, each `SIZE_STEP` times the one below; plants are scaled to their own height.
+So a data set of any length grows as many plants as its ladder has rungs and each rung variants. A library's plant
+depends on the recipe's own seed, the split, its species and size, and not on the image. No split shows a plant of
+another one's, so that validation and testing see plants that training never saw.
+
+Plants that their community grew branch by branch: see scene/own_exemplars.py.
+
 References
 ----------
 Lane, B. (2002). Models of plant communities for image synthesis. MSc thesis, University of Calgary, chapter 6.
@@ -27,16 +35,78 @@ from numpy.typing import NDArray
 
 from forestgen.community.population import Population
 from forestgen.core.errors import RecipeError
-from forestgen.core.randomness import child_seed
-from forestgen.scene.exemplar_library import Library, plan_from_library
-from forestgen.scene.exemplar_plan import ExemplarPlan
+from forestgen.core.randomness import child_rng, child_seed
+from forestgen.recipe.load import DrawnRecipe
+from forestgen.recipe.species import Species
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 TRAIT_WEIGHT = 0.5  # of a trait against the radius
 LEAST_SPREAD = 0.1  # standard deviation of the radius' logarithm at least, where traits are weighed against it
+SIZE_STEP = 1.25  # of radii: a plant is at most 12% from its rung
+SLENDERNESS_STEP = 1.15  # of the scale of the heights' allometry, which a recipe may draw for each image
 _OWN_TRAITS = ("age_yr", "height_m")  # columns that every population has, beside the radius
+
+
+@dataclass(frozen=True)
+class ExemplarPlan:
+    """Which exemplars to grow, and which plant uses which. Every exemplar has plants."""
+
+    species: NDArray[np.uint16]  # (E,) index into the population's species_names
+    radius_m: Floats  # (E,) size of each exemplar
+    rank: Ints  # (E,) of its cluster among the species', by radius: 0, 1, ...; of a library, its rung
+    variant: Ints  # (E,) which of the plants of that size
+    level: Ints  # (E,) index of its level of detail, see plants/levels.py: 0 is all detail
+    exemplar_of_plant: NDArray[np.uint32]  # (N,) index into the exemplars
+    plant: Ints  # (E,) row of the plant whose own branches it has; -1: its species' generator grows it by its radius
+    is_unique: NDArray[np.bool_]  # (E,) of that plant alone, which keeps its place, size and attitude
+
+    def __len__(self) -> int:
+        return len(self.radius_m)
+
+    @classmethod
+    def of_species(
+        cls,
+        index: int,
+        radius_m: Floats,
+        exemplar_of_plant: NDArray[np.integer],
+        *,
+        rank: Ints | None = None,
+        plant: Ints | None = None,
+        unique: int = 0,
+    ) -> ExemplarPlan:
+        """Exemplars of one species, variant 0 with all detail; the first `unique` are of one plant alone."""
+        count = len(radius_m)
+        zeros = np.zeros(count, dtype=np.int64)
+        return cls(
+            species=np.full(count, index, dtype=np.uint16),
+            radius_m=radius_m,
+            rank=np.arange(count) if rank is None else rank,
+            variant=zeros,
+            level=zeros,
+            exemplar_of_plant=exemplar_of_plant.astype(np.uint32),
+            plant=zeros - 1 if plant is None else plant,
+            is_unique=np.arange(count) < unique,
+        )
+
+    def split(self, field: Literal["variant", "level"], value_of_plant: Ints) -> ExemplarPlan:
+        """An exemplar for each pair of exemplar and value that some plant has, in the order of both."""
+        pairs = np.stack([self.exemplar_of_plant.astype(np.int64), value_of_plant], axis=1)
+        used, chosen = np.unique(pairs, axis=0, return_inverse=True)
+        columns = {name: getattr(self, name)[used[:, 0]] for name in _OF_EXEMPLARS} | {field: used[:, 1]}
+        return ExemplarPlan(**columns, exemplar_of_plant=chosen.reshape(-1).astype(np.uint32))
+
+
+_OF_EXEMPLARS = ("species", "radius_m", "rank", "variant", "level", "plant", "is_unique")
+
+
+@dataclass(frozen=True)
+class Library:
+    """The plants that images share."""
+
+    variants: int  # of each size
+    shown: int  # of these in one image, at most
 
 
 @dataclass(frozen=True)
@@ -108,49 +178,13 @@ def plan_exemplars(
             part, variant = plan_from_library(
                 index, name, population.radius_m[rows], own[rows], library, per_species, seed
             )
-            parts.append(_split(part, variant, "variant"))
+            parts.append(part.split("variant", variant))
             continue
         features = _features(population.radius_m[rows], [column[rows] for column in columns])
         centres, labels = cluster(features, per_species, child_seed(seed, "k-means", name))
-        part = ExemplarPlan(
-            species=np.full(len(centres), index, dtype=np.uint16),
-            radius_m=np.exp(centres[:, 0]),
-            rank=np.arange(len(centres)),
-            variant=np.zeros(len(centres), dtype=np.int64),
-            level=np.zeros(len(centres), dtype=np.int64),
-            exemplar_of_plant=labels.astype(np.uint32),
-            plant=np.full(len(centres), -1, dtype=np.int64),
-            is_unique=np.zeros(len(centres), dtype=np.bool_),
-        )
-        parts.append(_split(part, own[rows], "variant"))
+        part = ExemplarPlan.of_species(index, np.exp(centres[:, 0]), labels)
+        parts.append(part.split("variant", own[rows]))
     return _joined(parts, population.species)
-
-
-def with_levels(plan: ExemplarPlan, level_of_plant: Ints) -> ExemplarPlan:
-    """The plan with an exemplar for each level of detail at which plants see it.
-
-    Parameters
-    ----------
-    level_of_plant : (N,) index of the level of detail of each plant.
-    """
-    return _split(plan, level_of_plant, "level")
-
-
-def _split(plan: ExemplarPlan, value_of_plant: Ints, field: Literal["variant", "level"]) -> ExemplarPlan:
-    """An exemplar for each pair of exemplar and value that some plant has, in the order of both."""
-    pairs = np.stack([plan.exemplar_of_plant.astype(np.int64), value_of_plant], axis=1)
-    used, chosen = np.unique(pairs, axis=0, return_inverse=True)
-    origin = used[:, 0]
-    return ExemplarPlan(
-        species=plan.species[origin],
-        radius_m=plan.radius_m[origin],
-        rank=plan.rank[origin],
-        variant=used[:, 1] if field == "variant" else plan.variant[origin],
-        level=used[:, 1] if field == "level" else plan.level[origin],
-        exemplar_of_plant=chosen.reshape(-1).astype(np.uint32),
-        plant=plan.plant[origin],
-        is_unique=plan.is_unique[origin],
-    )
 
 
 def _joined(parts: Sequence[ExemplarPlan], species: NDArray[np.uint16]) -> ExemplarPlan:
@@ -160,17 +194,9 @@ def _joined(parts: Sequence[ExemplarPlan], species: NDArray[np.uint16]) -> Exemp
     for part in parts:
         assignment[species == part.species[0]] = before + part.exemplar_of_plant
         before += len(part)
-    empty_whole, empty = np.zeros(0, dtype=np.int64), np.zeros(0)
-    return ExemplarPlan(
-        species=np.concatenate([empty_whole, *(part.species for part in parts)]).astype(np.uint16),
-        radius_m=np.concatenate([empty, *(part.radius_m for part in parts)]),
-        rank=np.concatenate([empty_whole, *(part.rank for part in parts)]),
-        variant=np.concatenate([empty_whole, *(part.variant for part in parts)]),
-        level=np.concatenate([empty_whole, *(part.level for part in parts)]),
-        exemplar_of_plant=assignment,
-        plant=np.concatenate([empty_whole, *(part.plant for part in parts)]),
-        is_unique=np.concatenate([empty_whole, *(part.is_unique for part in parts)]).astype(np.bool_),
-    )
+    none = ExemplarPlan.of_species(0, np.zeros(0), assignment)
+    columns = {name: np.concatenate([getattr(part, name) for part in (none, *parts)]) for name in _OF_EXEMPLARS}
+    return ExemplarPlan(**columns, exemplar_of_plant=assignment)
 
 
 def _column(population: Population, trait: str) -> NDArray[np.generic]:
@@ -240,3 +266,79 @@ def size_errors(
             )
         )
     return errors
+
+
+def rung_of(value: float, step: float) -> int:
+    """The nearest rung of a ladder that has one at 1."""
+    return round(float(np.log(value) / np.log(step)))
+
+
+def rungs_of(radius_m: Floats, most: int) -> Ints:
+    """(N,) rung that stands for each plant: its own, or where there are more than `most`, one of those evenly between.
+
+    Parameters
+    ----------
+    radius_m : (N,) of a species' plants, at least one.
+    """
+    own: Ints = np.rint(np.log(radius_m) / np.log(SIZE_STEP)).astype(np.int64)
+    if len(np.unique(own)) <= most:
+        return own
+    low, high = int(own.min()), int(own.max())
+    count = min(most, high - low + 1)
+    chosen = np.rint(low - 0.5 + (np.arange(count) + 0.5) * (high - low + 1) / count).astype(np.int64)
+    place = np.searchsorted((chosen[:-1] + chosen[1:]) / 2, own)
+    return np.asarray(chosen[place], dtype=np.int64)
+
+
+def plan_from_library(
+    index: int, name: str, radius_m: Floats, own: Ints, library: Library, most_sizes: int, seed: int
+) -> tuple[ExemplarPlan, Ints]:
+    """Exemplars of a species' plants by their rung, and the (N,) variant of each plant.
+
+    Parameters
+    ----------
+    index, name : of the species.
+    radius_m : (N,) of its plants.
+    own : (N,) each plant's own number below `library.shown`, whatever else grows.
+    most_sizes : in this image.
+    seed : of the image, which chooses the variants that it shows.
+    """
+    rungs, label = np.unique(rungs_of(radius_m, most_sizes), return_inverse=True)
+    shown = np.array([_shown(library, name, int(rung), seed) for rung in rungs])
+    label = label.reshape(-1)
+    radius = SIZE_STEP ** rungs.astype(np.float64)
+    return ExemplarPlan.of_species(index, radius, label, rank=rungs), shown[label, own]
+
+
+def _shown(library: Library, name: str, rung: int, seed: int) -> Ints:
+    """(shown,) the variants of a size that an image has."""
+    rng = child_rng(seed, "library", name, rung)
+    return np.asarray(rng.permutation(library.variants)[: library.shown], dtype=np.int64)
+
+
+def library_of(drawn: DrawnRecipe) -> Library | None:
+    """None if each image has plants of its own."""
+    section = drawn.recipe.plants
+    return None if section.library is None else Library(section.library, section.variants_per_size)
+
+
+def modelled_species(drawn: DrawnRecipe, name: str) -> Species:
+    """The species as its exemplars grow: with a library, its heights' scale is on a ladder too.
+
+    A recipe may draw `height_m` for each image; without the ladder no two images would ask for the same plant.
+    """
+    species = drawn.species[name]
+    if drawn.recipe.plants.library is None:
+        return species
+    law = species.allometry.height_m
+    scale = SLENDERNESS_STEP ** rung_of(law.scale, SLENDERNESS_STEP)
+    allometry = species.allometry.model_copy(update={"height_m": law.model_copy(update={"scale": scale})})
+    return species.model_copy(update={"allometry": allometry})
+
+
+def origin_of(drawn: DrawnRecipe, name: str, rank: int, variant: int) -> tuple[int, tuple[str | int, ...]]:
+    """Root seed and identity of an exemplar's randomness."""
+    if drawn.recipe.plants.library is None:
+        return drawn.image_seed, ("exemplar", name, rank, variant) if variant else ("exemplar", name, rank)
+    slenderness = rung_of(drawn.species[name].allometry.height_m.scale, SLENDERNESS_STEP)
+    return drawn.recipe.seed, ("library", drawn.split, name, slenderness, rank, variant)

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 
 from forestgen.community.population import Population, Status
 from forestgen.core.randomness import child_seed
-from forestgen.scene.exemplar_plan import ExemplarPlan
-from forestgen.scene.exemplars import cluster
+from forestgen.scene.exemplars import ExemplarPlan, cluster
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -80,15 +79,8 @@ def plan_own(population: Population, index: int, is_unique: Bools, per_species: 
     of_plant = np.empty(len(rows), dtype=np.uint32)
     of_plant[is_unique[rows]] = np.arange(len(unique))
     of_plant[~is_unique[rows]] = len(unique) + label
-    return ExemplarPlan(
-        species=np.full(len(plant), index, dtype=np.uint16),
-        radius_m=population.radius_m[plant],
-        rank=np.arange(len(plant)),
-        variant=np.zeros(len(plant), dtype=np.int64),
-        level=np.zeros(len(plant), dtype=np.int64),
-        exemplar_of_plant=of_plant,
-        plant=plant.astype(np.int64),
-        is_unique=np.arange(len(plant)) < len(unique),
+    return ExemplarPlan.of_species(
+        index, population.radius_m[plant], of_plant, plant=plant.astype(np.int64), unique=len(unique)
     )
 
 

@@ -8,24 +8,31 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.bounded_cache import BoundedCache
+from forestgen.core.spectrum import Spectrum
 from forestgen.geometry.mesh import Mesh
 from forestgen.plants.bark.texture import with_mean
 from forestgen.recipe.registries import GROUND_COVERS
+from forestgen.recipe.sources import Keys
+from forestgen.recipe.spectra import load_spectra
+from forestgen.recipe.terrain import Terrain as TerrainSection
 from forestgen.scene.colour import colours_of_surface
-from forestgen.scene.grounds.cover import TEXTURE_PX, TEXTURE_TILE_M, GroundCover
 from forestgen.scene.soil_colour import Wetness, wet_ground
 from forestgen.scene.spec import Terrain
 
 HORIZON_M = 200_000.0  # from 300 m up, a flat earth ends 0.1 degrees below the horizon
 MARGIN_M = 20.0
 _SITE_CELL_M = 0.75
+TEXTURE_TILE_M, TEXTURE_PX = 24.0, 1536  # side of the square of the ground's texture that repeats
 _AT_ONCE = 8192  # points whose height is asked for: their numbers stay in the processor's cache
+
+KeysT = TypeVar("KeysT", bound=TerrainSection)
 
 
 @dataclass(frozen=True, eq=False)  # arrays have no equality of one word: a field equals itself
@@ -52,6 +59,68 @@ class HeightField:
         dx = np.maximum(np.maximum(-x_m, x_m - self.size_m[0]), 0.0)
         dy = np.maximum(np.maximum(-y_m, y_m - self.size_m[1]), 0.0)
         return np.hypot(dx, dy)
+
+
+class TerrainShape(Generic[KeysT]):
+    """A kind of terrain."""
+
+    Parameters: type[KeysT]  # keys of `site.terrain`; equal keys are equal ground
+    file_keys: Keys = ()  # below `site.terrain`, of what an `AssetError` is about
+
+    def is_level(self, keys: KeysT) -> bool:
+        """Whether the ground is z = 0 everywhere, so that a community need not ask for its height."""
+        return False
+
+    def height(self, keys: KeysT, size_m: tuple[float, float], image_seed: int, folder: Path) -> HeightField:
+        """Height of the ground everywhere.
+
+        Parameters
+        ----------
+        size_m : of the site.
+        image_seed : root of the image's randomness.
+        folder : of the recipe, that files are relative to.
+
+        Raises
+        ------
+        AssetError : a file that cannot be read, or is not of this site; without its place.
+        """
+        raise NotImplementedError
+
+
+class GroundCover:
+    """What covers the ground of a site; `site.ground` names it.
+
+    Parameters
+    ----------
+    table : of `reflectance`, in scenes/spectra/ground.
+    darkens_when_wet : whether the water that a community has in its soil darkens it.
+    """
+
+    def __init__(self, table: str, *, darkens_when_wet: bool = False) -> None:
+        self.table, self.darkens_when_wet = table, darkens_when_wet
+
+    def reflectance(self) -> Spectrum:
+        """Mean reflectance on the site and around it."""
+        return load_spectra(f"ground/{self.table}")["reflectance"]
+
+    def far_reflectance(self) -> Spectrum:
+        """Mean reflectance of the land up to the horizon: woods and meadows."""
+        return load_spectra("ground/far")["reflectance"]
+
+    def pattern(self, rng: np.random.Generator) -> NDArray[np.float32]:
+        """(TEXTURE_PX, TEXTURE_PX, 3) linear Rec. 709, periodic; its mean is then made that of the reflectance."""
+        raise NotImplementedError
+
+
+def tile_noise(longest_m: float, shortest_m: float, slope: float, rng: np.random.Generator) -> NDArray[np.float64]:
+    """(P, P) periodic noise of unit variance with power ~ k^-slope between two wavelengths."""
+    cell = TEXTURE_TILE_M / TEXTURE_PX
+    frequency = np.fft.fftfreq(TEXTURE_PX, cell)
+    k = np.hypot(frequency[:, None], frequency[None, : TEXTURE_PX // 2 + 1])
+    band = (k >= 1 / longest_m) & (k <= 1 / shortest_m)
+    amplitude = np.where(band, np.maximum(k, 1e-9) ** (-slope / 2), 0.0)
+    field = np.fft.irfft2(np.fft.rfft2(rng.standard_normal((TEXTURE_PX, TEXTURE_PX))) * amplitude)
+    return np.asarray((field - field.mean()) / field.std())
 
 
 def smooth_step(x: NDArray[np.float64]) -> NDArray[np.float64]:

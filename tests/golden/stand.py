@@ -9,21 +9,23 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.community.simulation import final_population
 from forestgen.core.progress import Silent
 from forestgen.core.timing import Timings
+from forestgen.dataset.data_set import class_map
 from forestgen.dataset.exr import read_exr, write_exr
 from forestgen.dataset.png import write_rgb
+from forestgen.labels.channels.channel import ChannelView, add_channels
 from forestgen.labels.labelled import LabelledFrame, label_frame
 from forestgen.recipe.load import load_recipe
 from forestgen.render.frame import Frame
 from forestgen.render.identity import SceneTracer
+from forestgen.render.rendering import render_frame
+from forestgen.scene.build import BuiltScene, build_scene
+from forestgen.scene.plan import Plan
+from forestgen.scene.planning import make_plan
 from forestgen.scene.plant_measures import measure_plants
 from forestgen.scene.spec import SceneSpec
-from forestgen.stages.community import final_population
-from forestgen.stages.data_set import class_map
-from forestgen.stages.frames import render_frame
-from forestgen.stages.plan import Plan, make_plan
-from forestgen.stages.scene import BuiltScene, build_scene
 from support.ztest import Comparison, NoisyImage, welch, welch_blocks
 
 HERE = Path(__file__).parent
@@ -41,13 +43,14 @@ NOISE_BOUND = 0.022
 def build() -> tuple[Plan, BuiltScene]:
     loaded = load_recipe(RECIPE)
     plan = make_plan(loaded.draw(0))
-    return plan, build_scene(plan, final_population(plan, Silent()), Silent(), Timings())
+    return plan, build_scene(plan, final_population(plan.community, Silent()), Silent(), Timings())
 
 
 def shoot(plan: Plan, built: BuiltScene, seed: int) -> LabelledFrame:
     tracer = SceneTracer(built.spec, Timings())
     frame = render_frame(tracer, built.spec.cameras[0], plan.drawn.recipe, seed, Silent(), Timings())
     channels = plan.drawn.recipe.labels.channels
+    frame = add_channels(frame, channels, ChannelView(tracer, None, Silent(), Timings()))
     return label_frame(frame, built.population, class_map(plan.drawn), measure_plants(built.spec), channels)
 
 

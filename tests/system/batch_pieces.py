@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from filelock import FileLock
 
+from forestgen.dataset.data_set import data_set_of
 from forestgen.recipe.load import LoadedRecipe, load_recipe
 from forestgen.runs.contract import Job, JobRecord, Work
 from forestgen.runs.finish import Finished, finish
@@ -17,7 +18,6 @@ from forestgen.runs.keys import job_key, versions_hash
 from forestgen.runs.places import LocalPlace
 from forestgen.runs.records import record_bytes, record_path, records_of
 from forestgen.runs.work import make_job
-from forestgen.stages.data_set import data_set_of
 
 RECIPE = """\
 forestgen: 1

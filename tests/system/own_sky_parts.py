@@ -16,10 +16,8 @@ from forestgen.recipe.terrain import Terrain
 from forestgen.render.skies.model import MAP_ROWS, SkyModel
 from forestgen.render.skies.overcast import SKY as OVERCAST
 from forestgen.scene.channels import Channels
-from forestgen.scene.grounds.cover import TEXTURE_PX, GroundCover
 from forestgen.scene.spec import Sky
-from forestgen.scene.terrain import HeightField
-from forestgen.scene.terrains.shape import TerrainShape
+from forestgen.scene.terrain import TEXTURE_PX, GroundCover, HeightField, TerrainShape
 
 
 class ValleyKeys(Terrain):

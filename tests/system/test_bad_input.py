@@ -129,7 +129,7 @@ TOO_LARGE = {
 @pytest.fixture
 def _few_gigabytes(monkeypatch: pytest.MonkeyPatch) -> None:
     """A machine with 8 GB free, whatever this one has."""
-    from forestgen.stages import plan
+    from forestgen.scene import plan
 
     monkeypatch.setattr(plan, "free_bytes", lambda: 8_000_000_000)
 
@@ -162,7 +162,7 @@ def test_clouds_too_near_for_light_from_afar_are_refused_before_anything_is_rend
 def test_plants_beyond_memory_are_refused_when_they_are_counted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from forestgen.stages import plan
+    from forestgen.scene import plan
 
     monkeypatch.setattr(plan, "_BYTES_PER_PLANT", 10**12)
     answer = run("render", tiny(tmp_path), "-o", tmp_path / "out")
@@ -351,7 +351,7 @@ def test_a_negative_seed_is_refused_by_every_command() -> None:
 
 def test_of_a_plants_files_all_appear_or_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The disk is full when the third file of five comes; what was there stays as it was."""
-    from forestgen.stages import plant_files
+    from forestgen.dataset import file_set as plant_files
 
     written = 0
 

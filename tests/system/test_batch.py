@@ -302,7 +302,7 @@ def test_the_other_workers_memory_counts_for_no_image(
 
     def busy(work: Work, job: Job, attempt: int) -> Outcome:
         with monkeypatch.context() as later:
-            later.setattr("forestgen.stages.plan.free_bytes", lambda: 10**8)
+            later.setattr("forestgen.scene.plan.free_bytes", lambda: 10**8)
             return make_job(work, job, attempt)
 
     assert serial(recipe(tmp_path), tmp_path / "data", 1, busy).failed == ()
@@ -397,9 +397,9 @@ def test_the_map_of_a_resumed_recipe_may_have_changed_meanwhile(tmp_path: Path, 
     """A file that changes between the run's draw and the worker's is no silent mixture: the job fails, and says why."""
     path = recipe(tmp_path)
     loaded = load_recipe(path)
+    from forestgen.dataset.data_set import data_set_of
     from forestgen.runs.contract import Job, Work
     from forestgen.runs.places import LocalPlace
-    from forestgen.stages.data_set import data_set_of
 
     work = Work(loaded, data_set_of(loaded.draw(0)), LocalPlace(tmp_path / "data"), "versions")
     failed = make_job(work, Job(0, 0, "train", "000000-" + "0" * 40), 1)

@@ -23,10 +23,11 @@ from command_line import start, wait_for_handler
 from pretend_jobs import FAULTS, begun, make
 
 from forestgen.core.errors import OutputError
-from forestgen.pipeline import ImageScene, WrittenImage
+from forestgen.pipeline import WrittenImage
 from forestgen.runs.places import LocalPlace
 from forestgen.runs.records import done_keys
 from forestgen.runs.work import make_job
+from forestgen.scene.build import BuiltScene
 
 IMAGES = 10
 
@@ -206,17 +207,17 @@ def test_a_full_disk_stops_the_run_and_loses_nothing(tmp_path: Path, faults: Pat
     assert assert_records_hold(target) == {0, 1}
 
 
-def two_frames(image: ImageScene, settings: Any, folder: Path, progress: Any, timings: Any) -> WrittenImage:
+def two_frames(scene: BuiltScene, settings: Any, folder: Path, progress: Any, timings: Any) -> WrittenImage:
     """In place of `pipeline.write_image`: frames that take no time."""
     from PIL import Image
 
-    number = image.drawn.image_index
+    number = scene.drawn.image_index
     frames = [folder / f"{number:06d}-{camera}" for camera in ("left", "right")]
     for frame in frames:
         frame.mkdir()
         Image.new("RGB", (8, 6), (10, 90, 30)).save(frame / "preview.png")
     rows = tuple({"frame": frame.name, "split": "train", "image": number, "camera": "left"} for frame in frames)
-    report = {"image": number, "seed": image.drawn.image_seed, "counts": {}}
+    report = {"image": number, "seed": scene.drawn.image_seed, "counts": {}}
     return WrittenImage(tuple(frames), rows, (), report)
 
 
@@ -227,7 +228,8 @@ def test_a_disk_that_fills_while_frames_are_placed(
     import errno
 
     monkeypatch.setattr(
-        "forestgen.runs.work.assemble_image", lambda plan, seed, *_, **__: ImageScene(plan, seed, None, ())
+        "forestgen.runs.work.assemble_image",
+        lambda plan, *_, **__: BuiltScene(plan, None, None, []),  # type: ignore[arg-type]
     )
     monkeypatch.setattr("forestgen.runs.work.write_image", two_frames)
     path, target = recipe(tmp_path), tmp_path / "data"

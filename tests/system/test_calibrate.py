@@ -18,11 +18,11 @@ from forestgen.core.parts import Part
 from forestgen.core.progress import Silent
 from forestgen.core.spectrum import Spectrum
 from forestgen.geometry.mesh import Mesh
+from forestgen.instruments import colour_chart as stage
+from forestgen.instruments.calibration import Calibration
+from forestgen.instruments.light_meter import Quantity, with_error
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.scene.spec import Instances, Material, SceneSpec, Sky, Terrain
-from forestgen.stages import calibrate as stage
-from forestgen.stages.light import Quantity
-from forestgen.stages.light_text import told
 from support.radiometry import uniform_sky
 
 
@@ -48,7 +48,7 @@ def site(roof_m: float | None = None, half_m: float = 1.0) -> SceneSpec:
     )
 
 
-def calibrated(spec: SceneSpec, name: str | None, samples: int = 4) -> stage.Calibration:
+def calibrated(spec: SceneSpec, name: str | None, samples: int = 4) -> Calibration:
     """Under a uniform sky of a standard illuminant, or under the scene's own."""
     sources = None
     if name is not None:
@@ -220,4 +220,4 @@ def test_three_numbers_make_a_point() -> None:
     ],
 )
 def test_figures_have_the_digits_that_they_deserve(value: float, error: float, said: str) -> None:
-    assert told(Quantity(value, error)) == said
+    assert with_error(Quantity(value, error)) == said

@@ -19,11 +19,11 @@ import dask_jobs
 import pytest
 
 from forestgen.core.errors import ForestgenError, ResourceError
+from forestgen.dataset.data_set import data_set_of
 from forestgen.runs.contract import Done, Failed, Job, Outcome, Work
 from forestgen.runs.engines.dask import DaskEngine
 from forestgen.runs.keys import versions_hash
 from forestgen.runs.places import LocalPlace
-from forestgen.stages.data_set import data_set_of
 
 _BOUND_S = 240.0  # of anything here
 _STRANGE_PYTHON = "import platform\nplatform.python_version = lambda: '3.10.99'\n"

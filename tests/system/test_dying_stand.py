@@ -10,7 +10,8 @@ import pytest
 from forestgen.community.model import simulate
 from forestgen.community.population import Population, Status
 from forestgen.recipe.load import load_recipe
-from forestgen.stages.plan import Plan, check_plan
+from forestgen.scene.plan import Plan
+from forestgen.scene.planning import check_plan
 
 RECIPE = Path(__file__).resolve().parents[2] / "recipes" / "ecoclimates" / "dying.yaml"
 DRIER_YR = 40  # from then on
@@ -18,8 +19,14 @@ TALL_M = 1.3
 
 
 def run(plan: Plan, start: Population | None = None) -> list[Population]:
-    asked = plan.model, plan.model_parameters, plan.site, plan.ecologies, plan.drawn.image_seed
-    return list(simulate(*asked, steps=plan.steps, start=start))
+    asked = (
+        plan.community.model,
+        plan.community.parameters,
+        plan.community.site,
+        plan.community.ecologies,
+        plan.drawn.image_seed,
+    )
+    return list(simulate(*asked, steps=plan.community.steps, start=start))
 
 
 def counts(one: Population, name: str) -> tuple[int, int]:

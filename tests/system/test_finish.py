@@ -19,6 +19,7 @@ from ruamel.yaml import YAML
 
 from forestgen.core.errors import OutputError
 from forestgen.dataset.check import check_dataset
+from forestgen.dataset.data_set import data_set_of
 from forestgen.dataset.manifest import is_run_folder
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.recipe.hashing import recipe_hash
@@ -28,7 +29,6 @@ from forestgen.runs.contract import Job, JobRecord
 from forestgen.runs.finish import finish
 from forestgen.runs.places import LocalPlace
 from forestgen.runs.records import record_bytes, record_path, records_of
-from forestgen.stages.data_set import data_set_of
 
 
 @pytest.fixture

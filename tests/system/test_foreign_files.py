@@ -10,6 +10,7 @@ from batch_runs import SerialEngine
 from command_line import run
 
 from forestgen.dataset.check import check_dataset
+from forestgen.dataset.data_set import data_set_of
 from forestgen.dataset.foreign import tool_of
 from forestgen.recipe.load import load_recipe
 from forestgen.runs.contract import Job, Outcome, Work
@@ -18,7 +19,6 @@ from forestgen.runs.places import LocalPlace
 from forestgen.runs.records import records_of
 from forestgen.runs.run import run_batch
 from forestgen.runs.verify import verify
-from forestgen.stages.data_set import data_set_of
 
 FOREIGN = {
     "train/yolo/boxes/labels.cache": "Ultralytics",

@@ -11,6 +11,7 @@ from plain_tracer import trace_plainly
 from shots import identity, need_cuda, seen, shot
 from ties import assert_ties
 
+from forestgen.community.simulation import final_population
 from forestgen.core.parts import Part
 from forestgen.core.progress import Silent
 from forestgen.core.timing import Timings
@@ -21,10 +22,9 @@ from forestgen.recipe.load import load_recipe
 from forestgen.render.denoise import trace_guides
 from forestgen.render.identity import SceneTracer, sample_offsets
 from forestgen.render.variant import CUDA
+from forestgen.scene.build import build_scene
+from forestgen.scene.planning import make_plan
 from forestgen.scene.spec import Camera, Instances, Material, SceneSpec
-from forestgen.stages.community import final_population
-from forestgen.stages.plan import make_plan
-from forestgen.stages.scene import build_scene
 from support.scenes import camera_at, dyadic_scene, plain_ground, scattered_scene
 from support.twins import trace_twin
 
@@ -188,7 +188,7 @@ def test_real_plants_scaled_and_in_levels_of_detail_equal_their_twins(tmp_path: 
     path = tmp_path / "stand.yaml"
     path.write_text(RECIPE, encoding="utf-8")
     plan = make_plan(load_recipe(path).draw(0))
-    spec = build_scene(plan, final_population(plan, Silent()), Silent(), Timings()).spec
+    spec = build_scene(plan, final_population(plan.community, Silent()), Silent(), Timings()).spec
     instances = spec.instances
     assert len(instances) >= 30
     assert len(np.unique(np.round(np.linalg.det(instances.transform[:, :, :3]), 4))) > 10

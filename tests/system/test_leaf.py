@@ -19,7 +19,7 @@ from forestgen.render.surfaces import SPHERE_DEG, gloss_of, gloss_share, repaint
 from forestgen.render.variant import LLVM, drjit, mitsuba, using
 from forestgen.scene.channels import RGB, Channels
 from forestgen.scene.spec import Material
-from forestgen.stages.surfaces import materials_of
+from forestgen.scene.surfaces import materials_of
 
 
 def spectrum(wavelength_nm, value) -> Spectrum:

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from forestgen.community.simulation import final_population
 from forestgen.core.progress import Silent
 from forestgen.core.timing import Timings
 from forestgen.recipe.load import load_recipe_data
 from forestgen.render.identity import SceneTracer
-from forestgen.stages.community import final_population
-from forestgen.stages.frames import render_frame
-from forestgen.stages.plan import make_plan
-from forestgen.stages.scene import build_scene
+from forestgen.render.rendering import render_frame
+from forestgen.scene.build import build_scene
+from forestgen.scene.planning import make_plan
 
 SPECIES = ("poplar", "spruce", "birch", "maple")
 BLOCK = 8
@@ -44,7 +44,7 @@ def rendered(levels: bool, seed: int) -> tuple[NDArray[np.float64], NDArray[np.b
     """Radiance (H, W), where a plant covers anything, triangles of the scene's far exemplars."""
     plan = make_plan(load_recipe_data(stand(levels), "test").draw(0))
     recipe = plan.drawn.recipe
-    population = final_population(plan, Silent())
+    population = final_population(plan.community, Silent())
     spec = build_scene(plan, population, Silent(), Timings()).spec
     frame = render_frame(SceneTracer(spec, Timings()), spec.cameras[0], recipe, seed, Silent(), Timings())
     triangles = sum(spec.exemplars[i].triangles for i in spec.instances.exemplar)

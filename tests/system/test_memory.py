@@ -41,7 +41,8 @@ MOST_OVER = 3.0
 @pytest.mark.parametrize("name", RUNS)
 def test_the_estimate_holds(name: str, tmp_path: Path) -> None:
     from forestgen.recipe.load import load_recipe
-    from forestgen.stages.plan import check_plan, estimate_bytes
+    from forestgen.scene.plan import estimate_bytes
+    from forestgen.scene.planning import check_plan
 
     overrides, least_plants, most_over = RUNS[name]
     options = [text for one in overrides for text in ("--set", one)]
@@ -68,7 +69,8 @@ def test_the_estimate_holds(name: str, tmp_path: Path) -> None:
 )
 def test_a_simulations_estimate_holds(recipe: Path, overrides: list[str], tmp_path: Path) -> None:
     from forestgen.recipe.load import load_recipe
-    from forestgen.stages.plan import check_plan, estimate_bytes
+    from forestgen.scene.plan import estimate_bytes
+    from forestgen.scene.planning import check_plan
 
     options = [text for one in overrides for text in ("--set", one)]
     process = start("simulate", recipe, "-o", tmp_path / "out", *options)

@@ -18,13 +18,16 @@ FRAME = "000000-camera0"
 RECIPE = """\
 forestgen: 1
 seed: 3
-site: {size_m: [12, 12], terrain: flat, ground: soil_wet}
-species: {pine: , house: }
+site:
+  size_m: [12, 12]
+  terrain: flat
+  ground: soil_wet
+  buildings: [{kind: house, position_m: [7, 8], azimuth_deg: 20, size_m: [4, 3, 2.5]}]
+species: {pine: }
 community:
   model: branch_modules
   steps: 7
   initial_plants: {pine: 12}
-  obstacles: [{species: house, position_m: [7, 8], azimuth_deg: 20, size_m: [4, 3, 2.5]}]
 plants: {unique: 6, exemplars_per_species: 1, levels: true}
 cameras: [{position_m: [6, -2, 1.2], look_at_m: [6, 6, 0.8], size_px: [96, 54]}]
 render: {samples: 1, denoise: false}

@@ -9,6 +9,7 @@ import pytest
 from shots import seen
 
 from forestgen.community.population import Population
+from forestgen.community.simulation import final_population
 from forestgen.core.frames import look_at
 from forestgen.core.progress import Silent
 from forestgen.core.timing import Timings
@@ -18,13 +19,12 @@ from forestgen.recipe.camera_keys import CameraPath
 from forestgen.recipe.cameras import Camera as CameraSection
 from forestgen.recipe.load import load_recipe
 from forestgen.render.frame import Surface
+from forestgen.scene.build import BuiltScene, build_scene
 from forestgen.scene.camera_path import expand
+from forestgen.scene.planning import check_plan
 from forestgen.scene.spec import Camera, SceneSpec
 from forestgen.scene.terrain import HeightField
 from forestgen.scene.wind import Sway, posed, sway_in
-from forestgen.stages.community import final_population
-from forestgen.stages.plan import check_plan
-from forestgen.stages.scene import BuiltScene, build_scene
 from support.scenes import blade_cloud, plain_ground, scattered_scene
 from support.twins import Oracle
 
@@ -178,7 +178,7 @@ def test_a_recipes_wind_reaches_its_plants() -> None:
 
     def built(*settings: str) -> BuiltScene:
         plan = check_plan(load_recipe(recipes_dir() / "walk_in_the_wind.yaml", (*small, *settings)))
-        return build_scene(plan, final_population(plan, Silent()), Silent(), Timings())
+        return build_scene(plan, final_population(plan.community, Silent()), Silent(), Timings())
 
     windy, still = built(), built("wind.speed_m_per_s=0")
     assert len(windy.population) > 0

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import forestgen as fg
+from forestgen.community.simulation import final_population
 from forestgen.core import registry
 from forestgen.core.progress import Silent
 from forestgen.core.timing import Timings
@@ -17,11 +18,11 @@ from forestgen.recipe.load import load_recipe
 from forestgen.recipe.registries import CLOUD_SOURCES, GROUND_COVERS, SKIES, TERRAINS
 from forestgen.render.light import sky_map
 from forestgen.render.variant import using
+from forestgen.scene.build import build_scene
 from forestgen.scene.channels import RGB
+from forestgen.scene.plan import estimate_bytes
+from forestgen.scene.planning import make_plan
 from forestgen.scene.spec import SceneSpec
-from forestgen.stages.community import final_population
-from forestgen.stages.plan import estimate_bytes, make_plan
-from forestgen.stages.scene import build_scene
 
 ROOT = Path(__file__).parents[2]
 RECIPE = """\
@@ -51,7 +52,7 @@ def scene(tmp_path: Path, *overrides: str) -> SceneSpec:
     path.write_text(RECIPE)
     plan = make_plan(load_recipe(path, overrides).draw(0))
     assert estimate_bytes(plan)["clouds"] > 0
-    return build_scene(plan, final_population(plan, Silent()), Silent(), Timings()).spec
+    return build_scene(plan, final_population(plan.community, Silent()), Silent(), Timings()).spec
 
 
 def test_an_examples_cloud_source_reaches_the_scene(tmp_path: Path) -> None:

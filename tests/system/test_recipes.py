@@ -7,11 +7,11 @@ from pathlib import Path
 import pytest
 
 import forestgen
+from forestgen.community.simulation import final_population
 from forestgen.core.progress import Silent
 from forestgen.recipe.assets import find_asset, list_assets, recipes_dir
 from forestgen.recipe.load import load_recipe
-from forestgen.stages.community import final_population
-from forestgen.stages.plan import check_plan
+from forestgen.scene.planning import check_plan
 from support.tiers import slow_but
 
 SMALL = (
@@ -27,7 +27,7 @@ SMALL = (
 
 
 COARSE = {  # of clouds, of a walk of eight frames, of a house on a larger site, and of large stands
-    "branch_modules": ("community.obstacles.0.position_m=[18, 20]",),
+    "branch_modules": ("site.buildings.0.position_m=[18, 20]",),
     "ecoclimates/aridity": ("community.steps=6", "community.initial_plants=20"),
     "ecoclimates/dieback": ("community.steps=6", "community.initial_plants=20"),
     "ecoclimates/drought": ("community.steps=6",),
@@ -96,7 +96,7 @@ REPRODUCTIONS = [name for name in list_assets("recipes") if name.startswith("rep
 )
 def test_reproduction_simulates(name: str) -> None:
     plan = check_plan(load_recipe(find_asset("recipes", name)), simulate_only=True)
-    assert len(final_population(plan, Silent()))
+    assert len(final_population(plan.community, Silent()))
 
 
 @pytest.mark.parametrize(

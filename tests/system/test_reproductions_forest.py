@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from forestgen.community.simulation import snapshots
 from forestgen.core.progress import Silent
 from forestgen.recipe.assets import find_asset
 from forestgen.recipe.load import load_recipe
-from forestgen.stages.community import snapshots
-from forestgen.stages.plan import check_plan
+from forestgen.scene.planning import check_plan
 
 SEEDS = range(10)
 pytestmark = pytest.mark.slow
@@ -26,8 +26,8 @@ def counts(recipe: str, *overrides: str) -> NDArray[np.int64]:
     made = []
     for seed in SEEDS:
         plan = check_plan(load_recipe(path, [f"seed={seed}", *overrides]), simulate_only=True)
-        kinds = len(plan.ecologies)
-        made.append([np.bincount(one.species, minlength=kinds) for one in snapshots(plan, Silent())])
+        kinds = len(plan.community.ecologies)
+        made.append([np.bincount(one.species, minlength=kinds) for one in snapshots(plan.community, Silent())])
     return np.array(made)
 
 

@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from forestgen.community.population import Population
+from forestgen.community.simulation import snapshots
 from forestgen.community.size_statistics import self_thinning_slope
 from forestgen.community.statistics import cover_by_species, hopkins_index
 from forestgen.core.progress import Silent
 from forestgen.recipe.assets import find_asset
 from forestgen.recipe.load import load_recipe
-from forestgen.stages.community import snapshots
-from forestgen.stages.plan import Plan, check_plan
+from forestgen.scene.plan import Plan
+from forestgen.scene.planning import check_plan
 
 SEEDS = range(10)
 
@@ -34,7 +35,7 @@ def stages(recipe: str, steps: Sequence[int]) -> list[list[Population]]:
     """Snapshots at some steps, by seed."""
     made = []
     for seed in SEEDS:
-        history = snapshots(plan_of(recipe, seed), Silent())
+        history = snapshots(plan_of(recipe, seed).community, Silent())
         made.append([one for one in history if one.step in steps])
     return made
 
@@ -63,7 +64,7 @@ def test_self_thinning() -> None:
     steps = (10, 45, 95)
     slopes, indices = [], []
     for seed in SEEDS:
-        history = list(snapshots(plan_of("self_thinning", seed), Silent()))
+        history = list(snapshots(plan_of("self_thinning", seed).community, Silent()))
         slopes.append([thinning_slope(history)])
         indices.append([hopkins(history[step], (100.0, 100.0)) for step in steps])
     show("self-thinning slope", np.array(slopes))
@@ -80,7 +81,7 @@ def test_succession() -> None:
     runs = stages("succession", steps)
     counts = np.array([[len(one) for one in run] for run in runs], float)
     indices = np.array([[hopkins(one, (105.0, 105.0)) for one in run] for run in runs])
-    cover = np.array([[list(cover_by_species(one, plan.site).values()) for one in run] for run in runs])
+    cover = np.array([[list(cover_by_species(one, plan.community.site).values()) for one in run] for run in runs])
     show("plants at steps 20, 150, 300, 1000 (thesis: 2688, 1593, 1409, 834)", counts)
     show("Hopkins index (thesis: 0.6, 0.7, 0.7, 0.6)", indices)
     for step, rows in zip(steps, cover.transpose(1, 0, 2), strict=True):
@@ -130,16 +131,16 @@ def test_size_hierarchy() -> None:
 
 def test_one_seed_of_each() -> None:
     """The same within wider bounds, for every day."""
-    thinning = list(snapshots(plan_of("self_thinning", 3), Silent()))
+    thinning = list(snapshots(plan_of("self_thinning", 3).community, Silent()))
     assert thinning_slope(thinning) == pytest.approx(-1.5, abs=0.12)
     assert hopkins(thinning[45], (100.0, 100.0)) == pytest.approx(0.54, abs=0.06)
     plan = plan_of("succession", 3)
-    young = {one.step: one for one in islice(snapshots(plan, Silent()), 151) if one.step in (20, 150)}
+    young = {one.step: one for one in islice(snapshots(plan.community, Silent()), 151) if one.step in (20, 150)}
     assert len(young[20]) == pytest.approx(2688, rel=0.2)
     assert len(young[150]) == pytest.approx(1593, rel=0.2)
-    assert np.argmax(list(cover_by_species(young[20], plan.site).values())) == 0
-    assert np.argmax(list(cover_by_species(young[150], plan.site).values())) == 1
-    (early,) = [one for one in islice(snapshots(plan_of("propagation", 3), Silent()), 21) if one.step == 20]
+    assert np.argmax(list(cover_by_species(young[20], plan.community.site).values())) == 0
+    assert np.argmax(list(cover_by_species(young[150], plan.community.site).values())) == 1
+    (early,) = [one for one in islice(snapshots(plan_of("propagation", 3).community, Silent()), 21) if one.step == 20]
     assert hopkins(early, (105.0, 105.0), 0) == pytest.approx(1.1, abs=0.15)
-    *_, last = snapshots(plan_of("size_hierarchy", 3), Silent())
+    *_, last = snapshots(plan_of("size_hierarchy", 3).community, Silent())
     assert stats.kstest(stats.zscore(np.log(last.radius_m)), "norm").statistic < 0.04

@@ -11,12 +11,13 @@ from scipy import stats
 
 from forestgen.community.placement.densities import species_density
 from forestgen.community.population import Population
+from forestgen.community.simulation import final_population
 from forestgen.community.statistics import count_by_species, hopkins_index
 from forestgen.core.progress import Silent
 from forestgen.recipe.assets import find_asset
 from forestgen.recipe.load import load_recipe
-from forestgen.stages.community import final_population
-from forestgen.stages.plan import Plan, check_plan
+from forestgen.scene.plan import Plan
+from forestgen.scene.planning import check_plan
 
 SEEDS = range(20)
 BINS = 4  # 8 m wide, of Figure 5.6: the kernels reach less than 2 m
@@ -26,7 +27,7 @@ INVITING = "community.kernels={curve: [[0, 0], [0.6, 0], [1.3, 1.6], [4, 1]]}"
 def placed(recipe: str, seed: int, *settings: str) -> tuple[Plan, Population]:
     path: Path = find_asset("recipes", f"reproductions/{recipe}")
     plan = check_plan(load_recipe(path, [f"seed={seed}", *settings]), simulate_only=True)
-    return plan, final_population(plan, Silent())
+    return plan, final_population(plan.community, Silent())
 
 
 def hopkins(points_m: NDArray[np.float64], size_m: tuple[float, float]) -> float:
@@ -48,9 +49,9 @@ def panels(seed: int) -> list[float]:
 
 def follows(plan: Plan, population: Population) -> float:
     """p-value of Pearson's chi-square of counts in coarse bins against the recipe's map."""
-    density = species_density(plan.model_parameters, plan.site, "fireweed", (40 * BINS, 40 * BINS))  # type: ignore[arg-type]
+    density = species_density(plan.community.parameters, plan.community.site, "fireweed", (40 * BINS, 40 * BINS))  # type: ignore[arg-type]
     expected = density.reshape(BINS, 40, BINS, 40).sum(axis=(1, 3))
-    window = [(0.0, side) for side in plan.site.size_m]
+    window = [(0.0, side) for side in plan.community.site.size_m]
     found, _, _ = np.histogram2d(*population.position_m[:, :2].T, bins=BINS, range=window)
     expected *= len(population) / expected.sum()
     return float(stats.chisquare(found.T.ravel(), expected.ravel()).pvalue)
@@ -74,7 +75,7 @@ def test_daisies_of_figure_5_5(letter: str, h: float, within: float) -> None:
     for seed in SEEDS:
         plan, population = placed(f"daisies_fig5_5{letter}", seed, "community.plants.grass.count=0")
         assert count_by_species(population)["daisy"] == 100
-        values.append(hopkins(population.position_m[population.species == 0, :2], plan.site.size_m))
+        values.append(hopkins(population.position_m[population.species == 0, :2], plan.community.site.size_m))
     show(f"Hopkins index of Figure 5.5 ({letter}) (thesis: {h})", np.array(values))
     assert np.mean(values) == pytest.approx(h, abs=within)
 
@@ -85,7 +86,7 @@ def test_map_of_figure_5_6(letter: str, h: float, within: float) -> None:
     values, p = [], []
     for seed in SEEDS:
         plan, population = placed(f"map_fig5_6{letter}", seed)
-        values.append(hopkins(population.position_m[:, :2], plan.site.size_m))
+        values.append(hopkins(population.position_m[:, :2], plan.community.site.size_m))
         p.append(follows(plan, population))
     show(f"Hopkins index of Figure 5.6 ({letter}) (thesis: {h})", np.array(values))
     print(f"p of chi-square against the map: {np.sort(p).round(4).tolist()}")  # noqa: T201
@@ -100,7 +101,7 @@ def test_a_seed_of_each() -> None:
     assert a == pytest.approx(0.46, abs=0.03)
     assert 1.4 < d < 3.4
     plan, population = placed("map_fig5_6c", 1)
-    assert hopkins(population.position_m[:, :2], plan.site.size_m) == pytest.approx(1.9, abs=0.2)
+    assert hopkins(population.position_m[:, :2], plan.community.site.size_m) == pytest.approx(1.9, abs=0.2)
     assert follows(plan, population) > 0.001
     plan, population = placed("map_fig5_6c", 1, INVITING)
     assert len(population) == 1000

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from shots import identity, radiance
 
+from forestgen.community.simulation import final_population
 from forestgen.core.frames import look_at
 from forestgen.core.parts import Part
 from forestgen.core.progress import Silent
@@ -26,12 +27,11 @@ from forestgen.render.radiance import _replicate
 from forestgen.render.variant import SCALAR, mitsuba, using
 from forestgen.render.views import build_view
 from forestgen.render.wavelengths import BandsBySpectrum, ColourAtOnce, ColourBySpectrum, quadrature_of
+from forestgen.scene.build import build_scene
 from forestgen.scene.channels import Channels
 from forestgen.scene.colour import colour_of_radiance, colour_of_reflectance, observer
+from forestgen.scene.planning import make_plan
 from forestgen.scene.spec import Camera, Material, SceneSpec, Sky
-from forestgen.stages.community import final_population
-from forestgen.stages.plan import make_plan
-from forestgen.stages.scene import build_scene
 from support.scenes import camera_at, plain_ground, scattered_scene
 
 VISIBLE = np.arange(360.0, 831.0, 5.0)
@@ -403,7 +403,7 @@ def test_colour_and_spectral_images_of_the_quickstart_agree():
     """
     loaded = load_recipe(Path("recipes/quickstart.yaml"), ["cameras.0.size_px=[192, 108]", "sky.clouds=none"])
     plan = make_plan(loaded.draw(0))
-    spec = build_scene(plan, final_population(plan, Silent()), Silent(), Timings()).spec
+    spec = build_scene(plan, final_population(plan.community, Silent()), Silent(), Timings()).spec
     colour, spectral = radiance(spec, 32, 1), radiance(spec, 64, 2, mode="spectral")
     found, white = identity(spec, 16), white_of(spec)
     kind = np.full(int(spec.instances.plant_id.max()) + 1, -1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -12,9 +13,10 @@ from forestgen.core.errors import OutputError
 from forestgen.core.progress import Silent
 from forestgen.core.timing import Timings
 from forestgen.dataset.formats import panoptic
+from forestgen.dataset.formats.format import check_ids
 from forestgen.recipe.load import load_recipe_data
+from forestgen.render import rendering
 from forestgen.render.identity import SceneTracer
-from forestgen.stages import frames
 from support.scenes import plain_ground, scattered_scene
 
 
@@ -34,7 +36,7 @@ def test_ids_beyond_a_format_are_refused_before_the_light(monkeypatch, formats, 
     def light(*_, **__):
         raise LightTracedError
 
-    monkeypatch.setattr(frames, "render_radiance", light)
+    monkeypatch.setattr(rendering, "render_radiance", light)
     spec = scattered_scene(20, size_m=16, exemplars=2, leaves=40, size_px=(192, 108), terrain=plain_ground(-20, 40, 4))
     seen = identity(spec, 4).plant_id
     numbers, counts = np.unique(seen[seen > 0], return_counts=True)
@@ -48,8 +50,10 @@ def test_ids_beyond_a_format_are_refused_before_the_light(monkeypatch, formats, 
         "dataset": {"formats": formats},
     }
     recipe = load_recipe_data(asked, "test").draw(0).recipe
+    camera = spec.cameras[0]
+    check = partial(check_ids, recipe.dataset.formats, camera.name)
     with pytest.raises(outcome) as caught:
-        frames.render_frame(SceneTracer(spec, Timings()), spec.cameras[0], recipe, 1, Silent(), Timings())
+        rendering.render_frame(SceneTracer(spec, Timings()), camera, recipe, 1, Silent(), Timings(), check=check)
     if outcome is OutputError:
         assert str(largest) in str(caught.value)
         assert spec.cameras[0].name in str(caught.value)

@@ -16,9 +16,11 @@ from forestgen.recipe.registries import (
     CLOUD_SOURCES,
     DATASET_FORMATS,
     GROUND_COVERS,
+    INSTRUMENTS,
     LABEL_CHANNELS,
     PACKS,
     PROJECTIONS,
+    RIGS,
     SKIES,
     TERRAINS,
 )
@@ -33,12 +35,14 @@ REGISTRIES = (
     TERRAINS,
     GROUND_COVERS,
     PROJECTIONS,
+    RIGS,
+    INSTRUMENTS,
 )
 # Where names of a kind are looked for, if they are common words.
-FOLDERS = {"label channel": ("labels/", "dataset/", "stages/", "pipeline.py")}
+FOLDERS = {"label channel": ("labels/", "dataset/", "instruments/", "pipeline.py")}
 REGISTRY_FILES = {"recipe/registries.py", "community/registry.py"}
 OTHER_MEANINGS = {  # file -> names that are no part's in it, or a default
-    "api/instruments.py": {"points"},  # what a list holds, for its error
+    "instruments/instrument.py": {"points"},  # what a list holds, for its error
     "api/points.py": {"points"},  # a parameter
     "community/fitting/recipe_text.py": {"points"},  # a key of community model strauss
     "dataset/check/branches.py": {"module"},  # a part of frame.exr
@@ -51,8 +55,6 @@ OTHER_MEANINGS = {  # file -> names that are no part's in it, or a default
     "dataset/frame.py": {"albedo", "cloud", "motion", "sun"},  # parts of frame.exr
     "dataset/pack/channels.py": {"albedo", "motion"},  # the same
     "dataset/report/scene_sections.py": {"sun"},  # a key of the recipe
-    "stages/light_text.py": {"sun"},  # a column
-    "stages/sky.py": {"sun"},  # a key of the recipe
     "dataset/check/merged.py": {"bop"},  # a folder, whose files the checks read by their names
     "lsystem/parsing.py": {"points"},  # a rule of the grammar
     "lsystem/statement_reader.py": {"points"},  # the same
@@ -65,8 +67,8 @@ OTHER_MEANINGS = {  # file -> names that are no part's in it, or a default
     "scene/terrain.py": {"litter"},  # the default
     "render/irradiance.py": {"perspective"},  # a plugin of the renderer
     "render/capture.py": {"perspective"},  # the same
-    "stages/light.py": {"points"},  # a stage of the progress bar, and a key of a table
-    "stages/resume.py": {"flat"},  # a history's word for ground without a height function
+    "instruments/light_meter.py": {"points", "sun"},  # a stage of the progress bar, and keys of a table
+    "community/resume.py": {"flat"},  # a history's word for ground without a height function
 }
 COMMON_WORDS = {"community", "file", "map", "none"}  # which only the comparison with a section's key gives away
 SELECTORS = {"ground", "kind", "type"}

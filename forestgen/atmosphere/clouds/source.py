@@ -32,6 +32,8 @@ CLOUDY = 1e-5  # kg/kg
 _LOW_PERCENT, _HIGH_PERCENT = 10.0, 99.0
 _WATER_KG_PER_M3 = 1000.0
 KeysT = TypeVar("KeysT", bound=Clouds)
+# Clouds so far above the scene may be traced from afar: metres, a share of the site's diagonal (render/cloud_shadow.py)
+LEAST_GAP_M, GAP_OF_SITE = 100.0, 0.5
 _MOST_OPTICAL_DEPTH = 5000.0  # of a thundercloud's core
 _SHOWN_BY_TOP, _SHOWN_M = 12.0, (4000.0, 24_000.0)  # how far clouds are shown, by the height of their tops
 _MOST_TILES = 7
@@ -118,7 +120,7 @@ class CloudRequest:
     drawn: DrawnRecipe
     ground_m: float  # height of the site's lowest ground, on which weather stands
     progress: Progress
-    plan: Any = None  # forestgen.stages.plan.Plan: the community model, its parameters, site and species
+    plan: Any = None  # forestgen.community.plan.CommunityPlan
     population: Any = None  # forestgen.community.population.Population: the community as it stands in the image
 
     @property

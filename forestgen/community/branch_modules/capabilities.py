@@ -9,41 +9,35 @@ from forestgen.architecture.tables import Tables, tables_of
 from forestgen.community.branch_modules.changes import check_changes, parameters_at
 from forestgen.community.branch_modules.parameters import BranchModulesParameters
 from forestgen.community.branch_modules.traits import STAND_IN
-from forestgen.community.branch_modules.unknown_names import no_prototype, not_growing
+from forestgen.community.branch_modules.unknown_names import no_prototype
 from forestgen.community.ecology import SpeciesEcology
-from forestgen.community.obstacles import Obstacle
 from forestgen.community.population import Population
 from forestgen.core.errors import RecipeError, ResourceError
-from forestgen.plants.registry import is_built
+from forestgen.plants.parameters import Lifeless
+from forestgen.plants.registry import GENERATORS
 from forestgen.recipe.load import DrawnRecipe
 
 
 class ModuleCapabilities:
     """`PlanChecks`, `HasObstacles` and `OwnSkeletons` of `community.capabilities`."""
 
+    has_obstacles = True
+
     def check_recipe(self, drawn: DrawnRecipe, parameters: BranchModulesParameters) -> None:
         """Refuse species, plantings and changes that the recipe's species cannot have."""
         types = {name: one.modules for name, one in drawn.species.items() if one.modules is not None}
-        for keys, name in parameters.named_species():
-            may_be_built = keys[0] == "obstacles" or (keys[0] == "disturbances" and keys[2] != "plant")
-            if name not in types and not may_be_built:
-                raise not_growing(name, types, drawn.where("community", *keys))
         names = [prototype.name for prototype in load_prototypes()]
         for name, kind in types.items():
             for index, wanted in enumerate(kind.prototypes):
                 if wanted not in names:
                     where = drawn.where("species", name, "modules", "prototypes", index)
                     raise no_prototype(wanted, names, where)
-        stands = {one.species for one in parameters.obstacles}
         for name, one in drawn.species.items():
-            if one.modules is None and name not in stands and not is_built(one.plant.generator):
-                raise without_modules(name, drawn.where("species", name))
+            if one.modules is None:
+                where = drawn.where("species", name)
+                raise without_modules(name, where, GENERATORS.load(one.plant.generator))
         _check_plantings(drawn, parameters)
         check_changes(parameters, types, names, drawn.parse, lambda *keys: drawn.where("community", *keys))
-
-    def obstacles(self, parameters: BranchModulesParameters) -> tuple[Obstacle, ...]:
-        """The buildings of the recipe."""
-        return parameters.obstacles
 
     def skeleton_tables(
         self, parameters: BranchModulesParameters, species: Sequence[SpeciesEcology], population: Population
@@ -73,14 +67,17 @@ class ModuleCapabilities:
         return parameters.history_modules
 
 
-def without_modules(name: str, where: str) -> RecipeError:
-    """The error of a species that neither grows by modules nor stands as an obstacle."""
+def without_modules(name: str, where: str, generator: object = None) -> RecipeError:
+    """The error of a species that does not grow by modules; `generator` is that of its `plant`."""
+    if isinstance(generator, Lifeless):
+        problem, expected = f"{name} is no living plant", "species of living plants"
+        return RecipeError(problem, where=where, expected=expected, got=name, hint=generator.instead)
     return RecipeError(
         f"{name} does not grow by branch modules",
         where=where,
         expected="a section `modules` with life_span_yr, root_vigour_max, growth_rate_per_yr and so on",
         got="none",
-        hint="take a species that has one, such as those of scenes/species with `modules:`; or another community.model",
+        hint="write one (scenes/species/fireweed.yaml has one of a herb); or another community.model",
     )
 
 

@@ -15,7 +15,7 @@ from forestgen.recipe.suggestions import nearest
 
 #: Keys of the section that a simulation starts with, and cannot change on its way.
 FIXED = (
-    "steps", "step_yr", "periodic", "disturbances", "initial_plants", "biome", "soil", "obstacles", "changes",
+    "steps", "step_yr", "periodic", "disturbances", "initial_plants", "biome", "soil", "changes",
     "standing_dead_yr", "dieback_share", "most_modules", "history_modules",
 )  # fmt: skip
 

@@ -38,7 +38,7 @@ def founded(
     prototypes: tuple[Prototype, ...],
 ) -> State:
     """State of step 0: obstacles come first, then the plants, species by species."""
-    plants = _obstacles(parameters, site, species)
+    plants = _obstacles(site, species)
     modules = without_modules(no_modules(), len(plants))
     state = State(
         parameters, site, tuple(species), seed, 0, 1 + len(plants), prototypes, plants, modules, no_snags(plants)
@@ -59,13 +59,13 @@ def founded(
     )
 
 
-def _obstacles(parameters: BranchModulesParameters, site: Site, species: Sequence[SpeciesEcology]) -> Plants:
+def _obstacles(site: Site, species: Sequence[SpeciesEcology]) -> Plants:
     names = [one.name for one in species]
-    n = len(parameters.obstacles)
-    position_m = np.array([one.position_m for one in parameters.obstacles], dtype=np.float64).reshape(n, 2)
+    n = len(site.buildings)
+    position_m = np.array([one.position_m for one in site.buildings], dtype=np.float64).reshape(n, 2)
     return Plants(
         plant_id=new_ids(1, n),
-        species=np.array([names.index(one.species) for one in parameters.obstacles], dtype=np.uint16),
+        species=np.array([names.index(one.kind) for one in site.buildings], dtype=np.uint16),
         position_m=position_m,
         ground_m=ground_at(site, position_m),
         born=np.zeros(n, dtype=np.int32),
@@ -80,7 +80,7 @@ def _open_places(
     count: int, parameters: BranchModulesParameters, site: Site, rng: np.random.Generator
 ) -> NDArray[np.float64]:
     """(N, 2) uniform places, metres, where nothing bars plants; fewer than `count` if hardly any ground is open."""
-    blocked, boxes = parameters.blocked_soil(), boxes_of(parameters, site)
+    blocked, boxes = parameters.blocked_soil(), boxes_of(site)
     found, missing = [np.empty((0, 2))], count
     for _ in range(_ROUNDS):
         if missing == 0:

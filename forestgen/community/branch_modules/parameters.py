@@ -12,7 +12,6 @@ from pydantic_core import PydanticCustomError
 
 from forestgen.community.branch_modules.change import Change, species_key
 from forestgen.community.model import CommunityParameters
-from forestgen.community.obstacles import Obstacle
 from forestgen.community.placement.density_map import DensityMap
 from forestgen.recipe.biome import COLDEST_C, DRIEST_MM, WARMEST_C, WETTEST_MM
 from forestgen.recipe.fields import (
@@ -26,6 +25,7 @@ from forestgen.recipe.fields import (
     Whole,
     mistake,
 )
+from forestgen.recipe.messages import show
 from forestgen.recipe.sources import Keys
 
 BLOCKED_ABOVE = 0.5  # a soil map's values above this bar plants
@@ -135,7 +135,6 @@ class BranchModulesParameters(CommunityParameters):
     soil: DensityMap | None = Field(
         None, description="where nothing grows, such as streets and water: values above 0.5 of this map bar plants"
     )
-    obstacles: tuple[Obstacle, ...] = Field((), max_length=1000, description="buildings")
     changes: tuple[Change, ...] = Field(
         (),
         max_length=10_000,
@@ -174,6 +173,18 @@ class BranchModulesParameters(CommunityParameters):
     history_modules: Flag = Field(
         False, description="whether a history keeps each plant's modules too, from which a simulation can be resumed"
     )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _buildings_are_the_sites(cls, data: Any) -> Any:
+        if isinstance(data, Mapping) and "obstacles" in data:
+            raise mistake(
+                "site.buildings: [{position_m: [...], size_m: [...]}]",
+                problem="obstacles are buildings of the site",
+                got=show(data["obstacles"]),
+                at=("obstacles",),
+            )
+        return data
 
     @model_validator(mode="before")
     @classmethod
@@ -238,7 +249,6 @@ class BranchModulesParameters(CommunityParameters):
     def named_species(self) -> Iterator[tuple[Keys, str]]:
         yield from super().named_species()
         yield from ((("initial_plants", name), name) for name in self.counted_species())
-        yield from ((("obstacles", index, "species"), one.species) for index, one in enumerate(self.obstacles))
         for index, change in enumerate(self.changes):
             for key in change.set:
                 if (parts := species_key(key)) is not None:

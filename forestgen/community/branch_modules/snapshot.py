@@ -38,7 +38,7 @@ def population_of(state: State) -> Population:
     status[rooted & (light < DOMINATED_BELOW) & (age_yr > 0)] = Status.DOMINATED
     status[dead] = Status.DEAD
     radius_m, height_m = (one.astype(np.float64) for one in (sizes.crown_radius_m, sizes.height_m))
-    for row, obstacle in enumerate(state.parameters.obstacles):  # they are the first plants of all
+    for row, obstacle in enumerate(state.site.buildings):  # they are the first plants of all
         radius_m[row], height_m[row] = 0.5 * float(np.hypot(*obstacle.size_m[:2])), obstacle.size_m[2]
     position_m = np.zeros((len(plants), 3))
     position_m[:, :2] = plants.position_m
@@ -153,7 +153,7 @@ def state_of(
 
 
 def check_resumable(
-    parameters: BranchModulesParameters, species: Sequence[SpeciesEcology], population: Population
+    parameters: BranchModulesParameters, site: Site, species: Sequence[SpeciesEcology], population: Population
 ) -> None:
     """Raise `ImpossibleValueError` unless `state_of` can make a state of a snapshot with its modules."""
     keeps_dead = parameters.standing_dead_yr > 0
@@ -168,25 +168,23 @@ def check_resumable(
     if parameters.dieback_share > 0:
         limits["tallest_m"] = Limits("f4", 0)
     check_columns(population, limits)
-    _check_obstacles(parameters, species, population)
+    _check_obstacles(site, species, population)
     if population.modules is not None:
         _check_module_numbers(population.modules, population)
 
 
-def _check_obstacles(
-    parameters: BranchModulesParameters, species: Sequence[SpeciesEcology], population: Population
-) -> None:
-    """The recipe's obstacles are the first rows, stand, and no other row is of a species that does not grow."""
+def _check_obstacles(site: Site, species: Sequence[SpeciesEcology], population: Population) -> None:
+    """The recipe's buildings are the first rows, stand, and no other row is of a species that does not grow."""
     names = [one.name for one in species]
-    wanted, row = [names.index(one.species) for one in parameters.obstacles], 0
-    expected = f"the {len(wanted)} obstacles of the recipe first"
+    wanted, row = [names.index(one.kind) for one in site.buildings], 0
+    expected = f"the {len(wanted)} buildings of the recipe first"
     for row, sp in enumerate(wanted):
         if row >= len(population) or population.plant_id[row] != row + 1:
             raise ImpossibleValueError("column plant_id", expected, f"no plant {row + 1}")
         if population.species[row] != sp:
             raise ImpossibleValueError(place_of("species", population, row), expected, names[population.species[row]])
         if population.status[row] == Status.DEAD:
-            raise ImpossibleValueError(place_of("status", population, row), "an obstacle, which cannot die", "dead")
+            raise ImpossibleValueError(place_of("status", population, row), "a building, which cannot die", "dead")
     grows = np.array([one.modules is not None for one in species], dtype=np.bool_)
     wrong = np.flatnonzero(~grows[population.species[len(wanted) :]]) + len(wanted)
     if len(wrong):

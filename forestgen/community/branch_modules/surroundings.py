@@ -14,7 +14,6 @@ from forestgen.community.branch_modules.boxes import NO_BOXES, Boxes
 from forestgen.community.branch_modules.crowding import SphereGrid, overlap
 from forestgen.community.branch_modules.kinds import Kinds
 from forestgen.community.branch_modules.orientation import Turning, orient
-from forestgen.community.branch_modules.parameters import BranchModulesParameters
 from forestgen.community.branch_modules.shade import Shade, ShadowGrid, shade
 from forestgen.community.branch_modules.state import State
 from forestgen.community.model import Site
@@ -34,14 +33,14 @@ class Surroundings:
         return np.ones(len(position_m)) if self.shade is None else self.shade.light_at(position_m)
 
 
-def boxes_of(parameters: BranchModulesParameters, site: Site) -> Boxes:
-    """The obstacles as boxes on the ground."""
-    if not parameters.obstacles:
+def boxes_of(site: Site) -> Boxes:
+    """The buildings as boxes on the ground."""
+    if not site.buildings:
         return NO_BOXES
-    position = np.array([one.position_m for one in parameters.obstacles])
+    position = np.array([one.position_m for one in site.buildings])
     base_m = np.column_stack([position, ground_at(site, position)])
-    azimuth = np.array([one.turn_rad for one in parameters.obstacles])
-    return Boxes(base_m, np.array([one.size_m for one in parameters.obstacles]), azimuth)
+    azimuth = np.array([one.turn_rad for one in site.buildings])
+    return Boxes(base_m, np.array([one.size_m for one in site.buildings]), azimuth)
 
 
 def ground_at(site: Site, position_m: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -62,7 +61,7 @@ def surroundings_of(state: State, kinds: Kinds, leaves: NDArray[np.float32]) -> 
     world = np.column_stack([position, ground + centre[:, 2]])
     periodic = parameters.periodic
     grid = SphereGrid.of(world, radius, state.site.size_m if periodic else None)
-    boxes = boxes_of(parameters, state.site)
+    boxes = boxes_of(state.site)
     light = overlap(grid, modules.parent_row(), boxes)
     np.exp(np.multiply(light, np.float32(-parameters.crowding), out=light), out=light)
     seen = None

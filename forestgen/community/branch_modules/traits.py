@@ -12,7 +12,7 @@ from forestgen.architecture.plant_type import PlantType
 from forestgen.architecture.tables import Tables
 from forestgen.community.branch_modules.unknown_names import no_prototype
 
-#: What stands in the arrays for a species that does not grow, such as a house.
+#: What stands in the arrays for a species that does not grow, such as a building.
 STAND_IN = PlantType(life_span_yr=1.0, root_vigour_max=1.0, growth_rate_per_yr=1.0, apical_control=0.5, determinacy=0.5)
 
 
@@ -20,7 +20,7 @@ STAND_IN = PlantType(life_span_yr=1.0, root_vigour_max=1.0, growth_rate_per_yr=1
 class Traits:
     """Every number of the plant types; arrays (T,) in the order of the species. Fields as in `PlantType`."""
 
-    grows: NDArray[np.bool_]  # whether it is a plant at all; an obstacle's species never grows
+    grows: NDArray[np.bool_]  # whether it is a plant at all; a building's kind never grows
     life_span_yr: NDArray[np.float64]
     root_vigour_max: NDArray[np.float64]
     growth_rate_per_yr: NDArray[np.float64]

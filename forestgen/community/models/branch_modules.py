@@ -20,7 +20,7 @@ others at its terminals, and is shed. A step of Δt years is
 6.  turning: new modules and those that still grow turn to free space and to their tropism's angle (Eqs. 3 to 6);
 7.  seeds: a Poisson number of mean ``seeds_per_yr o Δt`` of each flowering plant, at Gaussian distances. One
     germinates where soil and climate allow it, where its light would give it a gain above ``sprouting v_min``, outside
-    of obstacles, and seedling_spacing_m away from every stem.
+    of buildings, and seedling_spacing_m away from every stem.
 
 A plant flowers at the age ``F_age min(v_rootmax / v_root, flowering_delay_max)``, with a grown root module, and from
 then on. Lengths, diameters and tropism of segments (Eqs. 9 to 12) follow from the ages: architecture/geometry.py.
@@ -32,7 +32,7 @@ Parameters are `BranchModulesParameters`, this section's keys, and `PlantType`, 
 
 A plant's radius is that of its crown, its height that of its highest node; both at least 1 cm. Columns: modules,
 trunk_diameter_m, foot_diameter_m, wood_volume_m3, leaf_area_m2, vigour (of the root), light (mean Q_eff), flowering,
-next_module, adaptation (o in the last step, of the dead in their last; 1 before the first and of obstacles). With
+next_module, adaptation (o in the last step, of the dead in their last; 1 before the first and of buildings). With
 standing_dead_yr also dead_yr, years since death; with dieback_share tallest_m, the greatest height so far. Status:
 MATURE flowers, DOMINATED has a mean light below a half, DEAD is a standing dead tree.
 
@@ -85,8 +85,8 @@ Decided where the print is silent or wrong:
   burned plants leave no snag, and felling and fire leave snags as they are.
 - `seedling_spacing_m` (0.8), with the light that a seedling needs, bounds how many plants a square metre has.
 - All of a state's modules look at the spheres at the step's beginning.
-- A planting sets seeds, whatever its radius. Felling and fire spare obstacles.
-- Obstacles are the first rows of a population, have no modules, and never change.
+- A planting sets seeds, whatever its radius. Felling and fire spare buildings.
+- Buildings of the site are the first rows of a population, have no modules, and never change.
 - Randomness of step k: ``child_rng(seed, "community", k)``; of a module: seed, plant_id and its number.
 - Snapshots without their modules (a history without history_modules) cannot be resumed.
 """
@@ -131,7 +131,7 @@ class BranchModules(ModuleCapabilities):
         self, parameters: BranchModulesParameters, site: Site, species: Sequence[SpeciesEcology], seed: int
     ) -> State:
         """The obstacles, and the plants of the start as seeds at random places."""
-        _refuse_without_modules(parameters, species)
+        _refuse_without_modules(site, species)
         refuse_overflow(1, float(parameters.counts([one.name for one in _growing(species)]).sum()))
         return founded(parameters, site, species, seed, load_prototypes())
 
@@ -153,7 +153,7 @@ class BranchModules(ModuleCapabilities):
         population: Population,
     ) -> State:
         """The state of a snapshot; it needs the snapshot's modules."""
-        _refuse_without_modules(parameters, species)
+        _refuse_without_modules(site, species)
         return state_of(parameters, site, species, seed, population)
 
     def check_snapshot(
@@ -164,8 +164,8 @@ class BranchModules(ModuleCapabilities):
         population: Population,
     ) -> None:
         """Refuse plants, obstacles and snags that no snapshot has; modules have their own checksum."""
-        _refuse_without_modules(parameters, species)
-        check_resumable(parameters, species, population)
+        _refuse_without_modules(site, species)
+        check_resumable(parameters, site, species, population)
 
     def remove(self, state: State, plant_id: NDArray[np.uint32]) -> State:
         """The forest without these plants; obstacles stay."""
@@ -201,13 +201,13 @@ class BranchModules(ModuleCapabilities):
         seeding = any(one.modules is not None and one.modules.seeds_per_yr > 0 for one in species)
         if total > 0 and seeding and parameters.steps > 0:
             total += most_seedlings(parameters, site)
-        return total * with_dead(parameters) + len(parameters.obstacles)
+        return total * with_dead(parameters) + len(site.buildings)
 
-    def why_barren(
+    def empty_reason(
         self, parameters: BranchModulesParameters, site: Site, species: Sequence[SpeciesEcology]
     ) -> str | None:
         """Why no plant can ever grow, or None if one may."""
-        _refuse_without_modules(parameters, species)
+        _refuse_without_modules(site, species)
         if _founders(parameters, species) > 0:
             return None
         return "no plant can grow: community.initial_plants is 0, and none is planted"
@@ -248,9 +248,9 @@ def _founders(parameters: BranchModulesParameters, species: Sequence[SpeciesEcol
     return float(counts.sum() if len(counts) else 0) + planted(parameters.disturbances)
 
 
-def _refuse_without_modules(parameters: BranchModulesParameters, species: Sequence[SpeciesEcology]) -> None:
-    """Every species must grow by modules but those that stand for obstacles."""
-    built = {one.species for one in parameters.obstacles}
+def _refuse_without_modules(site: Site, species: Sequence[SpeciesEcology]) -> None:
+    """Every species must grow by modules but those that stand for buildings."""
+    built = {one.kind for one in site.buildings}
     for one in species:
         if one.modules is None and one.name not in built:
             raise without_modules(one.name, f"species.{one.name}.modules")

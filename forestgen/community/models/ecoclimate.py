@@ -165,9 +165,11 @@ class EcoclimateModel(ModuleCapabilities):
         arrive = _seeds_arrive(parameters) and parameters.steps > 0
         return total + most_seedlings(parameters, site) * with_dead(parameters) if arrive else total
 
-    def why_barren(self, parameters: EcoclimateParameters, site: Site, species: Sequence[SpeciesEcology]) -> str | None:
+    def empty_reason(
+        self, parameters: EcoclimateParameters, site: Site, species: Sequence[SpeciesEcology]
+    ) -> str | None:
         """Why no plant can ever grow, or None if one may."""
-        return None if _seeds_arrive(parameters) else FOREST.why_barren(parameters, site, species)
+        return None if _seeds_arrive(parameters) else FOREST.empty_reason(parameters, site, species)
 
     def estimate_bytes(self, parameters: EcoclimateParameters, site: Site, species: Sequence[SpeciesEcology]) -> int:
         """Of the forest, of the maps of water, and of the seeds from elsewhere that fall in a step."""

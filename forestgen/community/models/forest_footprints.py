@@ -311,7 +311,9 @@ class ForestFootprints:
             total += min(float(arrivals), 1e30) * min(_longest_life(parameters, one), parameters.steps)
         return total
 
-    def why_barren(self, parameters: FootprintParameters, site: Site, species: Sequence[SpeciesEcology]) -> str | None:
+    def empty_reason(
+        self, parameters: FootprintParameters, site: Site, species: Sequence[SpeciesEcology]
+    ) -> str | None:
         """Why no plant can ever grow, or None if one may."""
         if self.expected_plants(parameters, site, species) > 0:
             return None

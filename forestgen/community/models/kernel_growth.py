@@ -298,7 +298,7 @@ class KernelGrowth:
             total += min(float(rain), 1e30) * min(_longest_life(parameters, one), parameters.steps)
         return total
 
-    def why_barren(
+    def empty_reason(
         self, parameters: KernelGrowthParameters, site: Site, species: Sequence[SpeciesEcology]
     ) -> str | None:
         """Why no plant can ever grow, or None if one may."""

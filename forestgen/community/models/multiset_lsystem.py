@@ -197,7 +197,7 @@ class MultisetLSystem:
             total = min(parameters.most_plants, _ROOM * total) if total else 0.0
         return min(total, 1e30)
 
-    def why_barren(self, parameters: MultisetParameters, site: Site, species: Sequence[SpeciesEcology]) -> str | None:
+    def empty_reason(self, parameters: MultisetParameters, site: Site, species: Sequence[SpeciesEcology]) -> str | None:
         """Why no plant can ever grow, or None if one may."""
         if self.expected_plants(parameters, site, species) > 0:
             return None

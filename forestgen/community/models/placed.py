@@ -203,7 +203,7 @@ class Placed(FixedPopulation):
         """Who is placed, and who will be planted."""
         return float(len(parameters.everyone) + planted(parameters.disturbances))
 
-    def why_barren(self, parameters: PlacedParameters, site: Site, species: Sequence[SpeciesEcology]) -> str | None:
+    def empty_reason(self, parameters: PlacedParameters, site: Site, species: Sequence[SpeciesEcology]) -> str | None:
         """Why no plant will ever stand there, or None if some will."""
         if self.expected_plants(parameters, site, species) > 0:
             return None

@@ -151,7 +151,9 @@ class PlacementModel(FixedPopulation):
         """Who is to be placed, and who will be planted."""
         return float(plant_counts(parameters, site, species).sum() + planted(parameters.disturbances))
 
-    def why_barren(self, parameters: PlacementParameters, site: Site, species: Sequence[SpeciesEcology]) -> str | None:
+    def empty_reason(
+        self, parameters: PlacementParameters, site: Site, species: Sequence[SpeciesEcology]
+    ) -> str | None:
         """Why no plant will ever stand there, or None if some may."""
         if planted(parameters.disturbances) > 0:
             return None

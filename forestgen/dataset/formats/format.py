@@ -15,6 +15,7 @@ from forestgen.dataset.settings import DatasetSettings
 from forestgen.labels.labelled import LabelledFrame
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.registries import DATASET_FORMATS, PROJECTIONS
+from forestgen.render.frame import Identity
 from forestgen.scene.projection import Projection, load_projection
 
 if TYPE_CHECKING:
@@ -130,6 +131,12 @@ class DatasetFormat:
 def load_formats(names: Iterable[str]) -> Iterator[DatasetFormat]:
     """The formats of several names, in their order."""
     return map(DATASET_FORMATS.load, names)
+
+
+def check_ids(names: Iterable[str], camera_name: str, identity: Identity) -> None:
+    """Refuse ids that one of the formats cannot hold; see `DatasetFormat.check_ids`."""
+    for one in load_formats(names):
+        one.check_ids(identity.plant_id, camera_name)
 
 
 def known_formats() -> Iterator[DatasetFormat]:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.labels.labelled import LabelledFrame
+from forestgen.recipe.registries import LABEL_CHANNELS
 from forestgen.render.frame import Frame
 
 if TYPE_CHECKING:
@@ -65,3 +66,10 @@ def layer(name: str, values: NDArray[Any] | None) -> Layers:
         return {}
     kind = np.float32 if np.issubdtype(values.dtype, np.floating) else np.uint32
     return {name: np.ascontiguousarray(values, dtype=kind)}
+
+
+def add_channels(frame: Frame, names: Sequence[str], view: ChannelView) -> Frame:
+    """The frame with what its label channels need."""
+    for one in LABEL_CHANNELS.load_all(names):
+        frame = one.add(frame, view)
+    return frame

@@ -83,7 +83,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from forestgen.plants.auxin.model import AuxinModel, Root, Zone, simulate
+from forestgen.plants.auxin import AuxinModel, Zone, simulate
 from forestgen.plants.parameters import PlantParameters
 from forestgen.plants.skeleton import Skeleton
 from forestgen.recipe.curves import FallingCurve, evaluate
@@ -162,40 +162,32 @@ class AuxinRootGenerator:
         compass_deg = drawn if parameters.tilt_azimuth_deg is None else parameters.tilt_azimuth_deg
         model = parameters.model(abs(tilt_deg), 90.0 - compass_deg)
         root = simulate(model, length_mm=parameters.length_mm)
-        return _shoot(root, parameters, height_m) if model.is_shoot else _hanging(root, parameters, height_m)
+        points = root.points_mm()
+        if not model.is_shoot:
+            points[:, 2] -= points[:, 2].min()
+        size = height_m / max(float(points[:, 2].max()), 1e-3 * parameters.length_mm)
+        radius = 0.5 * parameters.diameter_mm * evaluate(parameters.taper, np.linspace(0.0, 1.0, len(points)))
+        return (_shoot if model.is_shoot else _hanging)(points * size, radius * size, height_m)
 
 
-def _radius(parameters: Parameters, nodes: int) -> Floats:
-    return 0.5 * parameters.diameter_mm * evaluate(parameters.taper, np.linspace(0.0, 1.0, nodes))
-
-
-def _shoot(root: Root, parameters: Parameters, height_m: float) -> Skeleton:
-    points = root.points_mm()
-    size = height_m / max(float(points[:, 2].max()), 1e-3 * parameters.length_mm)
-    return _axis(points * size, _radius(parameters, len(points)) * size, order=0)
-
-
-def _hanging(root: Root, parameters: Parameters, height_m: float) -> Skeleton:
-    points = root.points_mm()
-    points[:, 2] -= points[:, 2].min()
-    size = height_m / max(float(points[:, 2].max()), 1e-3 * parameters.length_mm)
-    hung, radius = points * size, _radius(parameters, len(points)) * size
-    foot = np.array([[hung[0, 0], hung[0, 1], min(0.0, hung[0, 2] - 1e-3 * height_m)]])
-    thin = np.full(2, _THREAD * height_m)
-    axis = _axis(np.concatenate([foot, hung]), np.concatenate([thin, radius[1:]]), order=1)
-    axis.order[:2] = 0
-    axis.axis[2:] = 1
-    return axis
-
-
-def _axis(points_m: Floats, radius_m: Floats, order: int) -> Skeleton:
+def _shoot(points_m: Floats, radius_m: Floats, height_m: float) -> Skeleton:
     count = len(points_m)
-    return Skeleton(
-        parent=np.arange(-1, count - 1, dtype=np.int32),
-        position_m=points_m.astype(np.float32),
-        radius_m=radius_m.astype(np.float32),
-        order=np.full(count, order, dtype=np.uint8),
-        axis=np.zeros(count, dtype=np.int32),
+    return Skeleton.of(np.arange(-1, count - 1), points_m, radius_m, np.zeros(count), np.zeros(count))
+
+
+def _hanging(points_m: Floats, radius_m: Floats, height_m: float) -> Skeleton:
+    """A root's axis on a thread that cannot be seen."""
+    x, y, z = points_m[0]
+    foot = np.array([[x, y, min(0.0, z - 1e-3 * height_m)]])
+    thin = np.full(2, _THREAD * height_m)
+    count = len(points_m) + 1
+    order = np.arange(count) > 1
+    return Skeleton.of(
+        np.arange(-1, count - 1),
+        np.concatenate([foot, points_m]),
+        np.concatenate([thin, radius_m[1:]]),
+        order,
+        order,
     )
 
 

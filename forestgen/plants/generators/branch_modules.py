@@ -56,22 +56,38 @@ Decisions
   terminals beyond it, and with them its foliage: thick wood is old and bare.
 - Twigs are no part of a plant's size: a plant is as tall as its modules. They reach beyond by at most their length.
 - What the twigs look like is random, of the plant's own number, and stays with it through time.
-- In communities of other models, and for `forestgen plant`, a plant grows alone in the open by its species' `modules`
-  until it has the height that its allometry asks for (plants/grown/alone.py).
+- In communities of other models, and for `forestgen plant`, a plant grows by its species' `modules` as in community
+  model branch_modules, without a community, in the climate that it likes best, on a torus as wide as the crown that its
+  species' allometry gives it: its neighbours are its own copies, so it has the form of a tree in a closed stand. Its
+  wood is taken when it is as high as the allometry has it, and scaled to that height. A plant that never becomes so
+  high is shown at its greatest. Its crown is as wide as it grew.
 """
 
 from __future__ import annotations
 
-from typing import Literal, Self
+from dataclasses import replace
+from typing import TYPE_CHECKING, Literal, Self
 
 import numpy as np
-from pydantic import BaseModel, Field, model_validator
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
 
 from forestgen.core.errors import RecipeError
-from forestgen.plants.generators.silhouette import Order
-from forestgen.plants.parameters import STRICT, Fit, PlantParameters
+from forestgen.geometry.vectors import unit
+from forestgen.plants.branching import Assembly, Grown, Order, Shoots, around, grow, lateral_sites
+from forestgen.plants.budget import check_budget
+from forestgen.plants.grown import ClothedWood, ModuleWood, wood_skeleton, woods_of
+from forestgen.plants.parameters import Fit, PlantParameters
 from forestgen.plants.skeleton import Skeleton
-from forestgen.recipe.curves import PositiveCurve
+from forestgen.recipe.curves import PositiveCurve, evaluate, evaluate_one
+from forestgen.recipe.fields import Section
+
+if TYPE_CHECKING:
+    from forestgen.community.population import Population
+    from forestgen.recipe.species import Species
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 # For who writes a species' file: what matters most, in this order.
 #   bearing.thinner_than_m   which wood bears twigs. A grown terminal segment has PlantType.thickening_cm (0.01 m) times
@@ -88,12 +104,14 @@ from forestgen.recipe.curves import PositiveCurve
 
 FIRST_TWIG_ORDER = 8  # branch orders below are wood of the modules
 MOST_TWIG_ORDERS = 4
+_TWIG_BYTES = 5000  # of a twig with its side twigs, while it is meshed
+_DEAD_TWIG_YR = 4.0  # after which half of a dead plant's twigs have fallen
+_LEAST_SIDE_M = 1.0  # of the torus: modules of seedlings would fill a smaller one
+_NO_TALLER_YR = 60  # after which a plant that has not become taller is as tall as it gets
 
 
-class Bearing(BaseModel):
+class Bearing(Section):
     """Where the wood of the modules bears twigs: at even steps along all segments that are thin enough."""
-
-    model_config = STRICT
 
     thinner_than_m: float = Field(0.04, gt=0, le=10, description="only segments of a smaller diameter, metres")
     younger_than_yr: float = Field(1e4, gt=0, description="only on modules that began less than so long ago, years")
@@ -161,7 +179,6 @@ class BranchModulesGenerator:
 
     Parameters = Parameters
     has_crown = True
-    clothes_modules = True
 
     def grow(self, parameters: _Parameters, height_m: float, width_m: float, rng: np.random.Generator) -> Skeleton:
         """Refuse: its branches take more than a height and a width."""
@@ -171,6 +188,127 @@ class BranchModulesGenerator:
             expected="forestgen.plants.growing.grow_exemplar",
             got="a plant without modules",
         )
+
+    def clothe(self, parameters: _Parameters, wood: ModuleWood, height_m: float, rng: np.random.Generator) -> Skeleton:
+        """The plant's wood with its twigs and leaves; see `plants.parameters.ClothesModules`."""
+        wood_rng, twig_rng, foliage_rng = rng.spawn(3)
+        bearing = parameters.bearing if parameters.twigs else None
+        growth = 1.0 if bearing is None else max(evaluate_one(bearing.size_by_height, height_m), 1e-3)
+        chosen = np.zeros(len(wood), dtype=bool)
+        spacing_m = 1.0
+        if bearing is not None:
+            chosen = (wood.diameter_m < bearing.thinner_than_m) & (wood.age_yr < bearing.younger_than_yr)
+            spacing_m = bearing.spacing_m * growth
+            length = np.linalg.norm(wood.position_m - wood.position_m[np.maximum(wood.parent, 0)], axis=1)
+            twigs = float(np.sum(length[chosen])) / spacing_m * bearing.per_node
+            check_budget("twigs", twigs, _TWIG_BYTES, "a larger bearing.spacing_m, a smaller bearing.thinner_than_m")
+        clothed = wood_skeleton(wood, chosen, spacing_m, smooth=parameters.smooth, crook=parameters.crook, rng=wood_rng)
+        skeleton = clothed.skeleton
+        if bearing is not None:
+            left = 1.0 if wood.dead_yr is None else 0.5 ** (wood.dead_yr / _DEAD_TWIG_YR)
+            skeleton = _with_twigs(clothed, bearing, parameters.twigs, growth, left, twig_rng)
+        return replace(skeleton, organs=parameters.place_foliage(skeleton, height_m, foliage_rng))
+
+    def wood_alone(self, species_name: str, species: Species, size_m: tuple[float, float], seed: int) -> ModuleWood:
+        """The wood of a plant that grows without a community; see `plants.parameters.ClothesModules`."""
+        from forestgen.community.ecology import ecology_of
+        from forestgen.community.model import Site, simulate
+        from forestgen.community.models.branch_modules import MODEL  # rarely needed
+
+        assert species.modules is not None  # checked with the recipe
+        modules = species.modules.model_copy(update={"seeds_per_yr": 0.0})
+        lone = replace(ecology_of(species_name, species), modules=modules)
+        parameters = MODEL.Parameters.model_validate({"initial_plants": 1, "steps": 100_000, "periodic": True})
+        height_m, side_m = size_m[0], max(size_m[1], _LEAST_SIDE_M)
+        best: Population | None = None
+        for population in simulate(MODEL, parameters, Site((side_m, side_m)), [lone], seed, steps=parameters.steps):
+            if not len(population):
+                break
+            if best is None or population.height_m[0] > best.height_m[0]:
+                best = population
+            if best.height_m[0] >= height_m or population.step - best.step >= _NO_TALLER_YR:
+                break
+        assert best is not None  # it stands in step 0
+        [wood] = woods_of(best, MODEL.skeleton_tables(parameters, [lone], best), np.array([0]))
+        scale = height_m / max(wood.height_m, 0.01)
+        return replace(wood, position_m=wood.position_m * scale, diameter_m=wood.diameter_m * scale)
+
+
+def _with_twigs(
+    clothed: ClothedWood,
+    bearing: Bearing,
+    orders: tuple[Order, ...],
+    growth: float,
+    left: float,
+    rng: np.random.Generator,
+) -> Skeleton:
+    shoots = _first_shoots(clothed, bearing, orders[0].longest_m, growth, left, rng)
+    assembly = Assembly(clothed.skeleton, axes=int(clothed.skeleton.axis[-1]) + 1)
+    for number, rules in enumerate(orders):
+        if not len(shoots.length_m):
+            break
+        grown = grow(shoots, rules, rng)
+        index = assembly.add_branches(FIRST_TWIG_ORDER + number, grown, shoots, rules)
+        if number + 1 < len(orders):
+            shoots = _side_shoots(grown, rules, orders[number + 1].longest_m, index, rng)
+    return assembly.skeleton()
+
+
+def _first_shoots(
+    clothed: ClothedWood, bearing: Bearing, longest_m: float, growth: float, left: float, rng: np.random.Generator
+) -> Shoots:
+    """Twigs along the wood, and those that go on from free terminals; the share `left` of them, always the same."""
+    wood = clothed.skeleton
+    side = np.flatnonzero(clothed.bears & np.isin(wood.order, bearing.orders))
+    node = np.repeat(side, bearing.per_node)
+    member = np.tile(np.arange(bearing.per_node), len(side))
+    kept = rng.random(len(node)) >= bearing.missing
+    node, member = node[kept], member[kept]
+    position = wood.position_m.astype(np.float64)
+    tangent = unit(position - position[np.maximum(wood.parent, 0)])
+    axis, rank = wood.axis[node], np.repeat(_rank_on_axis(wood.axis[side].astype(np.int64)), bearing.per_node)[kept]
+    phase = rng.uniform(0.0, 2.0 * np.pi, int(wood.axis[-1]) + 1)[axis]
+    azimuth = np.where(bearing.planar, np.round(phase / (2.0 * np.pi)) * np.pi, phase)
+    azimuth = azimuth + np.radians(bearing.phyllotaxis_deg) * rank + 2.0 * np.pi * member / bearing.per_node
+    azimuth = azimuth + np.radians(bearing.phyllotaxis_jitter_deg) * rng.normal(size=len(node))
+    angle = np.radians(bearing.angle_deg + bearing.angle_jitter_deg * rng.normal(size=len(node)))
+    direction = around(tangent[node], azimuth, angle)
+    if bearing.terminal:
+        ends = np.flatnonzero(clothed.free)
+        node, direction = np.concatenate([node, ends]), np.concatenate([direction, tangent[ends]])
+    length = _lengths(clothed, bearing, node, rng) * min(growth, 1.0) * longest_m
+    if left < 1.0:
+        stays = rng.random(len(node)) < left
+        node, direction, length = node[stays], direction[stays], length[stays]
+    return Shoots(position[node], direction, np.minimum(length, longest_m), node)
+
+
+def _rank_on_axis(axis: Ints) -> Ints:
+    """(N,) how many nodes of the same axis come before each: phyllotaxis counts those that bear, no others."""
+    order = np.argsort(axis, kind="stable")
+    ordered = axis[order]
+    rank = np.empty(len(axis), dtype=np.int64)
+    rank[order] = np.arange(len(axis)) - np.searchsorted(ordered, ordered)
+    return rank
+
+
+def _lengths(clothed: ClothedWood, bearing: Bearing, node: Ints, rng: np.random.Generator) -> Floats:
+    """Share of the longest twig's length."""
+    thick = 2.0 * clothed.skeleton.radius_m[node] / bearing.thinner_than_m
+    share = evaluate(bearing.age_length, clothed.age_share[node]) * evaluate(bearing.light_length, clothed.light[node])
+    share = share * evaluate(bearing.thick_length, np.clip(thick, 0.0, 1.0))
+    return share * np.clip(1.0 + bearing.length_jitter * rng.normal(size=len(node)), 0.3, 1.4)
+
+
+def _side_shoots(grown: Grown, rules: Order, longest_m: float, index: Ints, rng: np.random.Generator) -> Shoots:
+    """Twigs on the twigs of one order, as L-system 6.1 has them."""
+    sites = lateral_sites(grown, rules, rng)
+    share = evaluate(rules.branch_length, grown.relative[sites.node])
+    length = longest_m * share * np.clip(1.0 + rules.branch_length_jitter * rng.normal(size=len(share)), 0.3, 1.4)
+    length = np.minimum(length, np.minimum(longest_m, 0.9 * grown.remaining_m[sites.node] + rules.shortest_m))
+    chosen = (length >= rules.shortest_m) & (rng.random(len(length)) >= rules.missing)
+    node = sites.node[chosen]
+    return Shoots(grown.position_m[node], sites.direction[chosen], length[chosen], index[node])
 
 
 GENERATOR = BranchModulesGenerator()

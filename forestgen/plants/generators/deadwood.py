@@ -123,14 +123,8 @@ class _Axes:
         self.axis += [number] * len(points)
 
     def skeleton(self, organs: tuple[OrganPlacements, ...]) -> Skeleton:
-        return Skeleton(
-            parent=np.array(self.parent, dtype=np.int32),
-            position_m=np.array(self.position).astype(np.float32),
-            radius_m=np.array(self.radius).astype(np.float32),
-            order=np.array(self.order, dtype=np.uint8),
-            axis=np.array(self.axis, dtype=np.int32),
-            organs=organs,
-        )
+        position, radius = np.array(self.position), np.array(self.radius)
+        return Skeleton.of(self.parent, position, radius, np.array(self.order), np.array(self.axis), organs=organs)
 
 
 class DeadwoodGenerator:
@@ -138,6 +132,7 @@ class DeadwoodGenerator:
 
     Parameters = Parameters  # the class that a recipe's `plant` block is checked against
     has_crown = False
+    instead = "community.standing_dead_yr keeps dead trees standing; community.disturbances kill some"
 
     def grow(self, parameters: _Parameters, height_m: float, width_m: float, rng: np.random.Generator) -> Skeleton:
         """One piece of dead wood."""

@@ -70,11 +70,11 @@ from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, BeforeValidator, Field, TypeAdapter, WithJsonSchema
+from pydantic import BeforeValidator, Field, TypeAdapter, WithJsonSchema
 
-from forestgen.plants.branching import Grown, Shoots, Sites, grow, lateral_sites
+from forestgen.plants.branching import Assembly, Grown, Order, Shoots, Sites, grow, lateral_sites
 from forestgen.plants.budget import check_budget
-from forestgen.plants.parameters import STRICT, Fit, PlantParameters
+from forestgen.plants.parameters import Fit, PlantParameters
 from forestgen.plants.skeleton import Skeleton
 from forestgen.recipe.curves import (
     CURVE_SCHEMA,
@@ -86,12 +86,11 @@ from forestgen.recipe.curves import (
     evaluate,
     evaluate_one,
 )
+from forestgen.recipe.fields import Section
 
 Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 _STEM_BYTES = 100_000  # of a stem with its branches, at least
-_PARENT_SHARE = 0.7  # a branch is at most this share of the radius of the axis that bears it
 
 SilhouetteName = Literal["ellipsoid", "ovoid", "cone", "column"]
 _NAMES = get_args(SilhouetteName)
@@ -156,10 +155,8 @@ def silhouette_length(
     return np.asarray(np.where(foot < 0.0, 0.0, farthest * (reached / len(share))), dtype=np.float64)
 
 
-class Trunk(BaseModel):
+class Trunk(Section):
     """Stems: axes of order 0, from the ground up."""
-
-    model_config = STRICT
 
     diameter_ratio: PositiveCurve = Field(
         ((0.0, 0.014),), description="base diameter by height, over the height in metres"
@@ -173,35 +170,6 @@ class Trunk(BaseModel):
     )
     stems: PositiveCurve = Field(((0.0, 1.0),), description="number of stems over the plant's height in metres")
     stem_spread_deg: float = Field(8.0, ge=0, description="lean of the further stems of a clump, degrees")
-
-
-class Order(BaseModel):
-    """One branch order. Curves run over rel, from 0 at the base of the longest branch to 1 at the tip."""
-
-    model_config = STRICT
-
-    longest_m: float = Field(gt=0, le=1000, description="max_len[o]: length of the longest branch, metres")
-    internode_m: StrictlyPositiveCurve = Field(description="int_len(o, rel), metres")
-    internode_jitter: float = Field(0.0, ge=0, le=2, description="standard deviation of the internodes' logarithm")
-    diameter_m: FallingCurve = Field(((0.0, 0.01),), description="int_width(o, rel), metres; order 0 has `trunk`")
-    upturn_deg_per_m: Curve = Field(((0.0, 0.0),), description="bend to the sky, of a horizontal axis, degrees/metre")
-    wander_deg: float = Field(0.0, ge=0, description="random bend, degrees per square root of a metre")
-    branch_angle_deg: Curve = Field(((0.0, 50.0),), description="branch_ang(o, rel), degrees from the bearing axis")
-    branch_angle_jitter_deg: float = Field(0.0, ge=0, description="standard deviation of that angle, degrees")
-    branch_length: PositiveCurve = Field(
-        ((0.0, 1.0),), description="branch_len(o, rel): share of max_len[o+1]; order 0: of the silhouette's length"
-    )
-    branch_length_jitter: float = Field(0.0, ge=0, lt=0.5, description="standard deviation of that length, as a share")
-    shortest_m: float = Field(0.05, gt=0, description="a branch on this axis that would be shorter does not grow")
-    branches_per_node: int = Field(1, ge=0, le=1000, description="branches of a whorl")
-    nodes_per_whorl: int = Field(
-        1, ge=1, le=1000, description="a whorl every so many nodes; one branch on those between"
-    )
-    between_length: float = Field(1.0, gt=0, le=1, description="length of the branches between whorls, as a share")
-    missing: float = Field(0.0, ge=0, lt=1, description="share of branches that failed")
-    phyllotaxis_deg: float = Field(137.5, description="phyllo_ang[o]: turn from one node to the next, degrees")
-    phyllotaxis_jitter_deg: float = Field(0.0, ge=0, description="standard deviation of that turn, degrees")
-    planar: bool = Field(False, description="the first branch stands out horizontally: with 180 degrees, flat sprays")
 
 
 class Parameters(PlantParameters):
@@ -224,42 +192,6 @@ class Parameters(PlantParameters):
 _Parameters = Parameters  # the generator's attribute hides the name
 
 
-class _Assembly:
-    """Nodes of a skeleton, collected order by order."""
-
-    def __init__(self) -> None:
-        self.size = 1
-        self.axes = 0
-        self.parent = [np.array([-1])]
-        self.position = [np.zeros((1, 3))]
-        self.radius = [np.zeros(1)]
-        self.order = [np.zeros(1, np.int64)]
-        self.axis = [np.zeros(1, np.int64)]
-
-    def add(self, order: int, grown: Grown, shoots: Shoots, radius_m: Floats) -> Ints:
-        """Append the axes of an order; returns the (N,) skeleton indices of their nodes."""
-        index = self.size + np.arange(len(grown.axis))
-        parent = index - 1
-        parent[grown.first] = shoots.parent
-        self.parent.append(parent)
-        self.position.append(grown.position_m)
-        self.radius.append(radius_m)
-        self.order.append(np.full(len(index), order))
-        self.axis.append(self.axes + grown.axis)
-        self.size += len(index)
-        self.axes += len(grown.first)
-        return index
-
-    def skeleton(self) -> Skeleton:
-        return Skeleton(
-            parent=np.concatenate(self.parent).astype(np.int32),
-            position_m=np.concatenate(self.position).astype(np.float32),
-            radius_m=np.concatenate(self.radius).astype(np.float32),
-            order=np.concatenate(self.order).astype(np.uint8),
-            axis=np.concatenate(self.axis).astype(np.int32),
-        )
-
-
 class SilhouetteGenerator:
     """Grows plants by L-system 6.1."""
 
@@ -267,42 +199,35 @@ class SilhouetteGenerator:
     has_crown = True
 
     def grow(self, parameters: _Parameters, height_m: float, width_m: float, rng: np.random.Generator) -> Skeleton:
-        """Stems and branches that fill the silhouette."""
-        return grow_wood(parameters, height_m, width_m, rng)
+        """Stems and branches that fill the silhouette, before the fit."""
+        trunk, orders = parameters.trunk, parameters.orders
+        shoots = _stems(trunk, height_m, rng)
+        grown = grow(shoots, orders[0], rng)
+        base = 0.5 * height_m * evaluate_one(trunk.diameter_ratio, height_m) * (shoots.length_m / shoots.length_m[0])
+        radius = base[grown.axis] * evaluate(trunk.taper, 1.0 - grown.remaining_m / shoots.length_m[grown.axis])
+        root = Skeleton.of([-1], np.zeros((1, 3)), base[:1], np.zeros(1), np.zeros(1))
+        assembly = Assembly(root, axes=0)
+        index = assembly.add(0, grown, shoots, radius)
+        for order in range(1, len(orders)):
+            rules = orders[order - 1]
+            sites = lateral_sites(grown, rules, rng)
+            if order == 1:
+                full = _crown_length(parameters, grown, shoots, sites, height_m, width_m)
+            else:
+                full = np.full(len(sites.node), orders[order].longest_m)
+            length = _branch_length(rules, grown, sites, full, rng)
+            chosen = (length >= rules.shortest_m) & (rng.random(len(length)) >= rules.missing)
+            node = sites.node[chosen]
+            shoots = Shoots(grown.position_m[node], sites.direction[chosen], length[chosen], index[node])
+            grown = grow(shoots, orders[order], rng)
+            index = assembly.add_branches(order, grown, shoots, orders[order])
+        return assembly.skeleton()
 
     def crown_profile(self, parameters: _Parameters, height_m: float, width_m: float) -> tuple[Floats, Floats]:
         """(K,) heights and (K,) radii of the silhouette, metres, from the crown's base to its top."""
         base = evaluate_one(parameters.crown_base, height_m)
         share = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, 49))  # closer where an ellipsoid closes
         return height_m * (base + (1.0 - base) * share), 0.5 * width_m * envelope(parameters.silhouette, share)
-
-
-def grow_wood(parameters: Parameters, height_m: float, width_m: float, rng: np.random.Generator) -> Skeleton:
-    """Stems and branches, before the fit."""
-    assembly = _Assembly()
-    trunk, orders = parameters.trunk, parameters.orders
-    shoots = _stems(trunk, height_m, rng)
-    grown = grow(shoots, orders[0], rng)
-    base = 0.5 * height_m * evaluate_one(trunk.diameter_ratio, height_m) * (shoots.length_m / shoots.length_m[0])
-    radius = base[grown.axis] * evaluate(trunk.taper, 1.0 - grown.remaining_m / shoots.length_m[grown.axis])
-    assembly.radius[0][:] = base[0]
-    index = assembly.add(0, grown, shoots, radius)
-    for order in range(1, len(orders)):
-        rules = orders[order - 1]
-        sites = lateral_sites(grown, rules, rng)
-        if order == 1:
-            full = _crown_length(parameters, grown, shoots, sites, height_m, width_m)
-        else:
-            full = np.full(len(sites.node), orders[order].longest_m)
-        length = _branch_length(rules, grown, sites, full, rng)
-        chosen = (length >= rules.shortest_m) & (rng.random(len(length)) >= rules.missing)
-        node = sites.node[chosen]
-        shoots = Shoots(grown.position_m[node], sites.direction[chosen], length[chosen], index[node])
-        cap = _PARENT_SHARE * radius[node]
-        grown = grow(shoots, orders[order], rng)
-        radius = _branch_radius(orders[order], grown, shoots, cap)
-        index = assembly.add(order, grown, shoots, radius)
-    return assembly.skeleton()
 
 
 def _stems(trunk: Trunk, height_m: float, rng: np.random.Generator) -> Shoots:
@@ -333,12 +258,6 @@ def _branch_length(rules: Order, grown: Grown, sites: Sites, full: Floats, rng: 
     jitter = np.clip(1.0 + rules.branch_length_jitter * rng.normal(size=len(share)), 0.3, 1.4)
     between = np.where(sites.in_whorl, 1.0, rules.between_length * rng.uniform(0.6, 1.0, len(share)))
     return full * share * jitter * between
-
-
-def _branch_radius(rules: Order, grown: Grown, shoots: Shoots, cap_m: Floats) -> Floats:
-    radius = 0.5 * evaluate(rules.diameter_m, grown.relative)
-    foot = 0.5 * evaluate(rules.diameter_m, np.clip(1.0 - shoots.length_m / rules.longest_m, 0.0, 1.0))
-    return radius * np.minimum(1.0, cap_m / np.maximum(foot, 1e-9))[grown.axis]
 
 
 GENERATOR = SilhouetteGenerator()

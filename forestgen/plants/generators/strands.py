@@ -47,7 +47,7 @@ length               k_l^g k_l^w      -       1              segment's length ov
 gravimorphism_deg    alpha_m^g ...    degree  0              droop at a division; -180 to 180, and 0 to 2
 lod                  l_LOD            -       0              branches of so many strands are not divided further
 stiffness            k_f              -       1              1: no sway in the undirected wind
-wind                 w_g, w_s, w, t   -       none           see `Wind` in plants/strands/wind.py
+wind                 w_g, w_s, w, t   -       none           see `Wind` in plants/strands/kernel.py
 leaves               l_type, ...      -       none           see `Leaves` in plants/strands/leaves.py
 split_jitter         -                -       0              the individual: standard deviation of k_s,
 angle_jitter_deg     -                degree  0              of the angles of a light sub-branch,
@@ -109,25 +109,29 @@ Decisions
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, BaseModel, Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from forestgen.core.errors import RecipeError
 from forestgen.plants.budget import check_budget
-from forestgen.plants.parameters import STRICT, PlantParameters
+from forestgen.plants.fitting import fit, moved
+from forestgen.plants.parameters import PlantParameters
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
-from forestgen.plants.strands.kernel import JITTERS, ORDERS, Branching, Pose, divide
+from forestgen.plants.strands.kernel import JITTERS, ORDERS, Branching, Pose, Wind, divide, pose
 from forestgen.plants.strands.leaves import Leaves, carried, leaf_places
-from forestgen.plants.strands.wind import Wind, pose
 from forestgen.recipe.curves import Curve, Formula, PositiveCurve, Smooth, evaluate, evaluate_one
+from forestgen.recipe.fields import Section
 
 Floats = NDArray[np.float64]
 
 MOST_STRANDS = 200_000
+# Where a species' file says nothing of wind, or makes the plant too stiff to move; degrees.
+_BREEZE, _GIVING = {"speed_directed": 1.0, "speed_undirected": 2.5}, 0.3
 _SEGMENT_BYTES = 1200  # a segment's place in all arrays of its making, its node, and its share of a tube
 
 
@@ -148,10 +152,8 @@ def _within(low: float, high: float) -> AfterValidator:
 _OverDepth = Annotated[Curve, _within(0.0, 2.0)]
 
 
-class _Local(BaseModel):
+class _Local(Section):
     """A local parameter: the product of two curves."""
-
-    model_config = STRICT
 
     weibull: _OverDepth = Field(default=((0.0, 1.0),), description="factor over the Weibull order w, 0 to 2")
 
@@ -277,15 +279,8 @@ def branching_of(parameters: Parameters, height_m: float, rng: np.random.Generat
     wanted = evaluate_one(p.strands, height_m)
     strands = round(min(max(wanted, 1.0), float(MOST_STRANDS)))
     check_budget("branch segments", 2.0 * strands, _SEGMENT_BYTES, "fewer strands")
-    jitter = np.array(
-        [
-            p.split_jitter,
-            np.radians(p.angle_jitter_deg),
-            np.radians(p.angle_jitter_deg),
-            np.radians(p.phyllotaxis_jitter_deg),
-            p.length_jitter,
-        ]
-    )
+    angle, phyllotaxis = np.radians([p.angle_jitter_deg, p.phyllotaxis_jitter_deg])
+    jitter = np.array([p.split_jitter, angle, angle, phyllotaxis, p.length_jitter])
     normals = rng.normal(size=(3 * strands, JITTERS)) if jitter.any() else np.zeros((1, JITTERS))
     trunk_m = float(np.clip(evaluate_one(p.trunk_length_m, height_m), 0.0, 20.0))
     giving_way = p.gravicentralism if p.gravicentralism_as == "printed" else 1.0 - p.gravicentralism
@@ -303,16 +298,8 @@ def skeleton_of(
 ) -> Skeleton:
     """The segments as nodes: their thickness is d = k_d sqrt(S_0) throughout, or of the exponent chosen."""
     strands = branching.strands.astype(np.float64)
-    return Skeleton(
-        parent=branching.parent.astype(np.int32),
-        position_m=stance.position_m.astype(np.float32),
-        radius_m=(0.5 * parameters.thickness_m * branching.scale * strands**parameters.thickness_exponent).astype(
-            np.float32
-        ),
-        order=np.minimum(branching.gravelius, 255).astype(np.uint8),
-        axis=branching.axis.astype(np.int32),
-        organs=organs,
-    )
+    radius = 0.5 * parameters.thickness_m * branching.scale * strands**parameters.thickness_exponent
+    return Skeleton.of(branching.parent, stance.position_m, radius, branching.gravelius, branching.axis, organs=organs)
 
 
 @dataclass(frozen=True)
@@ -350,6 +337,56 @@ class StrandGenerator:
         stance = pose(plant.branching, parameters.wind, parameters.stiffness, plant.phases_rad)
         organs = tuple(carried(placement, plant.pose, stance) for placement in plant.organs)
         return skeleton_of(parameters, plant.branching, stance, organs)
+
+    def in_wind(self, parameters: _Parameters) -> _Parameters:
+        """See `plants.parameters.Sways`."""
+        if parameters.wind.speed_undirected * (1.0 - parameters.stiffness) > 0.0:
+            return parameters
+        breeze = parameters.wind.model_copy(update=_BREEZE)
+        return parameters.model_copy(update={"wind": breeze, "stiffness": min(parameters.stiffness, _GIVING)})
+
+    def poses(
+        self,
+        parameters: _Parameters,
+        height_m: float,
+        width_m: float,
+        rng: np.random.Generator,
+        times_s: Iterable[float],
+    ) -> Iterator[Skeleton]:
+        """See `plants.parameters.Sways`. The fit is that of the plant at rest, so that its size does not breathe.
+
+        Organs by foliage rules are placed at rest and carried along; `parameters.wind.time_s` does not count.
+        """
+        if parameters.variation is not None:
+            raise RecipeError("a plant with a variation has no poses in the wind", where="plant.variation")
+        wood_rng, foliage_rng = rng.spawn(2)
+        plant = grow_at_rest(parameters, height_m, wood_rng)
+        at_rest = skeleton_of(parameters, plant.branching, plant.pose, plant.organs)
+        placed = parameters.place_foliage(at_rest, height_m, foliage_rng)
+        at_rest = replace(at_rest, organs=(*at_rest.organs, *placed))
+        fitted = fit(at_rest, parameters.templates(), parameters.fit, height_m, width_m)
+        for time_s in times_s:
+            yield _pose_at(time_s, parameters, plant, at_rest, fitted)
+
+
+def _pose_at(time_s: float, parameters: Parameters, plant: Rest, at_rest: Skeleton, fitted: Skeleton) -> Skeleton:
+    wind = parameters.wind.model_copy(update={"time_s": time_s})
+    stance = pose(plant.branching, wind, parameters.stiffness, plant.phases_rad)
+    stretch = _largest(fitted.position_m) / np.maximum(_largest(at_rest.position_m), 1e-9)
+    organs = tuple(
+        moved(carried(placement, plant.pose, stance), stretch, _size(at_its_size) / max(_size(placement), 1e-12))
+        for placement, at_its_size in zip(at_rest.organs, fitted.organs, strict=True)
+    )
+    return replace(fitted, position_m=(stance.position_m * stretch).astype(np.float32), organs=organs)
+
+
+def _largest(position_m: NDArray[np.float32]) -> Floats:
+    return np.asarray(np.abs(position_m).max(axis=0), dtype=np.float64)
+
+
+def _size(organs: OrganPlacements) -> float:
+    """Length of a blade's unit; all organs of a plant are fitted by one factor."""
+    return float(np.linalg.norm(organs.frame[:1, :, 1]))
 
 
 GENERATOR = StrandGenerator()

@@ -69,21 +69,24 @@ from functools import lru_cache
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
-from pydantic import BaseModel, BeforeValidator, Field, TypeAdapter, ValidationError, WithJsonSchema, model_validator
+from pydantic import BeforeValidator, Field, TypeAdapter, ValidationError, WithJsonSchema, model_validator
 
 from forestgen.core.errors import LsystemError, RecipeError
 from forestgen.geometry.patches import Patch
 from forestgen.lsystem.compiler import Value, compile_listing, settable, with_values
 from forestgen.lsystem.derivation import TooManyModulesError
+from forestgen.lsystem.parsing import parse_text
 from forestgen.lsystem.program import Program
 from forestgen.lsystem.syntax import Listing
+from forestgen.lsystem.sys_format import parse_sys_text
 from forestgen.plants.budget import check_budget
-from forestgen.plants.from_turtle import draw_program, parse_program, skeleton_of
+from forestgen.plants.fitting import moved
+from forestgen.plants.from_turtle import draw_program, skeleton_of
 from forestgen.plants.organs.base import OrganForm, Pieces
-from forestgen.plants.parameters import STRICT, PlantParameters
+from forestgen.plants.parameters import PlantParameters
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
 from forestgen.recipe.curves import Curve, evaluate_one
+from forestgen.recipe.fields import Section
 
 MOST_STEPS = 10_000
 POLYGON = "polygon"  # name of the shape that polygons have
@@ -93,10 +96,8 @@ _TOLD = ("height_m", "width_m")
 _curve: TypeAdapter[Any] = TypeAdapter(Curve)
 
 
-class ProgramText(BaseModel):
+class ProgramText(Section):
     """An L-system program. A recipe names it; reading the recipe puts its text here."""
-
-    model_config = STRICT
 
     name: str = Field(description="the file's name, for messages; its suffix tells .sys from .lsys")
     text: str = Field(description="the program itself")
@@ -215,7 +216,7 @@ def _tuples(value: Any) -> Any:
 
 @lru_cache(maxsize=64)
 def _compiled(name: str, text: str, values: tuple[tuple[str, Any], ...]) -> Program:
-    listing = parse_program(text, name)
+    listing = parse_sys_text(text, name) if name.endswith(".sys") else parse_text(text, name)
     return compile_listing(with_values(listing, dict(values)) if values else listing)
 
 
@@ -270,18 +271,10 @@ def _sized(skeleton: Skeleton, height_m: float) -> Skeleton:
     corners = [(fan[:, 2, 3] + np.maximum(0.0, fan[:, 2, :2].max(axis=1))).max() for fan in fans]
     tops = [skeleton.position_m[:, 2].max(), *corners]
     factor = np.float32(height_m / max(float(max(tops)), 1e-9))
-
-    def moved(placement: OrganPlacements) -> OrganPlacements:
-        frame: NDArray[np.float32] = placement.frame.copy()
-        frame[:, :, slice(None) if placement.shape == POLYGON else 3] *= factor
-        return replace(placement, frame=frame)
-
-    return replace(
-        skeleton,
-        position_m=skeleton.position_m * factor,
-        radius_m=skeleton.radius_m * factor,
-        organs=tuple(moved(one) for one in skeleton.organs),
-    )
+    stretch = np.full(3, factor)
+    organs = (moved(one, stretch, float(factor) if one.shape == POLYGON else 1.0) for one in skeleton.organs)
+    position, radius = skeleton.position_m * factor, skeleton.radius_m * factor
+    return replace(skeleton, position_m=position, radius_m=radius, organs=tuple(organs))
 
 
 GENERATOR = TurtleGenerator()

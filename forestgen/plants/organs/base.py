@@ -5,11 +5,12 @@ from __future__ import annotations
 from functools import lru_cache
 from typing import Annotated, Literal, NamedTuple
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, Field
 
 from forestgen.core.parts import Part
 from forestgen.geometry.mesh import Mesh
 from forestgen.geometry.patches import Patch, to_mesh
+from forestgen.recipe.fields import Section
 
 _PARTS = {
     "leaf": Part.LEAF,
@@ -55,10 +56,8 @@ class Pieces(NamedTuple):
     part: Part | None = None  # None: the organ's own
 
 
-class OrganForm(BaseModel):
+class OrganForm(Section):
     """The form of one kind of organ; subclasses have the keys that their form understands and no other."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     part: PartName = Field("leaf", description="the label of its surface")
     material: str = Field(description="name of one of the species' materials")

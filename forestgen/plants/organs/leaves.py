@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from forestgen.geometry.leaves import Blade, compound_leaf, leaf
 from forestgen.geometry.outlines import Entire, Lobed, Outline, Palmate
 from forestgen.plants.organs.base import Bend, Detail, MaybeSize, OrganForm, Pieces, Size
+from forestgen.recipe.fields import Section
 
 _STALK_WIDTH = 0.018  # of the blade's length, where the file does not say
 
@@ -16,10 +17,8 @@ Sharpness = Annotated[float, Field(ge=0.15, le=3.0)]
 Widest = Annotated[float, Field(ge=0.1, le=0.9)]
 
 
-class _Blade(BaseModel):
+class _Blade(Section):
     """Keys of every blade."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     length_m: Size = Field(description="length of the blade without its stalk, metres")
     width_m: Size = Field(description="greatest width, flat, metres")

@@ -1,19 +1,22 @@
 """Algorithm 1 of Zamuda et al. (2007) as two loops: who divides into what, and where it then stands.
 
 Branch segments are numbered as a skeleton's nodes: node 0 is the foot, node 1 the trunk's base segment; the nodes of
-an axis follow one another, and every segment comes after the one that bears it. The pages of this algorithm are in
+an axis follow one another, and every segment comes after the one that bears it. Formulas and decisions are in
 `generators/strands.py`.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field, model_validator
 
 from forestgen.core.compiled import compiled
+from forestgen.geometry.vectors import unit
+from forestgen.recipe.fields import Section
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -21,6 +24,32 @@ Ints = NDArray[np.int64]
 ORDERS = 256  # entries of a table of local parameters; orders beyond take the last one
 SPLIT, ANGLE, SHORTEST, LONGEST, LENGTH, GRAVIMORPHISM = range(6)  # rows of the tables
 JITTERS = 5  # split, turn, tilt, azimuth, length
+
+
+class Wind(Section):
+    """The wind that a plant stands in."""
+
+    speed_directed: float = Field(default=0.0, ge=0, le=10, description="w_g: greatest bend of one segment, degrees")
+    speed_undirected: float = Field(
+        default=0.0, ge=0, le=10, description="w_s: sway of what a segment of 1 m bears, without stiffness, degrees"
+    )
+    axis: tuple[float, float, float] = Field(
+        default=(0.0, 1.0, 0.0),
+        description="w: the axis that segments turn about, plant frame; [0, 1, 0] is a wind towards +x, [-1, 0, 0] "
+        "one towards +y, [0, 0, 1] turns without bending",
+    )
+    bends: Literal["thin", "thick"] = Field(
+        default="thin", description="alpha_w = (1 - S_0/S) w_g: twigs give way; or as printed, alpha_w = S_0/S w_g"
+    )
+    time_s: float = Field(
+        default=0.0, ge=-1e6, le=1e6, description="t: time of the pose, seconds; a sway takes 2 pi seconds"
+    )
+
+    @model_validator(mode="after")
+    def _has_axis(self) -> Self:
+        if not np.linalg.norm(self.axis) > 1e-9:
+            raise ValueError("the wind's axis must not be zero")
+        return self
 
 
 @dataclass(frozen=True)
@@ -68,33 +97,31 @@ def divide(
     jitter : (JITTERS,) standard deviations of k_s, alpha (twice), alpha_p (radians) and of the logarithm of l.
     normals : (3 strands, JITTERS) standard normal numbers, or (1, JITTERS) zeros.
     """
-    return Branching(
-        *_divide(strands, least, trunk_m, gravicentralism, phyllotaxis_rad, by_order, by_depth, jitter, normals)
-    )
+    columns = _divide(strands, least, trunk_m, gravicentralism, phyllotaxis_rad, by_order, by_depth, jitter, normals)
+    return Branching(*columns)
 
 
-def stand(branching: Branching, sway_rad: Floats, bend_rad: Floats, axis: Floats) -> Pose:
-    """Place the segments one after the other.
+def pose(branching: Branching, wind: Wind, stiffness: float, phases_rad: Floats) -> Pose:
+    """The branching in a wind, its segments placed one after the other.
 
     Parameters
     ----------
-    sway_rad : (N, 2) alpha_x(t) and alpha_z(t).
-    bend_rad : (N,) alpha_w.
-    axis : (3,) unit, the wind's axis w in the plant frame.
+    stiffness : k_f, 0 to 1.
+    phases_rad : (N, 2) R_x and R_z of each segment.
     """
+    bearer = np.maximum(branching.parent, 0)
+    amplitude = np.radians(wind.speed_undirected) * (1.0 - stiffness) * branching.length_m[bearer]
+    sway = np.sin(wind.time_s + phases_rad) * amplitude[:, None]
+    share = branching.strands[bearer] / branching.strands[0]
+    bend = np.radians(wind.speed_directed) * (share if wind.bends == "thick" else 1.0 - share)
+    axis = unit(np.array(wind.axis, dtype=np.float64))
     b = branching
-    return Pose(
-        *_stand(b.parent, b.length_m, b.turn_rad, b.tilt_rad, b.azimuth_rad, b.lift_rad, sway_rad, bend_rad, axis)
-    )
-
-
-def product(row: int, by_order: Floats, by_depth: Floats, g: int, w: int) -> float:
-    """Local parameter of an order (g, w): Eqs. 1 to 6."""
-    return float(_product(row, by_order, by_depth, g, w))
+    return Pose(*_stand(b.parent, b.length_m, b.turn_rad, b.tilt_rad, b.azimuth_rad, b.lift_rad, sway, bend, axis))
 
 
 @compiled
-def _product(row: int, by_order: Floats, by_depth: Floats, g: int, w: int) -> Any:
+def product(row: int, by_order: Floats, by_depth: Floats, g: int, w: int) -> Any:
+    """Local parameter of an order (g, w): Eqs. 1 to 6."""
     value = by_order[row, min(g, by_order.shape[1] - 1)] * by_depth[row, min(w, by_depth.shape[1] - 1)]
     if row == SPLIT:
         return max(min(value, 1.0), 0.5)
@@ -137,17 +164,17 @@ def _divide(  # type: ignore[no-untyped-def]
             azimuth[node], lift[node] = turned_about, lifted
             if s <= least:
                 break
-            split = _product(SPLIT, by_order, by_depth, g, w)
+            split = product(SPLIT, by_order, by_depth, g, w)
             split = max(min(split + jitter[0] * normals[min(node, last), 0], 1.0), 0.5)
             # The smallest of shares must not make a whole number one more than it is.
             major = max(1, min(s - 1, int(np.ceil(1.0 + split * (s - 2) - 1e-9))))
             minor = s - major
-            alpha = _product(ANGLE, by_order, by_depth, g, w)
+            alpha = product(ANGLE, by_order, by_depth, g, w)
             first = gravicentralism * np.sqrt(minor / s) * alpha
-            lifted = _product(GRAVIMORPHISM, by_order, by_depth, g, w)
-            longest = _product(LONGEST, by_order, by_depth, g, w)
-            shortest = _product(SHORTEST, by_order, by_depth, g, w)
-            scale = _product(LENGTH, by_order, by_depth, g, w)
+            lifted = product(GRAVIMORPHISM, by_order, by_depth, g, w)
+            longest = product(LONGEST, by_order, by_depth, g, w)
+            shortest = product(SHORTEST, by_order, by_depth, g, w)
+            scale = product(LENGTH, by_order, by_depth, g, w)
             minor_ratio = max(min(np.sqrt(minor / s), longest), shortest) * ratio
             ratio *= max(min(np.sqrt(major / s), longest), shortest)
             # The heavier sub-branch strays less from its angle, as Algorithm 1 has it turn less.
@@ -173,17 +200,9 @@ def _divide(  # type: ignore[no-untyped-def]
         node += 1
         done += 1
     return (
-        parent[:node],
-        axis[:node],
-        count[:node],
-        gravelius[:node],
-        weibull[:node],
-        length[:node],
-        turn[:node],
-        tilt[:node],
-        azimuth[:node],
-        lift[:node],
-    )
+        parent[:node], axis[:node], count[:node], gravelius[:node], weibull[:node],
+        length[:node], turn[:node], tilt[:node], azimuth[:node], lift[:node],
+    )  # fmt: skip
 
 
 @compiled

@@ -20,34 +20,32 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from forestgen.geometry.mesh import Mesh
-from forestgen.geometry.vectors import rotate, unit
 from forestgen.plants.branching import around
 from forestgen.plants.budget import check_budget
-from forestgen.plants.foliage import organ_frames
+from forestgen.plants.foliage import droop, organ_frames
 from forestgen.plants.skeleton import OrganPlacements
 from forestgen.plants.strands.kernel import Branching, Pose
 from forestgen.recipe.curves import PositiveCurve, evaluate_one
+from forestgen.recipe.fields import Section
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-
-Arrangement = Literal["spiral", "stacked", "staggered", "bunched", "coniferous"]
 
 _GOLDEN_DEG = 137.5
 _UP = np.array([0.0, 0.0, 1.0])
 _LEAF_BYTES = 1500  # a leaf's draws, frame and some ten triangles with their normals
 
 
-class Leaves(BaseModel):
+class Leaves(Section):
     """Leaves of the branches that carry one strand, or few."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
     shape: str = Field(description="name of an organ shape")
-    arrangement: Arrangement = Field("spiral", description="l_type: spiral, stacked, staggered, bunched or coniferous")
+    arrangement: Literal["spiral", "stacked", "staggered", "bunched", "coniferous"] = Field(
+        "spiral", description="l_type: spiral, stacked, staggered, bunched or coniferous"
+    )
     density: PositiveCurve = Field(
         ((0.0, 5.0),),
         description="rho_l: leaves on a branch of one strand, by the plant's height in metres; at most 200",
@@ -99,19 +97,16 @@ def leaf_places(
         phase = np.where(phase > np.pi, np.pi, 0.0)
     azimuth = azimuth + phase + np.radians(leaves.turn_jitter_deg) * rng.normal(size=len(node))
     angle = angle + np.radians(leaves.angle_jitter_deg) * rng.normal(size=len(node))
-    along = _drooping(around(tangent, azimuth, angle), np.radians(leaves.droop_deg))
+    along = droop(around(tangent, azimuth, angle), np.radians(leaves.droop_deg))
     foot = rest.position_m[node] - ((1.0 - share) * branching.length_m[node])[:, None] * tangent
     size = np.clip(1.0 + leaves.size_jitter * rng.normal(size=len(node)), 0.4, 1.6)
-    size = size * _size(leaves, template, height_m) * np.sqrt(np.where(ends, branching.strands, 1)[node])
+    own_size = 1.0 if leaves.size_m is None else leaves.size_m / float(np.ptp(template.vertices_m[:, 1]))
+    own_size *= evaluate_one(leaves.size_by_height, height_m)
+    size = size * own_size * np.sqrt(np.where(ends, branching.strands, 1)[node])
     roll = np.radians(leaves.roll_jitter_deg) * rng.normal(size=len(node))
     upper = tangent if leaves.arrangement == "coniferous" else np.broadcast_to(_UP, tangent.shape)
     frame = organ_frames(foot, along, upper, roll, size)
     return OrganPlacements(leaves.shape, frame.astype(np.float32), node.astype(np.int32))
-
-
-def _size(leaves: Leaves, template: Mesh, height_m: float) -> float:
-    own = 1.0 if leaves.size_m is None else leaves.size_m / float(np.ptp(template.vertices_m[:, 1]))
-    return own * evaluate_one(leaves.size_by_height, height_m)
 
 
 def _arranged(leaves: Leaves, rank: Ints, density: int) -> tuple[Floats, Floats, Floats]:
@@ -120,23 +115,13 @@ def _arranged(leaves: Leaves, rank: Ints, density: int) -> tuple[Floats, Floats,
     angle = np.full(len(rank), np.radians(leaves.angle_deg))
     place = (rank + 0.5) / max(density, 1)
     turn = np.radians(_GOLDEN_DEG) * rank
-    match leaves.arrangement:
-        case "stacked":
-            place = (rank // 2 + 0.5) / max((density + 1) // 2, 1)
-            turn = np.pi * (rank % 2)
-        case "staggered":
-            turn = np.pi * (rank % 2)
-        case "bunched":
-            angle = angle * np.sqrt(place)
-            place = np.ones(len(rank))
-        case "spiral" | "coniferous":
-            pass
+    if leaves.arrangement in ("stacked", "staggered"):
+        turn = np.pi * (rank % 2)
+    if leaves.arrangement == "stacked":
+        place = (rank // 2 + 0.5) / max((density + 1) // 2, 1)
+    elif leaves.arrangement == "bunched":
+        angle, place = angle * np.sqrt(place), np.ones(len(rank))
     return foot + (tip - foot) * place, turn, angle
-
-
-def _drooping(along: Floats, angle_rad: float) -> Floats:
-    lever = np.cross(along, -_UP)
-    return rotate(along, unit(lever), angle_rad * np.linalg.norm(lever, axis=1))
 
 
 def carried(organs: OrganPlacements, rest: Pose, pose: Pose) -> OrganPlacements:

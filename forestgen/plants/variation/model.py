@@ -94,32 +94,28 @@ from __future__ import annotations
 from typing import Annotated, Literal, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from forestgen.recipe.curves import Curve, PositiveCurve
+from forestgen.recipe.fields import Section
 
 #: Where a positive angle turns to. up: to the sky; side: to the left (an upright axis: to +x and to -y, east and
 #: south); random: any side, drawn for each axis; a number: an azimuth in degrees clockwise from +y, as of a compass.
 Plane = Literal["up", "side", "random"] | Annotated[float, Field(ge=-360, le=360)]
 _Vector = tuple[float, float, float]
-_STRICT = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 _DEFAULT_LAG, _DEFAULT_RATIO = 0.1, 1.1
 
 
-class Influence(BaseModel):
+class Influence(Section):
     """A disturbance that is a function of the position on the axis (Fig. 8, upper curve)."""
-
-    model_config = _STRICT
 
     turn_deg: Curve = Field(description="turn over the position, degrees per length of the axis")
     plane: Plane = Field("up", description="up, side, random, or an azimuth in degrees clockwise from +y")
     orders: tuple[int, ...] | None = Field(None, description="orders that feel it; all if not given")
 
 
-class Displacement(BaseModel):
+class Displacement(Section):
     """A single turn (Figs. 2, 9 and 10)."""
-
-    model_config = _STRICT
 
     at: float = Field(ge=0, lt=1, description="when, as the share of the axis that has grown")
     turn_deg: float = Field(ge=-180, le=180, description="by how much, degrees")
@@ -128,20 +124,16 @@ class Displacement(BaseModel):
     orders: tuple[int, ...] | None = Field((0,), description="orders of the axes that are turned; null: all")
 
 
-class Bend(BaseModel):
+class Bend(Section):
     """A target that leaves the base's course by a function of the position (Fig. 8, lower curve)."""
-
-    model_config = _STRICT
 
     turn_deg: Curve = Field(description="angle between target and base over the position, degrees")
     plane: Plane = Field("up", description="up, side, random, or an azimuth in degrees clockwise from +y")
     orders: tuple[int, ...] | None = Field(None, description="orders with this target; all if not given")
 
 
-class Pull(BaseModel):
+class Pull(Section):
     """A target between the base's own direction and one in space (Fig. 13)."""
-
-    model_config = _STRICT
 
     weight: Curve = Field(description="weight of the direction in space over the position, 0 to 1")
     toward: Literal["up"] | _Vector = Field("up", description="up, or a vector in the plant's frame, to a light say")
@@ -161,10 +153,8 @@ class Pull(BaseModel):
         return float(x), float(y), float(z)
 
 
-class Variation(BaseModel):
+class Variation(Section):
     """How a plant grows away from its base model; this module's page has the equations."""
-
-    model_config = _STRICT
 
     growth_steps: PositiveCurve = Field(
         ((0.0, 32.0), (3.0, 4.0)), description="number of growth steps of an axis, over its order"

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.compiled import compiled
-from forestgen.scene.grounds.cover import TEXTURE_PX, TEXTURE_TILE_M, GroundCover, tile_noise
+from forestgen.scene.terrain import TEXTURE_PX, TEXTURE_TILE_M, GroundCover, tile_noise
 
 _LEAVES_PER_M2 = 260
 _DRY_LEAVES = np.array(  # linear Rec. 709: russet, tan, straw, grey-brown, dark and half-rotten

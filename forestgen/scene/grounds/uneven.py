@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.spectrum import Spectrum
-from forestgen.scene.grounds.cover import GroundCover, tile_noise
+from forestgen.scene.terrain import GroundCover, tile_noise
 
 SNOW_AFAR = 0.4  # share of woods and meadows that lies under snow
 

@@ -26,7 +26,7 @@ from forestgen.recipe.camera_keys import Look
 from forestgen.recipe.cameras import Camera as CameraSection
 from forestgen.recipe.fields import Point, Positive, mistake
 from forestgen.scene.projection import Bools, DeviceRays, FileGeometry, Floats, Pixels, Rays, Sensor
-from forestgen.scene.projections.flat import FlatProjection, extent
+from forestgen.scene.projections.hulls import FlatProjection, extent
 from forestgen.scene.spec import Camera
 
 
@@ -56,8 +56,7 @@ class OrthographicCamera(CameraSection):
     def view_width_m(self) -> float:
         return self.width_m or 0.0
 
-    @property
-    def footprint_m(self) -> tuple[float, float]:
+    def footprint_m(self, altitude_m: float) -> tuple[float, float]:
         width, height = self.size_px
         assert self.width_m is not None
         return self.width_m, self.width_m * height / width

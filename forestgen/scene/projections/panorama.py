@@ -25,7 +25,7 @@ from forestgen.recipe.camera_keys import Look
 from forestgen.recipe.cameras import Camera as CameraSection
 from forestgen.recipe.fields import Point, mistake
 from forestgen.scene.projection import DeviceRays, Exchange, FileGeometry, Floats, Pixels, Rays
-from forestgen.scene.projections.curved import CurvedProjection, lies_over
+from forestgen.scene.projections.hulls import CurvedProjection, lies_over
 from forestgen.scene.spec import Camera
 
 

@@ -31,7 +31,6 @@ from pydantic_core import PydanticCustomError
 
 from forestgen.recipe.cameras import Camera as CameraSection
 from forestgen.recipe.fields import Number, Positive, mistake
-from forestgen.recipe.rigs import DroneGrid
 from forestgen.scene.projection import (
     Bools,
     DeviceRays,
@@ -44,7 +43,7 @@ from forestgen.scene.projection import (
     matrix_k,
     read_k,
 )
-from forestgen.scene.projections.flat import FlatProjection, extent
+from forestgen.scene.projections.hulls import FlatProjection, extent
 from forestgen.scene.spec import Camera
 
 _FULL_FRAME_MM = 36.0
@@ -160,11 +159,9 @@ class PerspectiveCamera(CameraSection):
     def lens_focus_m(self) -> float | None:
         return self.focus_m
 
-    @property
-    def footprint_m(self) -> tuple[float, float]:
+    def footprint_m(self, altitude_m: float) -> tuple[float, float]:
         width, height = self.size_px
-        assert isinstance(self.rig, DroneGrid)
-        across = 2 * self.rig.altitude_m * math.tan(math.radians(self.field_of_view_deg) / 2)
+        across = 2 * altitude_m * math.tan(math.radians(self.field_of_view_deg) / 2)
         return across, across * height / width
 
     @property

@@ -26,9 +26,8 @@ from forestgen.core.errors import AssetError
 from forestgen.core.grey_picture import kind_of, read_grey
 from forestgen.recipe.fields import Number, Section, Text, mistake, spelled_out
 from forestgen.recipe.map_files import known_file
-from forestgen.scene.terrain import HeightField, smooth_step
+from forestgen.scene.terrain import HeightField, TerrainShape, smooth_step
 from forestgen.scene.terrains.rolling import RollingKeys
-from forestgen.scene.terrains.shape import TerrainShape
 
 LOWEST_M, HIGHEST_M = -12_000.0, 9_000.0  # of what is believed
 _HOLES = (-9999.0, -32768.0)  # marks of those who have no tag for it

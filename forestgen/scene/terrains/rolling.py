@@ -24,8 +24,7 @@ from pydantic import Field
 from forestgen.core.randomness import child_rng
 from forestgen.recipe.fields import Number, Positive
 from forestgen.recipe.terrain import Terrain
-from forestgen.scene.terrain import MARGIN_M, HeightField, smooth_step
-from forestgen.scene.terrains.shape import TerrainShape
+from forestgen.scene.terrain import MARGIN_M, HeightField, TerrainShape, smooth_step
 
 HILLS_FROM_M = 250.0
 

@@ -16,7 +16,7 @@ class _Incomplete:
     """Has all but one of a model's methods."""
 
     Parameters = UNIFORM.Parameters
-    init = step = population = check_snapshot = remove = plant = expected_plants = why_barren = estimate_bytes = None
+    init = step = population = check_snapshot = remove = plant = expected_plants = empty_reason = estimate_bytes = None
 
 
 class _Other(Own):

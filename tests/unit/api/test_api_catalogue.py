@@ -110,6 +110,8 @@ def test_a_place_that_is_none_is_refused_at_once(
         ("community_model", "own_parts:OTHER", "Parameters are none"),
         ("competition_model", "own_parts:MODEL", "answer"),
         ("plant_generator", "own_parts:MODEL", "grow"),
+        ("rig", "own_parts:MODEL", "frames"),
+        ("instrument", "own_parts:MODEL", "measure"),
     ],
 )
 def test_a_part_that_lacks_what_its_kind_has_is_refused(kind: str, part: str, lacking: str) -> None:

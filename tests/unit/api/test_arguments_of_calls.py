@@ -13,8 +13,8 @@ from api_recipe import STAND
 import forestgen as fg
 from forestgen.api.plants import grow_files
 from forestgen.community.models.uniform import MODEL as UNIFORM
+from forestgen.render.studio import PictureSettings
 from forestgen.runs.start import RunOptions
-from forestgen.stages.studio import Shot
 
 Call = Callable[[Any], Any]
 
@@ -62,11 +62,11 @@ def recipe() -> Any:
         ("folder", lambda _: fg.Dataset("a" * 300)),
         ("folder", lambda _: fg.verify("a" * 300)),
         ("sources", lambda _: fg.merge(5, "x")),  # type: ignore[arg-type]
-        ("samples", lambda _: Shot(samples=0).check()),
-        ("samples", lambda _: Shot(samples=float("nan")).check()),  # type: ignore[arg-type]
-        ("samples", lambda _: Shot(samples=10**9).check()),
-        ("size_px", lambda _: Shot((32,)).check()),  # type: ignore[arg-type]
-        ("size_px", lambda _: Shot((32.5, 32)).check()),  # type: ignore[arg-type]
+        ("samples", lambda _: PictureSettings(samples=0).check()),
+        ("samples", lambda _: PictureSettings(samples=float("nan")).check()),  # type: ignore[arg-type]
+        ("samples", lambda _: PictureSettings(samples=10**9).check()),
+        ("size_px", lambda _: PictureSettings((32,)).check()),  # type: ignore[arg-type]
+        ("size_px", lambda _: PictureSettings((32.5, 32)).check()),  # type: ignore[arg-type]
         ("out", lambda r: r.batch("")),
         ("out", lambda r: r.render("")),
         ("out", lambda r: r.simulate("")),
@@ -101,7 +101,7 @@ def test_a_wrong_argument_is_named(place: str, call: Call, recipe: Any) -> None:
 def test_whole_numbers_may_be_those_of_numpy(recipe: Any) -> None:
     options = RunOptions(count=np.int64(3), threads=np.int32(1), workers=np.uint8(2), retries=np.int64(0)).check()  # type: ignore[arg-type]
     assert {type(one) for one in (options.count, options.threads, options.workers, options.retries)} == {int}
-    shot = Shot((np.int64(32), np.int64(24)), samples=np.int64(4)).check()  # type: ignore[arg-type]
+    shot = PictureSettings((np.int64(32), np.int64(24)), samples=np.int64(4)).check()  # type: ignore[arg-type]
     assert {type(one) for one in (*shot.size_px, shot.samples)} == {int}
     assert list(recipe.frames(np.int64(0))) == []
 

@@ -32,6 +32,7 @@ FUNCTIONS: dict[str, tuple[Callable[..., Any], ...]] = {
     "light": (fg.load, fg.Recipe.light),
     "weather": (fg.load, fg.Recipe.weather),
     "calibrate": (fg.load, fg.Recipe.calibrate),
+    "measure": (fg.load, fg.Recipe.measure),
     "doctor": (fg.doctor,),
 }
 # Options whose parameter has another name: one value of many, or a flag's opposite.
@@ -39,6 +40,7 @@ OTHER_NAMES = {
     "--map-step": "map_steps",
     "--graph": "graphs",
     "--normal": "normals",
+    "--key": "keys",
     "--split": "splits",
     "--resource": "resources",
     "--no-hashes": "hashes",

@@ -330,7 +330,7 @@ def test_the_felled_free_those_that_they_held_down(tree):
 def test_barred_ground_and_no_species(tree):
     site = Site((20.0, 20.0))
     barred = MODEL.Parameters(keep_out=[[1, 1], [1, 1]], initial_plants_per_ha=100)
-    assert "bar the whole site" in MODEL.why_barren(barred, site, [tree()])
+    assert "bar the whole site" in MODEL.empty_reason(barred, site, [tree()])
     assert [len(now) for now in simulate(MODEL, barred, site, [tree()], 0, steps=2)] == [0, 0, 0]
     assert [len(now) for now in simulate(MODEL, MODEL.Parameters(), site, [], 0, steps=2)] == [0, 0, 0]
 

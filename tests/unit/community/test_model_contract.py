@@ -228,22 +228,22 @@ def test_no_more_plants_than_expected(name, rate, tree):
         numbers = [[len(p) for p in simulate(model, parameters, SITE, species, k, steps=60)] for k in seeds]
         assert np.mean(numbers, axis=0).max() <= bound
         assert (
-            (bound == 0) == (max(map(max, numbers)) == 0) == (model.why_barren(parameters, SITE, species) is not None)
+            (bound == 0) == (max(map(max, numbers)) == 0) == (model.empty_reason(parameters, SITE, species) is not None)
         )
 
 
 @pytest.mark.parametrize("name", GROWING)
 def test_what_keeps_plants_from_arriving_is_named(name, species, tree):
     model = COMMUNITY_MODELS.load(name)
-    assert "0 for every species" in model.why_barren(model.Parameters(), SITE, [tree(seedlings_per_ha_per_yr=0.0)])
-    assert "steps is 0" in model.why_barren(model.Parameters(steps=0), SITE, species)
+    assert "0 for every species" in model.empty_reason(model.Parameters(), SITE, [tree(seedlings_per_ha_per_yr=0.0)])
+    assert "steps is 0" in model.empty_reason(model.Parameters(steps=0), SITE, species)
 
 
 @pytest.mark.parametrize("name", FOUNDED)
 def test_that_nothing_was_founded_is_named(name, species):
     model, given = COMMUNITY_MODELS.load(name), GIVEN.get(name, {})
-    assert "initial_plants is 0" in model.why_barren(model.Parameters(initial_plants=0, **given), SITE, species)
-    assert model.why_barren(model.Parameters(initial_plants=1, **given), SITE, species) is None
+    assert "initial_plants is 0" in model.empty_reason(model.Parameters(initial_plants=0, **given), SITE, species)
+    assert model.empty_reason(model.Parameters(initial_plants=1, **given), SITE, species) is None
 
 
 @pytest.mark.parametrize("name", MODELS)

@@ -11,13 +11,14 @@ from PIL import Image
 from forestgen.community import animation
 from forestgen.community.animation import Film
 from forestgen.community.model import Site
-from forestgen.community.obstacles import NO_OBSTACLES, Obstacle, Obstacles
+from forestgen.community.obstacles import NO_OBSTACLES, Obstacles
 from forestgen.community.plot_series import plot_curves, plot_thinning
 from forestgen.community.plot_sizes import plot_sizes
 from forestgen.community.plots import CONIFER, OBSTACLE, plot_map
 from forestgen.community.population import Population, Status
 from forestgen.community.trajectory import Trajectory, moment, thinning_slope
 from forestgen.core.errors import OutputError
+from forestgen.recipe.buildings import Building
 
 NAMES = ("tree", "b")
 
@@ -74,8 +75,7 @@ def test_a_map_shows_more_colour_where_plants_stand(site, tmp_path):
 
 
 def test_an_obstacle_is_its_grey_ground_plan(site, tmp_path):
-    entry = Obstacle(species="house", position_m=(20, 17.5), size_m=(20, 15, 7))
-    house = Obstacles((entry,), frozenset({"house"}))
+    house = Obstacles((Building(kind="house", position_m=(20, 17.5), size_m=(20, 15, 7)),))
     grey = tuple(round(255 * one) for one in to_rgb(OBSTACLE))
     shares = []
     for obstacles in (NO_OBSTACLES, house):
@@ -90,7 +90,7 @@ def test_an_obstacle_is_its_grey_ground_plan(site, tmp_path):
 
 def test_plants_without_obstacles_keep_their_species():
     population = stand(9, names=("oak", "house", "pine"))
-    plants = Obstacles(species=frozenset({"house"})).left_out_of(population)
+    plants = Obstacles((Building(kind="house", position_m=(20, 17.5)),)).left_out_of(population)
     assert plants.species_names == ("oak", "pine")
     assert plants.plant_id.tolist() == [1, 3, 4, 6, 7, 9]
     assert plants.species.tolist() == [0, 1] * 3

@@ -84,8 +84,8 @@ def test_no_more_plants_than_expected(species):
     parameters = PLANTATION.Parameters(disturbances=({"at_step": 0, "plant": {"species": "b", "count": 7}},))
     numbers = [len(next(simulate(PLANTATION, parameters, SITE, species, k, steps=0))) for k in range(20)]
     assert np.mean(numbers) <= PLANTATION.expected_plants(parameters, SITE, species)
-    assert PLANTATION.why_barren(parameters, SITE, species) is None
-    assert PLANTATION.why_barren(PLANTATION.Parameters(failed=1), SITE, species) == "the model places no plant"
+    assert PLANTATION.empty_reason(parameters, SITE, species) is None
+    assert PLANTATION.empty_reason(PLANTATION.Parameters(failed=1), SITE, species) == "the model places no plant"
     assert PLANTATION.estimate_bytes(parameters, SITE, species) > 400 * max(numbers)
 
 

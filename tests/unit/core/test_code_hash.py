@@ -105,13 +105,13 @@ def test_parts_of_other_packages_count(package: Path, monkeypatch: pytest.Monkey
 
 def test_every_user_of_it_names_parts_that_exist() -> None:
     from forestgen.atmosphere import simulate
-    from forestgen.plants import cache
+    from forestgen.community import simulation
+    from forestgen.plants import growing
     from forestgen.render import radiance
     from forestgen.runs import keys
-    from forestgen.stages import community_cache
 
     root = module.PACKAGE
-    for parts in (simulate.SOURCES, *(one._SOURCES for one in (keys, cache, radiance, community_cache))):
+    for parts in (simulate.SOURCES, *(one._SOURCES for one in (keys, growing, radiance, simulation))):
         assert all((root / part).exists() for part in parts)
         assert module.source_files(parts)
 

@@ -14,9 +14,9 @@ from forestgen.dataset.check import light_files
 from forestgen.dataset.check.frame_data import FrameData, FrameTask
 from forestgen.dataset.raw import d65, levels, mosaiced, raw_image, vignetting, write_raw
 from forestgen.dataset.writer import frame_bytes, write_frame
+from forestgen.recipe.exposure import Exposure
 from forestgen.recipe.spectra import load_bands
 from forestgen.render.frame import Radiance
-from forestgen.scene.exposure import Exposure, shutter_of_ev_s
 
 PLAIN = Exposure(f_number=4.0, shutter_s=0.01, iso=100.0, mosaic=False)
 SIDE = 64
@@ -133,13 +133,15 @@ def test_sunny_sixteen():
     for illuminance in (80e3, 110e3):
         luminance = 0.18 * illuminance / np.pi
         for iso in (100.0, 400.0):
-            exposure = Exposure(16.0, 1 / iso, iso, mosaic=False, read_noise_electrons=0.0, base_iso=iso)
+            noiseless = {"mosaic": False, "read_noise_electrons": 0.0}
+            exposure = Exposure(f_number=16.0, shutter_s=1 / iso, iso=iso, base_iso=iso, **noiseless)
             made = raw_image(flat(luminance), square(), exposure, 0)
             black, white, _ = levels(exposure)
             share = (made.planes["raw-G.png"].astype(float).mean() - black) / (white - black)
             assert abs(np.log2(share / (10 / 78))) < 1
-    assert shutter_of_ev_s(15.0, 16.0, 100.0) == pytest.approx(1 / 128)  # and the rule is EV 15, rounded
-    assert shutter_of_ev_s(15.0, 16.0, 400.0) == pytest.approx(1 / 512)
+    # The rule is EV 15, rounded.
+    assert Exposure(ev=15.0, f_number=16.0, iso=100.0).shutter_for_s(0.0) == pytest.approx(1 / 128)
+    assert Exposure(ev=15.0, f_number=16.0, iso=400.0).shutter_for_s(0.0) == pytest.approx(1 / 512)
 
 
 @pytest.mark.parametrize("compensation", [0.0, 1.0])
@@ -150,7 +152,7 @@ def test_a_metered_picture_is_at_an_eighth_of_saturation(compensation, about):
     light = flat(np.array(white) * 4321.0, 256, **about)
     light.mean[10:15, 20:25] *= 1e5
     for f_number, iso in ((2.8, 100.0), (11.0, 800.0)):
-        exposure = Exposure(f_number, None, iso, mosaic=False, compensation_ev=compensation)
+        exposure = Exposure(f_number=f_number, iso=iso, mosaic=False, compensation_ev=compensation)
         made = raw_image(light, square(256), exposure, 1)
         level = (made.facts["white_level"] - made.facts["black_level"]) * np.pi / 4 * 12.5 / 78 * 2**compensation
         for name, factor in made.facts["white_balance"].items():

@@ -12,7 +12,7 @@ from PIL import Image
 from ruamel.yaml import YAML
 
 from forestgen.recipe.load import load_recipe
-from forestgen.stages.plan import check_plan
+from forestgen.scene.planning import check_plan
 
 DOCS = Path(__file__).parents[3] / "docs"
 PAGE = (DOCS / "placement.md").read_text(encoding="utf-8")
@@ -49,7 +49,10 @@ def test_an_example_is_accepted(example: str, folder: Path) -> None:
     with path.open("w", encoding="utf-8") as stream:
         YAML(typ="safe").dump(recipe_of(example), stream)
     plan = check_plan(load_recipe(path), simulate_only=True)
-    assert plan.model.why_barren(plan.model_parameters, plan.site, plan.ecologies) is None
+    assert (
+        plan.community.model.empty_reason(plan.community.parameters, plan.community.site, plan.community.ecologies)
+        is None
+    )
 
 
 def test_the_page_has_examples() -> None:

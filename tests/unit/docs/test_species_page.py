@@ -11,7 +11,7 @@ from types import ModuleType
 import pytest
 
 from forestgen.recipe.assets import list_assets
-from forestgen.stages.single_plant import plan_of
+from forestgen.runs.single_plant import plan_of
 
 DOCS = Path(__file__).parents[3] / "docs"
 

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from forestgen.core.parts import Part
-from forestgen.dataset.canopy import write_canopy
-from forestgen.labels.gap_fraction import gap_fraction, looks_up
+from forestgen.labels.gap_fraction import gap_fraction, gap_fraction_of, looks_up
+from forestgen.render.frame import Identity
 from forestgen.render.identity import sample_offsets
 from support.cameras import camera_of
 
@@ -83,7 +81,7 @@ def test_ground_and_what_is_outside_of_the_circle_do_not_count():
     assert (inner.samples > 0).tolist() == [True] * 10 + [False] * 8
 
 
-def test_only_fisheyes_that_look_up_have_one(tmp_path):
+def test_only_fisheyes_that_look_up_have_one():
     level = camera_of("fisheye", (20, 20), (0.0, 0.0, 1.0))
     assert looks_up(UP)
     for camera in (level, camera_of("panorama", (20, 20), (0.0, 0.0, 1.0), (0.0, 1e-6, 9.0))):
@@ -91,11 +89,6 @@ def test_only_fisheyes_that_look_up_have_one(tmp_path):
         with pytest.raises(ValueError, match="straight up"):
             gap_fraction(camera, *image_of(np.ones((20, 20, 4), dtype=bool)), OFFSETS)
     plant, part = image_of(np.ones((200, 200, 4), dtype=bool))
-    for camera, count in ((UP, 1), (replace(level, size_px=(200, 200)), 0)):
-        frame = SimpleNamespace(camera=camera, identity=SimpleNamespace(plant_id=plant, part=part))
-        (tmp_path / str(count)).mkdir()
-        write_canopy(tmp_path / str(count), frame)
-        assert len(list((tmp_path / str(count)).iterdir())) == count
-    content = json.loads((tmp_path / "1" / "canopy.json").read_text())
-    assert content["gap_fraction"] == [1.0] * 18
-    assert content["effective_lai"] == 0
+    fields = gap_fraction_of(UP, Identity(plant, part)).as_dict()
+    assert fields["gap_fraction"] == [1.0] * 18
+    assert fields["effective_lai"] == 0

@@ -14,9 +14,9 @@ import pytest
 from forestgen import pipeline
 from forestgen.core.progress import Silent
 from forestgen.core.timing import Timings
+from forestgen.dataset.data_set import data_set_of
 from forestgen.recipe.load import load_recipe
-from forestgen.stages.data_set import data_set_of
-from forestgen.stages.plan import make_plan
+from forestgen.scene.planning import make_plan
 
 QUICKSTART = Path(__file__).parents[3] / "recipes" / "quickstart.yaml"
 TINY = (
@@ -61,7 +61,7 @@ class Written:
 def written(tmp_path_factory: pytest.TempPathFactory) -> Written:
     folder, noted, timings = tmp_path_factory.mktemp("run"), Noted(), Timings()
     loaded = load_recipe(QUICKSTART, TINY)
-    scene = pipeline.assemble_image(make_plan(loaded.draw(0)), loaded.seed, noted, timings)
+    scene = pipeline.assemble_image(make_plan(loaded.draw(0)), noted, timings)
     image = pipeline.write_image(scene, data_set_of(scene.drawn), folder, noted, timings)
     return Written(folder, image, noted, timings, timings.total())
 

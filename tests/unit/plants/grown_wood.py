@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from forestgen.plants.generators.branch_modules import Parameters
-from forestgen.plants.grown.wood import ModuleWood
+from forestgen.plants.grown import ModuleWood
 
 THICK_M, FINE_M = 0.2, 0.01
 

@@ -7,8 +7,7 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from forestgen.plants.bark.noise import Tile, upper_share
-from forestgen.plants.bark.patterns import PATTERNS
+from forestgen.plants.bark.patterns import PATTERNS, Tile, upper_share
 from forestgen.plants.bark.texture import SurfaceTexture, bark_texture, texture_images, with_bark_tiles, with_mean
 from forestgen.plants.parameters import PlantParameters
 from forestgen.recipe.species import Bark, BarkPattern

@@ -17,9 +17,15 @@ from forestgen.core.disk_cache import ENVIRONMENT, DiskCache
 from forestgen.core.errors import RecipeError
 from forestgen.core.packed import pack
 from forestgen.plants import growing
-from forestgen.plants.cache import ExemplarRequest, exemplar_store, keep_exemplar, load_exemplar
 from forestgen.plants.exemplar import Exemplar
-from forestgen.plants.growing import grow_exemplar, grow_exemplars
+from forestgen.plants.growing import (
+    ExemplarRequest,
+    exemplar_store,
+    grow_exemplar,
+    grow_exemplars,
+    keep_exemplar,
+    load_exemplar,
+)
 from forestgen.plants.levels import Level
 
 

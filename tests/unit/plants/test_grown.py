@@ -12,10 +12,9 @@ from pydantic import ValidationError
 
 from forestgen.core.errors import RecipeError
 from forestgen.core.parts import Part
-from forestgen.plants.generators.branch_modules import FIRST_TWIG_ORDER, GENERATOR
-from forestgen.plants.grown.build import build_grown, estimate_triangles
-from forestgen.plants.grown.twigs import _rank_on_axis, clothed
-from forestgen.plants.grown.wood import wood_key, wood_skeleton
+from forestgen.plants.build import build_exemplar, estimate_triangles
+from forestgen.plants.generators.branch_modules import FIRST_TWIG_ORDER, GENERATOR, _rank_on_axis
+from forestgen.plants.grown import wood_key, wood_skeleton
 from forestgen.plants.levels import Level
 
 SPECIES = SimpleNamespace(materials={"bark": 0, "twig": 0, "leaf": 0})
@@ -24,7 +23,7 @@ SPECIES = SimpleNamespace(materials={"bark": 0, "twig": 0, "leaf": 0})
 def grown(graph=None, level=None, seed=3, **changes):
     rng = np.random.default_rng(seed)
     more = {} if level is None else {"level": level}
-    return build_grown("oak", SPECIES, parameters(**changes), graph or wood(), 1.0, rng, **more)
+    return build_exemplar("oak", SPECIES, parameters(**changes), 1.0, rng, wood=graph or wood(), **more)
 
 
 def bare(graph, *, smooth=True, crook=0.05):
@@ -71,7 +70,7 @@ def test_a_curve_leaves_no_corner_and_stays_near_the_graph():
 
 def test_twigs_stand_on_thin_wood_alone_and_go_on_from_free_terminals():
     graph = wood()
-    made = clothed(parameters(), graph, graph.height_m, np.random.default_rng(1))
+    made = GENERATOR.clothe(parameters(), graph, graph.height_m, np.random.default_rng(1))
     first = np.flatnonzero(np.diff(made.axis, prepend=-1))
     twigs = first[made.order[first] == FIRST_TWIG_ORDER]
     bearer = made.parent[twigs]
@@ -88,7 +87,7 @@ def test_twigs_stand_on_thin_wood_alone_and_go_on_from_free_terminals():
 
 def test_a_dead_plant_loses_its_twigs_with_the_years_and_keeps_those_that_are_left():
     def twigs(dead_yr):
-        skeleton = clothed(parameters(), replace(wood(), dead_yr=dead_yr), 5.0, np.random.default_rng(0))
+        skeleton = GENERATOR.clothe(parameters(), replace(wood(), dead_yr=dead_yr), 5.0, np.random.default_rng(0))
         twig = skeleton.order == FIRST_TWIG_ORDER
         feet = twig & ~twig[skeleton.parent]
         return {tuple(place) for place in skeleton.position_m[skeleton.parent[feet]].tolist()}, len(skeleton.parent)
@@ -104,7 +103,7 @@ def test_a_dead_plant_loses_its_twigs_with_the_years_and_keeps_those_that_are_le
 def test_young_segments_bear_shorter_twigs():
     def reach(share):
         graph = replace(wood(), age_share=np.full(9, share))
-        made = clothed(parameters(foliage=[]), graph, 5.0, np.random.default_rng(1))
+        made = GENERATOR.clothe(parameters(foliage=[]), graph, 5.0, np.random.default_rng(1))
         way = made.position_m - made.position_m[np.maximum(made.parent, 0)]
         return float(np.linalg.norm(way, axis=1)[made.order >= FIRST_TWIG_ORDER].sum())
 

@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 from forestgen.api.plants import plant
-from forestgen.plants.cache import ExemplarRequest
-from forestgen.plants.grown.alone import wood_alone
+from forestgen.plants.generators.branch_modules import GENERATOR
+from forestgen.plants.growing import ExemplarRequest
 from forestgen.recipe.assets import list_assets
-from forestgen.stages.single_plant import plan_of
+from forestgen.runs.single_plant import plan_of
 
 
 @pytest.mark.parametrize(("name", "height_m"), [("redgrass", 0.9), ("rosemary", 1.0), ("larch", 4.0)])
 def test_it_is_as_high_as_asked_for_and_its_seed_decides_the_rest(name: str, height_m: float) -> None:
     species = plan_of(name, 0).drawn.species[name]
-    first, again, other = (wood_alone(name, species, (height_m, 1.5), seed) for seed in (1, 1, 2))
+    first, again, other = (GENERATOR.wood_alone(name, species, (height_m, 1.5), seed) for seed in (1, 1, 2))
     assert first.height_m == pytest.approx(height_m)
     assert first.position_m.tobytes() == again.position_m.tobytes()
     assert not np.array_equal(first.position_m, other.position_m)
@@ -35,7 +35,7 @@ def test_what_is_kept_depends_on_the_modules() -> None:
     assert species.modules is not None
     slower = species.model_copy(update={"modules": species.modules.model_copy(update={"growth_rate_per_yr": 0.01})})
     keys = {
-        ExemplarRequest("rosemary", one, plan.generator_parameters["rosemary"], 0.3, 0, ("exemplar",)).key()
+        ExemplarRequest("rosemary", one, plan.generators["rosemary"], 0.3, 0, ("exemplar",)).key()
         for one in (species, slower)
     }
     assert len(keys) == 2

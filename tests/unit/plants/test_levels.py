@@ -14,8 +14,7 @@ from forestgen.core.randomness import child_rng
 from forestgen.geometry.mesh import Mesh, surface_area_m2
 from forestgen.plants.build import build_exemplar
 from forestgen.plants.exemplar import Exemplar
-from forestgen.plants.far_organs import far_piece
-from forestgen.plants.levels import FULL, PIXEL_STEPS_M, Level, level_for, level_of_index
+from forestgen.plants.levels import FULL, PIXEL_STEPS_M, Level, far_piece, level_for, level_of_index
 
 DIRECTIONS = ((1.0, 0.0, 0.0), (0.0, 1.0, -0.3), (0.3, 0.2, -1.0))
 RADII = {"poplar": 1.5, "spruce": 1.2}

@@ -17,7 +17,7 @@ from forestgen.geometry.mesh import Mesh, surface_area_m2
 from forestgen.plants.foliage import Foliage
 from forestgen.plants.organs.shapes import OrganForm, organ_shape
 from forestgen.recipe.load import load_recipe
-from forestgen.stages.plan import make_plan
+from forestgen.scene.planning import make_plan
 
 ROOT = Path(__file__).parents[3]
 BLOCKS = re.findall(r"```yaml\n(.*?)```", (ROOT / "docs/organs.md").read_text(encoding="utf-8"), re.DOTALL)

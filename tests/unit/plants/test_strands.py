@@ -14,8 +14,7 @@ from strand_oracle import Model, tree
 from forestgen.core.errors import RecipeError
 from forestgen.plants.generators.strands import GENERATOR, Parameters, branching_of, tables
 from forestgen.plants.registry import GENERATORS
-from forestgen.plants.strands.kernel import ANGLE, GRAVIMORPHISM, LONGEST, SPLIT, Branching, product
-from forestgen.plants.strands.wind import Wind, pose
+from forestgen.plants.strands.kernel import ANGLE, GRAVIMORPHISM, LONGEST, SPLIT, Branching, Wind, pose, product
 
 FLAT = [(0.0, 1.0), (50.0, 1.0)]
 BEECH: dict[str, Any] = {  # section III.A

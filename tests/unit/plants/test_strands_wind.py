@@ -11,7 +11,6 @@ from forestgen.core.errors import RecipeError
 from forestgen.geometry.mesh import surface_area_m2
 from forestgen.plants.generators.strands import GENERATOR, Parameters, branching_of
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
-from forestgen.plants.strands.poses import poses
 
 WINDY = {"speed_directed": 2.0, "speed_undirected": 5.0}
 
@@ -30,7 +29,7 @@ def parameters(**keys: Any) -> Parameters:
 
 
 def frames(plant: Parameters, *times_s: float, seed: int = 4) -> list[Skeleton]:
-    return list(poses(plant, 12.0, 6.0, np.random.default_rng(seed), times_s))
+    return list(GENERATOR.poses(plant, 12.0, 6.0, np.random.default_rng(seed), times_s))
 
 
 def segment_lengths(skeleton: Skeleton) -> Any:

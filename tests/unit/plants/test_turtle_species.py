@@ -14,7 +14,7 @@ from forestgen.plants.exemplar import Exemplar
 from forestgen.plants.generators.turtle import GENERATOR
 from forestgen.plants.skeleton import Skeleton
 from forestgen.recipe.load import load_recipe_data
-from forestgen.stages.plan import make_plan
+from forestgen.scene.planning import make_plan
 
 ADULT_M = {"lily": 0.95, "horneophyton": 0.18, "palm": 14.0}
 
@@ -23,7 +23,7 @@ ADULT_M = {"lily": 0.95, "horneophyton": 0.18, "palm": 14.0}
 def species(name: str) -> tuple[Any, Any]:
     recipe = {"forestgen": 1, "species": {name: {"from": name}}, "community": {"model": "multiset_lsystem"}}
     plan = make_plan(load_recipe_data(recipe, "test").draw(0))
-    return plan.drawn.species[name], plan.generator_parameters[name]
+    return plan.drawn.species[name], plan.plants.generators[name]
 
 
 def grown(name: str, height_m: float, seed: int = 1) -> Skeleton:

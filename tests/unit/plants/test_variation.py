@@ -12,10 +12,10 @@ from forestgen.plants.build import build_exemplar, size_m
 from forestgen.plants.foliage import place
 from forestgen.plants.registry import GENERATORS
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
-from forestgen.plants.variation.courses import courses, vary
+from forestgen.plants.variation.growth import varied_nodes, vary
 from forestgen.plants.variation.model import Variation
 from forestgen.recipe.load import load_recipe_data
-from forestgen.stages.plan import make_plan
+from forestgen.scene.planning import make_plan
 
 NOISE = Variation(disturbance_deg=4, sensor_error_deg=3)
 COLUMNS = ("parent", "position_m", "radius_m", "order", "axis")
@@ -43,9 +43,15 @@ def stalk(length_m=1.0, nodes=2):
     return axes_from((-1, [[0, 0, z] for z in np.linspace(0, length_m, nodes)]))
 
 
+def courses(skeleton, variation, rng):
+    """(M, 3) places of the varied nodes, and what they are."""
+    _, new = varied_nodes(skeleton, variation, rng)
+    return new.point_m + new.shift_m, new
+
+
 def angles(skeleton, variation, steps, seed=0):
     """(steps,) angle from the vertical towards +x of each growth step of a skeleton's first axis, radians."""
-    points = courses(skeleton, variation, np.random.default_rng(seed)).position_m
+    points = courses(skeleton, variation, np.random.default_rng(seed))[0]
     way = np.diff(points, axis=0)
     arc = np.cumsum(np.linalg.norm(way, axis=1))
     middle = (np.arange(steps) + 0.5) * (arc[-1] / steps)
@@ -65,7 +71,7 @@ def grown(name, seed=1):
     """A small plant of a species of the library, with its organs, from the species' own generator."""
     recipe = {"forestgen": 1, "species": {name: {"from": name}}, "community": {"model": "placed"}}
     plan = make_plan(load_recipe_data(recipe, "test").draw(0))
-    species, parameters = plan.drawn.species[name], plan.generator_parameters[name]
+    species, parameters = plan.drawn.species[name], plan.plants.generators[name]
     height_m, width_m = size_m(species, 0.4 * species.ecology.max_radius_m)
     rng = np.random.default_rng(seed)
     skeleton = GENERATORS.load(parameters.generator).grow(parameters, height_m, width_m, rng)
@@ -183,7 +189,7 @@ def test_target_and_disturbance_act_in_planes_of_their_own():
     bend = {"turn_deg": [[0, 0], [1, 40]], "plane": 90}
     wave = {"turn_deg": {"formula": "300 * sin(30 * x)"}, "plane": 0}
     variation = Variation(growth_steps=200, lag=0.0, kappa=0.5, target_bend=bend, influences=[wave])
-    way = np.diff(courses(stalk(), variation, np.random.default_rng(0)).position_m, axis=0)
+    way = np.diff(courses(stalk(), variation, np.random.default_rng(0))[0], axis=0)
     along = np.degrees(np.arctan2(way[:, 0], way[:, 2]))
     across = np.degrees(np.arctan2(way[:, 1], way[:, 2]))
     assert np.abs(along - 40 * (np.arange(200) + 0.5) / 200).max() < 1.5
@@ -200,7 +206,7 @@ def test_a_pull_turns_branches_from_outward_to_upward():
     assert way[-1, 2] / np.linalg.norm(way[-1]) > 0.999
     assert np.all(varied.position_m[varied.order == 0, :2] == 0.0)
     light = {"weight": 1, "toward": [0, 3, 0], "orders": [1]}
-    lit = vary(base, Variation(growth_steps=100, lag=0.02, target_pull=light), np.random.default_rng(0)).position_m
+    lit = vary(base, Variation(growth_steps=100, lag=0.02, target_pull=light), np.random.default_rng(0))[0]
     assert np.allclose(lit[-1] - lit[-2], [0, np.linalg.norm(lit[-1] - lit[-2]), 0], atol=1e-3)
 
 
@@ -232,7 +238,7 @@ def test_random_influences_have_their_distributions():
     base = axes_from(*[(-1 if k == 0 else 0, [[0, 0, 0], [0, 0, 1]] if k == 0 else [[0, 0, 1]]) for k in range(400)])
     for distribution, spread in (("gaussian", 1.0), ("uniform", 1 / np.sqrt(3))):
         variation = Variation(growth_steps=50, lag=1, kappa=1e-9, disturbance_deg=2, distribution=distribution)
-        points = courses(base, variation, np.random.default_rng(4)).position_m[1:].reshape(400, 50, 3)
+        points = courses(base, variation, np.random.default_rng(4))[0][1:].reshape(400, 50, 3)
         way = np.diff(points, axis=1, prepend=0.0)
         way /= np.linalg.norm(way, axis=2, keepdims=True)
         turn = np.degrees(np.linalg.norm(np.cross(way[:, :-1], way[:, 1:]), axis=2))
@@ -275,8 +281,8 @@ def test_a_varied_plant_keeps_lengths_and_contract(name, reference):
 
 def place_of(base, variation):
     """(N, 3) where the base's own nodes are."""
-    found = courses(base, variation, np.random.default_rng(0))
-    return found.position_m[found.new.new_of]
+    points, new = courses(base, variation, np.random.default_rng(0))
+    return points[new.new_of]
 
 
 def test_an_axis_begins_where_its_bearer_went_and_then_corrects_what_it_feels():
@@ -293,9 +299,8 @@ def test_an_axis_begins_where_its_bearer_went_and_then_corrects_what_it_feels():
     upright = {"lag": 0.0, "kappa": np.log(2) / 30, **common}
     rise = {}
     for reference in ("local", "global"):
-        found = courses(base, Variation(reference=reference, **upright), np.random.default_rng(0))
-        points = found.position_m
-        branch = np.diff(np.concatenate([points[found.new.new_of[[1]]], points[found.new.piece_of[3] :]]), axis=0)
+        points, new = courses(base, Variation(reference=reference, **upright), np.random.default_rng(0))
+        branch = np.diff(np.concatenate([points[new.new_of[[1]]], points[new.piece_of[3] :]]), axis=0)
         rise[reference] = np.degrees(np.arctan2(branch[:, 2], branch[:, 0]))[[0, -1]]
     assert rise["local"] == pytest.approx([-20, -20], abs=0.5)
     assert rise["global"] == pytest.approx([-20, -5], abs=0.6)

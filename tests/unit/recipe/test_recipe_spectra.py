@@ -6,7 +6,7 @@ import pytest
 
 from forestgen.core.errors import AssetError, RecipeError
 from forestgen.recipe.load import dump_yaml, load_recipe
-from forestgen.stages.views import drawn_cameras
+from forestgen.scene.views import drawn_cameras
 
 TABLE = "wavelength_nm,reflectance,transmittance\n400,0.05,0.01\n670,0.04,0.01\n800,0.45,0.47\n"
 

@@ -12,9 +12,9 @@ from forestgen.core.errors import RecipeError
 from forestgen.recipe.cameras import Camera, camera_section
 from forestgen.recipe.load import load_recipe
 from forestgen.scene.camera_path import expand, next_frame
+from forestgen.scene.planning import check_plan
 from forestgen.scene.terrain import HeightField
 from forestgen.scene.terrains.rolling import Waves
-from forestgen.stages.plan import check_plan, views_below_ground
 
 QUICKSTART = Path(__file__).parents[3] / "recipes" / "quickstart.yaml"
 FLAT = HeightField((100.0, 100.0))
@@ -158,4 +158,4 @@ def test_frames_below_the_ground_are_named() -> None:
     with pytest.raises(RecipeError, match=r"path\.position_m: the camera camera0-0002 stands below the ground"):
         check_plan(load_recipe(QUICKSTART, [down]))
     plan = check_plan(load_recipe(QUICKSTART, [down, "cameras.0.obstructed=note"]))
-    assert views_below_ground(plan) == ["camera0-0002", "camera0-0003"]
+    assert plan.views.below_ground == ["camera0-0002", "camera0-0003"]

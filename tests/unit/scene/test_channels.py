@@ -8,7 +8,7 @@ from forestgen.recipe.assets import list_assets
 from forestgen.recipe.load import load_recipe_data
 from forestgen.scene.channels import RGB, Channels
 from forestgen.scene.colour import colour_of_reflectance
-from forestgen.stages.surfaces import materials_of
+from forestgen.scene.surfaces import materials_of
 
 GREEN = Spectrum(np.array([400.0, 500.0, 550.0, 600.0, 700.0, 900.0]), np.array([0.04, 0.06, 0.2, 0.1, 0.1, 0.9]))
 
@@ -53,7 +53,7 @@ def test_bright_textures_lose_contrast_and_no_light():
     assert np.corrcoef(seen[..., 2].ravel(), dark[..., 2].ravel())[0, 1] > 0.999
 
 
-PLANTS = [name for name in list_assets("species") if name != "house"]  # whose paint has colours, not spectra
+PLANTS = list_assets("species")
 
 
 @pytest.mark.parametrize(

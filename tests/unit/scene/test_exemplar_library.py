@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from forestgen.scene.exemplar_library import SIZE_STEP, Library, plan_from_library, rungs_of
-from forestgen.scene.exemplars import plan_exemplars, size_errors
+from forestgen.scene.exemplars import SIZE_STEP, Library, plan_exemplars, plan_from_library, rungs_of, size_errors
 from tests.unit.scene.test_exemplars import population
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from forestgen.community.population import Population
 from forestgen.core.errors import RecipeError
-from forestgen.scene.exemplars import check_traits, plan_exemplars, size_errors, with_levels
+from forestgen.scene.exemplars import check_traits, plan_exemplars, size_errors
 
 
 def population(radius_m, species=None, names=("a", "b"), height_m=None) -> Population:
@@ -196,7 +196,7 @@ def test_a_variant_that_no_plant_has_is_not_grown():
 
 def test_levels_split_exemplars_by_what_their_plants_need():
     plants = population([1.0, 1.0, 2.0, 2.0, 3.0], [0, 0, 0, 0, 1])
-    plan = with_levels(plan_exemplars(plants, 10, seed=0), np.array([0, 2, 1, 1, 0]))
+    plan = plan_exemplars(plants.split("level", 10, seed=0), np.array([0, 2, 1, 1, 0]))
     np.testing.assert_allclose(plan.radius_m, [1, 1, 2, 3])
     np.testing.assert_array_equal(plan.level, [0, 2, 1, 0])
     np.testing.assert_array_equal(plan.species, [0, 0, 0, 1])

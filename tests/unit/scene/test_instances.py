@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 from scene_plants import population
 
-from forestgen.scene.assemble import pixel_size_m, place_instances, stand_on
+from forestgen.scene.build import place_instances, stand_on
+from forestgen.scene.growth import pixel_size_m
 from support.scenes import camera_at, simple_tree
 
 

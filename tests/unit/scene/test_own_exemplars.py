@@ -14,9 +14,9 @@ from forestgen.architecture.prototypes import load_prototypes
 from forestgen.architecture.skeletal_graph import skeletal_graph
 from forestgen.architecture.tables import tables_of
 from forestgen.community.population import Population
-from forestgen.plants.grown.wood import woods_of
-from forestgen.scene.assemble import place_instances
-from forestgen.scene.exemplars import plan_exemplars, with_levels
+from forestgen.plants.grown import woods_of
+from forestgen.scene.build import place_instances
+from forestgen.scene.exemplars import plan_exemplars
 from forestgen.scene.own_exemplars import LEAST_PIXELS, MOST_TRIANGLES, plan_own, unique_plants
 from support.scenes import simple_tree
 
@@ -100,7 +100,7 @@ def test_a_unique_plant_is_itself_and_every_other_one_is_of_its_species():
     plants = stand()
     unique = chosen(plants, 11)
     given = {index: plan_own(plants, index, unique, 4, seed=2) for index in (0, 1)}
-    plan = with_levels(plan_exemplars(plants, 3, 2, given=given), (plants.height_m > 10).astype(np.int64))
+    plan = plan_exemplars(plants.split("level", 3, 2, given=given), (plants.height_m > 10).astype(np.int64))
     mine = plan.exemplar_of_plant
     np.testing.assert_array_equal(plan.species[mine], plants.species)
     np.testing.assert_array_equal(plan.plant[mine][unique], np.flatnonzero(unique))

@@ -19,6 +19,7 @@ from forestgen.community.models.branch_modules import MODEL
 from forestgen.community.population import Status
 from forestgen.core import threads
 from forestgen.core.errors import RecipeError, ResourceError
+from forestgen.recipe.buildings import Building
 
 ROWS = {  # of Table 1
     "a": (20, 42, 0.19, 0.62, None, 0.25, None, 0, 0.52, 0.63, -0.38, 0.57, 0.47),
@@ -336,8 +337,8 @@ def test_a_species_without_modules_is_told_and_too_many_modules_too():
         last("b", 12, plants=5, most_modules=20)
     species = [ecology("x", plant_type("a"))]
     empty = MODEL.Parameters(initial_plants=0)
-    assert "initial_plants" in MODEL.why_barren(empty, Site((9.0, 9.0)), species)
-    assert MODEL.why_barren(MODEL.Parameters(), Site((9.0, 9.0)), species) is None
+    assert "initial_plants" in MODEL.empty_reason(empty, Site((9.0, 9.0)), species)
+    assert MODEL.empty_reason(MODEL.Parameters(), Site((9.0, 9.0)), species) is None
 
 
 def test_the_estimate_is_above_what_a_stand_holds(stand):
@@ -348,14 +349,13 @@ def test_the_estimate_is_above_what_a_stand_holds(stand):
 
 
 def test_a_house_is_a_row_without_modules_that_stays():
-    parameters = MODEL.Parameters(
-        initial_plants={"x": 5}, steps=3, obstacles=[{"species": "house", "position_m": [10, 10]}]
-    )
+    parameters = MODEL.Parameters(initial_plants={"x": 5}, steps=3)
+    site = Site((20.0, 20.0), buildings=(Building(kind="house", position_m=(10, 10)),))
     species = [ecology("x", plant_type("b", seeds_per_yr=0.0)), ecology("house", None)]
-    states_ = list(simulate(MODEL, parameters, Site((20.0, 20.0)), species, 1, steps=3))
+    states_ = list(simulate(MODEL, parameters, site, species, 1, steps=3))
     for found in states_:
         assert found.species[0] == 1
         assert found.columns["modules"][0] == 0
         assert found.height_m[0] == 7.0
-    state = MODEL.init(parameters, Site((20.0, 20.0)), species, 1)
+    state = MODEL.init(parameters, site, species, 1)
     assert len(MODEL.remove(state, state.plants.plant_id).plants) == 1

@@ -13,8 +13,8 @@ from pydantic import ValidationError
 from forestgen.architecture.plant_type import PlantType
 from forestgen.community.branch_modules.changes import check_changes, parameters_at
 from forestgen.community.branch_modules.parameters import BranchModulesParameters, is_blocked
-from forestgen.community.obstacles import Obstacle
 from forestgen.core.errors import RecipeError
+from forestgen.recipe.buildings import Building
 from forestgen.recipe.messages import Explainer
 from forestgen.recipe.sources import SourceMap
 
@@ -73,7 +73,6 @@ def test_two_numbers_of_a_biome_are_the_climate() -> None:
         ({"initial_plants": True}, "initial_plants: bad value"),
         ({"initial_plants": {"oak": 1.5}}, "initial_plants.oak: bad value"),
         ({"soil": [[1, 1], [0.6, 1]]}, "soil: the soil map bars the whole site"),
-        ({"obstacles": [{"species": "house", "position_m": [1, 1], "size_m": [0, 3, 3]}]}, "obstacles.0.size_m.0"),
         ({"changes": [{"at_yr": -1, "set": {"temperature_c": 5}}]}, "changes.0.at_yr: bad value"),
         ({"changes": [{"at_yr": 1, "set": {}}]}, "changes.0.set"),
         ({"changes": [{"at_yr": 1, "set": {"step_yr": 2}}]}, "step_yr holds for the whole simulation"),
@@ -92,11 +91,11 @@ def test_soil_bars_what_is_above_half_with_its_first_row_in_the_north() -> None:
 
 
 def test_an_obstacle_turns_clockwise() -> None:
-    house = Obstacle(species="house", position_m=(10, 20), azimuth_deg=90, size_m=(8, 4, 6))
+    house = Building(kind="house", position_m=(10, 20), azimuth_deg=90, size_m=(8, 4, 6))
     corners = house.corners_m()
     np.testing.assert_allclose(corners.min(axis=0), [8, 16], atol=1e-12)
     np.testing.assert_allclose(corners.max(axis=0), [12, 24], atol=1e-12)
-    slightly = Obstacle(species="house", position_m=(0, 0), azimuth_deg=30, size_m=(8, 4, 6)).corners_m()
+    slightly = Building(kind="house", position_m=(0, 0), azimuth_deg=30, size_m=(8, 4, 6)).corners_m()
     along = slightly[1] - slightly[0]  # its width, which pointed east
     assert along[0] > 0
     assert along[1] == pytest.approx(-8 * math.sin(math.radians(30)))

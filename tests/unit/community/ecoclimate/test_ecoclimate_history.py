@@ -17,10 +17,11 @@ from forestgen.community.map_history import NAME
 from forestgen.community.model import simulate
 from forestgen.community.models.ecoclimate import MODEL
 from forestgen.community.population import Population
+from forestgen.community.resume import origin, snapshot_to_resume
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.load import load_recipe_data
-from forestgen.stages.plan import Plan, make_plan
-from forestgen.stages.resume import origin, snapshot_to_resume
+from forestgen.scene.plan import Plan
+from forestgen.scene.planning import make_plan
 
 STEPS = 11
 NORMALS = MonthlyClimate((5.0,) * 12, (60.0,) * 12)
@@ -127,10 +128,11 @@ def test_one_history_has_several_climates_to_come(tmp_path: Path) -> None:
     early = {"from_yr": 0, "to_yr": 1, "precipitation": 0.9}
     slow, fast = ({"from_yr": 1, "to_yr": 1 + years, "precipitation": 0.2} for years in (10, 1))
     first = planned(early, slow, steps=14)
-    snapshots = simulate(first.model, first.model_parameters, first.site, first.ecologies, 1, steps=14)
-    write_history(tmp_path / "history.parquet", snapshots, origin(first), modules=True, size_m=first.site.size_m)
+    plan = first.community
+    snapshots = simulate(plan.model, plan.parameters, plan.site, plan.ecologies, 1, steps=14)
+    write_history(tmp_path / "history.parquet", snapshots, origin(plan), modules=True, size_m=plan.site.size_m)
     for later in (planned(early, fast), planned(early)):
-        assert snapshot_to_resume(later, tmp_path / "history.parquet", 12).step == 12
+        assert snapshot_to_resume(later.community, tmp_path / "history.parquet", 12).step == 12
     for later, step in ((planned(early, fast), 13), (planned({**early, "precipitation": 0.8}, slow), 12)):
         with pytest.raises(RecipeError, match="climate_changes"):
-            snapshot_to_resume(later, tmp_path / "history.parquet", step)
+            snapshot_to_resume(later.community, tmp_path / "history.parquet", step)

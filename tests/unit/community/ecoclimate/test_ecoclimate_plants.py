@@ -291,8 +291,8 @@ def test_seeds_from_elsewhere_leave_those_of_the_stand_alone() -> None:
 def test_a_site_can_begin_empty_and_be_found_by_seeds() -> None:
     chosen = parameters(initial_plants=0, global_seeding=[{"seeds_per_ha": 500}])
     species = [ecology()]
-    assert MODEL.why_barren(chosen, SITE, species) is None
-    assert "initial_plants is 0" in (MODEL.why_barren(parameters(initial_plants=0), SITE, species) or "")
+    assert MODEL.empty_reason(chosen, SITE, species) is None
+    assert "initial_plants is 0" in (MODEL.empty_reason(parameters(initial_plants=0), SITE, species) or "")
     assert MODEL.expected_plants(chosen, SITE, species) > 0
     counts = [
         len(state.forest.plants)

@@ -12,16 +12,16 @@ from forestgen.cli import app
 RECIPE = """\
 forestgen: 1
 seed: 1
-site: {size_m: [20, 15]}
+site:
+  size_m: [20, 15]
+  buildings: [{kind: house, position_m: [10, 8], size_m: [4, 3, 3]}]
 species:
   shrub: {from: shrub}
-  house: {from: house}
 community:
   model: ecoclimate
   steps: 3
   initial_plants: {shrub: 20}
   climate: {place: Juneau}
-  obstacles: [{species: house, position_m: [10, 8], size_m: [4, 3, 3]}]
 cameras: [{position_m: [10, -10, 2], look_at_m: [10, 5, 1], size_px: [48, 27]}]
 """
 CLIMATE = "climate: {place: Juneau}"
@@ -127,7 +127,7 @@ MISTAKES: dict[str, tuple[str, str, list[str]]] = {
     "seeds of houses": (
         CLIMATE,
         CLIMATE + "\n  global_seeding: [{species: [house]}]",
-        ["community.global_seeding.0.species", "house does not grow"],
+        ["community.global_seeding.0.species", "no species of this name"],
     ),
     "a species' seeds twice": (
         CLIMATE,
@@ -177,7 +177,7 @@ def test_the_recipe_itself_is_valid(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", MISTAKES)
 def test_a_mistake_is_told_at_its_place(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("forestgen.stages.plan.free_bytes", lambda: 64_000_000_000)
+    monkeypatch.setattr("forestgen.scene.plan.free_bytes", lambda: 64_000_000_000)
     old, new, parts = MISTAKES[name]
     assert RECIPE.count(old) == 1
     text = RECIPE.replace(old, new)
@@ -211,6 +211,6 @@ def test_the_snippets_of_the_page_are_valid(number: int, tmp_path: Path) -> None
 @pytest.mark.parametrize("size", ["[20, 15]", "[1, 1]", "[300, 2]"])
 def test_cells_much_smaller_or_larger_than_the_site_will_do(cell_m: str, size: str, tmp_path: Path) -> None:
     text = RECIPE.replace(CLIMATE, CLIMATE + f"\n  soil_water: {{cell_m: {cell_m}}}").replace("[20, 15]", size)
-    text = "".join(line for line in text.splitlines(keepends=True) if "obstacles" not in line and "house" not in line)
+    text = "".join(line for line in text.splitlines(keepends=True) if "house" not in line)
     code, _, err = validated(tmp_path, text)
     assert code == 0, err

@@ -151,7 +151,7 @@ def test_ground_that_bars_everything_is_a_result_with_a_reason(name, tree):
     nowhere = {"rows": [[0, 0]]}
     model = COMMUNITY_MODELS.load(name)
     parameters = model.Parameters(plants={"tree": {"plants_per_ha": 9}}, keep_out=[[1]])
-    assert "keep_out bars the whole site" in model.why_barren(parameters, SITE, [tree()])
+    assert "keep_out bars the whole site" in model.empty_reason(parameters, SITE, [tree()])
     assert len(model.population(model.init(parameters, SITE, [tree()], 1))) == 0
     assert len(place(name, [], plants={})) == 0
     try:
@@ -178,7 +178,7 @@ def test_conditions_that_bar_everything_are_named(name, tree):
     assert found.notes == (f"0 of 5 plants of tree were placed: {bars}",)
     model = COMMUNITY_MODELS.load(name)
     parameters = model.Parameters(plants={"tree": {"plants_per_ha": 900, "conditions": high}})
-    assert model.why_barren(parameters, SITE, [tree()]) == f"no plant is placed: of tree, {bars}"
+    assert model.empty_reason(parameters, SITE, [tree()]) == f"no plant is placed: of tree, {bars}"
 
 
 @pytest.mark.parametrize(

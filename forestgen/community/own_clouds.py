@@ -1,0 +1,100 @@
+"""Clouds of the air that the community simulates over itself: a day of the month that comes after the snapshot.
+
+Example
+-------
+    community: {model: ecoclimate, weather: {}}
+    sky: {clouds: {type: community, day: 3}}
+
+Parameters: see `CommunityKeys`; all else is that of `community.weather`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any, ClassVar
+
+from pydantic import Field
+
+from forestgen.atmosphere.clouds.source import AirKeys, CloudRequest, CloudSource, clouds_of_air, simulated_bytes
+from forestgen.atmosphere.clouds.weather_keys import WeatherKeys
+from forestgen.atmosphere.grid import CloudGrid
+from forestgen.community.capabilities import OwnAir, capability, models_with
+from forestgen.core.errors import RecipeError
+from forestgen.recipe.fields import NonNegative, Positive, Whole
+from forestgen.recipe.load import DrawnRecipe
+
+_DROPLET_RADIUS_UM = 10.0  # of cumulus: see forestgen.atmosphere.clouds.simulated
+
+
+class CommunityKeys(AirKeys):
+    """Keys of `clouds: {type: community}`."""
+
+    instead: ClassVar = dict.fromkeys(
+        (*WeatherKeys.model_fields, "seed", "story"), "the air is that of community.weather: leave it out"
+    )
+
+    time_s: Annotated[
+        NonNegative | None,
+        Field(
+            le=1e6,
+            description="When the picture is taken, seconds after the day's simulated hours begin. Default: their end.",
+        ),
+    ] = None
+    day: Annotated[
+        Whole | None,
+        Field(
+            ge=0,
+            le=30,
+            description="Of type community: which day of the month after the snapshot; the simulation sees those below "
+            "its days_per_month. Default 0.",
+        ),
+    ] = None
+    cell_m: Annotated[
+        Positive | None,
+        Field(
+            ge=5,
+            le=1000,
+            description="Of type community: width of the air's cells, metres; other cells make another draw of the "
+            "same air. Default: community.weather's.",
+        ),
+    ] = None
+    cell_height_m: Annotated[
+        Positive | None, Field(ge=5, le=500, description="Of type community: their height, metres. Default: as above.")
+    ] = None
+
+
+class CommunityClouds(CloudSource[CommunityKeys]):
+    """The air that the community simulates over itself."""
+
+    Parameters = CommunityKeys
+
+    def check_community(self, drawn: DrawnRecipe, model: object, parameters: Any) -> None:
+        _air_of(drawn, model).air_grid(drawn, parameters)
+
+    def estimate_bytes(self, drawn: DrawnRecipe, model: object, parameters: Any) -> int:
+        grid = _air_of(drawn, model).air_grid(drawn, parameters)
+        return simulated_bytes(self.keys_of(drawn), math.prod(grid.cells), grid.size_m[0])
+
+    def grid(self, request: CloudRequest) -> CloudGrid | None:
+        drawn, plan = request.drawn, request.plan
+        air = _air_of(drawn, plan.model)
+        weather = air.air(drawn, plan.parameters, plan.site, plan.ecologies, request.population, request.progress)
+        keys = self.keys_of(drawn)
+        radius_um = keys.droplet_radius_um or _DROPLET_RADIUS_UM
+        return clouds_of_air(request, keys, weather, radius_um, request.middle_of_site_m)
+
+
+def _air_of(drawn: DrawnRecipe, model: object) -> OwnAir:
+    air = capability(model, OwnAir)
+    if air is None:
+        raise RecipeError(
+            "this community has no air of its own",
+            where=drawn.where("sky", "clouds", "type"),
+            expected=f"community.model: {models_with(OwnAir)}, with a section weather",
+            got=drawn.recipe.community.model,
+            hint="set sky.clouds=cumulus for clouds that know no plants",
+        )
+    return air
+
+
+SOURCE = CommunityClouds()

@@ -1,0 +1,368 @@
+"""Bending by auxin: how a root's sides grow, and how its segments are put together; and Barlow's root as its check.
+
+Streit et al. 2005, section 3; Barlow, Brain and Adam 1989 as given there in section 2.2. Lengths in millimetres, time
+in hours, auxin in a unit of its own. generators/auxin_root.py is the manual page.
+
+The root is a row of segments, base to tip. A segment's surface has S sides at even azimuths (two sides: the plane
+model), each with a length L and an amount of auxin A. With x the distance from the tip along the side,
+
+::
+
+    dA/dt = (v/L A) of the next segment to the tip - (v/L) A - decay A,     the tip's: + supply share(azimuth)
+    dL/dt = L RELEL(x) max(0, 1 - inhibition S A / L),                      RELEL(x) = M exp(-(x - mu)^2 / (2 sigma^2))
+    share = (1 + sensitivity n . g) / S
+
+where n is the outward normal of the side at the tip, g the direction of gravity (of its opposite, for shoots). The last
+segment is the cap, which senses and does not grow.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.core.compiled import compiled
+from forestgen.core.errors import RecipeError
+
+Floats = NDArray[np.float64]
+
+_SUPPLIED, _OUT, _DECAYED = range(3)  # sums of auxin, in their order
+_REACH = 6.0  # widths of the growth zone beyond which nothing grows
+MOST_STEPS = 500_000
+MOST_SIDES = 4_000_000  # sides of all segments together
+MOST_WORK = 1e9  # sides times time steps; ten seconds
+
+
+@dataclass(frozen=True)
+class Zone:
+    """Where one side grows: a RELEL of its distance x from the tip."""
+
+    peak_per_h: float = 0.4  # M; RELEL is the relative elemental rate of elongation
+    centre_mm: float = 3.0  # mu
+    width_mm: float = 1.0  # sigma, where RELEL = 0.607 M
+
+    @property
+    def elongation_mm_per_h(self) -> float:
+        """alpha M: the integral of RELEL over a flank that is longer than the zone, from the tip on."""
+        before_tip = 0.5 * (1.0 + math.erf(-self.centre_mm / (math.sqrt(2.0) * self.width_mm)))
+        return self.peak_per_h * self.width_mm * math.sqrt(2.0 * math.pi) * (1.0 - before_tip)
+
+
+@dataclass(frozen=True)
+class AuxinModel:
+    """Parameters of the simulation."""
+
+    zones: tuple[Zone, ...] = (Zone(),)  # one for all sides, or one for each
+    sectors: int = 2
+    diameter_mm: float = 1.0
+    supply_per_h: float = 10.0  # auxin units through the centre to the tip
+    transport_mm_per_h: float = 10.0  # v
+    decay_per_h: float = 0.0
+    inhibition_mm: float = 0.5  # loss of growth, as a share, for a unit of auxin a millimetre of root
+    sensitivity: float = 0.8  # of a horizontal tip: excess of auxin on the lower side, as a share
+    tilt_deg: float = 90.0  # of the young root from its target
+    azimuth_deg: float = 0.0  # of the tilt's plane
+    is_shoot: bool = False  # target: up, not down
+    young_mm: float = 8.0  # length at the start
+    on_flank: bool = False  # x along the side itself, as Barlow's flanks have it; else along the centre line
+    segment_mm: float = 0.25  # longer ones are split
+    step_h: float = 0.02
+
+    @property
+    def target(self) -> Floats:
+        """(3,) unit direction that the tip grows towards."""
+        return np.array([0.0, 0.0, 1.0 if self.is_shoot else -1.0])
+
+    @property
+    def azimuth_rad(self) -> Floats:
+        """(S,) of the sides about the tangent; 0 is the side that faces the target when the root is tilted."""
+        return np.arange(self.sectors, dtype=np.float64) * (2.0 * np.pi / self.sectors)
+
+    def first_frame(self) -> Floats:
+        """(3, 3) rows: outward normal at azimuth 0, at azimuth 90 degrees, tangent, at the root's base."""
+        tilt, around = np.radians(self.tilt_deg), np.radians(self.azimuth_deg)
+        out = np.array([np.cos(around), np.sin(around), 0.0])
+        tangent = np.cos(tilt) * self.target + np.sin(tilt) * out
+        facing = np.sin(tilt) * self.target - np.cos(tilt) * out
+        return np.stack([facing, np.cross(tangent, facing), tangent])
+
+
+@dataclass(frozen=True)
+class Root:
+    """What grew."""
+
+    model: AuxinModel = field(repr=False)
+    side_mm: Floats  # (N, S) lengths of the segments' sides, base to tip
+    auxin: Floats  # (N, S) amounts
+    tip: Floats  # (T + 1, 3) unit, the tip's direction at every time step
+    supplied: float  # auxin, all until now
+    out: float  # through the base
+    decayed: float
+
+    @property
+    def length_mm(self) -> float:
+        """Length along the centre line."""
+        return float(self.side_mm.mean(axis=1).sum())
+
+    def points_mm(self) -> Floats:
+        """(N + 1, 3) centres of the segments' faces, base in the origin, z up."""
+        angle, points = self.model.azimuth_rad, np.zeros((len(self.side_mm) + 1, 3))
+        frame = self.model.first_frame()
+        _assemble(self.side_mm, np.cos(angle), np.sin(angle), self.model.diameter_mm, frame, points)
+        return points
+
+
+def simulate(model: AuxinModel, *, length_mm: float | None = None, duration_h: float | None = None) -> Root:
+    """Grow a root to a length or for a time, whichever is first.
+
+    Raises
+    ------
+    RecipeError : too many segments or time steps, or a root that stops growing before it is long enough.
+    """
+    steps = MOST_STEPS if duration_h is None else round(duration_h / model.step_h)
+    zones = model.zones if len(model.zones) == model.sectors else model.zones * model.sectors
+    fastest = sum(zone.elongation_mm_per_h for zone in zones) / len(zones)
+    if length_mm is not None:
+        steps = min(steps, MOST_STEPS)
+    elif steps > MOST_STEPS:
+        raise RecipeError("too many time steps", where="plant", expected=f"at most {MOST_STEPS:,}", got=f"{steps:,}")
+    young = max(2, int(np.ceil(model.young_mm / (0.75 * model.segment_mm))))
+    longest = model.young_mm + fastest * steps * model.step_h if length_mm is None else max(length_mm, model.young_mm)
+    room = young + int(min(4.0 * longest / model.segment_mm, 1e12)) + 16
+    if room * model.sectors > MOST_SIDES:
+        raise RecipeError(
+            "the root would have too many segments",
+            where="plant",
+            expected=f"at most {MOST_SIDES:,} sides of segments",
+            got=f"{room * model.sectors:,}",
+            hint="a longer segment_mm, or a shorter root",
+        )
+    side, auxin = np.zeros((room, model.sectors)), np.zeros((room, model.sectors))
+    side[:young] = model.young_mm / young
+    angle = model.azimuth_rad
+    number = _Numbers(
+        supply=model.supply_per_h,
+        transport=model.transport_mm_per_h,
+        decay=model.decay_per_h,
+        inhibition=model.inhibition_mm,
+        sensitivity=model.sensitivity,
+        diameter=model.diameter_mm,
+        segment=model.segment_mm,
+        step=model.step_h,
+        longest=np.inf if length_mm is None else length_mm,
+        on_flank=model.on_flank,
+        most_work=MOST_WORK,
+    )
+    tip, sums = np.zeros((steps + 1, 3)), np.zeros(3)
+    columns = np.array([(zone.peak_per_h, zone.centre_mm, zone.width_mm) for zone in zones]).T.copy()
+    done, n = _grow(
+        side, auxin, young, model.first_frame(), model.target, np.cos(angle), np.sin(angle), number, *columns, tip,
+        sums,
+    )  # fmt: skip
+    unfinished = length_mm is not None and duration_h is None and done == steps
+    if n < 0 or unfinished:
+        raise RecipeError(
+            "the root does not grow to its length",
+            where="plant",
+            expected=f"{longest:g} mm within {MOST_STEPS:,} time steps, and {MOST_WORK:g} steps of sides",
+            got="more segments than its length has" if n == -1 else f"less after {done:,} time steps",
+            hint="less inhibition or supply, a longer step_h or segment_mm",
+        )
+    return Root(model, side[:n].copy(), auxin[:n].copy(), tip[: done + 1].copy(), *sums)
+
+
+class _Numbers(NamedTuple):
+    """Numbers of `AuxinModel` for the compiled loops."""
+
+    supply: float
+    transport: float
+    decay: float
+    inhibition: float
+    sensitivity: float
+    diameter: float
+    segment: float
+    step: float
+    longest: float
+    on_flank: bool
+    most_work: float
+
+
+@compiled
+def _bend(side: Floats, cosine: Floats, sine: Floats, diameter: float) -> Any:
+    """Angle by which a segment turns away from azimuth 0 and away from azimuth 90 degrees, radians.
+
+    The plane that fits the ends of the sides best; of two sides, Eq. 1 of Streit et al.
+    """
+    x = y = norm = 0.0
+    for k in range(len(side)):
+        x += side[k] * cosine[k]
+        y += side[k] * sine[k]
+        norm += cosine[k] * cosine[k]
+    scale = 2.0 / (diameter * norm)
+    return x * scale, y * scale
+
+
+@compiled
+def _turn(frame: Floats, x: float, y: float) -> None:
+    """Turn the frame (rows: azimuth 0, azimuth 90, tangent) away from azimuth 0 by x and from azimuth 90 by y."""
+    angle = math.sqrt(x * x + y * y)
+    if angle < 1e-15:
+        return
+    cosine, sine = math.cos(angle), math.sin(angle)
+    x /= angle
+    y /= angle
+    for c in range(3):
+        out = x * frame[0, c] + y * frame[1, c]
+        forth = frame[2, c]
+        new = cosine * out + sine * forth - out
+        frame[0, c] += x * new
+        frame[1, c] += y * new
+        frame[2, c] = cosine * forth - sine * out
+
+
+@compiled
+def _assemble(side: Floats, cosine: Floats, sine: Floats, diameter: float, frame: Floats, point: Floats) -> None:
+    """Centres of the segments' faces, base to tip; each segment is an arc. `frame` becomes the tip's."""
+    for i in range(len(side)):
+        x, y = _bend(side[i], cosine, sine, diameter)
+        half = 0.5 * math.sqrt(x * x + y * y)
+        chord = np.mean(side[i]) * (math.sin(half) / half if half > 1e-8 else 1.0)
+        _turn(frame, 0.5 * x, 0.5 * y)
+        for c in range(3):
+            point[i + 1, c] = point[i, c] + chord * frame[2, c]
+        _turn(frame, 0.5 * x, 0.5 * y)
+
+
+@compiled
+def _transport(side: Floats, auxin: Floats, number: _Numbers, share: Floats, sums: Floats) -> None:
+    """One step of polar transport from the tip back, upwind and implicit: stable and exactly conserving."""
+    step, speed, decay = number.step, number.transport, number.decay
+    sums[_SUPPLIED] += step * number.supply
+    for k in range(side.shape[1]):
+        flow = number.supply * share[k]
+        for i in range(len(side) - 1, -1, -1):
+            rate = speed / side[i, k]
+            auxin[i, k] = (auxin[i, k] + step * flow) / (1.0 + step * (rate + decay))
+            flow = rate * auxin[i, k]
+            sums[_DECAYED] += step * decay * auxin[i, k]
+        sums[_OUT] += step * flow
+
+
+@compiled
+def _elongate(
+    side: Floats, auxin: Floats, number: _Numbers, peak: Floats, centre: Floats, width: Floats, first: int
+) -> Any:
+    """One step of growth of all sides from segment `first` on, the tip's segment excepted.
+
+    Returns
+    -------
+    The first segment that may still grow; those before it lie behind the growth zone for good.
+    """
+    n, sectors = side.shape
+    step, inhibition, on_flank = number.step, number.inhibition, number.on_flank
+    growing = n - 1
+    centre_line = np.empty(n - first)
+    for i in range(first, n):
+        centre_line[i - first] = np.mean(side[i])
+    for k in range(sectors):
+        away = side[n - 1, k] if on_flank else centre_line[n - 1 - first]
+        root2 = math.sqrt(2.0) * width[k]
+        whole = peak[k] * width[k] * math.sqrt(0.5 * math.pi)
+        before = math.erf((away - centre[k]) / root2)
+        for i in range(n - 2, first - 1, -1):
+            if away > centre[k] + _REACH * width[k]:
+                break
+            growing = min(growing, i)
+            length = side[i, k]
+            passed = length if on_flank else centre_line[i - first]
+            away += passed
+            after = math.erf((away - centre[k]) / root2)
+            held = max(0.0, 1.0 - inhibition * sectors * auxin[i, k] / length)
+            side[i, k] = length * math.exp(step * held * whole * (after - before) / passed)
+            before = after
+    return growing
+
+
+@compiled
+def _split(side: Floats, auxin: Floats, n: int, first: int, segment: float) -> Any:
+    """Halve every segment from `first` on, but the tip's, that is longer than `segment`; the new number of segments."""
+    i = first
+    while i < n - 1:
+        if np.mean(side[i]) > segment:
+            if n == len(side):
+                return -1
+            for j in range(n, i + 1, -1):
+                side[j] = side[j - 1]
+                auxin[j] = auxin[j - 1]
+            side[i] *= 0.5
+            auxin[i] *= 0.5
+            side[i + 1] = side[i]
+            auxin[i + 1] = auxin[i]
+            n += 1
+            i += 1
+        i += 1
+    return n
+
+
+@compiled
+def _grow(
+    side: Floats,
+    auxin: Floats,
+    n: int,
+    frame: Floats,
+    target: Floats,
+    cosine: Floats,
+    sine: Floats,
+    number: _Numbers,
+    peak: Floats,
+    centre: Floats,
+    width: Floats,
+    tip: Floats,
+    sums: Floats,
+) -> Any:
+    """Time steps until the root is as long as it should be, or the steps are used up.
+
+    Returns
+    -------
+    steps done, number of segments (-1: there is no room for more, -2: it takes too long).
+    """
+    sectors, work = side.shape[1], 0.0
+    share, first, frozen_mm, end = np.empty(sectors), 0, 0.0, np.empty((3, 3))
+    for step in range(len(tip) - 1):
+        length = frozen_mm
+        end[:] = frame
+        for i in range(first, n):
+            x, y = _bend(side[i], cosine, sine, number.diameter)
+            _turn(end, x, y)
+            length += np.mean(side[i])
+        tip[step] = end[2]
+        if length >= number.longest:
+            return step, n
+        work += n * sectors
+        if work > number.most_work:
+            return step, -2
+        for k in range(sectors):
+            towards = 0.0
+            for c in range(3):
+                towards += (cosine[k] * end[0, c] + sine[k] * end[1, c]) * target[c]
+            share[k] = (1.0 + number.sensitivity * towards) / sectors
+        _transport(side[:n], auxin[:n], number, share, sums)
+        growing = _elongate(side[:n], auxin[:n], number, peak, centre, width, first)
+        for i in range(first, growing):
+            x, y = _bend(side[i], cosine, sine, number.diameter)
+            _turn(frame, x, y)
+            frozen_mm += np.mean(side[i])
+        first = growing
+        n = _split(side, auxin, n, first, number.segment)
+        if n < 0:
+            return step, n
+    end[:] = frame
+    for i in range(first, n):
+        x, y = _bend(side[i], cosine, sine, number.diameter)
+        _turn(end, x, y)
+    tip[len(tip) - 1] = end[2]
+    return len(tip) - 1, n

@@ -1,0 +1,198 @@
+"""Population -> exemplars -> scene."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.atmosphere.clouds.source import CloudRequest, cloud_source_of
+from forestgen.community.population import Population
+from forestgen.core.progress import Progress
+from forestgen.core.randomness import child_rng
+from forestgen.plants.exemplar import Exemplar
+from forestgen.recipe.load import DrawnRecipe
+from forestgen.scene.building import building_materials
+from forestgen.scene.camera_path import next_frame
+from forestgen.scene.exemplars import (
+    SizeError,
+)
+from forestgen.scene.ground import wetness_of
+from forestgen.scene.growth import choose_exemplars, errors_of_sizes, grow_planned, species_seen
+from forestgen.scene.plan import Plan
+from forestgen.scene.sky import sky_of
+from forestgen.scene.spec import Camera, Instances, Material, SceneSpec
+from forestgen.scene.surfaces import infrared_notes, materials_of, surface_of
+from forestgen.scene.terrain import HeightField, build_terrain
+from forestgen.scene.trunks import Trunks
+from forestgen.scene.views import check_trunks, drawn_cameras
+from forestgen.scene.wind import Sway, spec_at, sway_in
+
+MOST_CACHED_IMAGES = 16  # a data set of many images would only wash the cache out
+Timer = Callable[[str], AbstractContextManager[None]]
+
+
+@dataclass(frozen=True)
+class BuiltScene:
+    """A drawn recipe, simulated and assembled: the scene, and the plants in it with their feet on the ground."""
+
+    plan: Plan
+    spec: SceneSpec  # in still air
+    population: Population
+    size_errors: list[SizeError]  # how well exemplars stand for the plants
+    sway: Sway | None = None  # of the plants in the wind; None: still air
+    notes: tuple[str, ...] = ()  # for people: of the community, on cameras in trunks, and on unknown infrared
+    _posed: dict[float, SceneSpec] = field(default_factory=dict, repr=False, compare=False)  # by time, the last two
+
+    @property
+    def drawn(self) -> DrawnRecipe:
+        return self.plan.drawn
+
+    def at(self, time_s: float) -> SceneSpec:
+        """The scene as the wind holds its plants at a time; in still air `spec` itself, and one object for one time."""
+        if self.sway is None:
+            return self.spec
+        if time_s not in self._posed:
+            while len(self._posed) > 1:  # a frame and the next one, for its motion
+                del self._posed[next(iter(self._posed))]
+            self._posed[time_s] = spec_at(self.spec, self.sway, time_s)
+        return self._posed[time_s]
+
+    def next_view(self, camera: Camera) -> tuple[Camera, SceneSpec] | None:
+        """The camera and the scene of the frame after `camera`'s in its sequence, if there is one."""
+        following = next_frame(self.spec.cameras, camera)
+        return None if following is None else (following, self.at(following.time_s))
+
+
+def build_scene(plan: Plan, population: Population, progress: Progress, timer: Timer) -> BuiltScene:
+    """Grow the exemplars, shape the ground, hang the clouds, place plants and cameras."""
+    recipe, seed = plan.drawn.recipe, plan.drawn.image_seed
+    simulated = population  # in the community's own frame: heights above the ground
+    with timer("scene"):
+        height, cameras = plan.views.height, plan.views.all_cameras
+        population = stand_on(population, height)
+    with timer("plants"):
+        exemplar_plan = choose_exemplars(plan, population, cameras)
+        exemplars = grow_planned(plan, exemplar_plan, progress, population)
+    with timer("clouds"):
+        request = CloudRequest(plan.drawn, _lowest_m(plan, height), progress, plan.community, simulated)
+        clouds = cloud_source_of(plan.drawn).grid(request)
+    with timer("scene"):
+        wetness = wetness_of(plan.community, population)
+        terrain = build_terrain(height, child_rng(seed, "terrain", "colour"), recipe.site.ground, wetness)
+        albedo = float(np.mean(terrain.far_reflectance))  # of the region, which the sky and the clouds see
+        stands_for_m = np.full(len(exemplar_plan), np.nan)
+        unique = exemplar_plan.plant >= 0
+        stands_for_m[unique] = population.height_m[exemplar_plan.plant[unique]]
+        instances = place_instances(
+            plan.community.obstacles.turned(population),
+            exemplar_plan.exemplar_of_plant,
+            exemplars,
+            seed,
+            stands_for_m=stands_for_m,
+            is_unique=exemplar_plan.is_unique,
+        )
+        trunks = Trunks(exemplars, instances)
+        views = drawn_cameras(plan.drawn, trunks)
+        materials = _materials(plan, population)
+        notes = [
+            *(f"image {plan.drawn.image_index}: {note}" for note in simulated.notes),
+            *check_trunks(plan.drawn, views, trunks),
+            *plan.views.check_outside_of_buildings(),
+            *infrared_notes(materials, cameras),
+        ]
+        spec = SceneSpec(
+            exemplars=exemplars,
+            materials=materials,
+            instances=instances,
+            terrain=terrain,
+            sky=sky_of(recipe, albedo),
+            clouds=clouds,
+            cameras=tuple(camera for entry in views for camera in entry),
+        )
+        sway = _sway(plan, spec)
+    errors = errors_of_sizes(plan, population, exemplar_plan, exemplars)
+    return BuiltScene(plan, spec, population, errors, sway, tuple(dict.fromkeys(notes)))
+
+
+def _sway(plan: Plan, spec: SceneSpec) -> Sway | None:
+    recipe = plan.drawn.recipe
+    if recipe.wind.speed_m_per_s == 0:
+        return None
+    return sway_in(
+        spec.instances,
+        spec.exemplars,
+        speed_m_per_s=recipe.wind.speed_m_per_s,
+        gustiness=recipe.wind.gustiness,
+        from_deg=recipe.site.wind_from_deg,
+        seed=plan.drawn.image_seed,
+    )
+
+
+def _lowest_m(plan: Plan, height: HeightField) -> float:
+    """Height of the site's lowest ground, where weather begins."""
+    x, y = np.meshgrid(*(np.linspace(0.0, side, 65) for side in plan.drawn.recipe.site.size_m))
+    return float(np.min(height(x, y)))
+
+
+def _materials(plan: Plan, population: Population) -> dict[tuple[str, str], Material]:
+    """Of the species and the buildings."""
+    season = plan.drawn.recipe.plants.season
+    materials = materials_of(species_seen(plan.drawn.species, population), season)
+    for (kind, key), one in building_materials(plan.community.obstacles.entries).items():
+        materials[kind, key] = surface_of(one, season, f"{kind}/{key}")
+    return materials
+
+
+def stand_on(population: Population, height: HeightField) -> Population:
+    """The same plants with their feet on the terrain."""
+    position = population.position_m.copy()
+    position[:, 2] = height(position[:, 0], position[:, 1])
+    return replace(population, position_m=position)
+
+
+def place_instances(
+    population: Population,
+    exemplar_of_plant: NDArray[np.uint32],
+    exemplars: Sequence[Exemplar],
+    seed: int,
+    *,
+    stands_for_m: NDArray[np.float64] | None = None,
+    is_unique: NDArray[np.bool_] | None = None,
+) -> Instances:
+    """One instance a plant: its exemplar scaled to the plant's exact height and turned by the plant's own angle.
+
+    The angle belongs to the plant_id, so a plant keeps it through time and whatever else grows beside it; a community
+    that knows how its plants stand gives it in a column `azimuth_deg`, clockwise from north, NaN where it does not.
+
+    Parameters
+    ----------
+    stands_for_m : (E,) height of the plant whose own branches an exemplar has; NaN or None: the exemplar's height is
+        that of its plants.
+    is_unique : (E,) exemplars of one plant alone, whose branches know their neighbours: neither turned nor scaled.
+    """
+    heights = np.array([exemplar.height_m for exemplar in exemplars], dtype=np.float64)
+    if stands_for_m is not None:
+        heights = np.where(np.isnan(stands_for_m), heights, stands_for_m)
+    scale = population.height_m / heights[exemplar_of_plant]
+    angle = np.array([child_rng(seed, "plant", int(i)).random() for i in population.plant_id]) * 2 * np.pi
+    if "azimuth_deg" in population.columns:
+        turned = -np.radians(population.columns["azimuth_deg"].astype(np.float64))
+        angle = np.where(np.isnan(turned), angle, turned)
+    if is_unique is not None:
+        own = is_unique[exemplar_of_plant]
+        scale, angle = np.where(own, 1.0, scale), np.where(own, 0.0, angle)
+    cos, sin = np.cos(angle) * scale, np.sin(angle) * scale
+    zero = np.zeros_like(cos)
+    rows = [[cos, -sin, zero], [sin, cos, zero], [zero, zero, scale]]
+    transform = np.empty((len(population), 3, 4))
+    for r in range(3):
+        for c in range(3):
+            transform[:, r, c] = rows[r][c]
+    transform[:, :, 3] = population.position_m
+    return Instances(
+        exemplar=exemplar_of_plant.astype(np.uint32), transform=transform, plant_id=population.plant_id.copy()
+    )

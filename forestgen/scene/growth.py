@@ -1,0 +1,346 @@
+"""Plants -> exemplars: which an image needs, and growing them.
+
+Plants that grew branches of their own are meshed as themselves or stand for others of their kind. Their dead stand with
+the branches that they died with, bare, of grey weathered wood: a species' material `dead_wood`, or that of the shipped
+snag. Leaves, flowers and fruits are gone; twigs go with the years. Fresh snags are as grey as old ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import cache
+from itertools import product
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.architecture.tables import Tables
+from forestgen.community.capabilities import OwnSkeletons, capability
+from forestgen.community.population import Population, Status
+from forestgen.core.progress import Progress
+from forestgen.core.randomness import child_rng
+from forestgen.plants.bark.texture import with_bark_tiles
+from forestgen.plants.build import estimate_triangles, size_m
+from forestgen.plants.exemplar import Exemplar
+from forestgen.plants.growing import LIBRARY_BYTES, MOST_BYTES, ExemplarRequest, exemplar_store, grow_exemplars
+from forestgen.plants.grown import woods_of
+from forestgen.plants.levels import level_for, level_of_index
+from forestgen.plants.parameters import CrownProfile, PlantParameters
+from forestgen.plants.registry import GENERATORS
+from forestgen.plants.solids import as_solids
+from forestgen.recipe.buildings import Building
+from forestgen.recipe.species import Material, Species
+from forestgen.scene.building import exemplar_of, plan_buildings
+from forestgen.scene.exemplars import (
+    ExemplarPlan,
+    SizeError,
+    check_traits,
+    library_of,
+    modelled_species,
+    origin_of,
+    plan_exemplars,
+    size_errors,
+)
+from forestgen.scene.own_exemplars import plan_own, unique_plants
+from forestgen.scene.plan import Plan, check_own_triangles
+from forestgen.scene.projection import projection_of
+from forestgen.scene.spec import Camera
+
+MOST_CACHED_IMAGES = 16  # a data set of many images would only wash the cache out
+Floats = NDArray[np.float64]
+
+MATERIAL = "dead_wood"
+_WEATHERED = Material.model_validate(
+    {
+        "spectrum": "wood/snag",
+        "roughness": 0.9,
+        "bark": {"pattern": "fibrous", "tile_m": [0.3, 0.6], "dark": [0.05, 0.045, 0.04], "lichen": 0.06},
+    }
+)
+
+
+def choose_exemplars(plan: Plan, population: Population, cameras: Sequence[Camera]) -> ExemplarPlan:
+    """Sizes, variants and levels of detail that the plants need.
+
+    Raises
+    ------
+    RecipeError : a trait that the plants do not have.
+    """
+    section = plan.drawn.recipe.plants
+    check_traits(section.traits, population, plan.drawn.where("plants", "traits"))
+    pixel_m, given, own = None, {}, has_branches(plan, population)
+    if len(population) and (section.levels or plan.community.obstacles.entries or own.any()):
+        pixel_m = pixel_size_m(cameras, population.position_m, population.height_m, _widths_m(plan, population))
+        given = plan_buildings(plan.community.obstacles.rows_of(population), population)
+        given |= _plan_own_plants(plan, population, own, pixel_m)
+    chosen = plan_exemplars(
+        population,
+        section.exemplars_per_species,
+        plan.drawn.image_seed,
+        traits=section.traits,
+        variants=section.variants_per_size,
+        given=given,
+        library=library_of(plan.drawn),
+    )
+    if not section.levels or pixel_m is None:
+        return chosen
+    own_height_m = np.ones(len(population))
+    for index, name in enumerate(population.species_names):
+        rows = population.species == index
+        exemplar_radius_m = chosen.radius_m[chosen.exemplar_of_plant[rows]]
+        if name in plan.drawn.species:
+            own_height_m[rows] = modelled_species(plan.drawn, name).allometry.height(exemplar_radius_m)
+    stand_in = chosen.plant[chosen.exemplar_of_plant]
+    own_height_m = np.where(stand_in < 0, own_height_m, population.height_m[np.maximum(stand_in, 0)])
+    scale = population.height_m / own_height_m  # of the instance
+    return chosen.split("level", level_for(pixel_m / scale))
+
+
+def pixel_size_m(
+    cameras: Sequence[Camera],
+    position_m: NDArray[np.float64],
+    height_m: NDArray[np.float64],
+    width_m: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """(N,) what a pixel covers of each plant, across, at its nearest point to the camera that sees it largest; metres.
+
+    A plant behind a camera counts as if it were in front: its shadow may be in view.
+
+    Parameters
+    ----------
+    position_m : (N, 3) feet of the plants, world.
+    height_m, width_m : (N,) of the upright cylinders that hold the plants.
+    """
+    finest = np.full(len(position_m), np.inf)
+    for camera in cameras:
+        x, y, z = camera.position_m
+        away = np.hypot(position_m[:, 0] - x, position_m[:, 1] - y) - 0.5 * width_m
+        above = np.maximum(z - (position_m[:, 2] + height_m), position_m[:, 2] - z)
+        distance = np.hypot(np.maximum(away, 0.0), np.maximum(above, 0.0))
+        finest = np.minimum(finest, projection_of(camera).finest_pixel_m(camera, distance))
+    return finest
+
+
+def _widths_m(plan: Plan, population: Population) -> NDArray[np.float64]:
+    """(N,) crown width of each plant by its species' allometry."""
+    width = np.ones(len(population))
+    for index, name in enumerate(population.species_names):
+        rows = population.species == index
+        radius_m = population.radius_m[rows]
+        grown = population.modules is not None and name in plan.plants.foliage
+        species = None if grown else plan.drawn.species.get(name)  # none: a building, or as wide as its branches
+        width[rows] = 2.0 * radius_m if species is None else species.allometry.width(radius_m)
+    return width
+
+
+def has_branches(plan: Plan, population: Population) -> NDArray[np.bool_]:
+    """(N,) plants that have modules, of species with foliage for them."""
+    if population.modules is None:
+        return np.zeros(len(population), dtype=np.bool_)
+    clothed = np.array([name in plan.plants.foliage for name in population.species_names], dtype=np.bool_)
+    return np.asarray(clothed[population.species] & (np.diff(population.modules.first) > 0), dtype=np.bool_)
+
+
+def _plan_own_plants(
+    plan: Plan, population: Population, own: NDArray[np.bool_], pixel_m: Floats
+) -> dict[int, ExemplarPlan]:
+    """Plans of the species whose plants have branches of their own, by their index in the population.
+
+    Parameters
+    ----------
+    own : (N,) plants that have such branches.
+    pixel_m : (N,) what a pixel covers of each plant where it is seen largest.
+
+    Raises
+    ------
+    ResourceError : the recipe asks for more plants as themselves than the memory holds.
+    """
+    section, seed = plan.drawn.recipe.plants, plan.drawn.image_seed
+    triangles = cache(lambda: _triangles(plan, population, own))
+    is_unique = unique_plants(population, own, pixel_m, triangles, section.unique)
+    if section.unique != "auto" and is_unique.any():  # auto keeps to a number of triangles
+        check_own_triangles(plan, float(triangles()[is_unique].sum()))
+    return {
+        int(index): plan_own(population, int(index), is_unique, section.exemplars_per_species, seed)
+        for index in np.unique(population.species[own])
+    }
+
+
+def _triangles(plan: Plan, population: Population, own: NDArray[np.bool_]) -> Floats:
+    """(N,) of each plant, estimated by its modules, from a large plant of its species that lives or is dead as it."""
+    assert population.modules is not None
+    modules = np.diff(population.modules.first)
+    estimate = np.zeros(len(population))
+    tables = _tables(plan, population)
+    dead = population.status == Status.DEAD
+    for index, is_dead in product(np.unique(population.species[own]), (False, True)):
+        rows = np.flatnonzero(own & (population.species == index) & (dead == is_dead))
+        if not len(rows):
+            continue
+        largest = rows[np.argmax(modules[rows])]
+        parameters: Any = plan.plants.foliage[population.species_names[index]]
+        if is_dead:
+            parameters = parameters.model_copy(update={"foliage": ()})
+        [wood] = woods_of(population, tables, np.array([largest]))
+        rng = child_rng(plan.drawn.image_seed, "triangles", int(population.plant_id[largest]))
+        estimate[rows] = estimate_triangles(parameters, wood, rng) * modules[rows] / modules[largest]
+    return estimate
+
+
+def _tables(plan: Plan, population: Population) -> Tables:
+    """Shapes and sizes of a population's modules at its time."""
+    skeletons = capability(plan.community.model, OwnSkeletons)
+    assert skeletons is not None  # the population has modules
+    return skeletons.skeleton_tables(plan.community.parameters, plan.community.ecologies, population)
+
+
+def grow_planned(
+    plan: Plan, exemplar_plan: ExemplarPlan, progress: Progress, population: Population | None = None
+) -> tuple[Exemplar, ...]:
+    """The exemplars of a plan; see `exemplar_requests`."""
+    section = plan.drawn.recipe.plants
+    kept = section.cache and (section.library is not None or plan.drawn.image_index < MOST_CACHED_IMAGES)
+    buildings = _buildings(plan, exemplar_plan, population)
+    with progress.stage("plants", len(exemplar_plan)) as advance:
+        built = {index: exemplar_of(*building) for index, building in buildings.items()}
+        advance(len(built))
+        requests = exemplar_requests(plan, exemplar_plan, population)
+        store = exemplar_store(MOST_BYTES if section.library is None else LIBRARY_BYTES) if kept else None
+        grown = grow_exemplars(requests, store=store, advance=advance)
+    if section.geometry == "silhouettes":
+        grown = tuple(_silhouette(request, one) for request, one in zip(requests, grown, strict=True))
+    plants = iter(grown)
+    exemplars = (built[index] if index in built else next(plants) for index in range(len(exemplar_plan)))
+    pairs = zip(exemplars, exemplar_plan.is_unique.tolist(), strict=True)
+    return tuple(replace(one, is_unique=unique) for one, unique in pairs)
+
+
+def _buildings(
+    plan: Plan, exemplar_plan: ExemplarPlan, population: Population | None
+) -> dict[int, tuple[Building, float]]:
+    """The exemplars that are buildings, by their index: the building, and the radius of its row."""
+    rows = {} if population is None else plan.community.obstacles.rows_of(population)
+    pairs = zip(exemplar_plan.plant.tolist(), exemplar_plan.radius_m.tolist(), strict=True)
+    return {index: (rows[row], radius_m) for index, (row, radius_m) in enumerate(pairs) if row in rows}
+
+
+def _silhouette(request: ExemplarRequest, exemplar: Exemplar) -> Exemplar:
+    """The plant's solid: of its generator's own curve where there is one, otherwise as wide as the plant grew."""
+    generator = GENERATORS.load(request.parameters.generator)
+    size = size_m(request.species, request.radius_m)
+    known = isinstance(generator, CrownProfile)
+    return as_solids(exemplar, generator.crown_profile(request.parameters, *size) if known else None)
+
+
+def exemplar_requests(
+    plan: Plan, exemplar_plan: ExemplarPlan, population: Population | None = None
+) -> list[ExemplarRequest]:
+    """What to grow, all but buildings. A plant's randomness belongs to its species, cluster's rank and variant.
+
+    Parameters
+    ----------
+    population : of the plan, which plants that grew branches of their own are part of.
+    """
+    names = list(plan.drawn.species)
+    own = {} if population is None else _own_requests(plan, exemplar_plan, population)
+    buildings = _buildings(plan, exemplar_plan, population)
+    requests = []
+    for index in range(len(exemplar_plan)):
+        if index in own:
+            requests.append(own[index])
+        if index in own or index in buildings:
+            continue
+        name = names[exemplar_plan.species[index]]
+        seed, identity = origin_of(plan.drawn, name, int(exemplar_plan.rank[index]), int(exemplar_plan.variant[index]))
+        requests.append(
+            ExemplarRequest(
+                species_name=name,
+                species=modelled_species(plan.drawn, name),
+                parameters=plan.plants.generators[name],
+                radius_m=float(exemplar_plan.radius_m[index]),
+                seed=seed,
+                identity=identity,
+                level=level_of_index(int(exemplar_plan.level[index])),
+                is_shared=plan.drawn.recipe.plants.library is not None,
+            )
+        )
+    return requests
+
+
+def _own_requests(plan: Plan, exemplar_plan: ExemplarPlan, population: Population) -> dict[int, ExemplarRequest]:
+    """What to grow of the exemplars that have a plant's own branches, by their index.
+
+    A plant's randomness belongs to the plant: its twigs are the same in every image.
+    """
+    buildings = list(plan.community.obstacles.rows_of(population))
+    chosen = np.flatnonzero((exemplar_plan.plant >= 0) & ~np.isin(exemplar_plan.plant, buildings))
+    if not len(chosen):
+        return {}
+    rows = np.unique(exemplar_plan.plant[chosen])
+    grown = woods_of(population, _tables(plan, population), rows)
+    woods = dict(zip(rows.tolist(), grown, strict=True))
+    names = population.species_names
+    requests = {}
+    for index in chosen.tolist():
+        row = int(exemplar_plan.plant[index])
+        name = names[population.species[row]]
+        species, parameters = plan.drawn.species[name], plan.plants.foliage[name]
+        if population.status[row] == Status.DEAD:
+            species = _with_dead_wood(species)
+            parameters = _dead_foliage(parameters, species)
+        requests[index] = ExemplarRequest(
+            species_name=name,
+            species=species,
+            parameters=parameters,
+            radius_m=float(population.radius_m[row]),
+            seed=plan.drawn.image_seed,
+            identity=("own", int(population.plant_id[row])),
+            level=level_of_index(int(exemplar_plan.level[index])),
+            wood=woods[row],
+            is_kept=not bool(exemplar_plan.is_unique[index]),
+        )
+    return requests
+
+
+def _with_dead_wood(species: Species) -> Species:
+    """The species with a material for its dead trees."""
+    if MATERIAL in species.materials:
+        return species
+    return species.model_copy(update={"materials": {**species.materials, MATERIAL: _WEATHERED}})
+
+
+def species_seen(species: Mapping[str, Species], population: Population) -> dict[str, Species]:
+    """The species, those with dead trees among their plants with a material for them."""
+    dead = np.unique(population.species[population.status == Status.DEAD])
+    names = {population.species_names[index] for index in dead.tolist()}
+    return {name: _with_dead_wood(one) if name in names else one for name, one in species.items()}
+
+
+def _dead_foliage(parameters: PlantParameters, species: Species) -> PlantParameters:
+    """What grows on the wood of a dead tree, of a species that has dead wood."""
+    wood = parameters.wood.model_copy(update={"material": MATERIAL, "branch_material": None, "dead": True})
+    return with_bark_tiles(parameters.model_copy(update={"wood": wood, "foliage": ()}), species.materials)
+
+
+def errors_of_sizes(
+    plan: Plan, population: Population, exemplar_plan: ExemplarPlan, exemplars: tuple[Exemplar, ...]
+) -> list[SizeError]:
+    """Error of the approximation, each plant's width by its species' allometry.
+
+    An exemplar with a plant's own branches has that plant's own size: leaves beyond its modules are no error.
+    """
+    widths_m, plant = _widths_m(plan, population), exemplar_plan.plant
+    height_m, width_m = (
+        np.where(plant < 0, made, grown[np.maximum(plant, 0)]) if len(population) else made
+        for made, grown in (
+            (np.array([exemplar.height_m for exemplar in exemplars]), population.height_m),
+            (np.array([exemplar.crown_width_m for exemplar in exemplars]), widths_m),
+        )
+    )
+    for index, name in enumerate(population.species_names):
+        generator = plan.plants.generators.get(name)  # none: a building
+        if generator is None or not GENERATORS.load(generator.generator).has_crown:
+            widths_m[population.species == index] = np.nan
+    return size_errors(population, exemplar_plan, height_m, width_m, widths_m)

@@ -1,0 +1,184 @@
+"""A checked recipe, and the memory that its images take by estimate."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from forestgen.atmosphere.clouds.source import GAP_OF_SITE, LEAST_GAP_M, cloud_source_of
+from forestgen.community.plan import CommunityPlan
+from forestgen.core.errors import RecipeError, ResourceError
+from forestgen.core.figures import show_bytes
+from forestgen.core.memory import free_bytes
+from forestgen.plants.budget import most_triangles
+from forestgen.plants.parameters import PlantParameters
+from forestgen.plants.plan import PlantPlan
+from forestgen.plants.registry import GENERATORS
+from forestgen.recipe.load import DrawnRecipe
+from forestgen.recipe.plants import Plants
+from forestgen.scene.own_exemplars import MOST_TRIANGLES
+from forestgen.scene.views import Views
+
+# Kept free for the operating system and for what no estimate sees.
+_SHARE_OF_MEMORY = 0.8
+# Measured by tests/system/test_memory.py as the peak resident memory of whole runs.
+_LOADED_SIMULATOR_BYTES = 520_000_000
+_LOADED_RENDERER_BYTES = 900_000_000  # libraries, kernels, the ground's texture and what it was made from
+_BYTES_PER_SAMPLE = 5 + 16  # an identity sample, and the sorting of it
+_BYTES_PER_PIXEL = 800  # radiance sums in double precision, buffers, channels on their way to files
+_BYTES_PER_TRIANGLE = 200  # mesh, the scene with its tree, normals' table
+# Of plants with branches of their own: 267 measured on tall spruces.
+_BYTES_PER_OWN_TRIANGLE = 300
+_BYTES_PER_TRIANGLE_UNDER_CLOUDS = 160  # more, where light goes through clouds exactly: they have scenes of their own
+_DETAIL_OF_ALL_LEVELS = 2.0  # a size at every level of detail, over `most_triangles`; measured up to 1.8
+_BYTES_PER_PLANT = 7_000  # an instance in the scene; 500,000 of benchmarks/labels.py take 4 kB each
+_BYTES_PER_PLANT_UNDER_CLOUDS = 27_000  # more, as above
+# Clouds that are so much higher than they must be are surely far: plants differ in height, and the ground in places.
+_SURELY_FAR_M = 200.0
+_GROUND_POINTS = 33  # along a side, at which the ground's height is looked up
+_GROUND_CELL_M, _MOST_GROUND_CELLS, _GROUND_BEYOND = 0.75, 1200, 160  # see scene/terrain.py
+_TRIANGLES_OF_A_PLANT = 300_000  # of a large one, at a guess
+_FILM_BYTES = 60_000_000  # numbers and pictures that community/history_files.py keeps
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A drawn recipe whose models and generators are found and whose parameters are checked."""
+
+    drawn: DrawnRecipe
+    community: CommunityPlan
+    plants: PlantPlan
+    views: Views
+
+
+def estimate_bytes(plan: Plan, *, simulate_only: bool = False, plants: int = 0) -> dict[str, int]:
+    """Peak memory by what takes it: an upper estimate, without simulating.
+
+    Parameters
+    ----------
+    plants : how many the scene will hold; before the simulation nobody knows, and their share is left out.
+    """
+    recipe, stand = plan.drawn.recipe, plan.community
+    try:
+        community = stand.model.estimate_bytes(stand.parameters, stand.site, stand.ecologies)
+    except (RecipeError, ResourceError) as cause:
+        raise _located(cause, plan.drawn) from cause
+    if simulate_only:
+        return {"community": community + _FILM_BYTES, "libraries": _LOADED_SIMULATOR_BYTES}
+    pixels = max(camera.size_px[0] * camera.size_px[1] for camera in recipe.cameras)
+    exact = recipe.sky.clouds.has_clouds and _may_be_exact(plan.views)
+    per_plant = _BYTES_PER_PLANT + exact * _BYTES_PER_PLANT_UNDER_CLOUDS
+    clouds_per_triangle = exact * _BYTES_PER_TRIANGLE_UNDER_CLOUDS
+    per_triangle = _BYTES_PER_TRIANGLE + clouds_per_triangle
+    own = own_triangles(plan.plants.foliage, recipe.plants)
+    across, along = (
+        min(math.ceil((side + 40) / _GROUND_CELL_M), _MOST_GROUND_CELLS) + _GROUND_BEYOND for side in recipe.site.size_m
+    )
+    return {
+        "community": community,
+        "libraries": _LOADED_RENDERER_BYTES,
+        "ground": 2 * across * along * per_triangle,
+        "images": pixels * (_BYTES_PER_PIXEL + recipe.labels.samples * _BYTES_PER_SAMPLE),
+        "exemplars": _exemplar_triangles(plan) * per_triangle + own * (_BYTES_PER_OWN_TRIANGLE + clouds_per_triangle),
+        "plants": plants * per_plant,
+        "clouds": cloud_source_of(plan.drawn).estimate_bytes(plan.drawn, stand.model, stand.parameters),
+    }
+
+
+def own_triangles(foliage: Mapping[str, PlantParameters], section: Plants) -> int:
+    """Triangles of plants with branches of their own and of those that stand for the far ones, before any has grown.
+
+    The stand-ins of the standing dead, bare wood, are not counted.
+
+    How many plants there will be, and how large, nobody knows yet: see `check_own_triangles`.
+    """
+    if not foliage or section.unique == "none":
+        unique = 0
+    elif isinstance(section.unique, int):
+        unique = min(section.unique * _TRIANGLES_OF_A_PLANT, MOST_TRIANGLES)
+    else:
+        unique = MOST_TRIANGLES
+    return unique + len(foliage) * section.exemplars_per_species * _TRIANGLES_OF_A_PLANT
+
+
+def _located(cause: RecipeError | ResourceError, drawn: DrawnRecipe) -> RecipeError | ResourceError:
+    """A model's error with the file and line of the key that it names: models know keys only."""
+    keys = tuple(int(key) if key.isdigit() else key for key in (cause.where or "").split("."))
+    return cause.at(drawn.where(*keys)) if keys[0] == "community" else cause
+
+
+def _may_be_exact(views: Views) -> bool:
+    """Whether the light of a recipe with clouds may be traced through them; see `render.cloud_shadow`."""
+    drawn, recipe = views.drawn, views.drawn.recipe
+    base_m = cloud_source_of(drawn).known_base_m(drawn)
+    if recipe.render.clouds != "auto" or base_m is None:
+        return recipe.render.clouds != "farfield"
+    x_m, y_m = np.meshgrid(*(np.linspace(0.0, side_m, _GROUND_POINTS) for side_m in recipe.site.size_m))
+    standing_m = [species.mature_height_m for species in drawn.species.values()]
+    standing_m += [building.size_m[2] for building in recipe.site.buildings]
+    tops_m = [float(views.height(x_m, y_m).max()) + max(standing_m, default=0.0)]
+    tops_m += [camera.position_m[2] for camera in views.all_cameras]
+    return base_m < max(tops_m) + max(LEAST_GAP_M, GAP_OF_SITE * math.hypot(*recipe.site.size_m)) + _SURELY_FAR_M
+
+
+def _exemplar_triangles(plan: Plan) -> int:
+    """Triangles of all exemplars, as if each were a mature plant of its species; see `own_triangles` for the others."""
+    section = plan.drawn.recipe.plants
+    each = section.exemplars_per_species * section.variants_per_size * (_DETAIL_OF_ALL_LEVELS if section.levels else 1)
+    total = 0.0
+    for name, species in plan.drawn.species.items():
+        if name not in plan.plants.foliage:
+            has_crown = GENERATORS.load(species.plant.generator).has_crown
+            width_m = float(species.allometry.width(species.ecology.max_radius_m)) if has_crown else 0.0
+            total += most_triangles(species.mature_height_m, width_m)
+    return int(each * total)
+
+
+def check_memory(
+    plan: Plan, *, simulate_only: bool = False, plants: int = 0, memory_budget_bytes: int | None = None
+) -> None:
+    """Raise `ResourceError` if the estimate does not fit into memory; see `estimate_bytes`.
+
+    Parameters
+    ----------
+    memory_budget_bytes : memory that there is for it; None: what is free now.
+    """
+    free = int((free_bytes() if memory_budget_bytes is None else memory_budget_bytes) * _SHARE_OF_MEMORY)
+    parts = estimate_bytes(plan, simulate_only=simulate_only, plants=plants)
+    need = sum(parts.values())
+    if need <= free:
+        return
+    largest = max(parts, key=lambda name: parts[name])
+    where, hint = {
+        "community": (("community",), plan.community.parameters.memory_hint),
+        "ground": (("site", "size_m"), "make the site smaller"),
+        "images": (("cameras",), "make the images smaller, or lower labels.samples"),
+        "exemplars": (("plants", "exemplars_per_species"), "lower plants.exemplars_per_species or variants_per_size"),
+        "plants": (("site", "size_m"), f"{plants:,} plants grew: make the site smaller, or stop after fewer steps"),
+        "clouds": (("sky", "clouds"), "make the clouds' extent_m smaller, or their cells larger"),
+        "libraries": ((), "close other programs"),
+    }[largest]
+    there = "is free" if memory_budget_bytes is None else "there is"
+    raise ResourceError(
+        f"this would need more memory than {there}, most of it for the {largest}",
+        where=plan.drawn.where(*where),
+        expected=f"at most {show_bytes(free)}",
+        got=f"about {show_bytes(need)} ({largest}: {show_bytes(parts[largest])})",
+        hint=hint,
+    )
+
+
+def check_own_triangles(plan: Plan, triangles: float) -> None:
+    """Raise `ResourceError` if so many triangles of plants as themselves do not fit into the memory that is free."""
+    free, need = int(free_bytes() * _SHARE_OF_MEMORY), int(triangles * _BYTES_PER_OWN_TRIANGLE)
+    if need > free:
+        raise ResourceError(
+            "plants with branches of their own would need more memory than is free",
+            where=plan.drawn.where("plants", "unique"),
+            expected=f"at most {show_bytes(free)}",
+            got=f"about {show_bytes(need)} for {triangles / 1e6:,.0f} million triangles",
+            hint="set plants.unique to auto, or to a smaller number",
+        )

@@ -1,0 +1,64 @@
+"""A circle of cameras around look_at_m: NAME-0000, NAME-0001, ..."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+from pydantic_core import PydanticCustomError
+
+from forestgen.recipe.camera_keys import CameraKeys
+from forestgen.recipe.fields import Coordinate, Number, Positive, Whole, mistake
+from forestgen.recipe.rigs import MOST_FRAMES, FramesPerSecond, RigKeys
+from forestgen.scene.rigs.rig import Poses, Rig, lifted
+from forestgen.scene.terrain import HeightField
+from forestgen.scene.trunks import Trunks
+
+
+class OrbitKeys(RigKeys):
+    """Cameras on a level circle around look_at_m, clockwise seen from above, all looking at it."""
+
+    radius_m: Annotated[Positive, Field(le=1e5, description="From look_at_m, level, metres.")]
+    height_m: Annotated[
+        Coordinate, Field(description="Of the cameras, metres; above the ground below each, as height_above_ground.")
+    ]
+    count: Annotated[Whole, Field(ge=1, le=MOST_FRAMES, description="Cameras, evenly around.")]
+    first_deg: Annotated[
+        Number, Field(ge=-360, le=360, description="Where the first stands, degrees from north: 180 is in the south.")
+    ] = 180.0
+    frames_per_s: Annotated[
+        FramesPerSecond | None,
+        Field(description="Images a second of one camera going around. Default: all at one time, a camera each."),
+    ] = None
+
+
+class Orbit(Rig[OrbitKeys]):
+    """A circle of cameras."""
+
+    name = "orbit"
+    Parameters = OrbitKeys
+    decides = ("position_m", "look", "path")
+
+    def check(self, camera: CameraKeys) -> PydanticCustomError | None:
+        if camera.look_at_m is None:
+            return mistake("the circle's middle", problem="an orbit needs look_at_m", got="no look_at_m", at=("rig",))
+        return None
+
+    def frames(self, camera: CameraKeys) -> int:
+        return self.keys_of(camera).count
+
+    def sequence(self, camera: CameraKeys, index: int) -> str | None:
+        return None if self.keys_of(camera).frames_per_s is None else camera.name
+
+    def poses(self, camera: CameraKeys, height: HeightField, trunks: Trunks | None) -> Poses:
+        rig = self.keys_of(camera)
+        angle = np.radians(rig.first_deg) + np.arange(rig.count) / rig.count * 2 * np.pi  # clockwise from north
+        target = np.repeat(lifted(camera, np.array([camera.look_at_m], dtype=np.float64), height), rig.count, axis=0)
+        position = target + rig.radius_m * np.column_stack([np.sin(angle), np.cos(angle), np.zeros(rig.count)])
+        position[:, 2] = rig.height_m
+        pace = 0.0 if rig.frames_per_s is None else 1.0 / rig.frames_per_s
+        return Poses(lifted(camera, position, height), target, np.arange(rig.count, dtype=np.float64) * pace)
+
+
+RIG = Orbit()

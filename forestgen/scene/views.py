@@ -1,0 +1,191 @@
+"""Cameras of a drawn recipe, and whether something is in their way: reported before any image is rendered."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.core.errors import RecipeError
+from forestgen.core.spectrum import Band
+from forestgen.recipe.buildings import Building
+from forestgen.recipe.camera_keys import SensorFile
+from forestgen.recipe.cameras import Camera as CameraSection
+from forestgen.recipe.load import DrawnRecipe
+from forestgen.recipe.spectra import bands_of, load_bands
+from forestgen.scene.camera_path import expand
+from forestgen.scene.ground import height_field
+from forestgen.scene.spec import Camera
+from forestgen.scene.terrain import HeightField
+from forestgen.scene.trunks import Trunks
+
+LEAST_ABOVE_GROUND_M = 0.01
+LEAST_FROM_TRUNKS_M = 0.05
+_ROOF_M = 0.5  # its thickness, and more: a camera on the roof is outside
+
+
+def drawn_cameras(drawn: DrawnRecipe, trunks: Trunks | None = None) -> list[list[Camera]]:
+    """The cameras of each entry; walks go straight where no trunks are given.
+
+    Raises
+    ------
+    RecipeError, AssetError : bands that no file has, or a walk without a way, with its line.
+    """
+    bands = _bands(drawn)
+    cameras = []
+    for index, section in enumerate(drawn.recipe.cameras):
+        try:
+            cameras.append(expand(section, height_field(drawn), trunks, bands))
+        except RecipeError as cause:  # the scene knows keys only
+            keys = [int(key) if key.isdigit() else key for key in (cause.where or "").split(".")]
+            raise cause.at(drawn.where("cameras", index, *keys)) from cause
+    return cameras
+
+
+def _bands(drawn: DrawnRecipe) -> dict[SensorFile, tuple[Band, ...]]:
+    bands = {}
+    for index, section in enumerate(drawn.recipe.cameras):
+        if section.bands is not None:
+            name, text, where = section.bands.name, section.bands.text, drawn.where("cameras", index, "bands")
+            found = load_bands(name, folder=drawn.folder, where=where) if text is None else bands_of(text, name, where)
+            bands[section.bands] = found
+    return bands
+
+
+@dataclass(frozen=True)
+class Views:
+    """The cameras of a drawn recipe above its ground; walks go straight, for no trunks are known yet."""
+
+    drawn: DrawnRecipe
+    height: HeightField
+    cameras: list[list[Camera]]  # of each entry
+
+    @classmethod
+    def of(cls, drawn: DrawnRecipe) -> Views:
+        """Raises `RecipeError` or `AssetError` as `drawn_cameras` and `height_field` do."""
+        return cls(drawn, height_field(drawn), drawn_cameras(drawn))
+
+    @property
+    def all_cameras(self) -> list[Camera]:
+        return [camera for entry in self.cameras for camera in entry]
+
+    def ground_below(self, camera: Camera) -> float:
+        """Height of the ground below a camera, metres, world."""
+        x, y, _ = camera.position_m
+        return float(self.height(np.array([x]), np.array([y]))[0])
+
+    @property
+    def below_ground(self) -> list[str]:
+        """Names of the cameras, or frames of a path, that stand below the ground, of those that may."""
+        return [camera.name for _, camera, _ in self._below_ground()]
+
+    def _below_ground(self) -> list[tuple[int, Camera, float]]:
+        """Number of the entry, camera and height above the ground, metres, of cameras that are not above it."""
+        found = []
+        for index, cameras in enumerate(self.cameras):
+            x, y, z = np.array([camera.position_m for camera in cameras]).T
+            above = z - self.height(x, y)
+            found += [(index, cameras[k], float(above[k])) for k in np.flatnonzero(above < LEAST_ABOVE_GROUND_M)]
+        return found
+
+    def check_above_ground(self) -> None:
+        """Raise `RecipeError` for a camera below the ground, unless its entry's `obstructed` is a note."""
+        for index, camera, above_m in self._below_ground():
+            _note_or_error(
+                self.drawn,
+                index,
+                f"the camera {camera.name} stands below the ground",
+                expected=f"at least {LEAST_ABOVE_GROUND_M * 100:g} cm above the ground",
+                got=f"{above_m:.3g} m",
+                hint="raise it; or set obstructed: note, to look at it all the same",
+            )
+
+    def check_outside_of_buildings(self) -> list[str]:
+        """Notes on cameras inside of buildings, which see dark walls, of entries whose `obstructed` is a note.
+
+        Raises
+        ------
+        RecipeError : a camera of another entry, with its line.
+        """
+        buildings = self.drawn.recipe.site.buildings
+        if not buildings:
+            return []
+        feet = np.array([one.position_m for one in buildings])
+        ground_m, notes = self.height(feet[:, 0], feet[:, 1]), []
+        for index, cameras in enumerate(self.cameras):
+            at_m = np.array([camera.position_m for camera in cameras])
+            for number, building in enumerate(buildings):
+                inside = _is_within(building, at_m - [*building.position_m, float(ground_m[number])])
+                for camera in (cameras[k] for k in np.flatnonzero(inside)):
+                    place = f"site.buildings.{number}, at [{_numbers(building.position_m)}]"
+                    note = _note_or_error(
+                        self.drawn,
+                        index,
+                        f"the camera {camera.name} stands inside of a {building.kind}",
+                        expected=f"a place outside of {place}",
+                        got=f"[{_numbers(camera.position_m)}]",
+                        hint="move it; or set obstructed: note, to look at it all the same",
+                    )
+                    notes.append(note)
+        return notes
+
+
+def _is_within(building: Building, at_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """(N,) whether points lie inside, (N, 3) metres from the middle of the ground plan; walls, eaves left out.
+
+    That is what `scene.building.BuildingKind` says of walls and roofs.
+    """
+    cos, sin = math.cos(building.turn_rad), math.sin(building.turn_rad)
+    along, across = np.abs(at_m[:, 0] * cos + at_m[:, 1] * sin), np.abs(at_m[:, 1] * cos - at_m[:, 0] * sin)
+    width, depth, height = building.size_m
+    eaves = 0.1 * min(width, depth)
+    below_roof = at_m[:, 2] < height * (1.0 - across / depth) - _ROOF_M
+    return np.asarray((along < 0.5 * width - eaves) & (across < 0.5 * depth - eaves) & (at_m[:, 2] > 0) & below_roof)
+
+
+def check_trunks(drawn: DrawnRecipe, cameras: Sequence[Sequence[Camera]], trunks: Trunks) -> list[str]:
+    """Notes on cameras in trunks or right before them, of entries whose `obstructed` is a note.
+
+    Raises
+    ------
+    RecipeError : a camera of another entry, with its line.
+    """
+    notes = []
+    for index, entry in enumerate(cameras):
+        for camera in entry:
+            apart_m, plant = trunks.clearance_m(np.array(camera.position_m), LEAST_FROM_TRUNKS_M)
+            if plant:
+                stands = "in" if apart_m < 0 else f"{apart_m * 100:.2g} cm from"
+                note = _note_or_error(
+                    drawn,
+                    index,
+                    f"the camera {camera.name} stands {stands} the trunk of plant {plant}",
+                    expected=f"at least {LEAST_FROM_TRUNKS_M * 100:g} cm to any trunk",
+                    got=f"[{_numbers(camera.position_m)}]",
+                    hint="move it; rig: {kind: walk} goes around trunks; or set obstructed: note",
+                )
+                notes.append(note)
+    return notes
+
+
+def _note_or_error(drawn: DrawnRecipe, index: int, problem: str, *, expected: str, got: str, hint: str) -> str:
+    """The problem as a note, where the entry of cameras lets it be one; else a `RecipeError` at the camera's place."""
+    section = drawn.recipe.cameras[index]
+    if section.obstructed == "note":
+        return problem
+    where = drawn.where("cameras", index, *_place_key(section))
+    raise RecipeError(problem, where=where, expected=expected, got=got, hint=hint)
+
+
+def _numbers(values: Sequence[float]) -> str:
+    return ", ".join(f"{value:.2f}" for value in values)
+
+
+def _place_key(section: CameraSection) -> tuple[str, ...]:
+    """The key that says where a camera is."""
+    if section.position_m is None:
+        return ("rig",)
+    return ("path", "position_m") if section.path is not None and section.path.position_m else ("position_m",)
