@@ -194,10 +194,10 @@ def _too_near(spec: SceneSpec, tops: Sequence[tuple[str, float]], points_m: Sequ
         name, top_m = highest(spec, tops)
         gap_m, least_m = base_m - top_m, least_gap_m(spec)
         if gap_m < least_m:
-            said = f"{gap_m:.0f} m above it" if gap_m >= 0 else f"{-gap_m:.0f} m below it"
+            place = f"{gap_m:.0f} m above it" if gap_m >= 0 else f"{-gap_m:.0f} m below it"
             return (
                 f"clouds from {least_m:.0f} m above {name} on, which reaches up to {top_m:.1f} m",
-                f"{what} from {base_m:.0f} m on, {said}",
+                f"{what} from {base_m:.0f} m on, {place}",
             )
     return None
 

@@ -198,7 +198,7 @@ def _grid(lights: Sequence[Source]) -> Floats:
 
 
 def _between(factor: Floats, wavelength_nm: Floats) -> Floats:
-    """(K, W) straight lines between the nodes; those where the light in the open is dark tell nothing."""
+    """(K, W) straight lines between the nodes where the light in the open is not dark."""
     known = np.isfinite(factor).all(axis=0)
     if not known.any():
         return np.zeros((len(factor), len(wavelength_nm)))

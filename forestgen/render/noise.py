@@ -84,7 +84,7 @@ def slice_sizes(samples: int) -> list[int]:
 
 @dataclass(frozen=True)
 class Noise:
-    """Relative error of an image; NaN if a single slice tells nothing of it."""
+    """Relative error of an image; NaN for a single slice."""
 
     relative_error: float
     relative_error_p95: float
@@ -125,7 +125,7 @@ class Schedule:
         self.stopped_by = ""
 
     def next_size(self, total: SliceSum, noise: Noise, elapsed_s: float) -> int:
-        """Samples of the next slice in each pass, 0 when the image is done: `stopped_by` then tells the key why."""
+        """Samples of the next slice in each pass, 0 when the image is done, for the reason in `stopped_by`."""
         size = self._wanted(total, noise)
         budget_s = self._until.time_budget_s
         if size and budget_s is not None and total.slices >= min(2, len(self.first)):

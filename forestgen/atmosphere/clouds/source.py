@@ -1,7 +1,7 @@
 """What a cloud source is; how the air that a source has is put over the site; and the numbers that describe its clouds.
 
 A source is one object named in `forestgen.recipe.registries`. `grid` makes the clouds of an image; the other methods
-tell of them before anything is simulated.
+describe them before anything is simulated.
 
 In statistics a cell is cloudy where its droplets' mass ratio is at least `CLOUDY`. A column's base is the bottom of its
 lowest cloudy cell, its top the top of its highest.
