@@ -14,9 +14,8 @@ from forestgen.api.display import display_of
 from forestgen.core.arguments import path_of, paths_of
 from forestgen.core.progress import Progress
 from forestgen.dataset.file_set import FileSet, check_writable
-from forestgen.geometry.export import model_files
+from forestgen.geometry.export import model_files, png
 from forestgen.geometry.mesh import Mesh
-from forestgen.geometry.model import png
 from forestgen.plants.exemplar import Exemplar
 from forestgen.plants.plan import PlantPlan
 from forestgen.plants.sway import check_sways, sway

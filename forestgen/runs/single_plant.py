@@ -17,9 +17,8 @@ from forestgen.core.parts import Part
 from forestgen.core.progress import Progress
 from forestgen.dataset.file_set import FileSet, check_writable
 from forestgen.dataset.tonemap import tone_map
-from forestgen.geometry.export import exporter_of, mesh_suffixes, model_files
+from forestgen.geometry.export import Model, Piece, Surface, Value, exporter_of, mesh_suffixes, model_files, png
 from forestgen.geometry.mesh import surface_area_m2
-from forestgen.geometry.model import Model, Piece, Surface, Value, png
 from forestgen.plants.bark.texture import texture_images
 from forestgen.plants.build import size_m
 from forestgen.plants.exemplar import Exemplar, OrganMesh
