@@ -39,6 +39,7 @@ from forestgen.scene.build import BuiltScene, build_scene
 from forestgen.scene.plan import Plan, check_memory
 from forestgen.scene.planning import check_plan
 from forestgen.scene.plant_measures import PlantMeter
+from forestgen.scene.spec import Camera
 
 
 @dataclass(frozen=True)
@@ -101,96 +102,110 @@ def measure(
 
 def image_frames(scene: BuiltScene, progress: Progress, timings: Timings) -> Iterator[RenderedFrame]:
     """Render and label the frames of all cameras, one at a time in memory."""
-    for labelled in _views(scene, progress, timings):
-        name = frame_folder_name(scene.drawn.image_index, labelled.frame.camera.name)
-        notes = tuple(_frame_notes(scene, labelled, name))
-        ground_m = scene.plan.views.ground_below(labelled.frame.camera)
-        row = frame_row(name, labelled, scene.drawn, scene.spec.sky, ground_m, notes)
-        yield RenderedFrame(name, labelled, _header(scene, labelled.frame), row, notes)
-        del labelled  # before the next one is made
+    return _ImageRenderer(scene, progress, timings).frames()
 
 
 def write_image(
     scene: BuiltScene, settings: DatasetSettings, folder: Path, progress: Progress, timings: Timings
 ) -> WrittenImage:
     """Render an image and write its frames, each into a folder of its own, and ``maps/`` beside them."""
-    drawn = scene.drawn
-    stored = replace(drawn, data=write_maps(folder, drawn.data, drawn.folder))
-    yaml, folders, rows, notes = dump_yaml(stored), [], [], list(scene.notes)
-    seen: set[int] = set()  # plants in view of any camera
-    for frame in image_frames(scene, progress, timings):
-        folders.append(folder / frame.name)
-        with timings("write"):
-            write_frame(folders[-1], frame.labelled, yaml, frame.attributes, settings)
-        visible = frame.labelled.views.visible
-        seen.update(visible.plant_id[visible.has_box].tolist())
-        rows.append(dict(frame.row))
-        notes += frame.notes
-        del frame  # before the next one is made
-    return WrittenImage(tuple(folders), tuple(rows), tuple(notes), _image_report(scene, len(seen)))
+    return _ImageRenderer(scene, progress, timings).write(settings, folder)
 
 
-def _views(scene: BuiltScene, progress: Progress, timings: Timings) -> Iterator[LabelledFrame]:
-    """The labelled frames; what does not change between two cameras is set up once."""
-    drawn, recipe = scene.drawn, scene.drawn.recipe
-    classes, key = class_map(drawn), recipe_hash(drawn.data)
-    with timings("measures"):
-        meter = PlantMeter(scene.spec.exemplars)
-    tracer: SceneTracer | None = None
-    for camera in scene.spec.cameras:
-        spec = scene.at(camera.time_s)
-        if tracer is None or tracer.spec is not spec:
-            tracer = None  # one scene at a time in memory
-            tracer = SceneTracer(spec, timings)
-            with timings("measures"):
-                measures = meter.measure(spec.instances)
-        check = partial(check_ids, recipe.dataset.formats, camera.name)
-        frame = render_frame(tracer, camera, recipe, drawn.image_seed, progress, timings, check=check, key=key)
-        view = ChannelView(tracer, scene.next_view(camera), progress, timings)
-        frame = add_channels(frame, recipe.labels.channels, view)
-        with timings("labels"):
-            labelled = label_frame(frame, scene.population, classes, measures, recipe.labels.channels)
-        del frame
-        yield labelled
-        del labelled  # one frame at a time in memory
+@dataclass(frozen=True)
+class _ImageRenderer:
+    scene: BuiltScene
+    progress: Progress
+    timings: Timings
 
+    def write(self, settings: DatasetSettings, folder: Path) -> WrittenImage:
+        drawn = self.scene.drawn
+        yaml = dump_yaml(replace(drawn, data=write_maps(folder, drawn.data, drawn.folder)))
+        folders, rows, notes = [], [], list(self.scene.notes)
+        seen: set[int] = set()  # plants in view of any camera
+        for frame in self.frames():
+            folders.append(folder / frame.name)
+            with self.timings("write"):
+                write_frame(folders[-1], frame.labelled, yaml, frame.attributes, settings)
+            visible = frame.labelled.views.visible
+            seen.update(visible.plant_id[visible.has_box].tolist())
+            rows.append(dict(frame.row))
+            notes += frame.notes
+            del frame  # before the next one is made
+        return WrittenImage(tuple(folders), tuple(rows), tuple(notes), self._report(len(seen)))
 
-def _header(scene: BuiltScene, frame: Frame) -> dict[str, str]:
-    """Attributes of frame.exr. They belong to the drawn recipe, so that an image drawn alone has the same bytes."""
-    return {
-        "recipe_hash": recipe_hash(scene.drawn.data),
-        "seed": str(scene.drawn.recipe.seed),
-        "image_seed": str(scene.drawn.image_seed),
-        "samples": str(frame.radiance.samples),
-    }
+    def frames(self) -> Iterator[RenderedFrame]:
+        scene = self.scene
+        for labelled in self._labelled():
+            name = frame_folder_name(scene.drawn.image_index, labelled.frame.camera.name)
+            notes = tuple(self._notes(labelled, name))
+            ground_m = scene.plan.views.ground_below(labelled.frame.camera)
+            row = frame_row(name, labelled, scene.drawn, scene.spec.sky, ground_m, notes)
+            attributes = {  # of the drawn recipe, so that an image drawn alone has the same bytes
+                "recipe_hash": recipe_hash(scene.drawn.data),
+                "seed": str(scene.drawn.recipe.seed),
+                "image_seed": str(scene.drawn.image_seed),
+                "samples": str(labelled.frame.radiance.samples),
+            }
+            yield RenderedFrame(name, labelled, attributes, row, notes)
+            del labelled  # before the next one is made
 
+    def _labelled(self) -> Iterator[LabelledFrame]:
+        """What does not change between two cameras is set up once."""
+        scene, timings, channels = self.scene, self.timings, self.scene.drawn.recipe.labels.channels
+        classes = class_map(scene.drawn)
+        with timings("measures"):
+            meter = PlantMeter(scene.spec.exemplars)
+        tracer: SceneTracer | None = None
+        for camera in scene.spec.cameras:
+            spec = scene.at(camera.time_s)
+            if tracer is None or tracer.spec is not spec:
+                tracer = None  # one scene at a time in memory
+                tracer = SceneTracer(spec, timings)
+                with timings("measures"):
+                    measures = meter.measure(spec.instances)
+            frame = self._rendered(tracer, camera)
+            with timings("labels"):
+                labelled = label_frame(frame, scene.population, classes, measures, channels)
+            del frame
+            yield labelled
+            del labelled  # one frame at a time in memory
 
-def _image_report(scene: BuiltScene, visible_plants: int) -> dict[str, Any]:
-    """An image's row in the manifest; `visible_plants` are in view of any of its cameras."""
-    return {
-        "image": scene.drawn.image_index,
-        "seed": scene.drawn.image_seed,
-        "view": scene.drawn.recipe.dataset.view,  # of its previews
-        "counts": counts_of(scene.population),
-        "standing_dead": standing_dead(scene.population),
-        "visible_plants": visible_plants,
-        "triangles": sum(exemplar.triangles for exemplar in scene.spec.exemplars),
-        "size_errors": [asdict(error) for error in scene.size_errors],
-    }
+    def _rendered(self, tracer: SceneTracer, camera: Camera) -> Frame:
+        """With what its label channels need of the scene."""
+        drawn, progress, timings = self.scene.drawn, self.progress, self.timings
+        check = partial(check_ids, drawn.recipe.dataset.formats, camera.name)
+        key = recipe_hash(drawn.data)
+        frame = render_frame(tracer, camera, drawn.recipe, drawn.image_seed, progress, timings, check=check, key=key)
+        view = ChannelView(tracer, self.scene.next_view(camera), progress, timings)
+        return add_channels(frame, drawn.recipe.labels.channels, view)
 
+    def _report(self, visible_plants: int) -> dict[str, Any]:
+        """The image's row in the manifest; `visible_plants` are in view of any of its cameras."""
+        scene = self.scene
+        return {
+            "image": scene.drawn.image_index,
+            "seed": scene.drawn.image_seed,
+            "view": scene.drawn.recipe.dataset.view,  # of its previews
+            "counts": counts_of(scene.population),
+            "standing_dead": standing_dead(scene.population),
+            "visible_plants": visible_plants,
+            "triangles": sum(exemplar.triangles for exemplar in scene.spec.exemplars),
+            "size_errors": [asdict(error) for error in scene.size_errors],
+        }
 
-def _frame_notes(scene: BuiltScene, labelled: LabelledFrame, name: str) -> Iterator[str]:
-    """What is unusual about a frame: nothing in view, noise above what was asked for, thick haze."""
-    population = scene.population
-    if not len(population):
-        yield f"{name} shows bare ground: {lifeless_note(scene.plan.community, population)}"
-    elif standing_dead(population) == len(population):
-        yield f"{name} shows no living plant: all are standing dead trees"
-    if len(population) and not labelled.views.visible.has_box.any():
-        below = labelled.frame.camera.name in scene.plan.views.below_ground
-        yield f"{name}: the camera {'stands below the ground' if below else 'sees no plant'}"
-    yield from noise_notes(labelled.frame.radiance, name)
-    yield from haze_notes(scene.spec, labelled.frame.surface, name)
+    def _notes(self, labelled: LabelledFrame, name: str) -> Iterator[str]:
+        """What is unusual about a frame: nothing in view, noise above what was asked for, thick haze."""
+        scene, population = self.scene, self.scene.population
+        if not len(population):
+            yield f"{name} shows bare ground: {lifeless_note(scene.plan.community, population)}"
+        elif standing_dead(population) == len(population):
+            yield f"{name} shows no living plant: all are standing dead trees"
+        if len(population) and not labelled.views.visible.has_box.any():
+            below = labelled.frame.camera.name in scene.plan.views.below_ground
+            yield f"{name}: the camera {'stands below the ground' if below else 'sees no plant'}"
+        yield from noise_notes(labelled.frame.radiance, name)
+        yield from haze_notes(scene.spec, labelled.frame.surface, name)
 
 
 def simulate(

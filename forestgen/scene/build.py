@@ -68,83 +68,92 @@ class BuiltScene:
 
 
 def build_scene(plan: Plan, population: Population, progress: Progress, timer: Timer) -> BuiltScene:
-    """Grow the exemplars, shape the ground, hang the clouds, place plants and cameras."""
-    recipe, seed = plan.drawn.recipe, plan.drawn.image_seed
-    simulated = population  # in the community's own frame: heights above the ground
-    with timer("scene"):
-        height, cameras = plan.views.height, plan.views.all_cameras
-        population = stand_on(population, height)
-    with timer("plants"):
-        exemplar_plan = choose_exemplars(plan, population, cameras)
-        exemplars = grow_planned(plan, exemplar_plan, progress, population)
-    with timer("clouds"):
-        request = CloudRequest(plan.drawn, _lowest_m(plan, height), progress, plan.community, simulated)
-        clouds = cloud_source_of(plan.drawn).grid(request)
-    with timer("scene"):
-        wetness = wetness_of(plan.community, population)
-        terrain = build_terrain(height, child_rng(seed, "terrain", "colour"), recipe.site.ground, wetness)
-        albedo = float(np.mean(terrain.far_reflectance))  # of the region, which the sky and the clouds see
-        stands_for_m = np.full(len(exemplar_plan), np.nan)
-        unique = exemplar_plan.plant >= 0
-        stands_for_m[unique] = population.height_m[exemplar_plan.plant[unique]]
-        instances = place_instances(
-            plan.community.obstacles.turned(population),
-            exemplar_plan.exemplar_of_plant,
+    """Grow the exemplars, shape the ground, hang the clouds, place plants and cameras.
+
+    Parameters
+    ----------
+    population : as it was simulated, heights above the ground.
+    """
+    return _Assembly(plan, population, progress, timer).scene()
+
+
+@dataclass(frozen=True)
+class _Assembly:
+    plan: Plan
+    simulated: Population
+    progress: Progress
+    timer: Timer
+
+    def scene(self) -> BuiltScene:
+        plan, recipe, timer = self.plan, self.plan.drawn.recipe, self.timer
+        with timer("scene"):
+            population = stand_on(self.simulated, plan.views.height)
+        with timer("plants"):
+            chosen = choose_exemplars(plan, population, plan.views.all_cameras)
+            exemplars = grow_planned(plan, chosen, self.progress, population)
+        with timer("clouds"):
+            lowest_m = plan.views.lowest_m
+            request = CloudRequest(plan.drawn, lowest_m, self.progress, plan.community, self.simulated)
+            clouds = cloud_source_of(plan.drawn).grid(request)
+        with timer("scene"):
+            rng = child_rng(plan.drawn.image_seed, "terrain", "colour")
+            terrain = build_terrain(plan.views.height, rng, recipe.site.ground, wetness_of(plan.community, population))
+            instances = self._instances(population, chosen, exemplars)
+            trunks = Trunks(exemplars, instances)
+            views = drawn_cameras(plan.drawn, trunks)
+            materials = self._materials(population)
+            spec = SceneSpec(
+                exemplars=exemplars,
+                materials=materials,
+                instances=instances,
+                terrain=terrain,
+                sky=sky_of(recipe, float(np.mean(terrain.far_reflectance))),  # the region, which sky and clouds see
+                clouds=clouds,
+                cameras=tuple(camera for entry in views for camera in entry),
+            )
+            notes = [
+                *(f"image {plan.drawn.image_index}: {note}" for note in self.simulated.notes),
+                *check_trunks(plan.drawn, views, trunks),
+                *plan.views.check_outside_of_buildings(),
+                *infrared_notes(materials, plan.views.all_cameras),
+            ]
+            sway = self._sway(spec)
+        errors = errors_of_sizes(plan, population, chosen, exemplars)
+        return BuiltScene(plan, spec, population, errors, sway, tuple(dict.fromkeys(notes)))
+
+    def _instances(self, population: Population, chosen: ExemplarPlan, exemplars: Sequence[Exemplar]) -> Instances:
+        has_own_branches = chosen.plant >= 0
+        stands_for_m = np.full(len(chosen), np.nan)
+        stands_for_m[has_own_branches] = population.height_m[chosen.plant[has_own_branches]]
+        return place_instances(
+            self.plan.community.obstacles.turned(population),
+            chosen.exemplar_of_plant,
             exemplars,
-            seed,
+            self.plan.drawn.image_seed,
             stands_for_m=stands_for_m,
-            is_unique=exemplar_plan.is_unique,
+            is_unique=chosen.is_unique,
         )
-        trunks = Trunks(exemplars, instances)
-        views = drawn_cameras(plan.drawn, trunks)
-        materials = _materials(plan, population)
-        notes = [
-            *(f"image {plan.drawn.image_index}: {note}" for note in simulated.notes),
-            *check_trunks(plan.drawn, views, trunks),
-            *plan.views.check_outside_of_buildings(),
-            *infrared_notes(materials, cameras),
-        ]
-        spec = SceneSpec(
-            exemplars=exemplars,
-            materials=materials,
-            instances=instances,
-            terrain=terrain,
-            sky=sky_of(recipe, albedo),
-            clouds=clouds,
-            cameras=tuple(camera for entry in views for camera in entry),
+
+    def _materials(self, population: Population) -> dict[tuple[str, str], Material]:
+        """Of the species and the buildings."""
+        season = self.plan.drawn.recipe.plants.season
+        materials = materials_of(species_seen(self.plan.drawn.species, population), season)
+        for (kind, key), one in building_materials(self.plan.community.obstacles.entries).items():
+            materials[kind, key] = surface_of(one, season, f"{kind}/{key}")
+        return materials
+
+    def _sway(self, spec: SceneSpec) -> Sway | None:
+        recipe = self.plan.drawn.recipe
+        if recipe.wind.speed_m_per_s == 0:
+            return None
+        return sway_in(
+            spec.instances,
+            spec.exemplars,
+            speed_m_per_s=recipe.wind.speed_m_per_s,
+            gustiness=recipe.wind.gustiness,
+            from_deg=recipe.site.wind_from_deg,
+            seed=self.plan.drawn.image_seed,
         )
-        sway = _sway(plan, spec)
-    errors = errors_of_sizes(plan, population, exemplar_plan, exemplars)
-    return BuiltScene(plan, spec, population, errors, sway, tuple(dict.fromkeys(notes)))
-
-
-def _sway(plan: Plan, spec: SceneSpec) -> Sway | None:
-    recipe = plan.drawn.recipe
-    if recipe.wind.speed_m_per_s == 0:
-        return None
-    return sway_in(
-        spec.instances,
-        spec.exemplars,
-        speed_m_per_s=recipe.wind.speed_m_per_s,
-        gustiness=recipe.wind.gustiness,
-        from_deg=recipe.site.wind_from_deg,
-        seed=plan.drawn.image_seed,
-    )
-
-
-def _lowest_m(plan: Plan, height: HeightField) -> float:
-    """Height of the site's lowest ground, where weather begins."""
-    x, y = np.meshgrid(*(np.linspace(0.0, side, 65) for side in plan.drawn.recipe.site.size_m))
-    return float(np.min(height(x, y)))
-
-
-def _materials(plan: Plan, population: Population) -> dict[tuple[str, str], Material]:
-    """Of the species and the buildings."""
-    season = plan.drawn.recipe.plants.season
-    materials = materials_of(species_seen(plan.drawn.species, population), season)
-    for (kind, key), one in building_materials(plan.community.obstacles.entries).items():
-        materials[kind, key] = surface_of(one, season, f"{kind}/{key}")
-    return materials
 
 
 def stand_on(population: Population, height: HeightField) -> Population:

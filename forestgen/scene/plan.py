@@ -68,8 +68,9 @@ def estimate_bytes(plan: Plan, *, simulate_only: bool = False, plants: int = 0) 
         raise _located(cause, plan.drawn) from cause
     if simulate_only:
         return {"community": community + _FILM_BYTES, "libraries": _LOADED_SIMULATOR_BYTES}
+    source = cloud_source_of(plan.drawn)
     pixels = max(camera.size_px[0] * camera.size_px[1] for camera in recipe.cameras)
-    exact = recipe.sky.clouds.has_clouds and _may_be_exact(plan.views)
+    exact = recipe.sky.clouds.has_clouds and _may_be_exact(plan.views, source.known_base_m(plan.drawn))
     per_plant = _BYTES_PER_PLANT + exact * _BYTES_PER_PLANT_UNDER_CLOUDS
     clouds_per_triangle = exact * _BYTES_PER_TRIANGLE_UNDER_CLOUDS
     per_triangle = _BYTES_PER_TRIANGLE + clouds_per_triangle
@@ -84,7 +85,7 @@ def estimate_bytes(plan: Plan, *, simulate_only: bool = False, plants: int = 0) 
         "images": pixels * (_BYTES_PER_PIXEL + recipe.labels.samples * _BYTES_PER_SAMPLE),
         "exemplars": _exemplar_triangles(plan) * per_triangle + own * (_BYTES_PER_OWN_TRIANGLE + clouds_per_triangle),
         "plants": plants * per_plant,
-        "clouds": cloud_source_of(plan.drawn).estimate_bytes(plan.drawn, stand.model, stand.parameters),
+        "clouds": source.estimate_bytes(plan.drawn, stand.model, stand.parameters),
     }
 
 
@@ -110,10 +111,9 @@ def _located(cause: RecipeError | ResourceError, drawn: DrawnRecipe) -> RecipeEr
     return cause.at(drawn.where(*keys)) if keys[0] == "community" else cause
 
 
-def _may_be_exact(views: Views) -> bool:
+def _may_be_exact(views: Views, base_m: float | None) -> bool:
     """Whether the light of a recipe with clouds may be traced through them; see `render.transport`."""
     drawn, recipe = views.drawn, views.drawn.recipe
-    base_m = cloud_source_of(drawn).known_base_m(drawn)
     if recipe.render.clouds != "auto" or base_m is None:
         return recipe.render.clouds != "farfield"
     x_m, y_m = np.meshgrid(*(np.linspace(0.0, side_m, _GROUND_POINTS) for side_m in recipe.site.size_m))

@@ -72,6 +72,12 @@ class Views:
     def all_cameras(self) -> list[Camera]:
         return [camera for entry in self.cameras for camera in entry]
 
+    @property
+    def lowest_m(self) -> float:
+        """Height of the site's lowest ground, where weather begins."""
+        x, y = np.meshgrid(*(np.linspace(0.0, side, 65) for side in self.drawn.recipe.site.size_m))
+        return float(np.min(self.height(x, y)))
+
     def ground_below(self, camera: Camera) -> float:
         """Height of the ground below a camera, metres, world."""
         x, y, _ = camera.position_m

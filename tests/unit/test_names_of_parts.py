@@ -12,7 +12,9 @@ from forestgen.community.registry import COMMUNITY_MODELS, COMPETITION_MODELS
 from forestgen.core.code_hash import PACKAGE
 from forestgen.core.registry import Registry
 from forestgen.geometry.export import MESH_EXPORTERS
+from forestgen.plants.registry import GENERATORS
 from forestgen.recipe.registries import (
+    BUILDINGS,
     CLOUD_SOURCES,
     DATASET_FORMATS,
     GROUND_COVERS,
@@ -37,10 +39,12 @@ REGISTRIES = (
     PROJECTIONS,
     RIGS,
     INSTRUMENTS,
+    GENERATORS,
+    BUILDINGS,
 )
 # Where names of a kind are looked for, if they are common words.
 FOLDERS = {"label channel": ("labels/", "dataset/", "instruments/", "pipeline.py")}
-REGISTRY_FILES = {"recipe/registries.py", "community/registry.py"}
+REGISTRY_FILES = {"recipe/registries.py", "community/registry.py", "plants/registry.py"}
 OTHER_MEANINGS = {  # file -> names that are no part's in it, or a default
     "instruments/instrument.py": {"points"},  # what a list holds, for its error
     "api/points.py": {"points"},  # a parameter
@@ -187,3 +191,11 @@ def test_only_a_mesh_exporters_own_module_names_it(name: str) -> None:
     found = {file for file, literals in texts().items() if name in literals}
     own = {"geometry/export.py", own_module(MESH_EXPORTERS, name)}
     assert found - own == clouds, "ask forestgen.geometry.export for the exporter"
+
+
+@pytest.mark.parametrize(("registry", "folder"), [(GENERATORS, "plants/generators/"), (BUILDINGS, "scene/buildings/")])
+def test_only_its_own_module_knows_the_class_of_a_plant_or_building(registry: Registry, folder: str) -> None:
+    classes = {type(registry.load(name)).__name__ for name in registry}
+    for file in trees().keys() - {own_module(registry, name) for name in registry}:
+        words = set(re.findall(r"\w+", (PACKAGE / file).read_text(encoding="utf-8")))
+        assert words.isdisjoint(classes), f"{file} knows a part in {folder} by its class"

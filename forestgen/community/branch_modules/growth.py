@@ -139,7 +139,7 @@ def rows_after(
     out: Any = (first, *(np.empty(n, kind) for kind in (np.int64, np.bool_, np.int32, np.int16, np.uint32)))
     columns = modules.first, modules.parent, modules.node, modules.number
     over_plants(modules, lambda start, end: _fill(start, end, columns, keep, sprouts, following, MOST_NODES, out))
-    return NextRows(*out, next_number=following)
+    return NextRows(*(*out, following))
 
 
 @compiled

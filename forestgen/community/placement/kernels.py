@@ -167,7 +167,7 @@ _matrix: TypeAdapter[dict[str, Any]] = TypeAdapter(dict[Name, Annotated[Any, Bef
 
 
 def _read(value: Any, _: Any) -> Any:
-    """One kernel, a target, or a kernel matrix: its keys say which, so that errors are about the form that was meant."""
+    """One kernel, a target, or a kernel matrix: its keys say which, so that errors are about the form meant."""
     if isinstance(value, KernelSection | HopkinsTarget):
         return value
     if isinstance(value, Mapping) and "hopkins" in value:
