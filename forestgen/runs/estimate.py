@@ -16,7 +16,7 @@ from statistics import fmean, stdev
 from forestgen.core.errors import OutputError, ResourceError
 from forestgen.core.figures import count as counted
 from forestgen.core.figures import show_bytes, three_digits
-from forestgen.core.memory import free_bytes
+from forestgen.core.processes import free_bytes
 from forestgen.core.progress import Progress
 from forestgen.core.threads import cores
 from forestgen.dataset.settings import DatasetSettings

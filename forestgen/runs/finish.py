@@ -22,15 +22,14 @@ from forestgen.dataset.files import disk_errors
 from forestgen.dataset.foreign import tool_of
 from forestgen.dataset.formats.format import known_formats, load_formats
 from forestgen.dataset.index import INDEX_NAME, DrawTypes, write_index
-from forestgen.dataset.maps import write_map
 from forestgen.dataset.safe_path import SafePath, is_frame
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.dataset.thumbnails import FOLDER_NAME as THUMBNAILS
-from forestgen.recipe.hashing import recipe_hash
-from forestgen.recipe.load import LoadedRecipe, yaml_text
-from forestgen.recipe.map_files import is_map_file
-from forestgen.recipe.paths import MAPS
-from forestgen.recipe.sources import dotted
+from forestgen.dataset.writer import write_map
+from forestgen.recipe.assets import MAPS
+from forestgen.recipe.load import LoadedRecipe
+from forestgen.recipe.map_files import is_map_file, recipe_hash
+from forestgen.recipe.sources import dotted, yaml_text
 from forestgen.runs.contract import Job, JobRecord, StorageBackend
 from forestgen.runs.description import (
     DATASET_NAME,

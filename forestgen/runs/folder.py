@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from forestgen.core.errors import DatasetError, OutputError
 from forestgen.dataset.safe_path import SafePath, is_frame, is_inside, is_split, load_json
 from forestgen.dataset.thumbnails import FOLDER_NAME as THUMBNAILS
-from forestgen.recipe.hashing import recipe_hash
+from forestgen.recipe.assets import MAPS
 from forestgen.recipe.load import LoadedRecipe
-from forestgen.recipe.paths import MAPS
+from forestgen.recipe.map_files import recipe_hash
 from forestgen.runs.contract import HIDDEN, RUN, JobRecord, StorageBackend
 from forestgen.runs.records import JOBS, read_record, record_path, records_of
 from forestgen.runs.storage import STAGING, LocalStorage

@@ -28,7 +28,7 @@ from forestgen.dataset.files import output_error
 from forestgen.dataset.foreign import tool_of
 from forestgen.dataset.safe_path import SafePath, is_frame
 from forestgen.dataset.thumbnails import FOLDER_NAME as THUMBNAILS
-from forestgen.recipe.paths import MAPS
+from forestgen.recipe.assets import MAPS
 from forestgen.runs.contract import HIDDEN, RUN, StorageBackend
 from forestgen.runs.folder import BEGUN, MOVING, PREVIOUS, splits_before, written_paths
 from forestgen.runs.record_index import RecordIndex

@@ -9,10 +9,9 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 
 from forestgen.core.errors import DatasetError, ForestgenError, OutputError, RecipeError
-from forestgen.dataset.data_set import check_one_data_set, check_splits, check_stands, data_set_of
-from forestgen.dataset.settings import DatasetSettings
+from forestgen.dataset.settings import DatasetSettings, check_one_data_set, check_splits, check_stands, data_set_of
+from forestgen.recipe.dataset import split_of, used_splits
 from forestgen.recipe.load import LoadedRecipe
-from forestgen.recipe.splits import split_of, used_splits
 from forestgen.runs.contract import (
     TRANSIENT,
     Done,

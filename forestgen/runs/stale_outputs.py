@@ -28,8 +28,8 @@ from forestgen.dataset.checksums import file_sum
 from forestgen.dataset.safe_path import RefusedFileError, SafePath
 from forestgen.dataset.thumbnails import FOLDER_NAME as THUMBNAILS
 from forestgen.dataset.thumbnails import write_thumbnail
+from forestgen.recipe.assets import MAPS
 from forestgen.recipe.load import LoadedRecipe
-from forestgen.recipe.paths import MAPS
 from forestgen.runs.contract import JobRecord, StorageBackend
 from forestgen.runs.finish import recipe_part
 from forestgen.runs.folder import images_in_frames, is_made_from

@@ -19,9 +19,9 @@ from forestgen.dataset.manifest import MANIFEST_NAME
 from forestgen.dataset.safe_path import SafePath, is_frame
 from forestgen.dataset.settings import DRAW
 from forestgen.dataset.thumbnails import thumbnail_name
-from forestgen.recipe.hashing import recipe_hash
+from forestgen.recipe.dataset import split_of
 from forestgen.recipe.load import load_recipe
-from forestgen.recipe.splits import split_of
+from forestgen.recipe.map_files import recipe_hash
 from forestgen.runs.contract import JobRecord
 from forestgen.runs.description import DATASET_NAME, file_groups
 from forestgen.runs.record_index import RecordIndex

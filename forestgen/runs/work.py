@@ -20,19 +20,18 @@ from forestgen.core.errors import (
     RenderError,
     ResourceError,
 )
-from forestgen.core.memory import whole_bytes
-from forestgen.core.progress import Progress, Silent
+from forestgen.core.processes import whole_bytes
+from forestgen.core.progress import Progress, Silent, Timings
 from forestgen.core.threads import cores, limit_cores
-from forestgen.core.timing import Timings
 from forestgen.dataset.checksums import file_sum
-from forestgen.dataset.data_set import check_one_data_set
 from forestgen.dataset.files import STORAGE_ERRNOS, output_error
 from forestgen.dataset.manifest import peak_memory_bytes
+from forestgen.dataset.settings import check_one_data_set
 from forestgen.dataset.thumbnails import thumbnail_name, write_thumbnail
 from forestgen.pipeline import assemble_image, write_image
-from forestgen.recipe.hashing import recipe_hash
+from forestgen.recipe.assets import MAPS
 from forestgen.recipe.load import DrawnRecipe
-from forestgen.recipe.paths import MAPS
+from forestgen.recipe.map_files import recipe_hash
 from forestgen.render.variant import mitsuba
 from forestgen.runs.contract import Done, Failed, FailureKind, Job, JobRecord, JobRun, Outcome, StorageBackend, Work
 from forestgen.runs.keys import job_key

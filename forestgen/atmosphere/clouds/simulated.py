@@ -55,8 +55,8 @@ from forestgen.atmosphere.simulate import Chapter, Scenario, simulate
 from forestgen.atmosphere.sounding import Sounding, first_fault
 from forestgen.atmosphere.weather import Weather
 from forestgen.core.errors import AssetError, RecipeError
-from forestgen.core.grey_picture import read_grey
 from forestgen.core.progress import Progress
+from forestgen.core.raster import read_raster
 from forestgen.recipe.fields import NonNegative, Whole, mistake
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.map_files import known_file
@@ -275,7 +275,7 @@ def _emission(drawn: DrawnRecipe, own: Any, section: EmissionSection, where: _Ke
     if section.map is None:
         return made
     place = drawn.where(*where, "emission", "map")
-    picture = read_grey(known_file(drawn.folder, section.map.file, section.map.sha256, place))
+    picture = read_raster(known_file(drawn.folder, section.map.file, section.map.sha256, place))
     values = np.asarray(picture.values, dtype=np.float32)[::-1] / np.float32(picture.white)  # row 0 in the south
     if not (np.isfinite(values).all() and values.min() >= 0 and values.mean() > 0):
         expected = "numbers of 0 and more, not all 0"

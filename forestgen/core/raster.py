@@ -26,14 +26,25 @@ from forestgen.core.spectrum import LUMINANCE
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-MOST_SIDE_PX = 16_384
-MOST_PIXELS = 100_000_000
-KNOWN = "a PNG, TIFF, OpenEXR or .npy file"
+_MOST_SIDE_PX, _MOST_PIXELS = 16_384, 100_000_000
+_MOST = f"at most {_MOST_SIDE_PX:,} pixels a side and {_MOST_PIXELS // 10**6} million in all"
+_KNOWN = "a PNG, TIFF, OpenEXR or .npy file"
 _ROWS_AT_ONCE = 256
 _TIFF_SAMPLE_FORMAT, _TIFF_BITS, _TIFF_PHOTOMETRIC = 339, 258, 262
 _SHARE_OF_MEMORY = 0.8
-_BROKEN: tuple[type[Exception], ...] = (OSError, ValueError, SyntaxError, TypeError, KeyError, IndexError, EOFError)
-_BROKEN += (OverflowError, RuntimeError, struct.error, zlib.error, tokenize.TokenError, MemoryError)  # TokenError: .npy
+_BROKEN: tuple[type[Exception], ...] = (
+    OSError, ValueError, SyntaxError, TypeError, KeyError, IndexError, EOFError, OverflowError, RuntimeError,
+    MemoryError, struct.error, zlib.error, tokenize.TokenError,  # TokenError: of an .npy file's header
+)  # fmt: skip
+_KINDS = {
+    b"\x89PNG\r\n\x1a\n": "png",
+    b"II*\0": "tif",
+    b"MM\0*": "tif",
+    b"II+\0": "tif",
+    b"MM\0+": "tif",
+    b"\x76\x2f\x31\x01": "exr",
+    b"\x93NUMPY": "npy",
+}
 _OTHERS = {
     b"\xff\xd8\xff": "a JPEG picture",
     b"GIF8": "a GIF picture",
@@ -46,14 +57,14 @@ _OTHERS = {
 
 
 @dataclass(frozen=True, eq=False)
-class GreyPicture:
+class SingleChannelRaster:
     """A picture's values as they are stored."""
 
     values: NDArray[Any]  # (rows, cols) real, row 0 at the top; read-only
     white: float  # what a stored value is divided by: an integer picture's largest possible, else 1
 
     def __eq__(self, other: object) -> bool:
-        if not isinstance(other, GreyPicture):
+        if not isinstance(other, SingleChannelRaster):
             return NotImplemented
         return self is other or (self.white == other.white and np.array_equal(self.values, other.values))
 
@@ -71,41 +82,22 @@ class GreyPicture:
 
 
 def kind_of(path: Path) -> str:
-    """The format by the file's first bytes: "png", "tif", "exr" or "npy".
-
-    Raises
-    ------
-    AssetError : it is none of these, or cannot be read.
-    """
+    """The format by the file's first bytes: "png", "tif", "exr" or "npy"; any other one raises `AssetError`."""
     try:
         with path.open("rb") as stream:
             head = stream.read(16)
     except OSError as cause:
-        raise AssetError("the file cannot be read", expected=KNOWN, got=cause.strerror) from cause
+        raise AssetError("the file cannot be read", expected=_KNOWN, got=cause.strerror) from cause
     for magic, kind in _KINDS.items():
         if head.startswith(magic):
             return kind
     got = next((name for magic, name in _OTHERS.items() if head.startswith(magic)), "a file of another kind")
-    raise AssetError(
-        "this is no picture that can be read",
-        expected=KNOWN,
-        got=got if head else "an empty file",
-        hint="save it as PNG, which changes no value" if "picture" in got else None,
-    )
+    hint = "save it as PNG, which changes no value" if "picture" in got else None
+    got = got if head else "an empty file"
+    raise AssetError("this is no picture that can be read", expected=_KNOWN, got=got, hint=hint)
 
 
-_KINDS = {
-    b"\x89PNG\r\n\x1a\n": "png",
-    b"II*\0": "tif",
-    b"MM\0*": "tif",
-    b"II+\0": "tif",
-    b"MM\0+": "tif",
-    b"\x76\x2f\x31\x01": "exr",
-    b"\x93NUMPY": "npy",
-}
-
-
-def read_grey(path: Path) -> GreyPicture:
+def read_raster(path: Path) -> SingleChannelRaster:
     """One number a pixel.
 
     Grey is read as it is, at its full depth; colour as the luminance of the stored values, without any gamma. What is
@@ -115,7 +107,7 @@ def read_grey(path: Path) -> GreyPicture:
     Raises
     ------
     AssetError : no such picture; several pages or frames; broken; too large.
-    ResourceError : the memory that is free does not hold it.
+    ResourceError : the free memory does not hold it.
     """
     kind = kind_of(path)
     try:
@@ -134,15 +126,11 @@ def read_grey(path: Path) -> GreyPicture:
 
 
 def _check_size(width: int, height: int, bytes_per_pixel: int) -> None:
-    if max(width, height) > MOST_SIDE_PX or width * height > MOST_PIXELS:
-        raise AssetError(
-            "the picture is too large",
-            expected=f"at most {MOST_SIDE_PX:,} pixels a side and {MOST_PIXELS // 10**6} million in all",
-            got=f"{width:,} x {height:,} pixels",
-        )
+    if max(width, height) > _MOST_SIDE_PX or width * height > _MOST_PIXELS:
+        raise AssetError("the picture is too large", expected=_MOST, got=f"{width:,} x {height:,} pixels")
     if min(width, height) < 1:
         raise AssetError("the picture has no pixels", expected="one at least", got=f"{width} x {height} pixels")
-    from forestgen.core.memory import free_bytes
+    from forestgen.core.processes import free_bytes
 
     need, free = width * height * bytes_per_pixel, int(free_bytes() * _SHARE_OF_MEMORY)
     if need > free:
@@ -154,14 +142,16 @@ def _check_size(width: int, height: int, bytes_per_pixel: int) -> None:
         )
 
 
-def _read_raster(path: Path) -> GreyPicture:
+def _read_picture(path: Path) -> SingleChannelRaster:
     """A PNG or TIFF."""
     from PIL import Image
 
     try:
         image = Image.open(path, formats=("PNG", "TIFF"))
     except Image.DecompressionBombError as cause:
-        raise _too_large_for_pillow(cause) from cause
+        count = re.search(r"\d+", str(cause))
+        got = f"{int(count[0]):,} pixels" if count else str(cause)
+        raise AssetError("the picture is too large", expected=_MOST, got=got) from cause
     with image:
         _check_size(*image.size, 12)
         try:
@@ -174,35 +164,31 @@ def _read_raster(path: Path) -> GreyPicture:
         return _grey(image)
 
 
-def _too_large_for_pillow(cause: Exception) -> AssetError:
-    return AssetError(
-        "the picture is too large",
-        expected=f"at most {MOST_SIDE_PX:,} pixels a side and {MOST_PIXELS // 10**6} million in all",
-        got=f"{int(count[0]):,} pixels" if (count := re.findall(r"\d+", str(cause))) else str(cause),
-    )
-
-
-def _grey(image: Image) -> GreyPicture:
+def _grey(image: Image) -> SingleChannelRaster:
     mode, clear = image.mode, image.info.get("transparency")
-    if mode == "1" or (mode == "L" and clear is None and not _is_signed(image)):
-        return GreyPicture(np.array(image.convert("L")), 255.0)
+    is_signed = _tag(image, _TIFF_SAMPLE_FORMAT, 1) == 2
+    if mode == "1" or (mode == "L" and clear is None and not is_signed):
+        return SingleChannelRaster(np.array(image.convert("L")), 255.0)
     if mode == "L" and clear is None:
-        return GreyPicture(np.array(image).view(np.int8), 127.0)
+        return SingleChannelRaster(np.array(image).view(np.int8), 127.0)
     if mode.startswith("I;16"):
         values = np.array(image).astype(np.uint16)
         if _tag(image, _TIFF_PHOTOMETRIC, 1) == 0:
             values = 65535 - values  # white is 0 in such a TIFF; what has 8 bits arrives turned round
         if isinstance(clear, int):
             values[values == clear] = 0
-        return GreyPicture(values, 65535.0)
-    if mode == "I":
-        return _integers(image)
+        return SingleChannelRaster(values, 65535.0)
+    if mode == "I":  # 32-bit numbers, which Pillow takes for signed ones; and 16-bit ones that it widens
+        values, bits = np.array(image).astype(np.int32), _tag(image, _TIFF_BITS, 16)
+        if is_signed:
+            return SingleChannelRaster(values, float(2 ** (bits - 1) - 1))
+        return SingleChannelRaster(values.view(np.uint32), float(2**bits - 1))
     if mode == "F":
-        return GreyPicture(np.array(image), 1.0)
+        return SingleChannelRaster(np.array(image), 1.0)
     if mode in ("L", "LA"):
-        return GreyPicture(_mixed(np.asarray(image.convert("LA")), (1.0,)), 1.0)
+        return SingleChannelRaster(_mixed(np.asarray(image.convert("LA")), (1.0,)), 1.0)
     if mode in ("P", "PA", "RGB", "RGBA", "RGBX"):
-        return GreyPicture(_mixed(np.asarray(image.convert("RGBA")), LUMINANCE), 1.0)
+        return SingleChannelRaster(_mixed(np.asarray(image.convert("RGBA")), LUMINANCE), 1.0)
     raise AssetError(
         "pictures of this colour space have no density",
         expected="grey values, a palette, or red, green and blue",
@@ -217,19 +203,6 @@ def _tag(image: Image, number: int, default: int) -> int:
     return int(value[0] if isinstance(value, tuple) else value)
 
 
-def _is_signed(image: Image) -> bool:
-    return _tag(image, _TIFF_SAMPLE_FORMAT, 1) == 2
-
-
-def _integers(image: Image) -> GreyPicture:
-    """32-bit numbers, which Pillow takes for signed ones; and 16-bit ones that it widens."""
-    values = np.array(image).astype(np.int32)
-    bits = _tag(image, _TIFF_BITS, 16)
-    if _is_signed(image):
-        return GreyPicture(values, float(2 ** (bits - 1) - 1))
-    return GreyPicture(values.view(np.uint32), float(2**bits - 1))
-
-
 def _mixed(channels: NDArray[np.uint8], weights: tuple[float, ...]) -> NDArray[np.float32]:
     """(rows, cols) in 0..1: the weighted channels, times the last one, opacity."""
     mixed = np.empty(channels.shape[:2], dtype=np.float32)
@@ -240,7 +213,7 @@ def _mixed(channels: NDArray[np.uint8], weights: tuple[float, ...]) -> NDArray[n
     return np.minimum(mixed, np.float32(1.0))
 
 
-def _read_npy(path: Path) -> GreyPicture:
+def _read_npy(path: Path) -> SingleChannelRaster:
     """Real numbers in two dimensions; whatever their type they are kept, as those of rows in a recipe are."""
     with path.open("rb") as stream:
         version = np.lib.format.read_magic(stream)
@@ -255,13 +228,13 @@ def _read_npy(path: Path) -> GreyPicture:
         )
     _check_size(shape[1], shape[0], 2 * dtype.itemsize)
     if path.stat().st_size < begin + shape[0] * shape[1] * dtype.itemsize:
-        raise ValueError("fewer values than its header tells")
+        raise ValueError("fewer values than its header says")
     values = np.load(path, allow_pickle=False)
     values = values.astype(np.uint8) if dtype.kind == "b" else values.astype(dtype.newbyteorder("="))
-    return GreyPicture(values, 1.0)
+    return SingleChannelRaster(values, 1.0)
 
 
-def _read_exr(path: Path) -> GreyPicture:
+def _read_exr(path: Path) -> SingleChannelRaster:
     """The only channel, or Y, or the luminance of R, G, B; light that a pixel does not cover is black there already."""
     import OpenEXR
 
@@ -278,7 +251,7 @@ def _read_exr(path: Path) -> GreyPicture:
     # Its File would print what is wrong with pixels and go on; InputFile raises, and reads the wanted channels only.
     stream = OpenEXR.InputFile(str(path))
     try:
-        return GreyPicture(_channels(stream, (height, width)), 1.0)
+        return SingleChannelRaster(_channels(stream, (height, width)), 1.0)
     finally:
         stream.close()
 
@@ -286,10 +259,10 @@ def _read_exr(path: Path) -> GreyPicture:
 def _channels(stream: Any, shape: tuple[int, int]) -> NDArray[Any]:
     channels = stream.header()["channels"]
     names = list(channels)
-    if len(names) > 1 and "Y" not in names and not {"R", "G", "B"} <= set(names):
+    wanted = names if len(names) == 1 else ["Y"] if "Y" in names else ["R", "G", "B"]
+    if not set(wanted) <= set(names):
         expected = "a single channel, or Y, or R, G and B"
         raise AssetError("which channel is the map?", expected=expected, got=", ".join(names)[:80])
-    wanted = names if len(names) == 1 else ["Y"] if "Y" in names else ["R", "G", "B"]
     found = []
     for name in wanted:
         one = channels[name]
@@ -307,9 +280,9 @@ def _channels(stream: Any, shape: tuple[int, int]) -> NDArray[Any]:
 
 _EXR_TYPES = {"HALF": np.float16, "FLOAT": np.float32}
 _NAMES = {"png": "PNG", "tif": "TIFF", "exr": "OpenEXR", "npy": ".npy"}
-_READERS: dict[str, Callable[[Path], GreyPicture]] = {
-    "png": _read_raster,
-    "tif": _read_raster,
+_READERS: dict[str, Callable[[Path], SingleChannelRaster]] = {
+    "png": _read_picture,
+    "tif": _read_picture,
     "exr": _read_exr,
     "npy": _read_npy,
 }

@@ -10,9 +10,9 @@ import OpenEXR
 import pytest
 from PIL import Image
 
-from forestgen.core.bounded_cache import BoundedCache
+from forestgen.core.cache import BoundedCache
 from forestgen.core.errors import AssetError, ResourceError
-from forestgen.core.grey_picture import kind_of, read_grey
+from forestgen.core.raster import kind_of, read_raster
 from forestgen.core.spectrum import LUMINANCE
 
 RNG = np.random.default_rng(5)
@@ -25,7 +25,7 @@ MIXED = RGB.astype(np.float64) @ LUMINANCE / 255
 
 
 def plain(path):
-    picture = read_grey(path)
+    picture = read_raster(path)
     assert not picture.values.flags.writeable
     return picture.values.astype(np.float64) / picture.white
 
@@ -43,8 +43,8 @@ def test_grey_keeps_its_full_depth(tmp_path, name, stored, white):
     path = tmp_path / name
     Image.fromarray(stored).save(path, format="TIFF" if name == "a.tif" else "PNG")  # no matter how it is named
     assert kind_of(path) == ("tif" if name == "a.tif" else "png")
-    assert np.array_equal(read_grey(path).values, stored)
-    assert read_grey(path).white == white
+    assert np.array_equal(read_raster(path).values, stored)
+    assert read_raster(path).white == white
 
 
 @pytest.mark.parametrize("compression", [None, "tiff_lzw", "tiff_adobe_deflate"])
@@ -55,8 +55,8 @@ def test_grey_keeps_its_full_depth(tmp_path, name, stored, white):
 def test_wide_tiffs(tmp_path, stored, white, compression):
     path = tmp_path / "a.tif"
     Image.fromarray(stored).save(path, compression=compression)
-    assert np.array_equal(read_grey(path).values, stored)
-    assert read_grey(path).white == white
+    assert np.array_equal(read_raster(path).values, stored)
+    assert read_raster(path).white == white
 
 
 def tiff(path, stored, sample_format, photometric=1):
@@ -82,7 +82,7 @@ def tiff(path, stored, sample_format, photometric=1):
     (np.array([[0, 0.25, 1e3]], np.float32), 3, 1),
 ])  # fmt: skip
 def test_signed_and_unsigned_tiffs(tmp_path, stored, sample_format, white):
-    picture = read_grey(tiff(tmp_path / "a.tif", stored, sample_format))
+    picture = read_raster(tiff(tmp_path / "a.tif", stored, sample_format))
     assert np.array_equal(picture.values.astype(np.float64), stored.astype(np.float64))
     assert picture.white == white
 
@@ -169,7 +169,7 @@ def png_header(width, height):
 def test_a_picture_is_refused_by_its_size_before_its_pixels_are_read(tmp_path, width, height, told):
     (tmp_path / "a.png").write_bytes(png_header(width, height))
     with pytest.raises(AssetError, match="too large") as caught:
-        read_grey(tmp_path / "a.png")
+        read_raster(tmp_path / "a.png")
     assert told in (caught.value.got or "")
 
 
@@ -178,15 +178,15 @@ def test_an_array_is_refused_by_its_size_before_its_values_are_read(tmp_path):
     content = (tmp_path / "a.npy").read_bytes().replace(b"(7, 5), }    ", b"(70000, 5), }")
     (tmp_path / "a.npy").write_bytes(content)
     with pytest.raises(AssetError, match="too large"):
-        read_grey(tmp_path / "a.npy")
+        read_raster(tmp_path / "a.npy")
 
 
 def test_little_memory(tmp_path, monkeypatch):
-    monkeypatch.setattr("forestgen.core.memory.free_bytes", lambda: 100)
+    monkeypatch.setattr("forestgen.core.processes.free_bytes", lambda: 100)
     for path in (tmp_path / "a.png", tmp_path / "a.tif"):
         Image.fromarray(GREY8).save(path)
         with pytest.raises(ResourceError, match="too little free memory"):
-            read_grey(path)
+            read_raster(path)
 
 
 def bad_files(folder):
@@ -220,7 +220,7 @@ def bad_files(folder):
 def test_what_is_no_picture_of_one_number_a_pixel(tmp_path):
     for name, told in bad_files(tmp_path).items():
         with pytest.raises(AssetError) as caught:
-            read_grey(tmp_path / name)
+            read_raster(tmp_path / name)
         assert told in str(caught.value), name
         assert caught.value.expected
 
@@ -236,7 +236,7 @@ def test_a_file_cut_off_anywhere(tmp_path):
         for share in (0.02, 0.1, 0.5, 0.9):
             (tmp_path / f"cut-{name}").write_bytes(whole[: int(len(whole) * share)])
             with pytest.raises(AssetError):
-                read_grey(tmp_path / f"cut-{name}")
+                read_raster(tmp_path / f"cut-{name}")
 
 
 def test_noise_in_a_file_is_a_message_or_another_picture(tmp_path):
@@ -254,7 +254,7 @@ def test_noise_in_a_file_is_a_message_or_another_picture(tmp_path):
                 noisy[at] = RNG.integers(256)
             (tmp_path / f"noisy-{name}").write_bytes(noisy)
             try:
-                assert read_grey(tmp_path / f"noisy-{name}").values.ndim == 2
+                assert read_raster(tmp_path / f"noisy-{name}").values.ndim == 2
             except AssetError:
                 refused += 1
     assert refused > 60
