@@ -34,10 +34,9 @@ from forestgen.labels.masks import PixelLabels, amodal_masks, pixel_labels
 from forestgen.labels.plants_table import plant_views
 from forestgen.render.amodal import trace_amodal
 from forestgen.render.frame import Amodal, Frame, Identity, Radiance, Surface
-from forestgen.render.identity import SceneTracer, trace_identity
-from forestgen.render.noise import Until
+from forestgen.render.identity import SceneTracer, hit_tables, trace_identity
+from forestgen.render.job import RenderJob, StoppingCriterion
 from forestgen.render.radiance import render_radiance
-from forestgen.render.shot import Shot
 from forestgen.render.variant import drjit, mitsuba
 from forestgen.scene.plant_measures import PlantMeasures, PlantMeter
 from forestgen.scene.projection import world_rays
@@ -99,7 +98,9 @@ class Subject:
         """Without the time to build its scene."""
         timings = Timings()
         start = process_time()
-        render_radiance(Shot(self.spec, self.camera, Until(samples), seed=1), progress=Silent(), timer=timings)
+        render_radiance(
+            RenderJob(self.spec, self.camera, StoppingCriterion(samples), seed=1), progress=Silent(), timer=timings
+        )
         watch.add("radiance", timings.seconds["light paths"], process_time() - start)
 
     def labels(self, watch: Stopwatch) -> tuple[Identity, Surface, PixelLabels]:
@@ -194,7 +195,7 @@ def compare(instances: int, size_px: tuple[int, int], leaves: int) -> tuple[floa
         print(f"  {name + ', all':<28}{share:19.2%}, of processors {processor_share:17.2%}")
     set_up = {**subject.watch.wall_s, "amodal, first camera": first.wall_s.popitem()[1]}
     print("set-up, once a scene:", ", ".join(f"{name} {times[0]:.2f} s" for name, times in set_up.items()))
-    print(f"tables on the device: {subject.tracer.table_bytes / 1e6:.0f} MB")
+    print(f"tables on the device: {hit_tables(subject.tracer.spec).nbytes / 1e6:.0f} MB")
     return shares["labels"][0], shares["amodal"][0]
 
 

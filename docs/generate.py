@@ -47,7 +47,7 @@ _SECTIONS = {
     "EmissionSection": "sky.clouds: emission",
     "DomainSection": "sky.clouds: domain",
     "NamedFile": "sky.clouds: file, emission.map",
-    "Chapter": "sky.clouds: story (each)",
+    "Phase": "sky.clouds: story (each)",
     "Camera": "cameras (each)",
     "CameraPath": "cameras: path",
     "Exposure": "cameras: exposure",

@@ -33,10 +33,10 @@ from forestgen.labels.channels.channel import ChannelView, add_channels
 from forestgen.labels.labelled import LabelledFrame, label_frame
 from forestgen.recipe.load import LoadedRecipe, dump_yaml
 from forestgen.recipe.map_files import recipe_hash
+from forestgen.render.cloud_shadow import cloud_transport_of
 from forestgen.render.frame import Frame
 from forestgen.render.identity import SceneTracer
 from forestgen.render.rendering import haze_notes, noise_notes, render_frame
-from forestgen.render.transport import cloud_transport_of
 from forestgen.scene.build import BuiltScene, build_scene
 from forestgen.scene.plan import Plan, check_memory
 from forestgen.scene.planning import check_plan

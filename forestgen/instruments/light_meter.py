@@ -40,8 +40,8 @@ from forestgen.core.spectrum import LUMINANCE, Spectrum
 from forestgen.instruments.instrument import Directions, Instrument, Places, Point, Reading
 from forestgen.recipe.fields import Flag, Number, Section, Whole
 from forestgen.recipe.load import DrawnRecipe, LoadedRecipe
+from forestgen.render.cloud_shadow import check_far_clouds
 from forestgen.render.irradiance import REPLICATES, PointLight, measure
-from forestgen.render.transport import check_far_clouds
 from forestgen.scene.build import BuiltScene
 from forestgen.scene.colour_checker import temperature_of
 from forestgen.scene.ground import height_field

@@ -234,9 +234,9 @@ def ground(size_m: float) -> Terrain:
 @cache
 def _horizon_reflectance() -> tuple[float, float, float]:
     """What a level surface must reflect to look like the sky above the northern horizon, linear Rec. 709."""
+    from forestgen.render.light import sky_map, sun_irradiance
     from forestgen.render.skies.model import map_directions
     from forestgen.render.sky import level_irradiance
-    from forestgen.render.sky_radiance import sky_map, sun_irradiance
     from forestgen.render.variant import SCALAR, using
 
     with using(SCALAR):

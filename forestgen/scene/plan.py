@@ -112,7 +112,7 @@ def _located(cause: RecipeError | ResourceError, drawn: DrawnRecipe) -> RecipeEr
 
 
 def _may_be_exact(views: Views, base_m: float | None) -> bool:
-    """Whether the light of a recipe with clouds may be traced through them; see `render.transport`."""
+    """Whether the light of a recipe with clouds may be traced through them; see `render.cloud_shadow`."""
     drawn, recipe = views.drawn, views.drawn.recipe
     if recipe.render.clouds != "auto" or base_m is None:
         return recipe.render.clouds != "farfield"

@@ -63,11 +63,11 @@ OTHER_MEANINGS = {  # file -> names that are no part's in it, or a default
     "recipe/schema.py": {"flat", "litter"},  # defaults
     "recipe/sky.py": {"clear"},  # the default
     "recipe/suggestions.py": {"grass"},  # a species
-    "render/clear_view.py": {"clear"},  # a stream of random numbers
+    "render/views.py": {"clear"},  # a stream of random numbers
     "scene/spec.py": {"clear"},  # the default
     "scene/terrain.py": {"litter"},  # the default
     "render/irradiance.py": {"perspective"},  # a plugin of the renderer
-    "render/sensors.py": {"perspective"},  # the same
+    "render/capture.py": {"perspective"},  # the same
     "instruments/light_meter.py": {"points", "sun"},  # a stage of the progress bar, and keys of a table
     "community/resume.py": {"flat"},  # a history's word for ground without a height function
 }

@@ -31,9 +31,8 @@ from forestgen.architecture.geometry import spheres, terminal_leaf_area_m2
 from forestgen.architecture.modules import Modules
 from forestgen.architecture.prototypes import Tables
 from forestgen.atmosphere.fluid.parameters import UnstableError
-from forestgen.atmosphere.kept_weather import read_weather, weather_store
-from forestgen.atmosphere.simulate import described
-from forestgen.atmosphere.weather import Weather
+from forestgen.atmosphere.grid import Weather
+from forestgen.atmosphere.simulate import described, read_weather, weather_store
 from forestgen.community.branch_modules.parameters import parameters_at
 from forestgen.community.branch_modules.seeding import NO_SEEDS, Arriving
 from forestgen.community.branch_modules.state import State, refuse_more_seeds, step_parameters

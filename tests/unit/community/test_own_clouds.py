@@ -11,7 +11,7 @@ import pytest
 
 from forestgen.atmosphere.clouds.source import CloudRequest, cloud_source_of
 from forestgen.atmosphere.extinction import cloud_grid_of
-from forestgen.atmosphere.weather import Weather
+from forestgen.atmosphere.grid import Weather
 from forestgen.community.capabilities import OwnAir, capability
 from forestgen.community.ecoclimate import months
 from forestgen.community.ecoclimate.air import regridder_for

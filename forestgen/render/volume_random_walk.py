@@ -1,4 +1,4 @@
-"""Walks of light through a cloud field, followed backwards from rays that enter it: compiled, one random number apart.
+"""Random walks of light through a cloud field, followed backwards from rays that enter it: compiled.
 
 A ray flies by Woodcock's delta tracking over small boxes of the grid, each with a largest extinction of its own (a
 regular march from box to box; Szirmay-Kalos et al. 2011). At every scattering the sun is looked for: a point of its
@@ -6,8 +6,8 @@ disc is drawn and the optical depth towards it integrated piece by piece, exactl
 Past `_CERTAIN_DEPTH` the march goes on only as far as a random optical depth, exponentially distributed, and counts
 e^-depth of the certain part if the sun is reached before: of the same mean, and short in thick clouds.
 
-A walk ends where it leaves the field. Upwards it sees the sky; downwards it is handed back: what it meets there is
-no business of clouds. After `_FREE_SCATTERINGS` absorption is by chance; before, by weight.
+A walk ends where it leaves the field. Upwards it sees the sky; downwards it is handed back to the caller. After
+`_FREE_SCATTERINGS` absorption is by chance; before, by weight.
 
 References
 ----------
@@ -24,9 +24,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.atmosphere.grid import CloudGrid
-from forestgen.atmosphere.voxel_march import advanced, clipped, corners, entered, inside, mixed, piece
+from forestgen.atmosphere.optical_depth import advanced, clipped, corners, entered, inside, mixed, piece
 from forestgen.core.compiled import borrowed, compiled
 from forestgen.core.threads import over_ranges
+from forestgen.render.cloud_paths import scrambled
 
 _BOX_CELLS = 4  # along the side of a box with one largest extinction
 _CERTAIN_DEPTH = 1.5
@@ -35,22 +36,16 @@ _MOST_SCATTERINGS = 1_000_000  # a walk in a field that absorbs nothing ends all
 Floats = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class SunDisc:
-    """The sun as a disc that shines evenly, in metres from the frame's origin."""
+def disc_parameters(centre_m: Floats, radius_m: float) -> Floats:
+    """(13,) the sun as a disc that shines evenly: its centre, two radii across it, unit normal to the origin, area.
 
-    centre_m: Floats  # (3,)
-    radius_m: float
-
-    @property
-    def parameters(self) -> Floats:
-        """(13,) centre, two radii across it, unit normal to the origin, area."""
-        normal = -self.centre_m / np.linalg.norm(self.centre_m)
-        first = np.cross(normal, [1.0, 0.0, 0.0] if abs(normal[0]) < 0.9 else [0.0, 1.0, 0.0])
-        first /= np.linalg.norm(first)
-        second = np.cross(normal, first)
-        area = np.pi * self.radius_m**2
-        return np.concatenate([self.centre_m, first * self.radius_m, second * self.radius_m, normal, [area]])
+    The centre (3,) is in metres from the frame's origin.
+    """
+    normal = -centre_m / np.linalg.norm(centre_m)
+    first = np.cross(normal, [1.0, 0.0, 0.0] if abs(normal[0]) < 0.9 else [0.0, 1.0, 0.0])
+    first /= np.linalg.norm(first)
+    second = np.cross(normal, first)
+    return np.concatenate([centre_m, first * radius_m, second * radius_m, normal, [np.pi * radius_m**2]])
 
 
 @dataclass(frozen=True)
@@ -68,9 +63,7 @@ class WalkField:
     """A cloud field made ready for walks, in a frame that has `origin_m` as its origin."""
 
     value: NDArray[np.float32]  # (Z, Y, X)
-    box_most: NDArray[
-        np.float32
-    ]  # (boxes along z, y, x) largest extinction, what is interpolated at its border included
+    box_most: NDArray[np.float32]  # (boxes along z, y, x) largest extinction, the interpolated border included
     low_m: Floats  # (3,)
     cell_m: Floats  # (3,)
     optics: Floats  # (4,) albedo, g, g of the second lobe, share of the first
@@ -92,20 +85,14 @@ class WalkField:
             np.array([clouds.albedo, phase.forward, phase.backward, phase.forward_share]),
         )
 
-    def walk(self, origin_m: Floats, direction: Floats, sun: SunDisc | None, seed: int) -> Walks:
-        """Follow (N, 3) rays, one walk each."""
+    def walk(self, origin_m: Floats, direction: Floats, disc: Floats | None, seed: int) -> Walks:
+        """Follow (N, 3) rays, one walk each, under a sun of `disc_parameters`."""
         count = len(origin_m)
         leaves, heading = np.array(origin_m, dtype=np.float64), np.array(direction, dtype=np.float64)
         light, weight = np.zeros(count), np.ones(count)
-        disc = np.zeros(13) if sun is None else sun.parameters
-        first_number = np.uint64(seed % 2**64)
-        over_ranges(
-            count,
-            lambda first, end: _walk(
-                self.value, self.box_most, self.low_m, self.cell_m, self.optics, disc, first_number, first, end, leaves,
-                heading, light, weight,
-            ),
-        )  # fmt: skip
+        sun = np.zeros(13) if disc is None else disc
+        given = (self.value, self.box_most, self.low_m, self.cell_m, self.optics, sun, np.uint64(seed % 2**64))
+        over_ranges(count, lambda first, end: _walk(*given, first, end, leaves, heading, light, weight))
         return Walks(light, leaves, heading, weight)
 
 
@@ -117,7 +104,9 @@ def _walk(value, most, low, cell, optics, disc, seed, first_ray, end_ray, leaves
     state = np.zeros(1, dtype=np.uint64)
     turned = np.zeros(3)
     for ray in range(first_ray, end_ray):
-        state[0] = _mixed(seed ^ _mixed(np.uint64(ray) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(0x632BE59BD9B4E019)))
+        state[0] = scrambled(
+            seed ^ scrambled(np.uint64(ray) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(0x632BE59BD9B4E019))
+        )
         # Place and direction in cells; t is in metres.
         x = (leaves[ray, 0] - low[0]) * scale_x
         y = (leaves[ray, 1] - low[1]) * scale_y
@@ -149,26 +138,15 @@ def _walk(value, most, low, cell, optics, disc, seed, first_ray, end_ray, leaves
         light[ray], weight[ray] = sun, w
         heading[ray, 0], heading[ray, 1], heading[ray, 2] = dx, dy, dz
         if met:
-            leaves[ray, 0], leaves[ray, 1], leaves[ray, 2] = (
-                x * cell[0] + low[0],
-                y * cell[1] + low[1],
-                z * cell[2] + low[2],
-            )
-
-
-@compiled
-def _mixed(number):  # type: ignore[no-untyped-def]
-    """A 64-bit number scrambled (Steele et al. 2014, SplitMix64)."""
-    number = (number ^ (number >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    number = (number ^ (number >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    return number ^ (number >> np.uint64(31))
+            leaves[ray, 0], leaves[ray, 1] = x * cell[0] + low[0], y * cell[1] + low[1]
+            leaves[ray, 2] = z * cell[2] + low[2]
 
 
 @compiled
 def _random(state):  # type: ignore[no-untyped-def]
     """The next number in [0, 1)."""
     state[0] += np.uint64(0x9E3779B97F4A7C15)
-    return np.float64(_mixed(state[0]) >> np.uint64(11)) * (1.0 / 9007199254740992.0)
+    return np.float64(scrambled(state[0]) >> np.uint64(11)) * (1.0 / 9007199254740992.0)
 
 
 @compiled

@@ -1,22 +1,15 @@
-"""What is conserved: water, energy, volume. In double precision."""
+"""What moving air conserves: energy and volume. In double precision."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.atmosphere.fluid.background import HEAT_CAPACITY_J_PER_KG_K, VAPOUR_LIGHTNESS
+from forestgen.atmosphere.fluid.parameters import HEAT_CAPACITY_J_PER_KG_K, VAPOUR_LIGHTNESS
+from forestgen.atmosphere.grid import Weather
 from forestgen.atmosphere.sounding import GRAVITY_M_PER_S2, LATENT_HEAT_J_PER_KG
-from forestgen.atmosphere.weather import Weather
 
 Floats = NDArray[np.float64]
-
-
-def total_water_kg(weather: Weather) -> float:
-    """Vapour, droplets, drops, and what has fallen, kg. The flow has the lowest layer's density (see `background`)."""
-    area, mass = _area_m2(weather), _cell_kg(weather)
-    ratios = sum(float(_air(weather, q).sum()) for q in (weather.vapour, weather.cloud, weather.rain))
-    return mass * ratios + area * float(weather.fallen_kg_per_m2.sum())
 
 
 def energies_j(weather: Weather) -> dict[str, float]:
@@ -72,9 +65,7 @@ def _air(weather: Weather, field: NDArray[np.float32]) -> Floats:
     return values if weather.solid is None else np.where(weather.solid, 0.0, values)
 
 
-def _area_m2(weather: Weather) -> float:
-    return weather.grid.cell_m[0] * weather.grid.cell_m[1]
-
-
 def _cell_kg(weather: Weather) -> float:
-    return _area_m2(weather) * weather.grid.cell_m[2] * float(weather.density_kg_per_m3[0])
+    return (
+        weather.grid.cell_m[0] * weather.grid.cell_m[1] * weather.grid.cell_m[2] * float(weather.density_kg_per_m3[0])
+    )
