@@ -28,8 +28,7 @@ from numpy.typing import NDArray
 
 from forestgen.atmosphere.clouds.noise import cumulus_field
 from forestgen.core.parts import Part
-from forestgen.core.progress import Silent
-from forestgen.core.timing import Timings
+from forestgen.core.progress import Silent, Timings
 from forestgen.render import sky
 from forestgen.render.cloud_heights import base_of
 from forestgen.render.cloud_shadow import shadow_of

@@ -21,7 +21,7 @@ from radiance import LUMINANCE, identity_of, stand
 
 from forestgen.atmosphere.clouds.noise import cumulus_field
 from forestgen.core.parts import Part
-from forestgen.core.timing import Timings
+from forestgen.core.progress import Timings
 from forestgen.render.build import load, origin_of, scene_dict
 from forestgen.render.capture import capture
 from forestgen.render.exact_view import ExactView

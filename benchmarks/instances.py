@@ -15,7 +15,7 @@ from time import perf_counter
 
 import numpy as np
 
-from forestgen.core.timing import Timings
+from forestgen.core.progress import Timings
 from forestgen.render.build import load, origin_of, plants_dict, scene_dict, to_mesh
 from forestgen.render.identity import SceneTracer, trace_identity
 from forestgen.render.light import lights

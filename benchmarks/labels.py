@@ -26,8 +26,7 @@ import numpy as np
 from forestgen.atmosphere.clouds.noise import cumulus_field
 from forestgen.atmosphere.optical_depth import cloud_opacity
 from forestgen.community.population import Population
-from forestgen.core.progress import Silent
-from forestgen.core.timing import Timings
+from forestgen.core.progress import Silent, Timings
 from forestgen.labels.channels.boundaries import occlusion_boundaries
 from forestgen.labels.channels.motion import motion_px
 from forestgen.labels.classes import ClassMap
@@ -40,7 +39,7 @@ from forestgen.render.noise import Until
 from forestgen.render.radiance import render_radiance
 from forestgen.render.shot import Shot
 from forestgen.render.variant import drjit, mitsuba
-from forestgen.scene.plant_measures import PlantMeasures, measure_plants
+from forestgen.scene.plant_measures import PlantMeasures, PlantMeter
 from forestgen.scene.projection import world_rays
 from forestgen.scene.spec import SceneSpec
 from support.scenes import scattered_scene
@@ -92,7 +91,9 @@ class Subject:
         self.classes = ClassMap(self.population.species_names)
         self.watch = Stopwatch()
         self.tracer = self.watch.run("tracer", lambda: SceneTracer(self.spec, Timings()))
-        self.measures: PlantMeasures = self.watch.run("plant measures", lambda: measure_plants(self.spec))
+        self.measures: PlantMeasures = self.watch.run(
+            "plant measures", lambda: PlantMeter(self.spec.exemplars).measure(self.spec.instances)
+        )
 
     def radiance(self, samples: int, watch: Stopwatch) -> None:
         """Without the time to build its scene."""

@@ -39,8 +39,7 @@ from numpy.typing import NDArray
 from forestgen.community.simulation import final_population
 from forestgen.core.frames import look_at
 from forestgen.core.parts import Part
-from forestgen.core.progress import Silent
-from forestgen.core.timing import Timings
+from forestgen.core.progress import Silent, Timings
 from forestgen.geometry.mesh import Mesh
 from forestgen.recipe.load import load_recipe
 from forestgen.render.denoise import denoise

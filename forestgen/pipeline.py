@@ -14,10 +14,15 @@ from pathlib import Path
 from typing import Any
 
 from forestgen.community.population import Population
-from forestgen.community.simulation import final_population, snapshots
-from forestgen.community.summary import SimulationSummary, counts_of, lifeless_note, standing_dead
-from forestgen.core.progress import Progress
-from forestgen.core.timing import Timings
+from forestgen.community.simulation import (
+    SimulationSummary,
+    counts_of,
+    final_population,
+    lifeless_note,
+    snapshots,
+    standing_dead,
+)
+from forestgen.core.progress import Progress, Timings
 from forestgen.dataset.folder import OutputFolder
 from forestgen.dataset.formats.format import check_ids
 from forestgen.dataset.manifest import build_manifest, write_manifest
@@ -26,8 +31,8 @@ from forestgen.dataset.writer import frame_folder_name, frame_row, write_frame, 
 from forestgen.instruments.instrument import Instrument, KeysT, ReadingT
 from forestgen.labels.channels.channel import ChannelView, add_channels
 from forestgen.labels.labelled import LabelledFrame, label_frame
-from forestgen.recipe.hashing import recipe_hash
 from forestgen.recipe.load import LoadedRecipe, dump_yaml
+from forestgen.recipe.map_files import recipe_hash
 from forestgen.render.frame import Frame
 from forestgen.render.identity import SceneTracer
 from forestgen.render.rendering import haze_notes, noise_notes, render_frame

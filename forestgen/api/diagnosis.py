@@ -10,8 +10,8 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from forestgen.core.memory import free_bytes
-from forestgen.core.version import __version__
+from forestgen.core import __version__
+from forestgen.core.processes import free_bytes
 from forestgen.dataset.manifest import package_versions
 
 _LEAST_FREE_BYTES = 3_000_000_000

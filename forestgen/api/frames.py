@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.core.progress import Timings
 from forestgen.core.threads import cores, limit_cores
-from forestgen.core.timing import Timings
 from forestgen.dataset.camera import camera_model
 from forestgen.dataset.exr import frame_parts
 from forestgen.dataset.frame import Frame, Parts

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from forestgen.atmosphere.grid import CloudGrid
 from forestgen.atmosphere.weather import AirGrid, Weather
 from forestgen.core.errors import ResourceError
-from forestgen.core.memory import free_bytes
+from forestgen.core.processes import free_bytes
 
 ROUNDING = 1e-6  # by which a simulation's ratios (kg/kg) may be below 0
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from forestgen.atmosphere.weather import AirGrid, Weather
-from forestgen.core.disk_cache import DiskCache, cache_root
+from forestgen.core.cache import DiskCache, cache_root
 from forestgen.core.packed import UnreadableError, unpack
 
 _MOST_BYTES = 4_000_000_000

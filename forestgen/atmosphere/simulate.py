@@ -31,8 +31,7 @@ from forestgen.atmosphere.kept_weather import read_weather
 from forestgen.atmosphere.regridding import regridded
 from forestgen.atmosphere.sounding import LATENT_HEAT_J_PER_KG
 from forestgen.atmosphere.weather import AirGrid, Weather
-from forestgen.core.code_hash import code_hash
-from forestgen.core.disk_cache import DiskCache
+from forestgen.core.cache import DiskCache, code_hash
 from forestgen.core.packed import pack
 from forestgen.core.progress import Progress
 from forestgen.core.randomness import child_rng

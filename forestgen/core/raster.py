@@ -130,7 +130,7 @@ def _check_size(width: int, height: int, bytes_per_pixel: int) -> None:
         raise AssetError("the picture is too large", expected=_MOST, got=f"{width:,} x {height:,} pixels")
     if min(width, height) < 1:
         raise AssetError("the picture has no pixels", expected="one at least", got=f"{width} x {height} pixels")
-    from forestgen.core.memory import free_bytes
+    from forestgen.core.processes import free_bytes
 
     need, free = width * height * bytes_per_pixel, int(free_bytes() * _SHARE_OF_MEMORY)
     if need > free:

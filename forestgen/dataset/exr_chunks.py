@@ -19,7 +19,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.core.memory import free_bytes
+from forestgen.core.processes import free_bytes
 from forestgen.dataset.safe_path import SafePath
 
 _MAGIC, _VERSION = b"\x76\x2f\x31\x01", 2

@@ -37,7 +37,7 @@ from forestgen.core.errors import OutputError, RecipeError
 from forestgen.dataset.files import make_folder, write_bytes
 from forestgen.dataset.png import instance_of, overlay, rgb_of, semantic_of
 from forestgen.dataset.safe_path import SafePath, read_parquet, unreadable
-from forestgen.recipe.paths import MAPS
+from forestgen.recipe.assets import MAPS
 
 Parts = Mapping[str, Mapping[str, NDArray[Any]]]
 

@@ -33,7 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.errors import DatasetError, RecipeError
-from forestgen.core.memory import free_bytes
+from forestgen.core.processes import free_bytes
 
 _MB, _GB = 10**6, 10**9
 _MOST_BYTES = 64 * _GB  # of any file

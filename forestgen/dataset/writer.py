@@ -28,10 +28,9 @@ from forestgen.dataset.settings import DRAW, DatasetSettings
 from forestgen.dataset.tables import write_plants
 from forestgen.dataset.tonemap import preview_of
 from forestgen.labels.labelled import LabelledFrame
-from forestgen.recipe.hashing import recipe_hash
+from forestgen.recipe.assets import MAPS, inside
 from forestgen.recipe.load import DrawnRecipe
-from forestgen.recipe.map_files import map_files
-from forestgen.recipe.paths import MAPS, inside
+from forestgen.recipe.map_files import map_files, recipe_hash
 from forestgen.recipe.sources import dotted
 from forestgen.render.frame import Radiance
 from forestgen.scene.projection import projection_of

@@ -26,10 +26,9 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from forestgen.core.errors import RecipeError
-from forestgen.core.progress import Progress
+from forestgen.core.progress import Progress, Timings
 from forestgen.core.randomness import child_seed
 from forestgen.core.spectrum import Spectrum
-from forestgen.core.timing import Timings
 from forestgen.instruments.calibration import (
     BOUND_MODES,
     CARD_BOUND,

@@ -34,10 +34,9 @@ from forestgen.atmosphere.clouds.source import cloud_source_of
 from forestgen.atmosphere.daylight import illuminance
 from forestgen.core.errors import RecipeError
 from forestgen.core.figures import count, table_lines
-from forestgen.core.progress import Progress
+from forestgen.core.progress import Progress, Timings
 from forestgen.core.randomness import child_seed
 from forestgen.core.spectrum import LUMINANCE, Spectrum
-from forestgen.core.timing import Timings
 from forestgen.instruments.instrument import Directions, Instrument, Places, Point, Reading
 from forestgen.recipe.fields import Flag, Number, Section, Whole
 from forestgen.recipe.load import DrawnRecipe, LoadedRecipe

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.compiled import compiled
-from forestgen.geometry.hull import Hull, hull_of
+from forestgen.geometry.mesh import Hull, hull_of
 from forestgen.plants.exemplar import Exemplar
 from forestgen.render.build import load, to_mesh
 from forestgen.render.frame import Amodal

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from forestgen.atmosphere.grid import CloudGrid
 from forestgen.atmosphere.optical_depth import optical_depth
-from forestgen.core.bounded_cache import BoundedCache
+from forestgen.core.cache import BoundedCache
 from forestgen.render.cloud_heights import sheet_height_m
 from forestgen.render.sky_radiance import SUN_RADIUS_DEG
 from forestgen.render.variant import mitsuba

@@ -8,9 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from forestgen.atmosphere.haze import KOSCHMIEDER
-from forestgen.core.progress import Progress
+from forestgen.core.progress import Progress, Timings
 from forestgen.core.randomness import child_seed
-from forestgen.core.timing import Timings
 from forestgen.recipe.schema import Recipe
 from forestgen.render.denoise import denoise, denoise_bands
 from forestgen.render.frame import Frame, Identity, Radiance, Surface

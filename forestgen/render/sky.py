@@ -40,7 +40,7 @@ from numpy.typing import NDArray
 
 from forestgen.atmosphere.clouds.source import LEAST_GAP_M
 from forestgen.atmosphere.grid import Phase
-from forestgen.core.bounded_cache import BoundedCache
+from forestgen.core.cache import BoundedCache
 from forestgen.core.randomness import child_rng, child_seed
 from forestgen.render.cloud_paths import ORDERS, CloudField, CloudLight, Gathered, field_of, gather
 from forestgen.render.cloud_shadow import content_key

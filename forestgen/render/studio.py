@@ -18,11 +18,9 @@ from numpy.typing import NDArray
 from forestgen.core.arguments import listed, number_of, whole_of
 from forestgen.core.errors import RecipeError
 from forestgen.core.frames import look_at
-from forestgen.core.progress import Progress
+from forestgen.core.progress import Progress, Timings
 from forestgen.core.randomness import child_rng
-from forestgen.core.timing import Timings
-from forestgen.geometry.mesh import Mesh
-from forestgen.geometry.vectors import unit
+from forestgen.geometry.mesh import Mesh, unit
 from forestgen.plants.exemplar import Exemplar
 from forestgen.recipe.schema import Recipe
 from forestgen.render.identity import SceneTracer

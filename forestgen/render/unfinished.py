@@ -1,6 +1,6 @@
 """Images that are not done yet: running sums kept on disk, so that work goes on where it was interrupted.
 
-They lie in the folder `radiance` of the cache (see core/disk_cache.py), under the hash of all that the image depends
+They lie in the folder `radiance` of the cache (see core/cache.py), under the hash of all that the image depends
 on: the drawn recipe, the image's seed, the camera, and the code, tables and packages that make it. A sum is written
 when work is interrupted, and at times while it goes on, so that a process that is killed loses little; it is removed
 when the image is done. What is continued has the bytes of what was never interrupted: a replicate's seeds belong to
@@ -18,8 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from forestgen.core.code_hash import code_hash
-from forestgen.core.disk_cache import DiskCache, cache_root
+from forestgen.core.cache import DiskCache, cache_root, code_hash
 from forestgen.recipe.assets import scenes_dir
 from forestgen.render.slices import SliceSum
 

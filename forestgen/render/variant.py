@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from forestgen.core.errors import ResourceError
-from forestgen.core.interrupts import uninterrupted
+from forestgen.core.processes import uninterrupted
 from forestgen.render.cuda import cuda_devices
 
 SCALAR = "scalar_rgb"

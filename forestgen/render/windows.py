@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.geometry.hull import Hull
+from forestgen.geometry.mesh import Hull
 from forestgen.scene.projection import projection_of
 from forestgen.scene.spec import Camera
 

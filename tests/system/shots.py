@@ -7,8 +7,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from forestgen.core.progress import Silent
-from forestgen.core.timing import Timings
+from forestgen.core.progress import Silent, Timings
 from forestgen.render.cuda import cuda_devices
 from forestgen.render.frame import Identity, Radiance, Surface
 from forestgen.render.identity import SceneTracer, trace_identity

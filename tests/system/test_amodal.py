@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from shots import identity, shot
 
-from forestgen.core.timing import Timings
+from forestgen.core.progress import Timings
 from forestgen.geometry.mesh import Mesh
 from forestgen.labels.masks import amodal_masks, instance_mask
 from forestgen.render.amodal import alone_rays, alone_scene, frames_of_plants, trace_amodal

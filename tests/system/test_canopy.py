@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from forestgen.core.timing import Timings
+from forestgen.core.progress import Timings
 from forestgen.render.build import load, origin_of, scene_dict
 from forestgen.render.capture import capture
 from forestgen.render.identity import SceneTracer, sample_offsets, trace_identity

@@ -10,7 +10,7 @@ import pytest
 from forestgen.atmosphere.grid import CloudGrid, Phase
 from forestgen.atmosphere.optical_depth import optical_depth
 from forestgen.core.errors import RenderError
-from forestgen.core.timing import Timings
+from forestgen.core.progress import Timings
 from forestgen.render import exact_view
 from forestgen.render.build import load, origin_of, scene_dict
 from forestgen.render.capture import capture

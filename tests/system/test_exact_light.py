@@ -9,7 +9,7 @@ import pytest
 from shots import radiance
 
 from forestgen.core.parts import Part
-from forestgen.core.timing import Timings
+from forestgen.core.progress import Timings
 from forestgen.plants.bark.texture import SurfaceTexture
 from forestgen.render.build import load, origin_of, scene_dict
 from forestgen.render.capture import capture

@@ -21,8 +21,8 @@ from forestgen.core.errors import OutputError
 from forestgen.dataset.check import check_dataset
 from forestgen.dataset.manifest import is_run_folder
 from forestgen.dataset.settings import DatasetSettings, data_set_of
-from forestgen.recipe.hashing import recipe_hash
 from forestgen.recipe.load import load_recipe
+from forestgen.recipe.map_files import recipe_hash
 from forestgen.runs import record_index
 from forestgen.runs.contract import Job, JobRecord
 from forestgen.runs.finish import finish

@@ -12,8 +12,8 @@ from shots import radiance, seen
 from forestgen.atmosphere.grid import CloudGrid
 from forestgen.atmosphere.haze import ASYMMETRY, Haze
 from forestgen.core.parts import Part
+from forestgen.core.progress import Timings
 from forestgen.core.spectrum import Band, Spectrum
-from forestgen.core.timing import Timings
 from forestgen.render.frame import Radiance
 from forestgen.render.haze import airlight_of, extinction_of, through_haze, trace_seen, under_clouds
 from forestgen.render.identity import SceneTracer

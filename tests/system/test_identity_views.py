@@ -13,8 +13,7 @@ from ties import assert_ties
 
 from forestgen.community.simulation import final_population
 from forestgen.core.parts import Part
-from forestgen.core.progress import Silent
-from forestgen.core.timing import Timings
+from forestgen.core.progress import Silent, Timings
 from forestgen.geometry.mesh import Mesh
 from forestgen.labels.masks import coverage_ranks, instance_mask
 from forestgen.plants.exemplar import Exemplar, OrganMesh

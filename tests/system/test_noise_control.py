@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from shots import radiance
 
-from forestgen.core.progress import Silent
-from forestgen.core.timing import Timings
+from forestgen.core.progress import Silent, Timings
 from forestgen.render import radiance as radiance_module
 from forestgen.render import unfinished as unfinished_module
 from forestgen.render.noise import Noise, Schedule, Until, noise_of

@@ -12,8 +12,7 @@ import pytest
 import forestgen as fg
 from forestgen.community.simulation import final_population
 from forestgen.core import registry
-from forestgen.core.progress import Silent
-from forestgen.core.timing import Timings
+from forestgen.core.progress import Silent, Timings
 from forestgen.recipe.load import load_recipe
 from forestgen.recipe.registries import CLOUD_SOURCES, GROUND_COVERS, SKIES, TERRAINS
 from forestgen.render.sky_radiance import sky_map

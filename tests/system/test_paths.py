@@ -14,8 +14,8 @@ from test_exact_light import stand as leafy_stand
 from test_leaf import LEAVES, PASSES
 
 from forestgen.core.parts import Part
+from forestgen.core.progress import Timings
 from forestgen.core.spectrum import Spectrum
-from forestgen.core.timing import Timings
 from forestgen.geometry.mesh import Mesh
 from forestgen.plants.bark.texture import bark_texture
 from forestgen.recipe.species import Bark

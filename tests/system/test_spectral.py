@@ -13,10 +13,9 @@ from shots import identity, radiance
 from forestgen.community.simulation import final_population
 from forestgen.core.frames import look_at
 from forestgen.core.parts import Part
-from forestgen.core.progress import Silent
+from forestgen.core.progress import Silent, Timings
 from forestgen.core.randomness import child_rng
 from forestgen.core.spectrum import Band, Spectrum
-from forestgen.core.timing import Timings
 from forestgen.recipe.load import load_recipe
 from forestgen.render import wavelengths
 from forestgen.render.capture import capture

@@ -9,7 +9,7 @@ from functools import cache
 import pytest
 
 from forestgen.community.registry import COMMUNITY_MODELS, COMPETITION_MODELS
-from forestgen.core.code_hash import PACKAGE
+from forestgen.core.cache import PACKAGE
 from forestgen.core.registry import Registry
 from forestgen.geometry.export import MESH_EXPORTERS
 from forestgen.plants.registry import GENERATORS
@@ -60,11 +60,10 @@ OTHER_MEANINGS = {  # file -> names that are no part's in it, or a default
     "dataset/report/scene_sections.py": {"sun"},  # a key of the recipe
     "labels/gap_fraction.py": {"gap_fraction"},  # a key of canopy.json
     "lsystem/parsing.py": {"points"},  # a rule of the grammar
-    "lsystem/statement_reader.py": {"points"},  # the same
-    "recipe/schema.py": {"litter"},  # the default
+    "lsystem/statements.py": {"points"},  # the same
+    "recipe/schema.py": {"flat", "litter"},  # defaults
     "recipe/sky.py": {"clear"},  # the default
     "recipe/suggestions.py": {"grass"},  # a species
-    "recipe/terrain.py": {"flat"},  # the default
     "render/clear_view.py": {"clear"},  # a stream of random numbers
     "scene/spec.py": {"clear"},  # the default
     "scene/terrain.py": {"litter"},  # the default

@@ -29,9 +29,9 @@ from forestgen.atmosphere.extinction import ALBEDO, droplet_phase
 from forestgen.atmosphere.grid import CloudGrid
 from forestgen.core.errors import RecipeError
 from forestgen.core.randomness import child_rng
-from forestgen.recipe.clouds import Clouds
 from forestgen.recipe.fields import Fraction, Positive
 from forestgen.recipe.load import DrawnRecipe
+from forestgen.recipe.sky import Clouds
 
 _DROPLET_UM = 10.0  # effective radius
 _MOST_OPTICAL_DEPTH = 200.0  # straight up

@@ -30,11 +30,11 @@ from forestgen.atmosphere.clouds.source import (
 from forestgen.atmosphere.grid import CloudGrid
 from forestgen.atmosphere.weather import Weather
 from forestgen.core.errors import AssetError, RecipeError
-from forestgen.recipe.clouds import NamedFile
+from forestgen.recipe.assets import inside
 from forestgen.recipe.fields import mistake, spelled_out
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.map_files import known_file
-from forestgen.recipe.paths import inside
+from forestgen.recipe.sky import NamedFile
 
 _WIDEST_M, _HIGHEST_M = 1e6, 1e5  # of a file's box
 

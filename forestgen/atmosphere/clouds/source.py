@@ -19,10 +19,10 @@ from forestgen.atmosphere.grid import CloudGrid
 from forestgen.atmosphere.weather import Weather
 from forestgen.core.errors import RecipeError
 from forestgen.core.progress import Progress
-from forestgen.recipe.clouds import Clouds
 from forestgen.recipe.fields import Flag, Number, Positive
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.registries import CLOUD_SOURCES
+from forestgen.recipe.sky import Clouds
 
 KeysT = TypeVar("KeysT", bound=Clouds)
 # Clouds so far above the scene may be traced from afar: metres, a share of the site's diagonal (render/transport.py)

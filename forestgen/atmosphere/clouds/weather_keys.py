@@ -10,9 +10,9 @@ from typing import Annotated, Any, Self
 from pydantic import Field, field_validator, model_validator
 
 from forestgen.core.errors import RecipeError
-from forestgen.recipe.clouds import FileName, GivenSection, NamedFile, Sha256
-from forestgen.recipe.fields import Fraction, NonNegative, Number, Positive, Text, mistake, spelled_out
+from forestgen.recipe.fields import Fraction, GivenSection, NonNegative, Number, Positive, Text, mistake, spelled_out
 from forestgen.recipe.registries import CLOUD_SOURCES
+from forestgen.recipe.sky import FileName, NamedFile, Sha256
 
 _OF_TYPE = " Default: the type's."
 

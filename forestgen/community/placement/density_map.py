@@ -35,12 +35,12 @@ from pydantic import (
 )
 from pydantic_core import core_schema
 
-from forestgen.core.bounded_cache import BoundedCache
+from forestgen.core.cache import BoundedCache
 from forestgen.core.errors import AssetError, RecipeError
 from forestgen.core.raster import SingleChannelRaster, read_raster
+from forestgen.recipe.assets import inside
 from forestgen.recipe.fields import Flag, NonNegative, Positive, Section, Text, mistake
 from forestgen.recipe.map_files import file_sha256
-from forestgen.recipe.paths import inside
 from forestgen.recipe.sources import Keys
 
 if TYPE_CHECKING:

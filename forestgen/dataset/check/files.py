@@ -20,7 +20,7 @@ from forestgen.core.errors import DatasetError
 from forestgen.dataset.check.finding import Finding, UnreadableError
 from forestgen.dataset.exr_chunks import read_whole
 from forestgen.dataset.safe_path import SafePath, load_json, one_line, read_parquet
-from forestgen.recipe.yaml_source import parse_yaml
+from forestgen.recipe.sources import parse_yaml
 
 if TYPE_CHECKING:
     from PIL.Image import Image

@@ -29,7 +29,7 @@ from forestgen.dataset.pack.source import (
 )
 from forestgen.dataset.safe_path import SafePath
 from forestgen.recipe.registries import PACKS
-from forestgen.recipe.yaml_source import parse_yaml
+from forestgen.recipe.sources import parse_yaml
 
 _PACK_FILE = "pack.json"
 _SCHEMA = "forestgen-pack/1"

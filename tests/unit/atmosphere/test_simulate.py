@@ -18,7 +18,7 @@ from forestgen.atmosphere.regridding import regridded
 from forestgen.atmosphere.simulate import Chapter, Scenario, emission_pattern, simulate
 from forestgen.atmosphere.sounding import check_sounding
 from forestgen.atmosphere.weather import AirGrid, Weather
-from forestgen.core.disk_cache import DiskCache
+from forestgen.core.cache import DiskCache
 from forestgen.core.progress import Silent
 from forestgen.recipe.registries import CLOUD_SOURCES
 
@@ -176,7 +176,7 @@ def test_a_mark_is_removed_only_after_a_later_one_is_written(store: DiskCache, m
 
 def test_weather_is_known_by_all_code_that_it_is_made_with() -> None:
     program = (
-        "import sys\nfrom forestgen.core.code_hash import source_files\n"
+        "import sys\nfrom forestgen.core.cache import source_files\n"
         "from forestgen.atmosphere.simulate import SOURCES\nknown = set(map(str, source_files(SOURCES)))\n"
         "own = {one.__file__ for name, one in sys.modules.items() if name.startswith('forestgen.')}\n"
         "print(*sorted(one for one in own - known if not one.endswith('__init__.py')))"

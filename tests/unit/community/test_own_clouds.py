@@ -18,8 +18,7 @@ from forestgen.community.ecoclimate.air import regridder_for
 from forestgen.community.population import Population
 from forestgen.community.simulation import final_population
 from forestgen.core.errors import RecipeError
-from forestgen.core.progress import Silent
-from forestgen.core.timing import Timings
+from forestgen.core.progress import Silent, Timings
 from forestgen.recipe.load import load_recipe
 from forestgen.scene.build import build_scene
 from forestgen.scene.plan import Plan, estimate_bytes

@@ -10,7 +10,7 @@ import OpenEXR
 import pytest
 from PIL import Image
 
-from forestgen.core.bounded_cache import BoundedCache
+from forestgen.core.cache import BoundedCache
 from forestgen.core.errors import AssetError, ResourceError
 from forestgen.core.raster import kind_of, read_raster
 from forestgen.core.spectrum import LUMINANCE
@@ -182,7 +182,7 @@ def test_an_array_is_refused_by_its_size_before_its_values_are_read(tmp_path):
 
 
 def test_little_memory(tmp_path, monkeypatch):
-    monkeypatch.setattr("forestgen.core.memory.free_bytes", lambda: 100)
+    monkeypatch.setattr("forestgen.core.processes.free_bytes", lambda: 100)
     for path in (tmp_path / "a.png", tmp_path / "a.tif"):
         Image.fromarray(GREY8).save(path)
         with pytest.raises(ResourceError, match="too little free memory"):

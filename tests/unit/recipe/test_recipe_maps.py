@@ -109,7 +109,7 @@ def test_each_image_may_have_another_map_and_the_hash_covers_all(recipe, written
 def test_no_file_is_read_twice(recipe, monkeypatch):
     read: list[Path] = []
     digest = map_files.file_sha256
-    monkeypatch.setattr(map_files, "file_sha256", lambda path, named: read.append(path) or digest(path, named))
+    monkeypatch.setattr(map_files, "file_sha256", lambda path, *named: read.append(path) or digest(path, *named))
     loaded = load_recipe(changed(recipe, "species:", "images: 9\nspecies:"))
     for index in range(9):
         loaded.draw(index)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from forestgen.core.parts import Part
-from forestgen.core.timing import Timings
+from forestgen.core.progress import Timings
 from forestgen.plants.bark.texture import bark_texture
 from forestgen.recipe.species import Bark
 from forestgen.render.build import load, origin_of, plants_dict

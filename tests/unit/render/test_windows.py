@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from forestgen.geometry.hull import Hull, hull_of
+from forestgen.geometry.mesh import Hull, hull_of
 from forestgen.render.windows import BEYOND, outlines
 from forestgen.scene.projection import project
 from forestgen.scene.spec import Camera

@@ -18,7 +18,7 @@ from forestgen.community.model import Site
 from forestgen.community.placement import density_map
 from forestgen.community.placement.densities import PlacementParameters, species_density
 from forestgen.community.placement.density_map import DensityMap, check_maps, maps_in
-from forestgen.core.bounded_cache import BoundedCache
+from forestgen.core.cache import BoundedCache
 from forestgen.core.errors import RecipeError
 
 read = TypeAdapter(DensityMap).validate_python

@@ -1,4 +1,4 @@
-"""The machine that rewrites words: compiled loops over a program's tables.
+"""The virtual machine (VM) that rewrites words: compiled loops over a program's tables.
 
 A derivation step reads each word from left to right. The first production that matches (head, contexts, condition)
 rewrites; productions with a probability take it from a common unit, and what they leave over falls to the next
@@ -19,11 +19,10 @@ import math
 import numpy as np
 
 from forestgen.core.compiled import borrowed, compiled
-from forestgen.lsystem import machine_layout as layout
-from forestgen.lsystem import opcodes as op
-from forestgen.lsystem.machine_expressions import GOLDEN, mix, run, uniform
-from forestgen.lsystem.machine_words import finish_word, left_context, right_context, take
+from forestgen.lsystem import vm_layout as layout
 from forestgen.lsystem.multiset import OPEN
+from forestgen.lsystem.vm_expressions import GOLDEN, mix, run, uniform
+from forestgen.lsystem.vm_words import finish_word, left_context, right_context, take
 
 
 @compiled
@@ -66,29 +65,29 @@ def _select(t, v, m, key, rules, group, i, p, begin, end, text):  # type: ignore
             slot = take(t, v, m, t[rule + layout.RIGHTS], text, slot)
         if t[rule + layout.CONDITION] >= 0:
             wrong = run(t, v, m, key, t[rule + layout.CONDITION], codes, parameters)
-            if wrong != op.OK:
+            if wrong != layout.OK:
                 return -2 - wrong
             if math.isnan(v[t[layout.STACK]]):
                 m[layout.FAULT] = t[rule + layout.CONDITION]
-                return -2 - op.OUTSIDE_DOMAIN
+                return -2 - layout.OUTSIDE_DOMAIN
             if v[t[layout.STACK]] == 0.0:
                 continue
         if t[rule + layout.PROBABILITY] < 0:
             return rule
         wrong = run(t, v, m, key, t[rule + layout.PROBABILITY], codes, parameters)
-        if wrong != op.OK:
+        if wrong != layout.OK:
             return -2 - wrong
         share = v[t[layout.STACK]]
         m[layout.FAULT] = t[rule + layout.PROBABILITY]
         if not 0.0 <= share <= 1.0:
-            return -2 - op.BAD_PROBABILITY
+            return -2 - layout.BAD_PROBABILITY
         if unit < 0.0:
             unit = uniform(key, m)
         taken += share
         if taken > 1.0 + 1e-9:
-            return -2 - op.PROBABILITIES_OVER_ONE
+            return -2 - layout.PROBABILITIES_OVER_ONE
         if chosen < 0 and unit < taken:
-            # The others are looked at all the same: do the probabilities exceed 1?
+            # The other productions are still looked at: the probabilities must not exceed 1.
             chosen = rule
             for k in range(t[layout.LOCAL_SIZE]):
                 v[t[layout.SPARE] + k] = v[t[layout.LOCALS] + k]
@@ -103,7 +102,7 @@ def _decompose(t, v, m, key, how, made, pile, out):  # type: ignore[no-untyped-d
     """Decompose the modules in `made` and append the result to `out`.
 
     m[MODULES], m[VALUES] count what was made; m[WRITTEN], m[WRITTEN_VALUES] what is in `out`.
-    Returns op.OK, op.MORE_SPACE, or what went wrong.
+    Returns layout.OK, layout.MORE_SPACE, or what went wrong.
     """
     none = np.zeros(0, np.int64)
     waiting = layout.Text(pile.code, pile.parameter, none, none)
@@ -114,7 +113,7 @@ def _decompose(t, v, m, key, how, made, pile, out):  # type: ignore[no-untyped-d
         n, q = m[layout.MODULES], m[layout.VALUES]
         if height + n > len(pile.code) or top + q > len(pile.parameter):
             m[layout.NEED] = layout.NEED_PILE
-            return op.MORE_SPACE
+            return layout.MORE_SPACE
         for k in range(n - 1, -1, -1):
             arity = t[arities + made.code[k]]
             q -= arity
@@ -137,27 +136,27 @@ def _decompose(t, v, m, key, how, made, pile, out):  # type: ignore[no-untyped-d
             if rule >= 0 and pile.depth[height] >= how.depth:
                 if how.is_strict:
                     m[layout.FAULT] = t[rule + layout.SUCCESSOR]
-                    return op.TOO_DEEP
+                    return layout.TOO_DEEP
                 rule = -1
             if rule >= 0:
                 m[layout.EXPANSIONS] += 1
                 if m[layout.EXPANSIONS] > layout.MOST_EXPANSIONS:
                     m[layout.FAULT] = t[rule + layout.SUCCESSOR]
-                    return op.TOO_DEEP
+                    return layout.TOO_DEEP
                 wrong = run(t, v, m, key, t[rule + layout.SUCCESSOR], made.code, made.parameter)
-                if wrong != op.OK:
+                if wrong != layout.OK:
                     return wrong
                 level = pile.depth[height] + 1
                 break
             at, to = m[layout.WRITTEN], m[layout.WRITTEN_VALUES]
             if at >= len(out.code) or to + arity > len(out.parameter):
-                return op.MORE_SPACE
+                return layout.MORE_SPACE
             out.code[at] = kind
             for j in range(arity):
                 out.parameter[to + j] = pile.parameter[top + j]
             m[layout.WRITTEN], m[layout.WRITTEN_VALUES] = at + 1, to + arity
         if m[layout.MODULES] == 0 and height == 0:
-            return op.OK
+            return layout.OK
 
 
 @compiled
@@ -165,8 +164,8 @@ def rewrite(memory, key, how, text, words, made, pile, out, out_words):  # type:
     """One derivation step: rewrite all words by `how.rules`, and what comes out by `how.inner` down to a depth.
 
     m holds the next word, its first parameter, the numbers of modules, parameters and words written, and the next id;
-    after op.MORE_SPACE the call can be repeated with larger `out`, `out_words` and `pile`, and goes on at that word.
-    The tuples are those of `machine_layout`.
+    after MORE_SPACE the call can be repeated with larger `out`, `out_words` and `pile`, and goes on at that word.
+    The tuples are those of `vm_layout`.
     """
     t, v, m = borrowed(memory)
     text, words, made, pile = borrowed(text), borrowed(words), borrowed(made), borrowed(pile)
@@ -191,7 +190,7 @@ def rewrite(memory, key, how, text, words, made, pile, out, out_words):  # type:
                 # One symbol into symbols without parameters, whatever stands around it.
                 n = t[rule + layout.PLAINS]
                 if written + n > len(out_code):
-                    return op.MORE_SPACE
+                    return layout.MORE_SPACE
                 for k in range(n):
                     out_code[written + k] = t[t[rule + layout.PLAIN] + k]
                 written += n
@@ -211,7 +210,7 @@ def rewrite(memory, key, how, text, words, made, pile, out, out_words):  # type:
             if rule < 0 and not decomposes:
                 n = t[arities + kind]
                 if written >= len(out_code) or values + n > len(out_parameter):
-                    return op.MORE_SPACE
+                    return layout.MORE_SPACE
                 out_code[written] = kind
                 for k in range(n):
                     out_parameter[values + k] = parameters[p + k]
@@ -237,17 +236,17 @@ def rewrite(memory, key, how, text, words, made, pile, out, out_words):  # type:
                         written + t[rule + layout.MOST_MODULES] > len(out_code)
                         or values + t[rule + layout.MOST_VALUES] > len(out_parameter)
                     ):  # fmt: skip
-                        return op.MORE_SPACE
+                        return layout.MORE_SPACE
                     m[layout.MODULES], m[layout.VALUES] = written, values
                     wrong = run(t, v, m, module_key, t[rule + layout.SUCCESSOR], out_code, out_parameter)
                     written, values = m[layout.MODULES], m[layout.VALUES]
-                if wrong != op.OK:
+                if wrong != layout.OK:
                     m[layout.FAULT_MODULE] = i
                     return wrong
             if inner >= 0:
                 m[layout.WRITTEN], m[layout.WRITTEN_VALUES] = written, values
                 wrong = _decompose(t, v, m, module_key, how, made, pile, out)
-                if wrong != op.OK:
+                if wrong != layout.OK:
                     m[layout.FAULT_MODULE] = i
                     return wrong
                 written, values = m[layout.WRITTEN], m[layout.WRITTEN_VALUES]
@@ -257,7 +256,7 @@ def rewrite(memory, key, how, text, words, made, pile, out, out_words):  # type:
         m[layout.WRITTEN], m[layout.WRITTEN_VALUES] = written, values
         old_kind = codes[begin] if end > begin else OPEN
         wrong = finish_word(t, m, how.percent, (old_kind, words.id[w], words.born[w]), how.step, out, out_words)
-        if wrong != op.OK:
+        if wrong != layout.OK:
             return wrong
         m[layout.NEXT_WORD], m[layout.NEXT_VALUE] = w + 1, p
-    return op.OK
+    return layout.OK

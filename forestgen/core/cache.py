@@ -1,32 +1,48 @@
-"""A folder of results that can be made again: bounded, shared by processes, and never in the way.
+"""Results that can be made again: kept in memory, kept on disk, and the hash of the code that made them.
 
-An entry's name is the hash of all that it depends on, so an entry never goes stale. It begins with the hash of its name
-and the checksum of its content: what is cut short, changed or misplaced is not there. Whatever fails here (a folder
-that cannot be written to, a full disk, another's file) costs the time of making the result again, and no more.
+A disk cache's entry is named by the hash of all that it depends on, so an entry never goes stale. It begins with the
+hash of its name and the checksum of its content: an entry that was cut short, changed or misplaced counts as missing.
+A failure (a folder without write permission, a full disk, another program's file) only costs making the result again.
 
-Any number of processes may read, write and trim one folder. An entry is written under a name of its own and renamed
-when it is whole, so a reader finds the old, the new, or none; on a network file system too, as far as that renames
-files at once.
+Any number of processes may read, write and trim one folder. An entry is written under a temporary name and renamed
+when it is complete, so a reader finds the old entry, the new one, or none; on a network file system too, as far as it
+renames files atomically.
 """
 
 from __future__ import annotations
 
 import hashlib
+import importlib.util
 import os
+import platform
 import shutil
 import stat
 import struct
 import sys
 import tempfile
+import threading
 import time
 import zlib
+from collections import OrderedDict
+from collections.abc import Callable, Hashable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import version
 from pathlib import Path
+from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.core import __version__
+from forestgen.core.registry import Registration, registrations
+
+T = TypeVar("T")
+
+SOURCES = (".py", ".lark")
+TABLES = (".csv", ".npz", ".yaml")
+PACKAGE = Path(__file__).parents[1]
 ENVIRONMENT = "FORESTGEN_CACHE"  # a folder of one's own; empty: no cache
 _SUFFIX, _PARTIAL = ".entry", ".partial"
 _ABANDONED_S = 3600.0  # a partial entry this old belongs to a process that died
@@ -34,6 +50,38 @@ _SHARE_KEPT = 0.9  # of the most bytes, when the oldest entries go
 _LEAST_FREE_BYTES = 1_000_000_000  # of the disk
 _MAGIC = b"fgentry1"
 _HEAD = struct.Struct("<8s32sQI12x")  # magic, hash of the key, bytes of content, their CRC-32; 64 bytes, for alignment
+
+
+class BoundedCache(Generic[T]):
+    """The values asked for last, up to `most_bytes` in all; a value that is larger than that is never kept."""
+
+    def __init__(self, most_bytes: int, bytes_of: Callable[[T], int]) -> None:
+        self.most_bytes = most_bytes
+        self._bytes_of = bytes_of
+        self._kept: OrderedDict[Hashable, T] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def get(self, key: Hashable, make: Callable[[], T]) -> T:
+        """The value of `key`, made if it is not kept."""
+        with self._lock:
+            if key in self._kept:
+                self._kept.move_to_end(key)
+                return self._kept[key]
+        value = make()
+        with self._lock:
+            self._kept[key] = value
+            total = sum(self._bytes_of(one) for one in self._kept.values())
+            while total > self.most_bytes:
+                total -= self._bytes_of(self._kept.popitem(last=False)[1])
+        return value
+
+    def clear(self) -> None:
+        """Drop all values."""
+        with self._lock:
+            self._kept.clear()
+
+    def __len__(self) -> int:
+        return len(self._kept)
 
 
 def cache_root() -> Path | None:
@@ -152,3 +200,67 @@ def _head(key: str, content: bytes | NDArray[np.uint8]) -> bytes:
     name = hashlib.blake2b(key.encode(), digest_size=32).digest()
     checksum = zlib.crc32(memoryview(content))  # type: ignore[arg-type]  # NumPy's types do not tell of buffers
     return _HEAD.pack(_MAGIC, name, len(content), checksum)
+
+
+def code_hash(
+    parts: tuple[str, ...], packages: tuple[str, ...], tables: tuple[Path, ...] = (), without: tuple[str, ...] = ()
+) -> str:
+    """Hash, hexadecimal, of all that shapes a kind of results besides their inputs.
+
+    It covers the versions of forestgen and Python, the machine's kind, and the files of parts that other packages have
+    registered.
+
+    Parameters
+    ----------
+    parts : folders and files of the package, such as ``community`` and ``pipeline.py``; any change in them counts.
+    packages : that they compute with; their versions count.
+    tables : folders of tables that they read.
+    without : folders and files of the parts that do not shape the results.
+    """
+    return _code_hash(parts, packages, tables, without, registrations())
+
+
+@cache
+def _code_hash(
+    parts: tuple[str, ...],
+    packages: tuple[str, ...],
+    tables: tuple[Path, ...],
+    without: tuple[str, ...],
+    registered: tuple[Registration, ...],
+) -> str:
+    digest = hashlib.blake2b(digest_size=20)
+    versions = [version(name) for name in packages]
+    digest.update(repr((__version__, platform.machine(), platform.python_version(), versions)).encode())
+    for path in source_files(parts, without):
+        _add(digest, PACKAGE, path)
+    for folder in tables:
+        for path in _files(folder, TABLES):
+            _add(digest, folder, path)
+    for one in registered:
+        spec = importlib.util.find_spec(one.path.partition(":")[0])
+        digest.update(f"\n{one.kind} {one.name} {one.path}\n".encode())
+        if spec is not None and spec.origin is not None:
+            _add(digest, Path(spec.origin).parent, Path(spec.origin))
+    return digest.hexdigest()
+
+
+def source_files(parts: tuple[str, ...], without: tuple[str, ...] = ()) -> list[Path]:
+    """The files that `code_hash` reads of the package's parts."""
+    left_out = [PACKAGE / one for one in without]
+    found = (path for part in parts for path in _files(PACKAGE / part, SOURCES))
+    return [path for path in found if not any(path.is_relative_to(one) for one in left_out)]
+
+
+def _files(part: Path, suffixes: tuple[str, ...]) -> Iterator[Path]:
+    """A file, or those of a folder, however deep, sorted."""
+    if part.is_file():
+        yield part
+        return
+    yield from sorted(path for path in part.rglob("*") if path.suffix in suffixes and path.is_file())
+
+
+def _add(digest: hashlib.blake2b, root: Path, path: Path) -> None:
+    """Name, size and content of a file."""
+    content = path.read_bytes()
+    digest.update(f"\n{path.relative_to(root).as_posix()} {len(content)}\n".encode())
+    digest.update(content)

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from forestgen.core.compiled import compiled
-from forestgen.lsystem import machine_layout as layout
-from forestgen.lsystem import opcodes as op
+from forestgen.lsystem import vm_layout as layout
 from forestgen.lsystem.multiset import CLOSE, OPEN, PERCENT
 
 
@@ -190,7 +189,7 @@ def finish_word(t, m, percent, old, now, out, words):  # type: ignore[no-untyped
                 count += 1
     if m[layout.WORDS] + count + 1 > len(words.id):
         m[layout.NEED] = layout.NEED_WORDS
-        return op.MORE_SPACE
+        return layout.MORE_SPACE
     if count > 0 and percent == layout.FRAGMENT:
         ends = _fragment(out.code, out.parameter, t, begin, end, p)
         first = begin
@@ -204,7 +203,7 @@ def finish_word(t, m, percent, old, now, out, words):  # type: ignore[no-untyped
             end = m[layout.WRITTEN]
         _enter(m, begin, end, 0, old, now, out.code, words)
     m[layout.DONE], m[layout.DONE_VALUES] = end, m[layout.WRITTEN_VALUES]
-    return op.OK
+    return layout.OK
 
 
 @compiled

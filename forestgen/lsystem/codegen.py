@@ -1,15 +1,16 @@
-"""Code of expressions and instructions: from syntax to the machine's instructions."""
+"""Code of expressions and instructions: from syntax to the VM's instructions; values known before anything runs."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import math
+import operator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from enum import Enum, auto
 from itertools import count
 from typing import NamedTuple, NoReturn
 
 from forestgen.core.errors import LsystemError
-from forestgen.lsystem import opcodes as op
-from forestgen.lsystem.folding import fold
+from forestgen.lsystem import vm_layout as op
 from forestgen.lsystem.multiset import Kind
 from forestgen.lsystem.syntax import (
     FIRST,
@@ -32,10 +33,20 @@ from forestgen.lsystem.syntax import (
 GROUP = 0  # the global variable that holds the current group
 _MOST_INSTRUCTIONS = 200_000
 _MOST_KINDS = 65_536
+_FUNCTIONS: dict[str, Callable[..., float]] = {
+    "min": min, "max": max, "floor": math.floor, "ceil": math.ceil, "trunc": math.trunc, "abs": abs, "fabs": abs,
+    "exp": math.exp, "sqrt": math.sqrt, "pow": math.pow, "log": math.log,
+    "sin": lambda x: math.sin(math.radians(x)), "cos": lambda x: math.cos(math.radians(x)),
+}  # fmt: skip
+_OPERATORS: dict[str, Callable[[float, float], float]] = {
+    "+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv, "%": math.fmod, "^": math.pow,
+    "==": operator.eq, "!=": operator.ne, "<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge,
+    "&&": lambda a, b: bool(a) and bool(b), "||": lambda a, b: bool(a) or bool(b),
+}  # fmt: skip
 
 
 class Region(Enum):
-    """What an operand counts in, until `packing` gives everything its address."""
+    """What an operand counts in, until `compiler` gives everything its address."""
 
     NOTHING = auto()
     CODE = auto()
@@ -52,14 +63,8 @@ class Instruction(NamedTuple):
     place: Place
 
 
-class Emitter:
-    """Grows one code for a whole program.
-
-    Parameters
-    ----------
-    name : of the file, for messages.
-    macros, arrays, functions, globals : names that expressions may use; globals and arrays by their index.
-    """
+class CodeGenerator:
+    """Grows one code for a whole program, of the file `name`; the others are names that expressions may use."""
 
     def __init__(
         self,
@@ -110,16 +115,16 @@ class Emitter:
 class Scope:
     """Code of one production or block: its names are the formal parameters and local variables."""
 
-    def __init__(self, emitter: Emitter, formals: Sequence[tuple[str, Place]] = (), *, is_global: bool = False) -> None:
-        self.e, self.is_global = emitter, is_global
+    def __init__(
+        self, emitter: CodeGenerator, formals: Sequence[tuple[str, Place]] = (), *, is_global: bool = False
+    ) -> None:
+        self.e, self.is_global, self.fail = emitter, is_global, emitter.fail
         self.locals: dict[str, int] = {}
         self.expanding: list[str] = []
         self.bound: list[Mapping[str, Expression]] = []  # a macro's parameters
         for name, place in formals:
             if name in self.locals:
-                emitter.fail(
-                    f"the parameter {name} stands twice in one production", place, hint="give each its own name"
-                )
+                self.fail(f"the parameter {name} stands twice in one production", place, hint="give each its own name")
             self.local(name)
 
     def local(self, name: str) -> int:
@@ -138,24 +143,17 @@ class Scope:
                 self.branches(one)
             elif isinstance(one, UseGroup):
                 if not self.is_global:
-                    self.e.fail(
-                        "useGroup stands in a production", one.place, expected="it in Start, StartEach or EndEach"
-                    )
-                self.check_group(one)
+                    expected = "it in Start, StartEach or EndEach"
+                    self.fail("useGroup stands in a production", one.place, expected=expected)
+                value = fold(one.group, {}, self.e.name)
+                if value is not None and value not in self.e.groups:
+                    known = ", ".join(map(str, sorted(self.e.groups)))
+                    self.fail("there is no such group", one.place, expected=known, got=f"{value:g}")
                 self.expression(one.group)
                 self.e.put(op.STORE, one.place, -1, GROUP, Region.GLOBAL)
             else:
-                self.assign(one)
-
-    def check_group(self, one: UseGroup) -> None:
-        value = fold(one.group, {}, self.e.name)
-        if value is not None and value not in self.e.groups:
-            known = ", ".join(map(str, sorted(self.e.groups)))
-            self.e.fail("there is no such group", one.place, expected=known, got=f"{value:g}")
-
-    def assign(self, one: Assign) -> None:
-        self.expression(one.value)
-        self.assign_to(one.name, one.place)
+                self.expression(one.value)
+                self.assign_to(one.name, one.place)
 
     def assign_to(self, name: str, place: Place) -> None:
         """The value on the stack becomes a variable's."""
@@ -163,13 +161,10 @@ class Scope:
             self.e.put(op.STORE, place, -1, self.e.globals[name], Region.GLOBAL)
             return
         if name in self.e.globals:
-            self.e.fail(
-                f"a production assigns the global variable {name}",
-                place,
-                expected="local variables: all modules are rewritten at once",
-            )
+            problem = f"a production assigns the global variable {name}"
+            self.fail(problem, place, expected="local variables: all modules are rewritten at once")
         if name in self.e.macros or name in self.e.arrays:
-            self.e.fail(f"{name} is defined and cannot be assigned", place)
+            self.fail(f"{name} is defined and cannot be assigned", place)
         self.e.put(op.STORE, place, -1, self.local(name), Region.LOCAL)
 
     def branches(self, one: If) -> None:
@@ -213,7 +208,7 @@ class Scope:
         elif isinstance(one, Index):
             if one.name not in self.e.arrays:
                 known = ", ".join(self.e.arrays) or "none is defined"
-                self.e.fail(f"there is no array {one.name}", one.place, expected=known, got=one.name)
+                self.fail(f"there is no array {one.name}", one.place, expected=known, got=one.name)
             self.compute(one.index)
             self.e.put(op.ELEMENT, one.place, 0, self.e.arrays[one.name], Region.ARRAY)
         elif isinstance(one, Unary):
@@ -224,7 +219,9 @@ class Scope:
         elif one.operator in ("&&", "||"):
             self.shortcut(one)
         else:
-            self.binary(one)
+            self.compute(one.left)
+            self.compute(one.right)
+            self.e.put(op.OPERATORS[one.operator], one.place, -1)
 
     def named(self, one: Name) -> None:
         if self.bound and one.name in self.bound[-1]:
@@ -242,21 +239,20 @@ class Scope:
             self.e.constant(self.e.functions[one.name], one.place)
         else:
             known = [*self.locals, *(name for name in self.e.globals if name), *self.e.macros]
-            self.e.fail(
-                f"{one.name} has no value here",
-                one.place,
-                expected=", ".join(known[:12]) or "a number",
-                hint="a parameter of the predecessor, a local variable, or a #define",
+            expected, hint = (
+                ", ".join(known[:12]) or "a number",
+                "a parameter of the predecessor, a local variable, or a #define",
             )
+            self.fail(f"{one.name} has no value here", one.place, expected=expected, hint=hint)
 
     def expand(self, one: Call, *, is_value: bool = False) -> None:
         macro = self.e.macros[one.name]
         parameters = macro.parameters or ()
         if (macro.parameters is None) != is_value or len(parameters) != len(one.arguments):
             wanted = one.name if macro.parameters is None else f"{one.name}({', '.join(parameters)})"
-            self.e.fail(f"{one.name} is defined otherwise", one.place, expected=wanted)
+            self.fail(f"{one.name} is defined otherwise", one.place, expected=wanted)
         if one.name in self.expanding:
-            self.e.fail(f"#define {one.name} is made of itself", one.place, got=" > ".join([*self.expanding, one.name]))
+            self.fail(f"#define {one.name} is made of itself", one.place, got=" > ".join([*self.expanding, one.name]))
         self.expanding.append(one.name)
         self.bound.append(dict(zip(parameters, one.arguments, strict=True)))
         self.compute(macro.body)
@@ -270,32 +266,25 @@ class Scope:
         if one.name == "count":
             self.count(one)
             return
-        if one.name not in op.FUNCTIONS:
-            self.e.fail(
-                f"the function {one.name} is not known", one.place, expected=", ".join([*op.FUNCTIONS, "count"])
-            )
-        operation, arity = op.FUNCTIONS[one.name]
+        if one.name not in op.BUILTINS:
+            self.fail(f"the function {one.name} is not known", one.place, expected=", ".join([*op.BUILTINS, "count"]))
+        operation, arity = op.BUILTINS[one.name]
         if len(one.arguments) != arity:
-            self.e.fail(f"{one.name} takes {arity} argument{'s' * (arity > 1)}", one.place, got=f"{len(one.arguments)}")
-        if one.name == "func" and isinstance(one.arguments[0], Number | Name):
-            self.check_function(one.arguments[0])
+            self.fail(f"{one.name} takes {arity} argument{'s' * (arity > 1)}", one.place, got=f"{len(one.arguments)}")
+        chosen = one.arguments[0]
+        if one.name == "func" and isinstance(chosen, Number) and chosen.value not in self.e.functions.values():
+            known = ", ".join(self.e.functions) or "none is defined"
+            self.fail(f"there is no function {chosen.value:g}", chosen.place, expected=known)
         for argument in one.arguments:
             self.compute(argument)
         self.e.put(operation, one.place, 1 - arity)
 
-    def check_function(self, chosen: Number | Name) -> None:
-        if isinstance(chosen, Number) and chosen.value not in self.e.functions.values():
-            known = ", ".join(self.e.functions) or "none is defined"
-            self.e.fail(f"there is no function {chosen.value:g}", chosen.place, expected=known)
-
     def count(self, one: Call) -> None:
         if not self.is_global or len(one.arguments) != 1 or not isinstance(one.arguments[0], Name | Number):
-            self.e.fail(
-                "count(A) counts modules in Start, StartEach and EndEach", one.place, expected="one symbol in it"
-            )
+            self.fail("count(A) counts modules in Start, StartEach and EndEach", one.place, expected="one symbol in it")
         argument = one.arguments[0]
         if isinstance(argument, Name) and len(argument.name) > 1:
-            self.e.fail("a symbol is one character", argument.place, expected="count(A)", got=argument.name)
+            self.fail("a symbol is one character", argument.place, expected="count(A)", got=argument.name)
         symbol = argument.name if isinstance(argument, Name) else f"{argument.value:g}"
         slot = self.e.counted.setdefault(symbol, len(self.e.globals))
         self.e.globals.setdefault(f"count({symbol})", slot)
@@ -313,11 +302,6 @@ class Scope:
         self.e.constant(0.0 if one.operator == "&&" else 1.0, one.place)
         self.e.land(end)
 
-    def binary(self, one: Binary) -> None:
-        self.compute(one.left)
-        self.compute(one.right)
-        self.e.put(op.OPERATORS[one.operator], one.place, -1)
-
 
 def assigned(one: Statement) -> Iterator[str]:
     """Names that a statement may assign."""
@@ -333,3 +317,61 @@ def number_functions(names: Sequence[str]) -> dict[str, int]:
     numbers = {name: int(name) for name in names if name.isdigit()}
     free = (number for number in count(1) if number not in numbers.values())
     return {name: numbers[name] if name in numbers else next(free) for name in names}
+
+
+def fold(expression: Expression, macros: Mapping[str, Macro], name: str) -> float | None:
+    """Value of an expression of numbers and #defines; None where it needs more, draws, or has no value.
+
+    Raises `LsystemError` for a division by zero.
+    """
+    try:
+        value = _Folder(macros, name).fold(expression)
+    except (OverflowError, ValueError):
+        return None  # the VM reports where
+    return value if value is None or math.isfinite(value) else None
+
+
+class _Folder:
+    """Each #define is computed once, however often it stands."""
+
+    def __init__(self, macros: Mapping[str, Macro], name: str) -> None:
+        self.macros, self.name = macros, name
+        self.known: dict[str, float | None] = {}
+
+    def fold(self, one: Expression) -> float | None:
+        if isinstance(one, Number):
+            return one.value
+        if isinstance(one, Name):
+            return self.named(one.name)
+        if isinstance(one, Unary):
+            value = self.fold(one.operand)
+            return None if value is None else (-value if one.operator == "-" else float(not value))
+        if isinstance(one, Index):
+            return None
+        return self.call(one) if isinstance(one, Call) else self.binary(one)
+
+    def named(self, name: str) -> float | None:
+        macro = self.macros.get(name)
+        if macro is None or macro.parameters is not None:
+            return None
+        if name not in self.known:
+            self.known[name] = None  # if it is made of itself
+            self.known[name] = self.fold(macro.body)
+        return self.known[name]
+
+    def call(self, one: Call) -> float | None:
+        if one.name in self.macros or one.name not in _FUNCTIONS or len(one.arguments) != op.BUILTINS[one.name][1]:
+            return None
+        values = [self.fold(argument) for argument in one.arguments]
+        known = [value for value in values if value is not None]
+        return float(_FUNCTIONS[one.name](*known)) if len(known) == len(values) else None
+
+    def binary(self, one: Binary) -> float | None:
+        left = self.fold(one.left)
+        if one.operator in ("&&", "||") and left is not None and bool(left) == (one.operator == "||"):
+            return float(bool(left))  # the right side never runs
+        right = self.fold(one.right)
+        if one.operator in "/%" and right == 0:
+            where = f"{self.name}:{one.place.line}:{one.place.column}"
+            raise LsystemError("division by zero", where=where)
+        return None if left is None or right is None else float(_OPERATORS[one.operator](left, right))

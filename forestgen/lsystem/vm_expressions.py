@@ -7,8 +7,7 @@ import math
 import numpy as np
 
 from forestgen.core.compiled import compiled
-from forestgen.lsystem import machine_layout as layout
-from forestgen.lsystem import opcodes as op
+from forestgen.lsystem import vm_layout as layout
 
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX_1, _MIX_2 = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
@@ -91,39 +90,39 @@ def _curve(x, v, first, n):  # type: ignore[no-untyped-def]
 @compiled
 def _one(operation, x, key, m):  # type: ignore[no-untyped-def]
     """Value of a function of one value; nan outside its domain."""
-    if operation == op.FLOOR:
+    if operation == layout.FLOOR:
         return np.floor(x)
-    if operation == op.RAN:
+    if operation == layout.RAN:
         return x * uniform(key, m)
-    if operation == op.POISSON:
+    if operation == layout.POISSON:
         return _poisson(x, key, m) if 0.0 <= x <= 1e15 else math.nan
-    if operation == op.SQRT:
+    if operation == layout.SQRT:
         return math.sqrt(x) if x >= 0 else math.nan
-    if operation == op.EXP:
+    if operation == layout.EXP:
         return math.exp(x) if x < 709.78 else math.inf
-    if operation == op.LOG:
+    if operation == layout.LOG:
         return math.log(x) if x > 0 else math.nan
-    if operation == op.LOG10:
+    if operation == layout.LOG10:
         return math.log10(x) if x > 0 else math.nan
-    if operation == op.ABS:
+    if operation == layout.ABS:
         return abs(x)
-    if operation == op.SIGN:
+    if operation == layout.SIGN:
         return 1.0 if x > 0 else (-1.0 if x < 0 else 0.0)
-    if operation == op.CEIL:
+    if operation == layout.CEIL:
         return np.ceil(x)
-    if operation == op.TRUNC:
+    if operation == layout.TRUNC:
         return np.trunc(x)
-    if operation == op.SIN:
+    if operation == layout.SIN:
         return math.sin(math.radians(x))
-    if operation == op.COS:
+    if operation == layout.COS:
         return math.cos(math.radians(x))
-    if operation == op.TAN:
+    if operation == layout.TAN:
         return math.tan(math.radians(x))
-    if operation == op.ATAN:
+    if operation == layout.ATAN:
         return math.degrees(math.atan(x))
     if not -1.0 <= x <= 1.0:
         return math.nan
-    return math.degrees(math.asin(x) if operation == op.ASIN else math.acos(x))
+    return math.degrees(math.asin(x) if operation == layout.ASIN else math.acos(x))
 
 
 @compiled
@@ -138,18 +137,18 @@ def _power(x, y):  # type: ignore[no-untyped-def]
 def run(t, v, m, key, pc, out_code, out_parameter):  # type: ignore[no-untyped-def]
     """Run the code at t[pc]. EMIT writes to `out_*` at m[MODULES], m[VALUES]. A value is left in v[t[STACK]].
 
-    Returns op.OK, or what went wrong; then m[FAULT] is where.
+    Returns layout.OK, or what went wrong; then m[FAULT] is where.
     """
     bottom, arity = t[layout.STACK], t[layout.ARITY]
     sp = bottom - 1
     while True:
         operation, operand = t[pc], t[pc + 1]
-        if operation == op.LOAD:
+        if operation == layout.LOAD:
             sp += 1
             v[sp] = v[operand]
-        elif operation == op.RETURN:
-            return op.OK
-        elif operation == op.EMIT:
+        elif operation == layout.RETURN:
+            return layout.OK
+        elif operation == layout.EMIT:
             n = t[arity + operand]
             sp -= n
             at = m[layout.VALUES]
@@ -157,92 +156,92 @@ def run(t, v, m, key, pc, out_code, out_parameter):  # type: ignore[no-untyped-d
                 value = v[sp + 1 + k]
                 if not math.isfinite(value):
                     m[layout.FAULT] = pc
-                    return op.NOT_FINITE
+                    return layout.NOT_FINITE
                 out_parameter[at + k] = value
             m[layout.VALUES] = at + n
             out_code[m[layout.MODULES]] = operand
             m[layout.MODULES] += 1
-        elif operation == op.JUMP_IF_ZERO:
+        elif operation == layout.JUMP_IF_ZERO:
             sp -= 1
             if v[sp + 1] == 0.0:
                 pc = operand
                 continue
-        elif operation == op.JUMP:
+        elif operation == layout.JUMP:
             pc = operand
             continue
-        elif operation == op.STORE:
+        elif operation == layout.STORE:
             v[operand] = v[sp]
             sp -= 1
-        elif operation == op.ELEMENT:
+        elif operation == layout.ELEMENT:
             index = np.floor(v[sp])
             first, last = t[operand], t[operand + 1]
             if not 0 <= index < last - first:
                 m[layout.FAULT] = pc
-                return op.NO_SUCH_ELEMENT
+                return layout.NO_SUCH_ELEMENT
             v[sp] = v[first + np.int64(index)]
-        elif operation == op.NOT:
+        elif operation == layout.NOT:
             v[sp] = 1.0 if v[sp] == 0.0 else 0.0
-        elif operation == op.TRUTH:
+        elif operation == layout.TRUTH:
             v[sp] = 0.0 if v[sp] == 0.0 else 1.0
-        elif operation == op.NEGATE:
+        elif operation == layout.NEGATE:
             v[sp] = -v[sp]
-        elif operation < op.SIN:
+        elif operation < layout.SIN:
             sp -= 1
             a, b = v[sp], v[sp + 1]
-            if operation == op.ADD:
+            if operation == layout.ADD:
                 a += b
-            elif operation == op.SUBTRACT:
+            elif operation == layout.SUBTRACT:
                 a -= b
-            elif operation == op.MULTIPLY:
+            elif operation == layout.MULTIPLY:
                 a *= b
-            elif operation == op.DIVIDE or operation == op.REMAINDER:
+            elif operation == layout.DIVIDE or operation == layout.REMAINDER:
                 if b == 0.0:
                     m[layout.FAULT] = pc
-                    return op.DIVISION_BY_ZERO
-                a = a / b if operation == op.DIVIDE else np.fmod(a, b)
-            elif operation == op.POWER:
+                    return layout.DIVISION_BY_ZERO
+                a = a / b if operation == layout.DIVIDE else np.fmod(a, b)
+            elif operation == layout.POWER:
                 a = _power(a, b)
                 if math.isnan(a):
                     m[layout.FAULT] = pc
-                    return op.OUTSIDE_DOMAIN
-            elif operation == op.EQUAL:
+                    return layout.OUTSIDE_DOMAIN
+            elif operation == layout.EQUAL:
                 a = 1.0 if a == b else 0.0
-            elif operation == op.UNEQUAL:
+            elif operation == layout.UNEQUAL:
                 a = 1.0 if a != b else 0.0
-            elif operation == op.LESS:
+            elif operation == layout.LESS:
                 a = 1.0 if a < b else 0.0
-            elif operation == op.LESS_EQUAL:
+            elif operation == layout.LESS_EQUAL:
                 a = 1.0 if a <= b else 0.0
-            elif operation == op.GREATER:
+            elif operation == layout.GREATER:
                 a = 1.0 if a > b else 0.0
             else:
                 a = 1.0 if a >= b else 0.0
             v[sp] = a
-        elif operation < op.MINIMUM:
+        elif operation < layout.MINIMUM:
             v[sp] = _one(operation, v[sp], key, m)
             if math.isnan(v[sp]):
                 m[layout.FAULT] = pc
-                return op.OUTSIDE_DOMAIN
+                return layout.OUTSIDE_DOMAIN
         else:
             sp -= 1
             a, b = v[sp], v[sp + 1]
-            if operation == op.MINIMUM:
+            if operation == layout.MINIMUM:
                 a = min(a, b)
-            elif operation == op.MAXIMUM:
+            elif operation == layout.MAXIMUM:
                 a = max(a, b)
-            elif operation == op.NRAN:
+            elif operation == layout.NRAN:
                 a = a + b * _normal(key, m)
-            elif operation == op.ATAN2:
+            elif operation == layout.ATAN2:
                 a = math.degrees(math.atan2(a, b))
             else:
                 index = np.floor(a) - 1.0
                 if not 0 <= index < t[layout.FUNCTIONS]:
                     m[layout.FAULT] = pc
-                    return op.NO_SUCH_FUNCTION
+                    return layout.NO_SUCH_FUNCTION
                 curve = t[layout.FUNCTION_AT] + 2 * np.int64(index)
                 if t[curve + 1] == 0:
                     m[layout.FAULT] = pc
-                    return op.NO_SUCH_FUNCTION
+                    return layout.NO_SUCH_FUNCTION
                 a = _curve(b, v, t[curve], t[curve + 1])
             v[sp] = a
         pc += 2
