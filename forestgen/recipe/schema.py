@@ -1,6 +1,6 @@
 """The recipe's schema: the keys of a drawn recipe, their units and defaults.
 
-Distributions are drawn, shorthands spelled out and species files merged before a recipe meets this schema
+Distributions are drawn, shorthands expanded and species files merged before a recipe meets this schema
 (`forestgen.recipe.load`); here every number is a number.
 """
 
@@ -337,18 +337,18 @@ class Recipe(Section):
         description="Whether all images show image 0's stand, or by_split, all images of a split the split's own; "
         "distributions are still drawn by image.",
     )
-    site: Site = Field(default_factory=Site, description="The piece of land.")
+    site: Site = Field(default_factory=lambda: Site.model_validate({}), description="The piece of land.")
     species: dict[Name, Species] = Field(min_length=1, max_length=1000, description="Species by name.")
     community: Community = Field(description="The plants of the stand: a community model and its own keys.")
-    plants: Plants = Field(Plants(), description="How plants are modelled.")
+    plants: Plants = Field(Plants.model_validate({}), description="How plants are modelled.")
     sky: SerializeAsAny[SkySection] = Field(
         default_factory=lambda: SkySection.model_validate({}), description="Everything above: sun, sky, clouds."
     )
     cameras: list[AnyCamera] = Field(min_length=1, max_length=1000, description="Cameras, at least one.")
-    render: Render = Field(Render(), description="The light's computation.")
-    labels: Labels = Field(Labels(), description="The labels' computation.")
-    wind: Wind = Field(Wind(), description="How plants lean and sway.")
-    dataset: Dataset = Field(Dataset(), description="Files for training and measuring.")
+    render: Render = Field(Render.model_validate({}), description="The light's computation.")
+    labels: Labels = Field(Labels.model_validate({}), description="The labels' computation.")
+    wind: Wind = Field(Wind.model_validate({}), description="How plants lean and sway.")
+    dataset: Dataset = Field(Dataset.model_validate({}), description="Files for training and measuring.")
     sampling: Sampling | None = Field(None, description="How draws are spread over the images, correlated and shared.")
 
     @model_validator(mode="before")

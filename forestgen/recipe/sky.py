@@ -164,7 +164,7 @@ class SkySection(PartSection):
     selector = "kind"
 
     kind: Text = Field("clear", description="Model of the sky.")
-    sun: Sun = Field(Sun(), description="Where the sun stands, by angles or by date.")
+    sun: Sun = Field(Sun.model_validate({}), description="Where the sun stands, by angles or by date.")
     turbidity: Number = Field(3.0, ge=1, le=10, description="Haze: 1 is pure air, 3 clear, 10 hazy; no unit.")
     precipitable_water_mm: Number = Field(
         14.16,
