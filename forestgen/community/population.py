@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.architecture.modules import Modules
-from forestgen.core.forestry import BREAST_HEIGHT_M
+from forestgen.core.frames import BREAST_HEIGHT_M
 
 Floats = NDArray[np.float64]
 

@@ -2,7 +2,7 @@
 
 A simulation is a function of the model, its parameters, the site with its ground, how each species lives, the seed, and
 the code. Images of one stand, cameras added later, a batch that is done again: they take the community from the folder
-`communities` of the cache (core/disk_cache.py). What comes from disk is what would be simulated, to the last bit. What
+`communities` of the cache (core/cache.py). What comes from disk is what would be simulated, to the last bit. What
 takes less time to simulate than `WORTHWHILE_S` is not kept.
 """
 
@@ -22,10 +22,9 @@ from forestgen.architecture.modules import Modules
 from forestgen.community.model import simulate
 from forestgen.community.plan import CommunityPlan
 from forestgen.community.population import Population, Status, count_by_species, stems_by_species
-from forestgen.core.code_hash import code_hash
-from forestgen.core.disk_cache import DiskCache, cache_root
+from forestgen.core.cache import DiskCache, cache_root, code_hash
 from forestgen.core.figures import count, seconds, table_lines
-from forestgen.core.forestry import BREAST_HEIGHT_M
+from forestgen.core.frames import BREAST_HEIGHT_M
 from forestgen.core.packed import UnreadableError, pack, unpack
 from forestgen.core.progress import Progress
 from forestgen.recipe.assets import scenes_dir

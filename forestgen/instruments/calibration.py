@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from forestgen.core.spectrum import Spectrum
 from forestgen.dataset.files import write_bytes
 from forestgen.dataset.manifest import package_versions
-from forestgen.geometry.model import png
+from forestgen.geometry.export import png
 from forestgen.instruments.instrument import Point, Reading
 from forestgen.instruments.light_meter import LightMeter
 from forestgen.recipe.load import LoadedRecipe

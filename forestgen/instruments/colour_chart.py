@@ -26,10 +26,9 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from forestgen.core.errors import RecipeError
-from forestgen.core.progress import Progress
+from forestgen.core.progress import Progress, Timings
 from forestgen.core.randomness import child_seed
 from forestgen.core.spectrum import Spectrum
-from forestgen.core.timing import Timings
 from forestgen.instruments.calibration import (
     BOUND_MODES,
     CARD_BOUND,
@@ -43,12 +42,10 @@ from forestgen.instruments.calibration import (
 from forestgen.instruments.instrument import Direction, Instrument, Place3, Point
 from forestgen.instruments.light_meter import LightMeter, place, read
 from forestgen.recipe.fields import Flag, Section, Whole
-from forestgen.render.chart_pass import WAVELENGTHS_NM, ChartImages, render_chart
-from forestgen.render.cloud_heights import near_base_of
+from forestgen.render.cloud_shadow import check_far_clouds, near_base_of
 from forestgen.render.identity import SceneTracer, trace_identity
-from forestgen.render.irradiance import Source, measure
+from forestgen.render.irradiance import WAVELENGTHS_NM, ChartImages, Source, measure, render_chart
 from forestgen.render.skies.model import sky_model_of
-from forestgen.render.transport import check_far_clouds
 from forestgen.scene import colour_checker as checker
 from forestgen.scene.build import BuiltScene
 from forestgen.scene.plan import Plan

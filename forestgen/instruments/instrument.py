@@ -10,8 +10,7 @@ from pydantic import BeforeValidator, ValidationError
 
 from forestgen.core.arguments import listed, shown
 from forestgen.core.errors import RecipeError
-from forestgen.core.progress import Progress
-from forestgen.core.timing import Timings
+from forestgen.core.progress import Progress, Timings
 from forestgen.recipe.camera_keys import DIRECTIONS
 from forestgen.recipe.fields import Section, mistake
 from forestgen.recipe.load import LoadedRecipe

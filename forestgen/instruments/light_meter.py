@@ -34,15 +34,14 @@ from forestgen.atmosphere.clouds.source import cloud_source_of
 from forestgen.atmosphere.daylight import illuminance
 from forestgen.core.errors import RecipeError
 from forestgen.core.figures import count, table_lines
-from forestgen.core.progress import Progress
+from forestgen.core.progress import Progress, Timings
 from forestgen.core.randomness import child_seed
 from forestgen.core.spectrum import LUMINANCE, Spectrum
-from forestgen.core.timing import Timings
 from forestgen.instruments.instrument import Directions, Instrument, Places, Point, Reading
 from forestgen.recipe.fields import Flag, Number, Section, Whole
 from forestgen.recipe.load import DrawnRecipe, LoadedRecipe
+from forestgen.render.cloud_shadow import check_far_clouds
 from forestgen.render.irradiance import REPLICATES, PointLight, measure
-from forestgen.render.transport import check_far_clouds
 from forestgen.scene.build import BuiltScene
 from forestgen.scene.colour_checker import temperature_of
 from forestgen.scene.ground import height_field

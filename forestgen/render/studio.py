@@ -18,11 +18,9 @@ from numpy.typing import NDArray
 from forestgen.core.arguments import listed, number_of, whole_of
 from forestgen.core.errors import RecipeError
 from forestgen.core.frames import look_at
-from forestgen.core.progress import Progress
+from forestgen.core.progress import Progress, Timings
 from forestgen.core.randomness import child_rng
-from forestgen.core.timing import Timings
-from forestgen.geometry.mesh import Mesh
-from forestgen.geometry.vectors import unit
+from forestgen.geometry.mesh import Mesh, unit
 from forestgen.plants.exemplar import Exemplar
 from forestgen.recipe.schema import Recipe
 from forestgen.render.identity import SceneTracer
@@ -236,9 +234,9 @@ def ground(size_m: float) -> Terrain:
 @cache
 def _horizon_reflectance() -> tuple[float, float, float]:
     """What a level surface must reflect to look like the sky above the northern horizon, linear Rec. 709."""
+    from forestgen.render.light import sky_map, sun_irradiance
     from forestgen.render.skies.model import map_directions
     from forestgen.render.sky import level_irradiance
-    from forestgen.render.sky_radiance import sky_map, sun_irradiance
     from forestgen.render.variant import SCALAR, using
 
     with using(SCALAR):

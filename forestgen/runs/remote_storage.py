@@ -259,7 +259,7 @@ class RemoteLock:
                 self._store.rm_file(self._key)
 
     def check(self) -> None:
-        """Raise `OutputError` if another run has taken the lock over; asks nobody, so it costs nothing."""
+        """Raise `OutputError` if another run has taken the lock over; makes no request."""
         if self._lost:
             raise OutputError(
                 "the lock of the data set was lost: this run could not reach the store, or another took over",

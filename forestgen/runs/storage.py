@@ -130,7 +130,7 @@ class LocalStorage:
         shutil.rmtree(self._path(STAGING), ignore_errors=True)
 
     def _path(self, relative: str) -> Path:
-        """A path below the root, in folders that are no links: data sets and recipes may come from strangers."""
+        """A path below the root, in folders that are no links: data sets and recipes may be untrusted."""
         above = SafePath(self.root, relative.rpartition("/")[0])
         try:
             if relative and not is_inside(relative):
@@ -244,11 +244,11 @@ class LocalLock:
                 folder.rmdir()
 
     def check(self) -> None:
-        """Nobody takes a lock of the operating system's away."""
+        """Nothing to do: a lock of the operating system cannot be lost."""
 
 
 def _refuse_link(path: Path) -> None:
-    """What would be written through a link, or wait in a pipe, is refused: the data set may be a stranger's."""
+    """Refuse to write through a link or into a pipe: the data set may be untrusted."""
     if os.path.lexists(path) and not SafePath(path.parent, path.name).is_file():
         raise OutputError("this is no plain file", where=str(path), hint="remove it")
 

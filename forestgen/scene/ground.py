@@ -14,8 +14,7 @@ from forestgen.community.population import Population
 from forestgen.core.errors import AssetError, RecipeError
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.registries import TERRAINS
-from forestgen.recipe.terrain import Terrain
-from forestgen.recipe.wet_soil import WetSoil
+from forestgen.recipe.schema import Terrain, WetSoil
 from forestgen.scene.soil_colour import Wetness
 from forestgen.scene.terrain import HeightField, smooth_step
 

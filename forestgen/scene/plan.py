@@ -12,13 +12,13 @@ from forestgen.atmosphere.clouds.source import GAP_OF_SITE, LEAST_GAP_M, cloud_s
 from forestgen.community.plan import CommunityPlan
 from forestgen.core.errors import RecipeError, ResourceError
 from forestgen.core.figures import show_bytes
-from forestgen.core.memory import free_bytes
+from forestgen.core.processes import free_bytes
 from forestgen.plants.budget import most_triangles
 from forestgen.plants.parameters import PlantParameters
 from forestgen.plants.plan import PlantPlan
 from forestgen.plants.registry import GENERATORS
 from forestgen.recipe.load import DrawnRecipe
-from forestgen.recipe.plants import Plants
+from forestgen.recipe.schema import Plants
 from forestgen.scene.exemplars import MOST_TRIANGLES
 from forestgen.scene.views import Views
 
@@ -112,7 +112,7 @@ def _located(cause: RecipeError | ResourceError, drawn: DrawnRecipe) -> RecipeEr
 
 
 def _may_be_exact(views: Views, base_m: float | None) -> bool:
-    """Whether the light of a recipe with clouds may be traced through them; see `render.transport`."""
+    """Whether the light of a recipe with clouds may be traced through them; see `render.cloud_shadow`."""
     drawn, recipe = views.drawn, views.drawn.recipe
     if recipe.render.clouds != "auto" or base_m is None:
         return recipe.render.clouds != "farfield"

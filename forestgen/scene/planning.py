@@ -11,8 +11,7 @@ from forestgen.community.model import Site
 from forestgen.community.placement.density_map import check_maps
 from forestgen.community.plan import CommunityPlan
 from forestgen.community.registry import COMMUNITY_MODELS
-from forestgen.core.error_list import ErrorList
-from forestgen.core.errors import RecipeError
+from forestgen.core.errors import ErrorList, RecipeError
 from forestgen.plants.plan import PlantPlan, foliage_of, generator_parameters
 from forestgen.recipe.load import DrawnRecipe, LoadedRecipe
 from forestgen.recipe.registries import DATASET_FORMATS, LABEL_CHANNELS

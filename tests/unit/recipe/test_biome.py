@@ -12,7 +12,7 @@ from forestgen.plants.generators.branch_modules import Parameters
 from forestgen.recipe import biome
 from forestgen.recipe.assets import list_assets, recipes_dir
 from forestgen.recipe.load import dump_yaml, load_recipe
-from forestgen.recipe.plant_type import PlantType
+from forestgen.recipe.species import PlantType
 
 HEAD = "forestgen: 1\nseed: 1\nsite: {size_m: [30, 30]}\n"
 BIOMES = {
