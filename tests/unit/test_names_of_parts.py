@@ -59,7 +59,6 @@ OTHER_MEANINGS = {  # file -> names that are no part's in it, or a default
     "dataset/frame.py": {"albedo", "cloud", "motion", "sun"},  # parts of frame.exr
     "dataset/pack/source.py": {"albedo", "motion"},  # the same
     "dataset/report/scene_sections.py": {"sun"},  # a key of the recipe
-    "labels/gap_fraction.py": {"gap_fraction"},  # a key of canopy.json
     "lsystem/parsing.py": {"points"},  # a rule of the grammar
     "lsystem/statements.py": {"points"},  # the same
     "recipe/schema.py": {"flat", "litter"},  # defaults
