@@ -116,9 +116,9 @@ class Scope:
     """Code of one production or block: its names are the formal parameters and local variables."""
 
     def __init__(
-        self, emitter: CodeGenerator, formals: Sequence[tuple[str, Place]] = (), *, is_global: bool = False
+        self, code: CodeGenerator, formals: Sequence[tuple[str, Place]] = (), *, is_global: bool = False
     ) -> None:
-        self.e, self.is_global, self.fail = emitter, is_global, emitter.fail
+        self.e, self.is_global, self.fail = code, is_global, code.fail
         self.locals: dict[str, int] = {}
         self.expanding: list[str] = []
         self.bound: list[Mapping[str, Expression]] = []  # a macro's parameters

@@ -236,7 +236,7 @@ def _rewritten(
     )
 
     def rewrite(first: int, end: int) -> tuple[int, NDArray[np.int64], _Space]:
-        """The words of a range: what went wrong, the machine's state, what was written."""
+        """The words of a range: what went wrong, the VM's state, what was written."""
         real, m = _reals(program, state.globals), _state(program)
         begin = words.word_start[first]
         m[layout.NEXT_VALUE] = np.bincount(words.code[:begin], minlength=len(program.kinds)) @ words.arity
@@ -315,7 +315,7 @@ class _Space:
         )
 
     def grow(self, m: NDArray[np.int64]) -> bool:
-        """Twice the space of what the machine needs, with what was written; False where that exceeds the limit."""
+        """Twice the space of what the VM needs, with what was written; False where that exceeds the limit."""
         need = m[layout.NEED]
         if need == layout.NEED_PILE:
             if len(self.pile.code) > self.most_space:

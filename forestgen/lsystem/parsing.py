@@ -44,7 +44,7 @@ def parse_text(text: str, name: str) -> ProgramAST:
 
 
 class _Builder:
-    """Collects statements into a listing."""
+    """Collects statements into a `ProgramAST`."""
 
     def __init__(self, name: str) -> None:
         self.name = name

@@ -21,7 +21,7 @@ from forestgen.lsystem.syntax import Place, ProgramAST
 
 @dataclass(frozen=True)
 class RuleSet:
-    """A set of productions: where the machine finds it, and how much it writes."""
+    """A set of productions: where the VM finds it, and how much it writes."""
 
     address: int  # in the table of whole numbers: for each kind, where its productions begin; -1: there are none
     most_modules: NDArray[np.int64]  # (number of kinds,) written for a module of a kind, at most

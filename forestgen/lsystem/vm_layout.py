@@ -60,7 +60,7 @@ GROUP, CONDITION, PROBABILITY, SUCCESSOR = 0, 1, 2, 3
 LEFT, LEFTS, HEAD, HEADS, RIGHT, RIGHTS, MOST_MODULES, MOST_VALUES = 4, 5, 6, 7, 8, 9, 10, 11
 # A successor without parameters that always applies: address and length; -1: there is none.
 PLAIN, PLAINS, RECORD = 12, 13, 14
-# m, the machine's state: NEED is what MORE_SPACE asks for, EXPANSIONS counts productions of blocks in this call, and
+# m, the VM's state: NEED is what MORE_SPACE asks for, EXPANSIONS counts productions of blocks in this call, and
 # from FOUND on lie the indices of context modules and brackets.
 DRAWS, MODULES, VALUES, FAULT, FAULT_MODULE, NEXT_WORD, NEXT_VALUE, DONE, DONE_VALUES = 0, 1, 2, 3, 4, 5, 6, 7, 8
 WORDS, NEXT_ID, WRITTEN, WRITTEN_VALUES, NEED, EXPANSIONS, FOUND = 9, 10, 11, 12, 13, 14, 15
@@ -73,7 +73,7 @@ CUT, FRAGMENT = 1, 2  # what % does; 0: nothing
 
 
 class Memory(NamedTuple):
-    """The program and the machine's state."""
+    """The program and the VM's state."""
 
     t: Indices
     v: Values

@@ -25,15 +25,15 @@ class Building(PartSection, GivenSection):
     registry = BUILDINGS
     selector = "kind"
 
-    kind: Text = Field(default=DEFAULT_BUILDING, description="What it is, also the name of its class in labels.")
+    kind: Text = Field(DEFAULT_BUILDING, description="What it is, also the name of its class in labels.")
     position_m: tuple[Coordinate, Coordinate] = Field(
         description="Middle of its ground plan: x, y, metres; on the site."
     )
     azimuth_deg: Number = Field(
-        default=0.0, ge=-360, le=360, description="Turn of its width from east, clockwise from above, degrees."
+        0.0, ge=-360, le=360, description="Turn of its width from east, clockwise from above, degrees."
     )
     size_m: tuple[_Side, _Side, _Side] = Field(
-        default=(10.0, 8.0, 7.0), description="Width along its ridge, depth, and height to the ridge, metres."
+        (10.0, 8.0, 7.0), description="Width along its ridge, depth, and height to the ridge, metres."
     )
     materials: dict[Name, Material] = Field(
         default_factory=dict, description="Materials in place of the kind's own, by part."

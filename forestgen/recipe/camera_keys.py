@@ -52,7 +52,7 @@ class SensorFile(Section):
 
     name: Text = Field(min_length=1, max_length=1000, description="Such as sentinel2a, or a path.")
     text: Text | None = Field(
-        default=None, max_length=MOST_BYTES, description="The table itself, as drawn recipes keep a file of your own."
+        None, max_length=MOST_BYTES, description="The table itself, as drawn recipes keep a file of your own."
     )
 
 
@@ -60,45 +60,43 @@ class CameraPath(Section):
     """A camera's way from where it stands, through points, in equal times; straight lines between them."""
 
     frames: Whole = Field(ge=2, le=MOST_FRAMES, description="Images along the way, both ends included.")
-    frames_per_s: FramesPerSecond = Field(default=24.0, description="Images a second: of motion and wind.")
+    frames_per_s: FramesPerSecond = Field(24.0, description="Images a second: of motion and wind.")
     position_m: tuple[Point, ...] = Field(
-        default=(), max_length=1000, description="Points it passes after position_m: x, y, z, metres."
+        (), max_length=1000, description="Points it passes after position_m: x, y, z, metres."
     )
     look_at_m: tuple[Point, ...] = Field(
-        default=(), max_length=1000, description="Points in the image's middle after look_at_m, metres."
+        (), max_length=1000, description="Points in the image's middle after look_at_m, metres."
     )
 
 
 class Exposure(Section):
     """Lens and sensor that make a raw image. Without shutter_s and ev the picture is metered."""
 
-    f_number: Positive = Field(default=8.0, ge=0.5, le=128, description="Focal length by the pupil's diameter.")
+    f_number: Positive = Field(8.0, ge=0.5, le=128, description="Focal length by the pupil's diameter.")
     shutter_s: Positive | None = Field(
-        default=None, ge=1e-7, le=86400, description="Exposure time, seconds. Default: by ev, or metered."
+        None, ge=1e-7, le=86400, description="Exposure time, seconds. Default: by ev, or metered."
     )
     ev: Number | None = Field(
-        default=None,
+        None,
         ge=-10,
         le=25,
         description="Exposure value at ISO 100, log2(f_number² / shutter_s): full sun 15, overcast 12; sets the "
         "shutter, longer for a lower iso.",
     )
-    compensation_ev: Number = Field(
-        default=0.0, ge=-10, le=10, description="Stops by which a metered exposure is brighter."
-    )
-    iso: Positive = Field(default=100.0, ge=1, le=1e7, description="Sensitivity by saturation, ISO 12232.")
+    compensation_ev: Number = Field(0.0, ge=-10, le=10, description="Stops by which a metered exposure is brighter.")
+    iso: Positive = Field(100.0, ge=1, le=1e7, description="Sensitivity by saturation, ISO 12232.")
     base_iso: Positive = Field(
-        default=100.0, ge=1, le=1e7, description="The iso at which saturation fills the well; the least one."
+        100.0, ge=1, le=1e7, description="The iso at which saturation fills the well; the least one."
     )
     vignetting: Fraction = Field(
-        default=0.0, description="0: none; 1: the fourth power of the cosine off the axis; between: mixed."
+        0.0, description="0: none; 1: the fourth power of the cosine off the axis; between: mixed."
     )
-    full_well_electrons: Positive = Field(default=30_000.0, ge=10, le=1e8, description="That a pixel holds.")
+    full_well_electrons: Positive = Field(30_000.0, ge=10, le=1e8, description="That a pixel holds.")
     read_noise_electrons: NonNegative = Field(
-        default=3.0, le=1e5, description="Standard deviation of what reading a pixel adds."
+        3.0, le=1e5, description="Standard deviation of what reading a pixel adds."
     )
-    bits: Whole = Field(default=14, ge=8, le=16, description="Of a digital number.")
-    mosaic: Flag = Field(default=True, description="Whether each pixel sees one colour only, in squares of RGGB.")
+    bits: Whole = Field(14, ge=8, le=16, description="Of a digital number.")
+    mosaic: Flag = Field(True, description="Whether each pixel sees one colour only, in squares of RGGB.")
 
     @model_validator(mode="after")
     def _one_way_to_expose(self) -> Self:
@@ -146,50 +144,49 @@ class CameraKeys(Section):
 
     name: Name = Field(description="Name in file names; default camera0, camera1, ...")
     kind: Annotated[Text, known_part(PROJECTIONS)] = Field(
-        default=DEFAULT_PROJECTION,
+        DEFAULT_PROJECTION,
         json_schema_extra=partial(list_names, registry=PROJECTIONS),
         description="Projection, of those that `forestgen models --kind projection` lists; its page has its keys, and "
         "its defaults of position_m, look and size_px.",
     )
     position_m: Point | None = Field(
-        default=None,
+        None,
         description="Where it stands: x, y, z, metres. Default by kind; of perspective eye level, southern edge's "
         "middle.",
     )
     look_at_m: Point | None = Field(
-        default=None, description="The point in the image's middle: x, y, z, metres. Default: amid the site."
+        None, description="The point in the image's middle: x, y, z, metres. Default: amid the site."
     )
     look: Look | None = Field(
-        default=None,
+        None,
         description="Instead of look_at_m. Up and down have north at the top: down shows east on the right, up shows "
         "it on the left. Default by kind; of perspective look_at_m.",
     )
     size_px: tuple[Pixels, Pixels] = Field(
-        default=(640, 360),
-        description="Width and height of the image, pixels. Default by kind; of perspective [640, 360].",
+        (640, 360), description="Width and height of the image, pixels. Default by kind; of perspective [640, 360]."
     )
     height_above_ground: Flag = Field(
-        default=True, description="Whether the z of position_m and look_at_m count from the ground below or from z = 0."
+        True, description="Whether the z of position_m and look_at_m count from the ground below or from z = 0."
     )
     obstructed: Literal["error", "note"] = Field(
-        default="error",
+        "error",
         description="How a camera below the ground, in a house or in a trunk is treated. error: reported before it is "
         "rendered. note: rendered with a note, for data sets with random cameras.",
     )
     path: CameraPath | None = Field(
-        default=None, description="Where it moves to; each frame is an image. None: it stands still."
+        None, description="Where it moves to; each frame is an image. None: it stands still."
     )
     rig: SerializeAsAny[RigKeys] | None = Field(
-        default=None,
+        None,
         description="Several images of one entry, of those that `forestgen models --kind rig` lists; its page has its "
         "keys. None: one.",
     )
     bands: Annotated[SensorFile | None, shorthand("name")] = Field(
-        default=None,
+        None,
         description="Sensor whose bands are the image's channels: a name, or a path from the recipe's folder. None: "
         "colour.",
     )
-    exposure: Exposure | None = Field(default=None, description="For a raw image beside the linear one. None: no such.")
+    exposure: Exposure | None = Field(None, description="For a raw image beside the linear one. None: no such.")
 
     @model_validator(mode="before")
     @classmethod

@@ -29,15 +29,7 @@ from forestgen.recipe.dataset import place_in_splits
 from forestgen.recipe.distributions import Choice, Distribution, Integers
 from forestgen.recipe.distributions import Sequence as InOrder
 from forestgen.recipe.fields import Number, Section, Text, Whole, mistake
-from forestgen.recipe.points import (
-    MOST_KEYS,
-    InfeasibleError,
-    Method,
-    cell_of,
-    cholesky_factor,
-    correlated,
-    point,
-)
+from forestgen.recipe.points import MOST_KEYS, InfeasibleError, Method, cell_of, cholesky_factor, correlated, point
 from forestgen.recipe.sources import Keys, SourceMap, dotted
 from forestgen.recipe.variables import SECTION as VARIABLES
 
@@ -79,29 +71,27 @@ class Sampling(Section):
     """How the draws of a recipe's images are spread over their ranges, correlated and shared."""
 
     method: Method = Field(
-        default="independent",
+        "independent",
         description="independent: each value by itself. latin_hypercube, sobol, halton: the values of all `keys` are "
         "spread evenly over the images of each split.",
     )
     block: Whole = Field(
-        default=128, ge=2, le=65_536, description="Of latin_hypercube: images of a split that make a whole hypercube."
+        128, ge=2, le=65_536, description="Of latin_hypercube: images of a split that make a whole hypercube."
     )
     keys: tuple[_Key, ...] | None = Field(
-        default=None,
+        None,
         min_length=1,
         description="Keys or variables that the method spreads, such as sky.sun.elevation_deg. Default: all that are "
         "drawn.",
     )
     strata: dict[_Key, _Strata] = Field(
-        default={},
+        {},
         description="Key or variable -> number of equally likely bins; or all, each value of a choice; or a list of "
         "these values. Among as many images of a split as there are cells, each cell is met once.",
     )
-    correlations: tuple[Correlation, ...] = Field(
-        default=(), description="Pairs of correlated drawn values.", max_length=1000
-    )
+    correlations: tuple[Correlation, ...] = Field((), description="Pairs of correlated drawn values.", max_length=1000)
     variables: dict[_Variable, Any] = Field(
-        default={},
+        {},
         max_length=100,
         description="Name -> a distribution, a value or a formula of other variables. {variable: NAME} or {formula: "
         "'10 + 30 * NAME'} stands for any number of the recipe.",

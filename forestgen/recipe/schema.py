@@ -1,6 +1,6 @@
 """The recipe's schema: the keys of a drawn recipe, their units and defaults.
 
-Distributions are drawn, shorthands spelled out and species files merged before a recipe meets this schema
+Distributions are drawn, shorthands expanded and species files merged before a recipe meets this schema
 (`forestgen.recipe.load`); here every number is a number.
 """
 
@@ -63,22 +63,22 @@ class Terrain(PartSection, GivenSection):
     registry = TERRAINS
     selector = "kind"
 
-    kind: Text = Field(default="flat", description="Shape of the ground.")
+    kind: Text = Field("flat", description="Shape of the ground.")
 
 
 class WetSoil(Section):
     """How the water that a community has in its soil shows in the ground's colour."""
 
-    shown: Flag = Field(default=True, description="Whether wet ground is darker.")
+    shown: Flag = Field(True, description="Whether wet ground is darker.")
     depth_m: Positive | None = Field(
-        default=None,
+        None,
         le=100,
         description="Depth of the soil that holds the water, metres: what makes a saturation of mm. Default: 1 in "
         "forest soil, 0.05 in a dryland's, whose rains wet little more than its crust.",
     )
-    porosity: Fraction = Field(default=0.4, gt=0, description="Share of the soil that water can fill.")
+    porosity: Fraction = Field(0.4, gt=0, description="Share of the soil that water can fill.")
     pond_mm: Positive = Field(
-        default=25.0,
+        25.0,
         le=10_000,
         description="Water on the ground that begins to drown it, mm; twice as much makes it wholly wet. Less is what "
         "runs past in showers, in a month's mean.",
@@ -88,42 +88,40 @@ class WetSoil(Section):
 class Site(Section):
     """The piece of land: x from 0 to size_m[0] (east), y from 0 to size_m[1] (north)."""
 
-    size_m: tuple[Extent, Extent] = Field(default=(100.0, 100.0), description="Extent east (x) and north (y), metres.")
+    size_m: tuple[Extent, Extent] = Field((100.0, 100.0), description="Extent east (x) and north (y), metres.")
     terrain: Annotated[SerializeAsAny[Terrain], shorthand("kind")] = Field(
         default_factory=lambda: Terrain.model_validate({}), description="Shape of the ground, or just its kind."
     )
-    ground: Annotated[Text, *part_name(GROUND_COVERS)] = Field(default="litter", description="What covers it.")
+    ground: Annotated[Text, *part_name(GROUND_COVERS)] = Field("litter", description="What covers it.")
     altitude_m: Number = Field(
-        default=0.0,
+        0.0,
         ge=-430,
         le=9000,
         description="Height of z = 0 above sea level, metres; for species with a response to elevation_m, and for the "
         "light that comes through the air above.",
     )
     latitude_deg: Number = Field(
-        default=50.0,
+        50.0,
         ge=-90,
         le=90,
         description="Latitude, degrees, north positive: where the sun stands over the year, for species with a "
         "response to sun, and for an image's own sun where sky.sun has a date.",
     )
     longitude_deg: Number | None = Field(
-        default=None, ge=-180, le=180, description="Longitude, degrees, east positive; for a sun by date and time."
+        None, ge=-180, le=180, description="Longitude, degrees, east positive; for a sun by date and time."
     )
     wind_from_deg: Number = Field(
-        default=270.0,
+        270.0,
         ge=-360,
         le=360,
         description="Where the prevailing wind comes from, degrees clockwise from north: 270 is west; for species with "
         "a response to wind, and for the wind that plants lean and sway in.",
     )
     buildings: tuple[SerializeAsAny[Building], ...] = Field(
-        default=(),
-        max_length=1000,
-        description="What people have built there; for community models that know of buildings.",
+        (), max_length=1000, description="What people have built there; for community models that know of buildings."
     )
     wet_soil: WetSoil | None = Field(
-        default=None,
+        None,
         description="How litter, dry soil, rock and sand darken where the community model has water in its soil; "
         "false: they do not. Default: they do.",
     )
@@ -166,26 +164,26 @@ class Plants(Section):
     """What each plant looks like."""
 
     geometry: Literal["plants", "silhouettes"] = Field(
-        default="plants",
+        "plants",
         description="plants: stems, branches and leaves. silhouettes: solids of revolution of the crowns' forms, for "
         "looking at a stand before its plants (Lane 2002, Figure 6.2).",
     )
     exemplars_per_species: Whole = Field(
-        default=10,
+        10,
         ge=1,
         le=1000,
         description="Sizes modelled for each species: the centres of clusters of its plants' radii. Every plant is one "
         "of these, scaled to its exact height.",
     )
     variants_per_size: Whole = Field(
-        default=1,
+        1,
         ge=1,
         le=100,
         description="Plants modelled for each size, of different seeds; a plant's own number decides which it is. Time "
         "and memory grow with it.",
     )
     library: Whole | None = Field(
-        default=None,
+        None,
         ge=1,
         le=1000,
         description="Plants of each size that all images of a split share, for data sets of many images: sizes are on "
@@ -193,30 +191,30 @@ class Plants(Section):
         "two splits share a plant.",
     )
     traits: Annotated[tuple[Text, ...], AfterValidator(each_once)] = Field(
-        default=(),
+        (),
         max_length=20,
         description="What counts beside the radius when plants are grouped into sizes: age_yr, height_m, or a column "
         "of the community model's own. One standard deviation of a trait counts half as much as one of the radius' "
         "logarithm.",
     )
     unique: Literal["auto", "all", "none"] | Annotated[Whole, Field(ge=0, le=100_000)] = Field(
-        default="auto",
+        "auto",
         description="Which plants that grew as branch modules are modelled with their own branches: auto, those that "
         "are large in an image, as many as ten million triangles hold; all; none; or so many of the largest. The "
         "others are one of `exemplars_per_species` of these, scaled and turned.",
     )
     levels: Flag = Field(
-        default=False,
+        False,
         description="Whether plants far from every camera show fewer, larger leaves and twigs, of the same area, "
         "chosen so that they stay below a pixel.",
     )
     season: Season = Field(
-        default="summer",
+        "summer",
         description="Of the leaves' spectra: spring, summer, autumn, dry. It changes their light, not their number; "
         "shipped evergreens stay green.",
     )
     cache: Flag = Field(
-        default=True,
+        True,
         description="Whether to keep the modelled plants on disk and take them from there when the same ones are asked "
         "for again; nothing else changes. FORESTGEN_CACHE names the folder.",
     )
@@ -242,41 +240,39 @@ class Render(Section):
     """
 
     mode: Literal["rgb", "spectral"] = Field(
-        default="rgb",
+        "rgb",
         description="rgb: light is computed in linear Rec. 709. spectral: at wavelengths from 360 to 830 nm, of which "
         "the colour is made. Cameras with bands are spectral in any case.",
     )
     samples: _Samples = Field(
-        default=16,
+        16,
         description="Light paths a pixel, over all passes. A spectral image has passes of three wavelengths: 4 for "
         "colour, 1 to 8 for most sensors of 1 to 13 bands. Each takes as many paths, at least one: samples are "
         "rounded up to a multiple of the passes, and need twice that for the variance to be known.",
     )
     target_error: _Error | None = Field(
-        default=None,
+        None,
         description="Goes on until the image's relative error is at most this: standard error over value, both over "
         "all channels and 3 x 3 pixels, the mean of all pixels. A pixel darker than a tenth of the image's mean is "
         "measured against that tenth.",
     )
     target_error_p95: _Error | None = Field(
-        default=None, description="Goes on until the 95th percentile of the pixels' relative error is at most this."
+        None, description="Goes on until the 95th percentile of the pixels' relative error is at most this."
     )
     time_budget_s: Annotated[Number, Field(gt=0, le=1e7)] | None = Field(
-        default=None,
+        None,
         description="Goes on for about so many seconds an image, building its scene not counted. The samples, and so "
         "the bytes of the image, then depend on the machine and on what else it does.",
     )
-    most_samples: _Samples = Field(
-        default=4096, description="Light paths a pixel at most, with a target or a time budget."
-    )
-    denoise: Flag = Field(default=True, description="Whether to remove the noise that remains.")
+    most_samples: _Samples = Field(4096, description="Light paths a pixel at most, with a target or a time budget.")
+    denoise: Flag = Field(True, description="Whether to remove the noise that remains.")
     clouds: Literal["auto", "farfield", "exact"] = Field(
-        default="auto",
+        "auto",
         description="How light goes through clouds. farfield: they are rendered once, and their light and shadow fall "
         "on the scene from afar. exact: their volume is traced with the scene. auto: farfield where clouds are far "
         "above the plants and cameras, otherwise exact.",
     )
-    max_depth: Whole = Field(default=64, ge=1, le=4096, description="Most scatterings of a path.")
+    max_depth: Whole = Field(64, ge=1, le=4096, description="Most scatterings of a path.")
 
     @model_validator(mode="after")
     def _enough(self) -> Self:
@@ -291,17 +287,15 @@ class Render(Section):
 class Labels(Section):
     """Which labels are made, and how."""
 
-    samples: Whole = Field(
-        default=16, ge=1, le=1024, description="Identity samples a pixel, a square number: 1, 4, 9, 16, ..."
-    )
+    samples: Whole = Field(16, ge=1, le=1024, description="Identity samples a pixel, a square number: 1, 4, 9, 16, ...")
     channels: Annotated[tuple[Channel, ...], AfterValidator(each_once)] = Field(
-        default=DEFAULT_CHANNELS,
+        DEFAULT_CHANNELS,
         description="Labels besides the masks: coverage ranks, surface (position, normals), albedo, sun (shadows), "
         "cloud opacity, motion, occlusion boundaries, amodal masks; and module, not among those made by default: "
         "branch modules and their segments.",
     )
     classes: dict[Label, tuple[Name, ...]] | None = Field(
-        default=None,
+        None,
         max_length=MOST_CLASSES,
         description="Semantic classes: name -> the species and parts in it, a part before a species; `others` are the "
         "species that no class names. A name may have blanks. Default: each species is a class.",
@@ -318,8 +312,8 @@ class Labels(Section):
 class Wind(Section):
     """Wind at each plant's top, in which it leans and sways; it blows from site.wind_from_deg, by default the west."""
 
-    speed_m_per_s: NonNegative = Field(default=0.0, le=40, description="Mean speed, metres per second; 0: still air.")
-    gustiness: Fraction = Field(default=0.5, description="Amplitude of the sway by the mean lean, 0 to 1.")
+    speed_m_per_s: NonNegative = Field(0.0, le=40, description="Mean speed, metres per second; 0: still air.")
+    gustiness: Fraction = Field(0.5, description="Amplitude of the sway by the mean lean, 0 to 1.")
 
 
 def _is_same_stand(value: Any) -> Any:
@@ -333,31 +327,29 @@ class Recipe(Section):
     """A drawn, complete recipe."""
 
     forestgen: Literal[1] = Field(description="Version of the recipe's schema.")
-    seed: Whole = Field(default=0, ge=0, lt=2**63, description="Root of all randomness; 0 is a seed.")
-    images: Whole = Field(default=1, ge=1, le=10**9, description="How many images, each drawn anew.")
+    seed: Whole = Field(0, ge=0, lt=2**63, description="Root of all randomness; 0 is a seed.")
+    images: Whole = Field(1, ge=1, le=10**9, description="How many images, each drawn anew.")
     first_image: Whole = Field(
-        default=0, ge=0, le=10**12, description="Index of the first image; a stored drawn recipe keeps its own here."
+        0, ge=0, le=10**12, description="Index of the first image; a stored drawn recipe keeps its own here."
     )
     same_stand: Annotated[Flag | Literal["by_split"], BeforeValidator(_is_same_stand)] = Field(
-        default=False,
+        False,
         description="Whether all images show image 0's stand, or by_split, all images of a split the split's own; "
         "distributions are still drawn by image.",
     )
-    site: Site = Field(default_factory=Site, description="The piece of land.")
+    site: Site = Field(default_factory=lambda: Site.model_validate({}), description="The piece of land.")
     species: dict[Name, Species] = Field(min_length=1, max_length=1000, description="Species by name.")
     community: Community = Field(description="The plants of the stand: a community model and its own keys.")
-    plants: Plants = Field(default=Plants(), description="How plants are modelled.")
+    plants: Plants = Field(Plants.model_validate({}), description="How plants are modelled.")
     sky: SerializeAsAny[SkySection] = Field(
         default_factory=lambda: SkySection.model_validate({}), description="Everything above: sun, sky, clouds."
     )
     cameras: list[AnyCamera] = Field(min_length=1, max_length=1000, description="Cameras, at least one.")
-    render: Render = Field(default=Render(), description="The light's computation.")
-    labels: Labels = Field(default=Labels(), description="The labels' computation.")
-    wind: Wind = Field(default=Wind(), description="How plants lean and sway.")
-    dataset: Dataset = Field(default=Dataset(), description="Files for training and measuring.")
-    sampling: Sampling | None = Field(
-        default=None, description="How draws are spread over the images, correlated and shared."
-    )
+    render: Render = Field(Render.model_validate({}), description="The light's computation.")
+    labels: Labels = Field(Labels.model_validate({}), description="The labels' computation.")
+    wind: Wind = Field(Wind.model_validate({}), description="How plants lean and sway.")
+    dataset: Dataset = Field(Dataset.model_validate({}), description="Files for training and measuring.")
+    sampling: Sampling | None = Field(None, description="How draws are spread over the images, correlated and shared.")
 
     @model_validator(mode="before")
     @classmethod

@@ -25,7 +25,7 @@ class NamedFile(GivenSection):
 
     file: FileName = Field(description="Its path, relative to the recipe's folder.")
     sha256: Sha256 | None = Field(
-        default=None, description="SHA-256 of its content, written when the recipe is loaded; another file is refused."
+        None, description="SHA-256 of its content, written when the recipe is loaded; another file is refused."
     )
 
 
@@ -36,7 +36,7 @@ class Clouds(PartSection, GivenSection):
     selector = "type"
     has_clouds: ClassVar[bool] = True  # whether there are ever any
 
-    type: Text = Field(default="none", description="Where the clouds come from.")
+    type: Text = Field("none", description="Where the clouds come from.")
 
     @property
     def known_cover(self) -> float | None:
@@ -56,28 +56,25 @@ class Sun(GivenSection):
     """Where the sun stands: by its angles, or by date, time and the site's place on earth."""
 
     elevation_deg: Number | None = Field(
-        default=None,
-        gt=0,
-        le=90,
-        description="Height above the horizon as it is seen, degrees. Default 40, without a date.",
+        None, gt=0, le=90, description="Height above the horizon as it is seen, degrees. Default 40, without a date."
     )
     azimuth_deg: Number | None = Field(
-        default=None,
+        None,
         ge=-360,
         le=360,
         description="Direction clockwise from north, degrees: 90 is east. Default 140, without a date.",
     )
     date: Text | None = Field(
-        default=None,
+        None,
         max_length=40,
         description="Day, YYYY-MM-DD, with time and utc_offset_h; or both with their offset as 2026-06-21T14:30+02:00. "
         "Needs site.latitude_deg and site.longitude_deg.",
     )
     time: Annotated[Number, Field(ge=0, lt=24)] | Text | None = Field(
-        default=None, description="Of the clock, 'HH:MM' or 'HH:MM:SS', or hours since midnight, such as 14.5."
+        None, description="Of the clock, 'HH:MM' or 'HH:MM:SS', or hours since midnight, such as 14.5."
     )
     utc_offset_h: Number | None = Field(
-        default=None, ge=-12, le=14, description="What the clock is ahead of UTC, hours: 2 in central Europe's summer."
+        None, ge=-12, le=14, description="What the clock is ahead of UTC, hours: 2 in central Europe's summer."
     )
 
     @property
@@ -166,20 +163,20 @@ class SkySection(PartSection):
     registry = SKIES
     selector = "kind"
 
-    kind: Text = Field(default="clear", description="Model of the sky.")
-    sun: Sun = Field(default=Sun(), description="Where the sun stands, by angles or by date.")
-    turbidity: Number = Field(default=3.0, ge=1, le=10, description="Haze: 1 is pure air, 3 clear, 10 hazy; no unit.")
+    kind: Text = Field("clear", description="Model of the sky.")
+    sun: Sun = Field(Sun.model_validate({}), description="Where the sun stands, by angles or by date.")
+    turbidity: Number = Field(3.0, ge=1, le=10, description="Haze: 1 is pure air, 3 clear, 10 hazy; no unit.")
     precipitable_water_mm: Number = Field(
-        default=14.16,
+        14.16,
         ge=0,
         le=100,
         description="Water vapour of the whole air column, mm: 5 in winter, 14 standard, 50 in the tropics.",
     )
     ozone_du: Number = Field(
-        default=344.0, ge=0, le=1000, description="Ozone of the whole air column, Dobson units; 344 is standard."
+        344.0, ge=0, le=1000, description="Ozone of the whole air column, Dobson units; 344 is standard."
     )
     visibility_m: Number | None = Field(
-        default=None,
+        None,
         ge=1000,
         le=300000,
         description="Haze between camera and scene: how far one sees, metres; 3000 is murky, 20000 usual, 100000 very "

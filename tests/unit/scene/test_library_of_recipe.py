@@ -144,12 +144,12 @@ def test_memory_holds_no_more_than_its_bytes(recipe: Path, monkeypatch: pytest.M
 def test_proportions_stay_near_the_plants_own(recipe: Path) -> None:
     """The scale of the heights is on a ladder, too: a model is at most 7% too slender or too stout."""
     for image in range(12):
-        drawn = planned(recipe, image).drawn
-        for name, species in drawn.species.items():
-            law, grown = (one.allometry.height_m for one in (species, modelled_species(drawn, name)))
+        drawn = planned(recipe, image)
+        for name, species in drawn.drawn.species.items():
+            law, grown = (one.allometry.height_m for one in (species, modelled_species(drawn.drawn, name)))
             assert abs(np.log(grown.scale / law.scale)) <= np.log(1.15) / 2 + 1e-12
             assert grown.exponent == law.exponent
-            assert modelled_species(drawn, name).allometry.width_m == species.allometry.width_m
+            assert modelled_species(drawn.drawn, name).allometry.width_m == species.allometry.width_m
 
 
 @pytest.mark.parametrize(
